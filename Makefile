@@ -1,0 +1,99 @@
+# Two commands are all a fresh clone needs: `make demo` and `make test`. Both make `.venv` themselves.
+
+SHELL := bash
+.SHELLFLAGS := -eu -o pipefail -c
+.ONESHELL:
+.DELETE_ON_ERROR:
+.NOTPARALLEL:
+MAKEFLAGS += --no-builtin-rules
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint bench build clean
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+TORCH := torch==2.13.0
+# Workers of the test run, and the interpreter to build .venv with (found by itself where empty).
+WORKERS ?= 2
+PYTHON ?=
+
+# Small matrices: one thread per process is faster than many, and tests run side by side.
+export OPENBLAS_NUM_THREADS ?= 1
+export OMP_NUM_THREADS ?= 1
+export MKL_NUM_THREADS ?= 1
+export MPLBACKEND := Agg
+# pyright is pinned, and comes with its own node: it need not ask the network about a newer one.
+export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
+# The parent's environment must not leak into the one we make.
+unexport PYTHONPATH PYTHONHOME
+
+help:
+	@echo "make demo    search for an object in a built-in apartment, compare with the baselines, leave pictures"
+	echo "make test    every check: ruff, pyright, import-linter, pytest"
+	echo "make lint    the checks without the tests"
+	echo "make bench   the measured comparisons (minutes)"
+	echo "make build   wheel and source archive in dist/"
+	echo "make clean   remove .venv, caches and what the commands left behind"
+
+$(BIN)/python:
+	@fits() { "$$1" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; }
+	if [ -n "$(PYTHON)" ]; then candidates="$(PYTHON)"
+	else candidates="python3 python3.11 python3.12 python3.13 python3.14"; fi
+	found=
+	for candidate in $$candidates; do
+	    if fits "$$candidate"; then found=$$candidate; break; fi
+	done
+	if [ -z "$$found" ]; then
+	    echo "error: none of these is a Python 3.11 or newer with its venv module: $$candidates" >&2
+	    echo "       Install one (Debian, Ubuntu: apt-get install python3-venv) or name one: make PYTHON=/path/to/python3" >&2
+	    exit 1
+	fi
+	echo "==> making $(VENV) with $$($$found --version)"
+	"$$found" -m venv --clear $(VENV)
+
+# Stamps: what is installed is installed again only when pyproject.toml changes.
+$(VENV)/.eagor-installed: $(BIN)/python pyproject.toml
+	@echo "==> installing eagor"
+	$(PIP) -e .
+	touch $@
+
+$(VENV)/.eagor-test-installed: $(BIN)/python pyproject.toml
+	@echo "==> installing $(TORCH), then eagor with what the tests need (the first time takes minutes)"
+	$(PIP) "$(TORCH)"
+	$(PIP) -e ".[vlm,oracles,dev]"
+	touch $(VENV)/.eagor-installed $@
+
+demo: $(VENV)/.eagor-installed
+	@echo "==> eagor demo"
+	$(BIN)/eagor demo
+
+lint: $(VENV)/.eagor-test-installed
+	@echo "==> ruff check"
+	$(BIN)/ruff check .
+	echo "==> ruff format --check"
+	$(BIN)/ruff format --check .
+	echo "==> pyright"
+	$(BIN)/pyright
+	echo "==> lint-imports"
+	$(BIN)/lint-imports --no-logo
+
+test: lint
+	@echo "==> pytest"
+	$(BIN)/python -m pytest -n $(WORKERS)
+
+bench: $(VENV)/.eagor-test-installed
+	@echo "==> benchmarks/core.py"
+	$(BIN)/python benchmarks/core.py
+	echo "==> benchmarks/quality.py"
+	$(BIN)/python benchmarks/quality.py
+
+build: $(VENV)/.eagor-test-installed
+	@echo "==> wheel and source archive"
+	rm -rf dist
+	$(BIN)/python -m build
+	ls -l dist
+
+clean:
+	@echo "==> removing $(VENV), caches and what the commands left behind"
+	rm -rf $(VENV) build dist eagor-demo runs .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	find src tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true

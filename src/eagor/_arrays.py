@@ -1,0 +1,72 @@
+"""Arrays of the caller's kind: a thin layer over the array API.
+
+Plans (Legendre tables, Wigner blocks, trigonometric matrices) are computed once in float64 NumPy. `constant` hands
+them out in the namespace, data type and device of the array at hand. No array library besides NumPy is ever
+imported here: a torch tensor is recognised because its owner has imported torch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from array_api_compat import array_namespace, device
+
+# Arrays are whatever the caller brought: ndarray, torch.Tensor, ... The array API has no common base class.
+Array = Any
+
+
+def namespace(*arrays: Array) -> Any:
+    """The array API namespace of `arrays`; plain NumPy for ndarrays, numbers and lists."""
+    if all(type(a) is np.ndarray for a in arrays):  # the hot path: array_namespace costs microseconds
+        return np
+    foreign = [a for a in arrays if hasattr(a, "shape") and not isinstance(a, np.ndarray | np.generic)]
+    return array_namespace(*foreign) if foreign else np
+
+
+def as_float(values: Array, like: Array | None = None) -> Array:
+    """`values` as a floating array: dtype and namespace kept where they are floating, float64 otherwise."""
+    if type(values) is np.ndarray and values.dtype.kind == "f":
+        return values
+    xp = namespace(values) if like is None else namespace(values, like)
+    if xp is np:
+        array = np.asarray(values)
+        return array if array.dtype.kind == "f" else array.astype(np.float64)
+    target = {} if like is None or isinstance(like, np.ndarray) else {"device": device(like)}
+    array = xp.asarray(values, **target)
+    return array if xp.isdtype(array.dtype, "real floating") else xp.astype(array, xp.float32)
+
+
+def to_numpy(values: Array) -> np.ndarray:
+    """`values` as an ndarray on the host (a copy where it lives elsewhere)."""
+    if isinstance(values, np.ndarray):
+        return values
+    if hasattr(values, "detach"):  # torch, without importing it
+        values = values.detach().cpu()
+    return np.asarray(values)
+
+
+def constant(plan: Callable[..., np.ndarray], *key: Any, like: Array) -> Array:
+    """``plan(*key)``, a pure function of hashable arguments, as an array of the kind of `like` (cached per kind)."""
+    if type(like) is np.ndarray:
+        return _as_numpy(plan, key, like.dtype.char)
+    return _as_foreign(plan, key, namespace(like), like.dtype, device(like))
+
+
+@lru_cache(maxsize=256)
+def _as_numpy(plan: Callable[..., np.ndarray], key: tuple, dtype: str) -> np.ndarray:
+    table = np.ascontiguousarray(plan(*key))
+    if table.dtype.kind == "f":
+        table = table.astype(dtype, copy=False)
+    table.setflags(write=False)
+    return table
+
+
+@lru_cache(maxsize=256)
+def _as_foreign(plan: Callable[..., np.ndarray], key: tuple, xp: Any, dtype: Any, place: Any) -> Array:
+    table = np.ascontiguousarray(plan(*key))
+    if table.dtype.kind == "f":
+        return xp.asarray(table.copy(), dtype=dtype, device=place)
+    return xp.asarray(table.copy(), device=place)

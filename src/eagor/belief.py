@@ -1,0 +1,255 @@
+"""A belief about the direction of one target: a log-posterior on the sphere, in spherical harmonics.
+
+f(omega) = sum c_lm Y_lm(omega) accumulates log-likelihood ratios; the density is p = exp(f) / integral of exp(f).
+Turning the camera rotates the coefficients exactly, evidence adds to them, forgetting scales them. Nothing is ever
+changed in place: every call returns a new belief.
+
+Two ways to read a direction out of it exist side by side. `mode` is the default. `mean_direction` and `resultant`
+are the published ones, kept for comparison: the first moment of f itself, which depends on the three coefficients of
+degree 1 alone, and is right only where f is a single clean blob.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from eagor._arrays import Array, as_float, constant, namespace, to_numpy
+from eagor.decode import (
+    MIN_WEIGHT,
+    PROMINENCE,
+    CredibleRegion,
+    Posterior,
+    decoding_grid,
+    peak,
+)
+from eagor.diffusion import diffuse
+from eagor.errors import EagorError
+from eagor.evidence import Evidence
+from eagor.grids import Grid
+from eagor.harmonics import RealHarmonics, rotation
+from eagor.sphere import check_rotation
+
+
+class Reading:
+    """What can be read from any posterior over directions; `Belief` and `RangedBelief` supply `posteriors`.
+
+    Leading batch dimensions of the belief lead the results. These read-outs run in NumPy, whatever arrays the
+    belief holds.
+    """
+
+    batch_shape: tuple[int, ...]
+    posteriors: np.ndarray  # of Posterior, shape batch_shape
+
+    def modes(
+        self, k: int = 3, prominence: float = PROMINENCE, min_weight: float = MIN_WEIGHT
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """At most `k` separate peaks, highest density first: directions ``(..., n, 3)`` and weights ``(..., n)``.
+
+        A mode stands at least `prominence` nats above the saddle around it; its weight is the probability of its basin
+        of attraction, and modes lighter than `min_weight` are left out. n is the largest number found in the batch;
+        where a belief has fewer, the rest have weight 0 and repeat the first direction.
+        """
+        found = [p.modes(k, prominence, min_weight) for p in self.posteriors.reshape(-1)]
+        most = max((len(weights) for _, weights in found), default=0)
+        directions = [np.concatenate([d, np.repeat(d[:1], most - len(d), axis=0)]) for d, _ in found]
+        weights = [np.concatenate([w, np.zeros(most - len(w))]) for _, w in found]
+        shape = self.batch_shape
+        return np.reshape(directions, (*shape, most, 3)), np.reshape(weights, (*shape, most))
+
+    def credible_angle(self, mass: float = 0.9) -> Any:
+        """Half-angle (radians, ``(...)``) of the cone about the mode that holds `mass` of the belief."""
+        return self._each(lambda p: p.cone(_checked_mass(mass)))
+
+    def credible_region(self, mass: float = 0.9) -> CredibleRegion:
+        """The smallest region that holds `mass` of the belief (highest density). One belief at a time."""
+        if self.batch_shape:
+            raise EagorError(
+                f"credible_region reads one belief; this is a batch {self.batch_shape}. Index it: belief[i]"
+            )
+        posterior: Any = self.posteriors[()]
+        level, area = posterior.level(_checked_mass(mass))
+        return CredibleRegion(
+            mass=mass,
+            threshold=level - posterior.log_total,
+            area=area,
+            angle=posterior.cone(mass),
+            mode=posterior.mode,
+            log_density=lambda directions: to_numpy(self.log_density(directions)),
+        )
+
+    def entropy(self) -> Any:
+        """Differential entropy ``(...)`` in nats: log(4 pi) = 2.53 if nothing is known, negative when sharp."""
+        return self._each(lambda p: p.entropy())
+
+    def presence(self, prior: float = 0.5) -> Any:
+        """Probability ``(...)`` that the target is somewhere around, against "not here".
+
+        prior Z / (prior Z + 1 - prior), where Z = (1 / 4 pi) integral of exp(f) is the likelihood ratio of all evidence
+        so far, averaged over directions.
+        """
+        if not 0 <= prior <= 1:
+            raise EagorError(f"prior = {prior!r}; wanted a probability in [0, 1]")
+        if prior in (0.0, 1.0):
+            return self._each(lambda p: prior)
+        odds = math.log(prior) - math.log1p(-prior)
+        return self._each(lambda p: 1 / (1 + math.exp(-_clip(odds + p.log_total - math.log(4 * math.pi)))))
+
+    def log_density(self, directions: Array) -> Array:
+        """log p per steradian at unit vectors ``(n..., 3)``: ``(..., n...)``; integrates to 1."""
+        raise NotImplementedError
+
+    def _each(self, read: Callable[[Posterior], float]) -> Any:
+        values = [read(p) for p in self.posteriors.reshape(-1)]
+        return np.reshape(values, self.batch_shape) if self.batch_shape else float(values[0])
+
+
+def _clip(exponent: float) -> float:
+    return max(-700.0, min(700.0, exponent))
+
+
+def _checked_mass(mass: float) -> float:
+    if not 0 < mass < 1:
+        raise EagorError(f"mass = {mass!r}; wanted a probability strictly between 0 and 1, such as 0.9")
+    return mass
+
+
+def each_posterior(count: tuple[int, ...], make: Callable[[tuple[int, ...]], Posterior]) -> np.ndarray:
+    """An object array of posteriors, one per index of the batch shape `count`."""
+    found = np.empty(count, dtype=object)
+    for index in np.ndindex(*count):
+        found[index] = make(index)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Belief(Reading):
+    """A belief over directions: `coefficients` ``(..., (degree + 1)^2)`` of the log-posterior in the body frame.
+
+    Leading dimensions are a batch (several targets, particles, episodes). NumPy or torch, kept as it came.
+    """
+
+    coefficients: Array
+
+    def __post_init__(self) -> None:
+        size = self.coefficients.shape[-1] if len(self.coefficients.shape) else 0
+        if size < 4 or math.isqrt(size) ** 2 != size:
+            raise EagorError(f"coefficients have shape {tuple(self.coefficients.shape)}; wanted (..., (degree + 1)^2)")
+
+    @classmethod
+    def uniform(cls, degree: int, batch_shape: tuple[int, ...] = (), like: Array | None = None) -> Belief:
+        """Nothing known: f = 0. `like` gives the kind of array (default float64 NumPy)."""
+        size = RealHarmonics(degree).size
+        if like is None:
+            return cls(np.zeros((*batch_shape, size)))
+        return cls(namespace(like).zeros((*batch_shape, size), dtype=like.dtype, device=like.device))
+
+    @property
+    def degree(self) -> int:
+        """The highest degree of the harmonics."""
+        return math.isqrt(self.coefficients.shape[-1]) - 1
+
+    @property
+    def basis(self) -> RealHarmonics:
+        """The basis of the coefficients."""
+        return RealHarmonics(self.degree)
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:  # type: ignore[override]
+        """The leading dimensions."""
+        return tuple(self.coefficients.shape[:-1])
+
+    def __getitem__(self, index: Any) -> Belief:
+        """Part of a batch."""
+        if not self.batch_shape:
+            raise EagorError("this belief has no batch dimension to index")
+        return replace(self, coefficients=self.coefficients[index])
+
+    def predict(self, new_R_old: Array) -> Belief:
+        """After the body has turned: ``new_R_old @ direction_old = direction_new``, ``(..., 3, 3)``, exact."""
+        rotated = rotation.rotate(self.degree, as_float(self.coefficients), check_rotation(new_R_old))
+        return Belief(rotated)
+
+    def update(self, evidence: Evidence, new_R_capture: Array | None = None) -> Belief:
+        """With one more look added. For evidence from an earlier orientation give `new_R_capture` (to now)."""
+        found = evidence.coefficients(self.degree)
+        if new_R_capture is not None:
+            found = rotation.rotate(self.degree, found, check_rotation(new_R_capture, "new_R_capture"))
+        return Belief(self.coefficients + found)
+
+    def forget(self, factor: float) -> Belief:
+        """With all log-odds scaled by `factor` in [0, 1]: what was learnt long ago counts for less."""
+        if not 0 <= factor <= 1:
+            raise EagorError(f"factor = {factor!r}; wanted 0 (forget everything) to 1 (keep everything)")
+        return Belief(self.coefficients * factor)
+
+    def diffuse(self, sigma: float) -> Belief:
+        """With the density spread by a Gaussian of `sigma` radians per axis (odometry noise, a moving target)."""
+        if not 0 <= sigma < math.pi:
+            raise EagorError(f"sigma = {sigma!r}; wanted radians, 0 to pi")
+        return Belief(diffuse(self.degree, self.coefficients, sigma)) if sigma > 0 else self
+
+    def diffuse_log(self, sigma: float) -> Belief:
+        """The cheap approximation: exp(-l(l+1) sigma^2 / 2) on the log field. It blurs f, and hardly widens exp(f)."""
+        return Belief(self.basis.smooth(self.coefficients, sigma))
+
+    def log_ratio(self, directions: Grid | Array) -> Array:
+        """f, the accumulated log-likelihood ratio, at unit vectors ``(n..., 3)`` or on a grid ``(..., H, W)``."""
+        return self.basis.synthesise(self.coefficients, directions)
+
+    def log_density(self, directions: Array) -> Array:
+        """log p per steradian at unit vectors ``(n..., 3)``: ``(..., n...)``; integrates to 1."""
+        f = self.log_ratio(directions)
+        totals = np.asarray(self._each(lambda p: p.log_total))
+        totals = totals.reshape(*self.batch_shape, *([1] * (len(f.shape) - len(self.batch_shape))))
+        return f - (
+            totals if isinstance(f, np.ndarray) else namespace(f).asarray(totals, dtype=f.dtype, device=f.device)
+        )
+
+    def mode(self) -> Array:
+        """The direction of highest density ``(..., 3)``, in the belief's own kind of array."""
+        return peak(self.degree, self.coefficients)
+
+    def mean_direction(self) -> Array:
+        """The published estimate ``(..., 3)``: m / |m| with m the integral of f * omega, i.e. of degree 1 alone.
+
+        Forward where m vanishes.
+        """
+        moment = self._moment()
+        xp = namespace(moment)
+        length = xp.sqrt(xp.sum(moment * moment, axis=-1, keepdims=True))
+        forward = constant(_forward, like=moment) + xp.zeros_like(moment)
+        return xp.where(length > 1e-12, moment / xp.where(length > 1e-12, length, xp.ones_like(length)), forward)
+
+    def resultant(self) -> Array:
+        """The published confidence ``(...)``: |m| / integral of f, signed.
+
+        For a log field it is negative or arbitrary, and no probability: see `presence` and `credible_region`.
+        """
+        moment = self._moment()
+        xp = namespace(moment)
+        return xp.sqrt(xp.sum(moment * moment, axis=-1)) / (self.coefficients[..., 0] * math.sqrt(4 * math.pi))
+
+    def _moment(self) -> Array:
+        """The integral of f * omega ``(..., 3)``: Y_11, Y_1-1, Y_10 are sqrt(3 / 4 pi) times x, y, z."""
+        c = self.coefficients
+        return namespace(c).stack([c[..., 3], c[..., 1], c[..., 2]], axis=-1) * math.sqrt(4 * math.pi / 3)
+
+    @cached_property
+    def posteriors(self) -> np.ndarray:  # type: ignore[override]
+        """exp(f) on a grid that resolves it, for each belief of the batch (kept: the belief never changes)."""
+        coefficients, rows = to_numpy(self.coefficients).astype(np.float64), decoding_grid(self.degree).height
+
+        def make(index: tuple[int, ...]) -> Posterior:
+            return Posterior.resolve(lambda grid: self.basis.synthesise(coefficients[index], grid), rows)
+
+        return each_posterior(self.batch_shape, make)
+
+
+def _forward() -> np.ndarray:
+    return np.array([1.0, 0.0, 0.0])

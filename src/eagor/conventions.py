@@ -1,0 +1,185 @@
+"""Converters to and from the conventions of other software; each has a test on an asymmetric scene.
+
+Ours: body x forward, y left, z up; azimuth positive left, elevation positive up, radians; real harmonics without
+Condon-Shortley phase, index l*l + l + m. Nothing else in the package converts.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from eagor.errors import EagorError, RotationError
+from eagor.sphere import azimuth_elevation, check_rotation, direction
+
+# --- quaternions (ROS messages are xyzw; many papers, MuJoCo and Unitree are wxyz) ---
+
+
+def rotation_from_wxyz(quaternion: np.ndarray) -> np.ndarray:
+    """Rotation matrices ``(..., 3, 3)`` from quaternions ``(..., 4)``, scalar first, of any positive length."""
+    return _from_quaternion(quaternion, scalar_first=True)
+
+
+def rotation_from_xyzw(quaternion: np.ndarray) -> np.ndarray:
+    """Rotation matrices ``(..., 3, 3)`` from quaternions ``(..., 4)``, scalar last, as in ROS messages."""
+    return _from_quaternion(quaternion, scalar_first=False)
+
+
+def wxyz_from_rotation(matrix: np.ndarray) -> np.ndarray:
+    """Unit quaternions ``(..., 4)``, scalar first and not negative, from rotation matrices ``(..., 3, 3)``."""
+    from scipy.spatial.transform import Rotation
+
+    matrix = np.asarray(check_rotation(matrix, "matrix"))
+    found = Rotation.from_matrix(matrix.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
+    return found.reshape(*matrix.shape[:-2], 4)
+
+
+def xyzw_from_rotation(matrix: np.ndarray) -> np.ndarray:
+    """Unit quaternions ``(..., 4)``, scalar last, from rotation matrices ``(..., 3, 3)``."""
+    return np.roll(wxyz_from_rotation(matrix), -1, axis=-1)
+
+
+def _from_quaternion(quaternion: np.ndarray, scalar_first: bool) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    quaternion = np.asarray(quaternion, dtype=np.float64)
+    order = "w, x, y, z" if scalar_first else "x, y, z, w"
+    if quaternion.shape[-1:] != (4,) or not np.isfinite(quaternion).all():
+        raise RotationError(f"quaternion = {quaternion.tolist()}; wanted four finite numbers {order}")
+    if (np.linalg.norm(quaternion, axis=-1) < 1e-6).any():
+        raise RotationError(f"a quaternion of length zero is no rotation; an unset message? wanted {order}")
+    found = Rotation.from_quat(quaternion.reshape(-1, 4), scalar_first=scalar_first).as_matrix()
+    return found.reshape(*quaternion.shape[:-1], 3, 3)
+
+
+# --- H*Bench: yaw 0 at the image centre, positive to the RIGHT, 0 to 360; pitch positive up; degrees ---
+
+
+def hstar_from_direction(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """H*Bench (yaw, pitch) in degrees, yaw in [0, 360), of directions ``(..., 3)``."""
+    azimuth, elevation = azimuth_elevation(directions)
+    return np.degrees(-azimuth) % 360.0, np.degrees(elevation)
+
+
+def direction_from_hstar(yaw_deg: np.ndarray, pitch_deg: np.ndarray) -> np.ndarray:
+    """Directions ``(..., 3)`` from H*Bench yaw (positive right) and pitch (positive up), degrees."""
+    return direction(-np.radians(yaw_deg), np.radians(pitch_deg))
+
+
+# --- camera and simulator axes ---
+
+# Rows: the axes of the other frame in ours, so that OTHER_R_BODY @ direction_body = direction_other.
+HABITAT_R_BODY = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])  # x right, y up, z backward (also OpenGL)
+OPTICAL_R_BODY = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])  # x right, y down, z forward (ROS REP-103 optical)
+
+
+def to_habitat(directions: np.ndarray) -> np.ndarray:
+    """Directions or points ``(..., 3)`` from our body frame to Habitat's (x right, y up, z backward)."""
+    return np.asarray(directions) @ HABITAT_R_BODY.T
+
+
+def from_habitat(directions: np.ndarray) -> np.ndarray:
+    """Directions or points ``(..., 3)`` from Habitat's frame to ours."""
+    return np.asarray(directions) @ HABITAT_R_BODY
+
+
+def rotation_from_habitat(matrix: np.ndarray) -> np.ndarray:
+    """A rotation or pose ``(..., 3, 3)`` between Habitat frames as one between ours (a turn to the left stays one)."""
+    return HABITAT_R_BODY.T @ check_rotation(np.asarray(matrix, dtype=np.float64), "matrix") @ HABITAT_R_BODY
+
+
+def to_optical(directions: np.ndarray) -> np.ndarray:
+    """Directions or points ``(..., 3)`` from our body frame to an optical frame (x right, y down, z forward)."""
+    return np.asarray(directions) @ OPTICAL_R_BODY.T
+
+
+def from_optical(directions: np.ndarray) -> np.ndarray:
+    """Directions or points ``(..., 3)`` from a camera's optical frame to ours."""
+    return np.asarray(directions) @ OPTICAL_R_BODY
+
+
+# --- coefficient orders. All three use the same orthonormal functions up to sign, order or axes. ---
+
+
+def to_healpix_alm(coefficients: np.ndarray) -> np.ndarray:
+    """Complex a_lm ``(..., n)`` for ducc0 and healpy: m >= 0, m-major, Condon-Shortley phase, colatitude and longitude.
+
+    The field is the same function of direction: longitude = azimuth, colatitude = pi/2 - elevation. For m > 0,
+    a_lm = (-1)^m (c_lm - i c_l-m) / sqrt(2).
+    """
+    coefficients = np.asarray(coefficients, dtype=np.float64)
+    degree = _degree(coefficients)
+    parts = []
+    for m in range(degree + 1):
+        l = np.arange(m, degree + 1)
+        cosine, sine = coefficients[..., l * l + l + m], coefficients[..., l * l + l - m]
+        parts.append(cosine + 0j if m == 0 else (-1) ** m * (cosine - 1j * sine) / math.sqrt(2))
+    return np.concatenate(parts, axis=-1)
+
+
+def from_healpix_alm(alm: np.ndarray) -> np.ndarray:
+    """Our coefficients ``(..., (degree + 1)^2)`` from the complex a_lm of ducc0 and healpy."""
+    alm = np.asarray(alm, dtype=np.complex128)
+    degree = (math.isqrt(8 * alm.shape[-1] + 1) - 3) // 2
+    if (degree + 1) * (degree + 2) // 2 != alm.shape[-1]:
+        raise EagorError(f"{alm.shape[-1]} values are no triangle of a_lm; wanted (lmax + 1)(lmax + 2) / 2")
+    found = np.zeros((*alm.shape[:-1], (degree + 1) ** 2))
+    start = 0
+    for m in range(degree + 1):
+        l = np.arange(m, degree + 1)
+        part: Any = alm[..., start : start + len(l)]
+        start += len(l)
+        scale = 1.0 if m == 0 else (-1) ** m * math.sqrt(2)
+        found[..., l * l + l + m] = scale * part.real
+        if m > 0:
+            found[..., l * l + l - m] = -scale * part.imag
+    return found
+
+
+def to_pyshtools(coefficients: np.ndarray) -> np.ndarray:
+    """cilm ``(..., 2, degree + 1, degree + 1)`` for pyshtools, normalization="ortho", csphase=1: cosines, sines."""
+    coefficients = np.asarray(coefficients, dtype=np.float64)
+    degree = _degree(coefficients)
+    found = np.zeros((*coefficients.shape[:-1], 2, degree + 1, degree + 1))
+    for l in range(degree + 1):
+        m = np.arange(l + 1)
+        found[..., 0, l, : l + 1] = coefficients[..., l * l + l + m]
+        found[..., 1, l, 1 : l + 1] = coefficients[..., l * l + l - m[1:]]
+    return found
+
+
+def from_pyshtools(cilm: np.ndarray) -> np.ndarray:
+    """Our coefficients from pyshtools' cilm ``(..., 2, degree + 1, degree + 1)``, normalization="ortho", csphase=1."""
+    cilm = np.asarray(cilm, dtype=np.float64)
+    degree = cilm.shape[-1] - 1
+    found = np.zeros((*cilm.shape[:-3], (degree + 1) ** 2))
+    for l in range(degree + 1):
+        m = np.arange(l + 1)
+        found[..., l * l + l + m] = cilm[..., 0, l, : l + 1]
+        found[..., l * l + l - m[1:]] = cilm[..., 1, l, 1 : l + 1]
+    return found
+
+
+# e3nn's polar axis is its second. Hand it our (y, z, x) as its (x, y, z), and the same numbers describe the same
+# field, with the same index l*l + l + m.
+E3NN_R_BODY = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
+
+
+def to_e3nn_direction(directions: np.ndarray) -> np.ndarray:
+    """Points ``(..., 3)`` for e3nn (normalization="integral", normalize=True): coefficients then need no reordering."""
+    return np.asarray(directions) @ E3NN_R_BODY.T
+
+
+def rotation_to_e3nn(matrix: np.ndarray) -> np.ndarray:
+    """The rotation ``(..., 3, 3)`` in e3nn's axes that does to its points what `matrix` does to ours."""
+    return E3NN_R_BODY @ check_rotation(np.asarray(matrix, dtype=np.float64), "matrix") @ E3NN_R_BODY.T
+
+
+def _degree(coefficients: np.ndarray) -> int:
+    size = coefficients.shape[-1]
+    degree = math.isqrt(size) - 1
+    if (degree + 1) ** 2 != size:
+        raise EagorError(f"{size} coefficients are no full triangle; wanted (degree + 1)^2")
+    return degree

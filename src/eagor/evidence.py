@@ -1,0 +1,377 @@
+"""Evidence: what one look at the world says about each direction, as a log-likelihood ratio.
+
+A perception answers with a response l in [0, 1] on a grid. The evidence is
+
+    r(omega) = temperature * log((l + floor) / (neutral + floor)),
+
+positive where the target is likelier than not, negative (and bounded) where we looked and saw nothing, and exactly
+zero where we did not look. The logarithm is taken on the grid that the response came on; the coefficients integrate
+each cell over its solid angle (upsampling first and taking the logarithm later is wrong by more than 100 % on sparse
+maps).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eagor._arrays import Array, namespace, to_numpy
+from eagor.coverage import Region, confine, region, taper
+from eagor.errors import ResponseError, TimeError
+from eagor.grids import Grid, PatchGrid, PerspectiveGrid
+from eagor.harmonics import RealHarmonics
+from eagor.sphere import unit
+
+WHOLE_SPHERE = PatchGrid(90, 180)  # where detections given as boxes or points are drawn: cells of 2 degrees
+MIN_SPREAD = math.radians(4)  # standard deviation: no detector is surer than this about where a box's middle is
+_BLOCK = 1 << 16  # values at a time: adding, checking and taking the logarithm stay in the cache
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How a response becomes a log-likelihood ratio: ``temperature * log((l + floor) / (neutral + floor))``.
+
+    - `floor` (epsilon): the probability of missing a visible target; it bounds what one empty look can take away.
+    - `neutral` (l0): the response that says nothing.
+    - `temperature` (beta): a factor that tempers evidence which repeats itself from frame to frame.
+    - `scale_to_max`: divide each response by its own maximum first. Only the published profile does so: it turns
+      "nothing here" into a detection.
+    """
+
+    floor: float = 0.1
+    neutral: float = 0.05
+    temperature: float = 1.0
+    scale_to_max: bool = False
+
+    def __post_init__(self) -> None:
+        if not (0 < self.floor <= 1 and 0 <= self.neutral <= 1 and 0 < self.temperature < math.inf):
+            raise ResponseError(
+                f"Calibration(floor={self.floor!r}, neutral={self.neutral!r}, temperature={self.temperature!r}): "
+                "wanted 0 < floor <= 1, 0 <= neutral <= 1 and temperature > 0"
+            )
+
+    @classmethod
+    def paper(cls) -> Calibration:
+        """The published form, log(l + 1e-3), with each frame's response scaled to a maximum of 1."""
+        return cls(floor=1e-3, neutral=1 - 1e-3, temperature=1.0, scale_to_max=True)
+
+    def log_ratio(self, response: Array) -> Array:
+        """r of a response, elementwise; for checking and plotting (`Evidence.from_response` checks its input too)."""
+        xp = namespace(response)
+        return self.temperature * xp.log((response + self.floor) / (self.neutral + self.floor))
+
+    @property
+    def empty(self) -> float:
+        """r where we looked and saw nothing: the lowest value there is."""
+        return self.temperature * math.log(self.floor / (self.neutral + self.floor))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Evidence:
+    """One look: log-likelihood ratios ``(..., H, W)`` on a grid, when it was taken, and what it covered.
+
+    Make it with `from_response`, `from_boxes`, `from_mask` or `from_points`. `stamp` is the time of CAPTURE in seconds
+    (None where time plays no role). Values are never changed after construction.
+    """
+
+    log_ratio: Array
+    grid: Grid
+    calibration: Calibration
+    stamp: float | None = None
+    seen: Region | None = None
+    peak: float = 1.0  # what the response was divided by (scale_to_max)
+
+    @classmethod
+    def from_response(
+        cls,
+        response: Array,
+        grid: Grid,
+        calibration: Calibration | None = None,
+        stamp: float | None = None,
+        coverage: np.ndarray | None = None,
+    ) -> Evidence:
+        """Evidence from a response ``(..., H, W)`` in [0, 1] on `grid`.
+
+        `coverage` ``(H, W)`` in [0, 1] (or bool) tells how far each cell was really looked at; by default the whole
+        grid was. Raises `ResponseError` on another shape, an empty array, NaN, or values outside [0, 1].
+        An all-zero response is good input: we looked and saw nothing.
+        """
+        calibration = calibration or _DEFAULT
+        response = _checked_shape(response, grid)
+        peak = 1.0
+        if calibration.scale_to_max:
+            peak = _largest(response)
+            if 0 < peak < 1:
+                response = response / peak
+        log_ratio = _log_ratio(response, calibration)
+        if stamp is not None:
+            stamp = _finite_stamp(stamp)
+        mask = None
+        if coverage is not None:
+            coverage = _checked_coverage(coverage, grid)
+            mask = coverage > 0
+            log_ratio = log_ratio * namespace(log_ratio).asarray(coverage, dtype=log_ratio.dtype)
+        return cls(log_ratio, grid, calibration, stamp, region(grid, mask), peak if peak > 0 else 1.0)
+
+    @classmethod
+    def from_mask(
+        cls,
+        masks: Array,
+        grid: Grid,
+        scores: Array | None = None,
+        calibration: Calibration | None = None,
+        stamp: float | None = None,
+    ) -> Evidence:
+        """Evidence from one mask ``(H, W)`` or several ``(n, H, W)``, bool.
+
+        `scores` ``(n,)`` in [0, 1], default 1. Where masks overlap the best score counts; ``n = 0`` means looked and
+        saw nothing.
+        """
+        masks = np.asarray(to_numpy(masks)).astype(bool)
+        masks = masks[None] if masks.ndim == 2 else masks
+        if masks.ndim != 3 or masks.shape[1:] != tuple(grid.shape):
+            raise ResponseError(f"masks have shape {masks.shape}; the grid wants (n, {grid.shape[0]}, {grid.shape[1]})")
+        weights = _checked_scores(scores, len(masks))
+        response = np.max(masks * weights[:, None, None], axis=0, initial=0.0)
+        return cls.from_response(response.astype(np.float32), grid, calibration, stamp)
+
+    @classmethod
+    def from_boxes(
+        cls,
+        boxes: Array,
+        grid: Grid,
+        scores: Array | None = None,
+        calibration: Calibration | None = None,
+        stamp: float | None = None,
+        min_spread: float = MIN_SPREAD,
+    ) -> Evidence:
+        """Evidence from detections, boxes ``(n, 4)`` x0, y0, x1, y1 in the pixels of the image that `grid` describes.
+
+        Coordinates are continuous: pixel j spans [j, j + 1]. On an equirectangular image a box with x0 > x1, or one
+        that runs past the border, crosses the seam. `scores` ``(n,)`` in [0, 1], default 1. No boxes at all is good
+        input.
+
+        A detector means the middle of its box, so each box becomes a smooth bump: the Gaussian with the mean direction
+        and the second moments of the box's solid angle, widened by `min_spread` (radians).
+        """
+        table = np.asarray(to_numpy(boxes), dtype=np.float64).reshape(-1, 4) if np.size(boxes) else np.zeros((0, 4))
+        weights = _checked_scores(scores, len(table))
+        canvas = _canvas(grid)
+        response = np.zeros(canvas.shape)
+        for box, weight in zip(table, weights, strict=True):
+            centre, spread = _moments(box, grid)
+            bump = _bump(canvas.directions, centre, spread + min_spread**2 * np.eye(2))
+            response = np.maximum(response, weight * bump)
+        return cls.from_response(response.astype(np.float32), canvas, calibration, stamp)
+
+    @classmethod
+    def from_points(
+        cls,
+        directions: Array,
+        concentration: Array,
+        scores: Array | None = None,
+        grid: Grid | None = None,
+        calibration: Calibration | None = None,
+        stamp: float | None = None,
+    ) -> Evidence:
+        """Evidence from points: directions ``(n, 3)`` with von Mises-Fisher `concentration` (scalar or ``(n,)``, > 0).
+
+        The response is the highest of ``score * exp(concentration * (cos(angle) - 1))``; a spread of s radians is a
+        concentration of 1 / s^2. `grid` tells what was looked at (default: everything).
+        """
+        points = np.asarray(to_numpy(directions), dtype=np.float64).reshape(-1, 3)
+        points = unit(points) if len(points) else points
+        kappa = np.broadcast_to(np.asarray(to_numpy(concentration), dtype=np.float64), (len(points),))
+        if not (np.isfinite(kappa).all() and (kappa > 0).all()):
+            raise ResponseError("concentration must be finite and positive: 1 / spread^2, with the spread in radians")
+        weights = _checked_scores(scores, len(points))
+        canvas = WHOLE_SPHERE if grid is None else _canvas(grid)
+        cosines = canvas.directions @ points.T
+        response = np.max(weights * np.exp(kappa * (cosines - 1)), axis=-1, initial=0.0)
+        return cls.from_response(response.astype(np.float32), canvas, calibration, stamp)
+
+    def coefficients(self, degree: int) -> Array:
+        """The evidence in spherical harmonics ``(..., (degree + 1)^2)``, body frame at the time of capture."""
+        basis = RealHarmonics(degree)
+        if self.seen is None:
+            return basis.analyse(self.log_ratio, self.grid)
+        tapered = self.log_ratio * taper(degree, self.seen, self.log_ratio)
+        if not hasattr(self.grid, "body_R_view"):
+            return confine(degree, basis.analyse(tapered, self.grid), self.seen)
+        # The plan that keeps evidence inside a view belongs to its lens: confine there, then turn.
+        ahead = basis.analyse(tapered, replace(self.grid, body_R_view=np.eye(3)))  # type: ignore[type-var]
+        turn = namespace(ahead).asarray(np.array(self.grid.body_R_view), dtype=ahead.dtype)  # type: ignore[attr-defined]
+        return basis.rotate(confine(degree, ahead, self.seen), turn)
+
+    @property
+    def response(self) -> Array:
+        """The response ``(..., H, W)`` in [0, 1] that this evidence was made from (before any scaling), to rounding.
+
+        Where coverage was partial this is the neutral response, since nothing was learnt there.
+        """
+        xp = namespace(self.log_ratio)
+        scale = self.calibration.neutral + self.calibration.floor
+        found = scale * xp.exp(self.log_ratio / self.calibration.temperature) - self.calibration.floor
+        return xp.clip(found, 0.0, 1.0) * self.peak
+
+    def with_calibration(self, calibration: Calibration) -> Evidence:
+        """The same look, read with another calibration (coverage masks are kept, partial coverage becomes full)."""
+        if calibration == self.calibration:
+            return self
+        read = Evidence.from_response(self.response, self.grid, calibration, self.stamp)
+        if self.seen is None or not self.seen[-1]:
+            return read
+        return replace(read, seen=self.seen, log_ratio=read.log_ratio * (taper(0, self.seen, read.log_ratio) > 0))
+
+
+_DEFAULT = Calibration()
+
+
+def _checked_shape(response: Array, grid: Grid) -> Array:
+    """`response` as a floating array that fits `grid`."""
+    if not hasattr(response, "shape"):
+        response = np.asarray(response)
+    if tuple(response.shape[-2:]) != tuple(grid.shape) or 0 in tuple(response.shape):
+        raise ResponseError(
+            f"response has shape {tuple(response.shape)}; the grid wants (..., {grid.shape[0]}, {grid.shape[1]}) "
+            "and at least one value. Pass the grid that the response was computed on"
+        )
+    if isinstance(response, np.ndarray):
+        return response if response.dtype.char in "fd" else response.astype(np.float32)
+    xp = namespace(response)
+    return response if xp.isdtype(response.dtype, "real floating") else xp.astype(response, xp.float32)
+
+
+def _log_ratio(response: Array, calibration: Calibration) -> Array:
+    """The checked log ratio: on NumPy block by block, so that checking costs next to nothing beside the logarithm."""
+    gain = 1 / (calibration.neutral + calibration.floor)
+    offset = calibration.floor * gain
+    if not isinstance(response, np.ndarray):
+        xp = namespace(response)
+        if not (float(xp.min(response)) >= 0 and float(xp.max(response)) <= 1):
+            raise ResponseError(_what_is_wrong(to_numpy(response)))
+        return calibration.temperature * xp.log(response * gain + offset)
+    flat = np.ascontiguousarray(response).reshape(-1)
+    # As unsigned integers the floats in [0, 1] are the smallest of all: negative numbers have the sign bit set, NaN and
+    # infinity the largest exponents. One maximum checks range and finiteness at once.
+    bits = flat.view(np.uint32 if flat.dtype.char == "f" else np.uint64)
+    one = 0x3F800000 if flat.dtype.char == "f" else 0x3FF0000000000000
+    out = np.empty_like(flat)
+    for start in range(0, flat.size, _BLOCK):
+        part = slice(start, start + _BLOCK)
+        if bits[part].max() > one:
+            _fail_unless_valid(response)
+        block = out[part]
+        np.multiply(flat[part], gain, out=block)
+        np.add(block, offset, out=block)
+        np.log(block, out=block)
+        if calibration.temperature != 1.0:
+            np.multiply(block, calibration.temperature, out=block)
+    return out.reshape(response.shape)
+
+
+def _fail_unless_valid(response: np.ndarray) -> None:
+    """The slow, exact check behind the fast one, which also stops at -0.0."""
+    if not (response.min() >= 0 and response.max() <= 1):
+        raise ResponseError(_what_is_wrong(response))
+
+
+def _what_is_wrong(response: np.ndarray) -> str:
+    if not np.isfinite(response).all():
+        count = int((~np.isfinite(response)).sum())
+        return (
+            f"response has {count} values that are NaN or infinite; wanted numbers in [0, 1]. Mask them with coverage=0"
+        )
+    return (
+        f"response runs from {response.min():g} to {response.max():g}; wanted [0, 1]. Logits want a sigmoid, "
+        "attention wants a fixed scale (not the frame's own maximum)"
+    )
+
+
+def _largest(response: Array) -> float:
+    """The maximum of a single response, for the published scaling."""
+    if len(response.shape) != 2:
+        raise ResponseError("scale_to_max reads one response (H, W) at a time; loop over the batch")
+    return float(namespace(response).max(response))
+
+
+def _finite_stamp(stamp: float) -> float:
+    if not math.isfinite(stamp):
+        raise TimeError(f"stamp = {stamp!r}; wanted the time of capture in seconds, a finite number")
+    return float(stamp)
+
+
+def _checked_coverage(coverage: np.ndarray, grid: Grid) -> np.ndarray:
+    coverage = np.asarray(to_numpy(coverage), dtype=np.float64)
+    if coverage.shape != tuple(grid.shape) or not (coverage.min() >= 0 and coverage.max() <= 1):
+        raise ResponseError(f"coverage must have the grid's shape {tuple(grid.shape)} and values in [0, 1]")
+    return coverage
+
+
+def _checked_scores(scores: Array | None, count: int) -> np.ndarray:
+    """Scores ``(count,)`` in [0, 1], all 1 by default."""
+    if scores is None:
+        return np.ones(count)
+    weights = np.asarray(to_numpy(scores), dtype=np.float64).reshape(-1)
+    if weights.shape != (count,) or not ((weights >= 0) & (weights <= 1)).all():
+        raise ResponseError(f"scores must be {count} numbers in [0, 1], one per detection; got {weights.tolist()[:5]}")
+    return weights
+
+
+def _canvas(grid: Grid) -> Grid:
+    """Where detections in an image are drawn: the whole sphere for a panorama, a coarse copy of the view else."""
+    if not isinstance(grid, PerspectiveGrid):
+        return grid if getattr(grid, "fov", None) else WHOLE_SPHERE
+    if grid.width <= 96:
+        return grid
+    # Square pixels at the same field of view: the width whose matching height is nearest to a whole number.
+    ratio = grid.height / grid.width
+    width = min(range(48, 97), key=lambda w: abs(w * ratio - round(w * ratio)) / (w * ratio) if w * ratio >= 1 else 1.0)
+    return replace(grid, height=max(1, round(width * ratio)), width=width)
+
+
+def _moments(box: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """Mean direction ``(3,)`` of a box's solid angle and its covariance ``(2, 2)`` about it in the tangent plane."""
+    height, width = grid.shape
+    x0, y0, x1, y1 = box
+    seam = not hasattr(grid, "body_R_view")
+    if seam and x1 < x0:
+        x1 += width
+    y0, y1 = max(y0, 0.0), min(y1, float(height))
+    if not seam:
+        x0, x1 = max(x0, 0.0), min(x1, float(width))
+    if not (np.isfinite(box).all() and x1 > x0 and y1 > y0 and x1 - x0 <= width):
+        raise ResponseError(
+            f"box {box.tolist()} has no area inside the {width} x {height} image; wanted x0, y0, x1, y1 in its pixels "
+            "(not x, y, width, height, and not 0 to 1)"
+        )
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    x = x0 + (x1 - x0) * (nodes + 1) / 2
+    y = (y0 + (y1 - y0) * (nodes + 1) / 2)[:, None]
+    share = grid.density(x, y) * weights * weights[:, None]
+    points = grid.unproject(x, y)
+    centre = np.einsum("ij,ijk->k", share, points)
+    length = np.linalg.norm(centre)
+    if length < 1e-9 * share.sum():
+        raise ResponseError(f"box {box.tolist()} spans the whole sphere, so it names no direction")
+    offsets = _tangent(points, centre / length)
+    return centre / length, np.einsum("ij,ijk,ijl->kl", share, offsets, offsets) / share.sum()
+
+
+def _bump(directions: np.ndarray, centre: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """exp(-d^2 / 2) with d the Mahalanobis distance in the tangent plane at `centre`."""
+    offsets = _tangent(directions, centre)
+    return np.exp(-0.5 * np.einsum("...k,kl,...l->...", offsets, np.linalg.inv(spread), offsets))
+
+
+def _tangent(directions: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Coordinates ``(..., 2)`` (radians) of directions in the tangent plane at `centre`: length is the angle."""
+    helper = np.array([0.0, 0.0, 1.0]) if abs(centre[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    first = np.cross(helper, centre)
+    first /= np.linalg.norm(first)
+    plane = directions @ np.stack([first, np.cross(centre, first)], axis=-1)
+    across = np.linalg.norm(plane, axis=-1)
+    angle = np.arctan2(across, directions @ centre)
+    return plane * (angle / np.maximum(across, 1e-12))[..., None]

@@ -1,0 +1,316 @@
+"""Grids: which direction each cell of an image looks in, and how much of the sphere it covers.
+
+A grid knows nothing of values. All of them share the same face:
+
+- ``shape`` (rows, columns); ``directions`` (H, W, 3), unit vectors in the body frame; ``weights`` (H, W), steradians;
+- ``unproject(x, y)``: directions at continuous pixel coordinates (pixel j spans [j, j + 1], x right, y down);
+- ``project(directions)``: the inverse, with a mask of what is inside;
+- ``density(x, y)``: steradians per square pixel;
+- ``depth_inside()``: how far (radians) each cell lies from the nearest direction that the grid does not see,
+  None where it sees the whole sphere.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from eagor.errors import GridError
+from eagor.sphere import azimuth_elevation, check_rotation, direction
+
+
+@lru_cache(maxsize=64)
+def fejer_weights(count: int) -> np.ndarray:
+    """Fejer's first rule on `count` pixel-centre latitudes, for integrals over sin(latitude); they sum to 2.
+
+    Exact for polynomials in sin(latitude) up to degree count - 1, where the familiar cos(latitude) is not
+    (L. Fejer 1933; Waldvogel, BIT 46, 2006).
+    """
+    angle = (np.arange(count) + 0.5) * (math.pi / count)
+    k = np.arange(1, count // 2 + 1)
+    return (2 / count) * (1 - 2 * np.sum(np.cos(2 * np.outer(angle, k)) / (4 * k * k - 1), axis=1))
+
+
+def _centres(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pixel-centre coordinates (x, y), broadcastable to (height, width)."""
+    return np.arange(width) + 0.5, (np.arange(height) + 0.5)[:, None]
+
+
+class _Equirectangular:
+    """The projection that `ErpGrid` and `PatchGrid` share: longitude and latitude, linear in the pixel."""
+
+    height: int
+    width: int
+
+    def __post_init__(self) -> None:
+        _check_size(self.height, self.width)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.height, self.width
+
+    @property
+    def latitudes(self) -> np.ndarray:
+        """Elevation (radians) of each row's centre, top to bottom."""
+        return math.pi / 2 - math.pi * (np.arange(self.height) + 0.5) / self.height
+
+    @property
+    def longitudes(self) -> np.ndarray:
+        """Azimuth (radians) of each column's centre, left to right, from pi down to -pi."""
+        return math.pi - 2 * math.pi * (np.arange(self.width) + 0.5) / self.width
+
+    @cached_property
+    def directions(self) -> np.ndarray:
+        """Unit vectors ``(H, W, 3)`` of the cell centres, body frame."""
+        return _frozen(self.unproject(*_centres(*self.shape)))
+
+    def unproject(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Directions at continuous pixel coordinates; x may run past the seam, y stops at the poles."""
+        azimuth = math.pi - 2 * math.pi * np.asarray(x, dtype=float) / self.width
+        elevation = math.pi / 2 - math.pi * np.clip(np.asarray(y, dtype=float), 0, self.height) / self.height
+        return direction(*np.broadcast_arrays(azimuth, elevation))
+
+    def project(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pixel coordinates (x, y) of directions ``(..., 3)`` and a mask, which is all True here."""
+        azimuth, elevation = azimuth_elevation(directions)
+        x = (math.pi - azimuth) * (self.width / (2 * math.pi))
+        y = (math.pi / 2 - elevation) * (self.height / math.pi)
+        return x, y, np.ones(np.shape(x), dtype=bool)
+
+    def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Steradians per square pixel: the area of a unit pixel times cos(elevation)."""
+        cosine = np.sin(math.pi * np.clip(y, 0, self.height) / self.height)
+        return cosine * (2 * math.pi**2 / (self.width * self.height)) + 0.0 * np.asarray(x)
+
+    def depth_inside(self) -> None:
+        """None: nothing is unseen."""
+        return None
+
+
+@dataclass(frozen=True)
+class ErpGrid(_Equirectangular):
+    """The pixels of an equirectangular image, taken as samples at their centres.
+
+    `weights` are Fejer's, so that analysis is exact for fields band-limited below the number of rows. The
+    image need not be 2:1; longitude and latitude are mapped apart.
+    """
+
+    height: int
+    width: int
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """Quadrature weights ``(H, W)`` in steradians; they sum to 4 pi."""
+        row = fejer_weights(self.height) * (2 * math.pi / self.width)
+        return _frozen(np.broadcast_to(row[:, None], self.shape))
+
+
+@dataclass(frozen=True)
+class PatchGrid(_Equirectangular):
+    """A model's patch map over a whole equirectangular image: each cell is a region with one constant value."""
+
+    rows: int
+    cols: int
+
+    @property
+    def height(self) -> int:  # type: ignore[override]
+        """Number of rows."""
+        return self.rows
+
+    @property
+    def width(self) -> int:  # type: ignore[override]
+        """Number of columns."""
+        return self.cols
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """Exact solid angles ``(H, W)`` of the cells in steradians; they sum to 4 pi."""
+        edges = np.sin(math.pi / 2 - math.pi * np.arange(self.height + 1) / self.height)
+        row = (edges[:-1] - edges[1:]) * (2 * math.pi / self.width)
+        return _frozen(np.broadcast_to(row[:, None], self.shape))
+
+
+@dataclass(frozen=True, eq=False)
+class PerspectiveGrid:
+    """A pinhole view: rows, columns, horizontal field of view (radians, below pi) and its pose in the body.
+
+    The view frame is x forward, y left, z up like the body's, so that the identity looks forward:
+    ``body_R_view @ direction_in_view = direction_in_body``. Pixels are square.
+    """
+
+    height: int
+    width: int
+    hfov: float
+    body_R_view: np.ndarray = field(default_factory=lambda: np.eye(3))
+
+    def __post_init__(self) -> None:
+        _check_size(self.height, self.width)
+        if not 0 < self.hfov < math.pi:
+            raise GridError(
+                f"hfov = {self.hfov:g} rad; a perspective view needs 0 < hfov < pi. Given in degrees? Use math.radians"
+            )
+        object.__setattr__(self, "body_R_view", _pose(self.body_R_view))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.height, self.width
+
+    @property
+    def focal(self) -> float:
+        """Focal length in pixels."""
+        return self.width / 2 / math.tan(self.hfov / 2)
+
+    @cached_property
+    def directions(self) -> np.ndarray:
+        """Unit vectors ``(H, W, 3)`` of the pixel centres, body frame."""
+        return _frozen(self.unproject(*_centres(*self.shape)))
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """Exact solid angles ``(H, W)`` of the pixels: differences of atan(x y / sqrt(1 + x^2 + y^2)) over corners."""
+        x, y = self._plane(np.arange(self.width + 1), np.arange(self.height + 1)[:, None])
+        corner = np.arctan2(x * y, np.sqrt(1 + x * x + y * y))
+        return _frozen(np.diff(np.diff(corner, axis=0), axis=1))
+
+    def _plane(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixel coordinates to the image plane at distance 1 (right, down)."""
+        return (np.asarray(x) - self.width / 2) / self.focal, (np.asarray(y) - self.height / 2) / self.focal
+
+    def unproject(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Directions at continuous pixel coordinates."""
+        right, down = np.broadcast_arrays(*self._plane(x, y))
+        rays = np.stack([np.ones_like(right), -right, -down], axis=-1)
+        return (rays / np.linalg.norm(rays, axis=-1, keepdims=True)) @ self.body_R_view.T
+
+    def project(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pixel coordinates (x, y) of directions ``(..., 3)`` and a mask of those inside the view."""
+        rays = np.asarray(directions) @ self.body_R_view
+        ahead = rays[..., 0] > 1e-9
+        depth = np.where(ahead, rays[..., 0], 1.0)
+        x = self.width / 2 - self.focal * rays[..., 1] / depth
+        y = self.height / 2 - self.focal * rays[..., 2] / depth
+        return x, y, ahead & (x >= 0) & (x <= self.width) & (y >= 0) & (y <= self.height)
+
+    def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Steradians per square pixel: cos^3 of the angle off the axis, over the focal length squared."""
+        right, down = self._plane(x, y)
+        return (1 + right**2 + down**2) ** -1.5 / self.focal**2
+
+    def depth_inside(self) -> np.ndarray:
+        """Angle (radians, ``(H, W)``) from each pixel to the border: image edges are great circles."""
+        right, down = self._plane(*_centres(*self.shape))
+        half_width, half_height = self.width / 2 / self.focal, self.height / 2 / self.focal
+        length = np.sqrt(1 + right**2 + down**2)
+        to_sides = (half_width - np.abs(right)) / math.hypot(1, half_width)
+        to_ends = (half_height - np.abs(down)) / math.hypot(1, half_height)
+        return np.arcsin(np.minimum(to_sides, to_ends) / length)
+
+
+@dataclass(frozen=True, eq=False)
+class FisheyeGrid:
+    """An equidistant fisheye image: a circle that fills a square of `size` pixels and spans `fov` (up to 2 pi).
+
+    The angle off the axis grows linearly with the distance from the image's centre. The corners see nothing: their
+    weight is zero. Frames as in `PerspectiveGrid`.
+    """
+
+    size: int
+    fov: float
+    body_R_view: np.ndarray = field(default_factory=lambda: np.eye(3))
+
+    def __post_init__(self) -> None:
+        if self.size < 1 or not 0 < self.fov <= 2 * math.pi:
+            raise GridError(
+                f"fisheye of size {self.size}, fov {self.fov:g} rad; wanted size >= 1 and 0 < fov <= 2 pi (radians)"
+            )
+        object.__setattr__(self, "body_R_view", _pose(self.body_R_view))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.size, self.size
+
+    @cached_property
+    def directions(self) -> np.ndarray:
+        """Unit vectors ``(H, W, 3)`` of the pixel centres, body frame (the corners are meaningless)."""
+        return _frozen(self.unproject(*_centres(*self.shape)))
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """Solid angles ``(H, W)`` of the pixels, zero outside the circle (4 x 4 points each: the rim is shared)."""
+        fine = (np.arange(4 * self.size) + 0.5) / 4
+        x, y = fine, fine[:, None]
+        seen = np.where(self._angle(x, y)[0] <= self.fov / 2, self.density(x, y), 0.0) / 16
+        return _frozen(seen.reshape(self.size, 4, self.size, 4).sum(axis=(1, 3)))
+
+    def _angle(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Angle off the axis and the offsets (right, down) from the centre, all in radians."""
+        scale = self.fov / self.size
+        right, down = np.broadcast_arrays((np.asarray(x) - self.size / 2) * scale, (y - self.size / 2) * scale)
+        return np.hypot(right, down), right, down
+
+    def unproject(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Directions at continuous pixel coordinates."""
+        angle, right, down = self._angle(x, y)
+        sinc = np.sinc(angle / math.pi)
+        return np.stack([np.cos(angle), -right * sinc, -down * sinc], axis=-1) @ self.body_R_view.T
+
+    def project(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pixel coordinates (x, y) of directions ``(..., 3)`` and a mask of those inside the circle."""
+        rays = np.asarray(directions) @ self.body_R_view
+        off_axis = np.hypot(rays[..., 1], rays[..., 2])
+        angle = np.arctan2(off_axis, rays[..., 0])
+        radius = angle * (self.size / self.fov) / np.maximum(off_axis, 1e-12)
+        x, y = self.size / 2 - rays[..., 1] * radius, self.size / 2 - rays[..., 2] * radius
+        return x, y, angle <= self.fov / 2
+
+    def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Steradians per square pixel: sin(angle) / angle times the squared angular size of a pixel."""
+        angle, _, _ = self._angle(x, y)
+        return np.sinc(np.minimum(angle, math.pi) / math.pi) * (self.fov / self.size) ** 2
+
+    def depth_inside(self) -> np.ndarray | None:
+        """Angle (radians, ``(H, W)``) from each pixel to the rim; None where the lens sees the whole sphere."""
+        if self.fov >= 2 * math.pi - 1e-9:
+            return None
+        return np.maximum(self.fov / 2 - self._angle(*_centres(*self.shape))[0], 0.0)
+
+
+Grid = ErpGrid | PatchGrid | PerspectiveGrid | FisheyeGrid
+Lens = tuple[str, int, int, float]
+
+
+def lens_of(grid: PerspectiveGrid | FisheyeGrid) -> Lens:
+    """What is left of a view once its pose is forgotten: hashable, so that plans can be kept per lens."""
+    if isinstance(grid, PerspectiveGrid):
+        return "perspective", grid.height, grid.width, grid.hfov
+    return "fisheye", grid.size, grid.size, grid.fov
+
+
+@lru_cache(maxsize=16)
+def forward_view(lens: Lens) -> PerspectiveGrid | FisheyeGrid:
+    """The view with this lens that looks forward."""
+    kind, height, width, fov = lens
+    return PerspectiveGrid(height, width, fov) if kind == "perspective" else FisheyeGrid(height, fov)
+
+
+def _check_size(height: int, width: int) -> None:
+    if min(height, width) < 1:
+        raise GridError(f"a grid needs at least one row and one column; got {height} x {width}")
+
+
+def _pose(matrix: np.ndarray) -> np.ndarray:
+    """A private, read-only copy of `matrix`, once it is certain to be a rotation."""
+    return _frozen(np.array(check_rotation(np.asarray(matrix, dtype=np.float64), "body_R_view")))
+
+
+def _frozen(array: np.ndarray) -> np.ndarray:
+    """`array`, read-only: grids hand out what they keep."""
+    array = np.asarray(array)
+    array.setflags(write=False)
+    return array

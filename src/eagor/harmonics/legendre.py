@@ -1,0 +1,110 @@
+"""The real spherical harmonics as polynomials of x, y and z.
+
+Real, orthonormal, without the Condon-Shortley phase: index l*l + l + m, with m > 0 the cosine and m < 0 the sine, so
+that Y_00 = 1 / sqrt(4 pi) and (Y_1-1, Y_10, Y_11) = sqrt(3 / 4 pi) (y, z, x).
+
+Each one is Y_lm = Q_l|m|(z) C_m(x, y), where C_m and C_-m are the real and imaginary part of (x + i y)^m, which
+carries the factor cos(elevation)^m of the associated Legendre function. No angle is ever formed, so the poles are
+points like any other.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from eagor._arrays import Array, namespace
+
+
+@lru_cache(maxsize=64)
+def orders(degree: int) -> np.ndarray:
+    """The signed order m of each of the (degree + 1)^2 coefficients."""
+    return np.concatenate([np.arange(-l, l + 1) for l in range(degree + 1)])
+
+
+@lru_cache(maxsize=64)
+def degrees(degree: int) -> np.ndarray:
+    """The degree l of each of the (degree + 1)^2 coefficients."""
+    return np.repeat(np.arange(degree + 1), 2 * np.arange(degree + 1) + 1)
+
+
+@lru_cache(maxsize=64)
+def _recursion(degree: int) -> tuple[list[float], list[list[float]], list[list[float]]]:
+    """Starting values Q_mm (sqrt 2 of the real basis included), and a_lm, b_lm of the three-term recursion in l."""
+    start = [1 / math.sqrt(4 * math.pi)]
+    for m in range(1, degree + 1):
+        start.append(start[-1] * math.sqrt((2 * m + 1) / (2 * m)) * (math.sqrt(2) if m == 1 else 1.0))
+    a, b = [], []
+    for l in range(degree + 1):
+        a.append([math.sqrt((4 * l * l - 1) / (l * l - m * m)) for m in range(l)])
+        b.append([math.sqrt(((l - 1) ** 2 - m * m) / (4 * (l - 1) ** 2 - 1)) if m < l - 1 else 0.0 for m in range(l)])
+    return start, a, b
+
+
+def reduced_legendre(degree: int, z: Array) -> list[Array]:
+    """Q_lm(z) for l = 0 .. degree: a list of arrays ``(l + 1, ...)`` over m, for `z` = sin(elevation) ``(...)``.
+
+    Q_lm = a_lm (z Q_l-1,m - b_lm Q_l-2,m), from Q_mm, all orders at once (Holmes & Featherstone, J. Geodesy 76, 2002).
+    """
+    xp = namespace(z)
+    start, a, b = _recursion(degree)
+    column = (-1,) + (1,) * z.ndim
+    one = xp.ones_like(z)[None]
+    rows = [start[0] * one]
+    for l in range(1, degree + 1):
+        scale_a, scale_b = (xp.reshape(_like(np.array(t[l]), z), column) for t in (a, b))
+        below = z * rows[l - 1]
+        if l > 1:
+            two_below = xp.concat([rows[l - 2], xp.zeros_like(one)])
+            below = below - scale_b * two_below
+        rows.append(xp.concat([scale_a * below, start[l] * one]))
+    return rows
+
+
+def evaluate(degree: int, directions: Array) -> Array:
+    """Y ``(..., (degree + 1)^2)`` at unit vectors ``(..., 3)``."""
+    xp = namespace(directions)
+    x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
+    cosines, sines = [xp.ones_like(x)], [xp.zeros_like(x)]
+    for _ in range(degree):
+        c, s = cosines[-1], sines[-1]
+        cosines.append(c * x - s * y)
+        sines.append(s * x + c * y)
+    columns = []
+    for l, row in enumerate(reduced_legendre(degree, z)):
+        columns += [row[-m] * sines[-m] for m in range(-l, 0)]
+        columns += [row[m] * cosines[m] for m in range(l + 1)]
+    return xp.stack(columns, axis=-1)
+
+
+def latitude_table(degree: int, sines: np.ndarray) -> np.ndarray:
+    """P_l|m| ``(2 degree + 1, degree + 1, n)``, signed order m by degree l (zero where l < |m|), at sin(elevation).
+
+    This is the latitude part of Y_lm: the reduced functions times cos(elevation)^|m|.
+    """
+    sines = np.asarray(sines, dtype=np.float64)
+    cosines = np.sqrt(np.maximum(0.0, 1 - sines**2))
+    powers = cosines ** np.arange(degree + 1)[:, None]
+    table = np.zeros((2 * degree + 1, degree + 1, sines.size))
+    for l, row in enumerate(reduced_legendre(degree, sines)):
+        values = row * powers[: l + 1]
+        table[degree : degree + l + 1, l] = values
+        table[degree - l : degree + 1, l] = values[::-1]
+    return table
+
+
+def longitude_table(degree: int, azimuths: np.ndarray) -> np.ndarray:
+    """The longitude part ``(n, 2 degree + 1)``: sin(|m| azimuth) for m < 0, then cos(m azimuth)."""
+    angle = np.outer(azimuths, np.arange(degree + 1))
+    return np.concatenate([np.sin(angle[:, :0:-1]), np.cos(angle)], axis=1)
+
+
+def _like(values: np.ndarray, reference: Array) -> Array:
+    """A small table as an array of the kind of `reference`."""
+    if isinstance(reference, np.ndarray):
+        return values.astype(reference.dtype, copy=False)
+    from array_api_compat import device
+
+    return namespace(reference).asarray(values, dtype=reference.dtype, device=device(reference))

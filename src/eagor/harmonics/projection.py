@@ -1,0 +1,225 @@
+"""From values on a grid to coefficients, and back.
+
+- Equirectangular pixels: samples at their centres, Fejer weights, exact for band-limited fields.
+- Patches: a constant value per cell, each basis function integrated exactly over the cell.
+- Views (perspective, fisheye): the cells are gathered into blocks much smaller than the finest harmonic, and the basis
+  is integrated over each block by Gauss points. The plan belongs to the lens, not to the pose: coefficients are found
+  in the view's frame and rotated into the body's.
+
+The first two are separable: one matrix product over longitude, one small one per order over latitude.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from eagor._arrays import Array, constant, namespace
+from eagor.grids import (
+    ErpGrid,
+    FisheyeGrid,
+    Grid,
+    Lens,
+    PatchGrid,
+    PerspectiveGrid,
+    fejer_weights,
+    forward_view,
+    lens_of,
+)
+from eagor.harmonics.legendre import evaluate, latitude_table, longitude_table, orders
+from eagor.harmonics.rotation import rotate
+
+BLOCK = 0.4  # side of a view's block, in units of the angular scale 1 / (degree + 1)
+SMALL = 1_000_000  # OpenBLAS has kernels of their own for products up to 100^3
+PLAN_BYTES = 256e6  # a view plan larger than this is computed block row by block row instead of kept
+
+
+def analyse(degree: int, values: Array, grid: Grid) -> Array:
+    """Coefficients ``(..., (degree + 1)^2)`` of `values` ``(..., H, W)`` on `grid`: the integrals of values * Y_lm."""
+    if isinstance(grid, ErpGrid | PatchGrid):
+        xp = namespace(values)
+        # (..., H, W) @ (W, 2L+1) -> (2L+1, H, ...) ; the long sum runs in the precision of the values.
+        rings = _product(values, constant(_longitude_plan, degree, grid, like=values))
+        if values.ndim == 2:
+            packed = constant(_latitude_plan, degree, grid, like=rings) @ rings.T[..., None]
+            return xp.take(xp.reshape(packed, (-1,)), constant(_unpack, degree, like=rings))
+        batch = rings.shape[:-2]
+        rings = xp.reshape(rings, (-1, *rings.shape[-2:]))
+        packed = constant(_latitude_plan, degree, grid, like=rings) @ xp.permute_dims(rings, (2, 1, 0))
+        packed = xp.reshape(packed, (-1, packed.shape[-1])).T
+        found = xp.take(packed, constant(_unpack, degree, like=rings), axis=1)
+        return xp.reshape(found, (*batch, found.shape[-1]))
+    return _analyse_view(degree, values, grid)
+
+
+def synthesise(degree: int, coefficients: Array, grid: Grid | Array) -> Array:
+    """Values of the field: ``(..., H, W)`` on a grid, or ``(..., n...)`` at an array of directions ``(n..., 3)``."""
+    xp = namespace(coefficients)
+    if isinstance(grid, ErpGrid | PatchGrid):
+        padded = xp.take(coefficients, constant(_pack, degree, like=coefficients), axis=-1)
+        padded = xp.reshape(padded, (*coefficients.shape[:-1], 2 * degree + 1, degree + 1, 1))
+        rings = constant(_latitude_values, degree, grid.height, like=coefficients) @ padded
+        rings = xp.matrix_transpose(xp.reshape(rings, (*coefficients.shape[:-1], 2 * degree + 1, grid.height)))
+        return rings @ constant(_longitude_values, degree, grid.width, like=coefficients)
+    points = grid if hasattr(grid, "ndim") else getattr(grid, "directions", grid)
+    if xp is np:
+        points = np.asarray(points, dtype=coefficients.dtype)
+        flat = points.reshape(-1, 3)
+        parts = [coefficients @ evaluate(degree, flat[i : i + 4096]).T for i in range(0, len(flat), 4096)]
+        values = np.concatenate(parts, axis=-1) if parts else np.zeros((*coefficients.shape[:-1], 0))
+        return values.reshape(*coefficients.shape[:-1], *points.shape[:-1])
+    if isinstance(points, np.ndarray):
+        from array_api_compat import device
+
+        points = xp.asarray(points.copy(), dtype=coefficients.dtype, device=device(coefficients))
+    basis = evaluate(degree, xp.reshape(points, (-1, 3)))
+    return xp.reshape(coefficients @ basis.T, (*coefficients.shape[:-1], *points.shape[:-1]))
+
+
+def _product(values: Array, table: Array) -> Array:
+    """``values @ table``; a large single map in strips of SMALL multiplications, which BLAS does twice as fast."""
+    if values.ndim != 2 or not isinstance(values, np.ndarray) or values.size * table.shape[1] < 4 * SMALL:
+        return values @ table
+    rows = max(1, SMALL // table.size)
+    return np.concatenate([values[start : start + rows] @ table for start in range(0, len(values), rows)])
+
+
+def _longitude_plan(degree: int, grid: ErpGrid | PatchGrid) -> np.ndarray:
+    """Integrals over each column of the sines and cosines ``(W, 2 degree + 1)``, signed order."""
+    plan = longitude_table(degree, grid.longitudes) * (2 * math.pi / grid.width)
+    if isinstance(grid, PatchGrid):  # the mean over a cell is the value at its centre times a sinc
+        plan *= np.sinc(np.arange(-degree, degree + 1) / grid.width)
+    return plan
+
+
+def _latitude_plan(degree: int, grid: ErpGrid | PatchGrid) -> np.ndarray:
+    """Integrals over each row of the latitude functions ``(2 degree + 1, degree + 1, H)``."""
+    if isinstance(grid, ErpGrid):
+        return latitude_table(degree, np.sin(grid.latitudes)) * fejer_weights(grid.height)
+    # The integrand is a trigonometric polynomial of degree + 1 in latitude: Gauss points converge to rounding.
+    half_row = math.pi / grid.height / 2
+    count = 8 + math.ceil((degree + 1) * half_row)
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    latitudes = grid.latitudes[:, None] + half_row * nodes
+    table = latitude_table(degree, np.sin(latitudes).ravel())
+    area = half_row * weights * np.cos(latitudes)
+    return (table.reshape(*table.shape[:2], grid.height, count) * area).sum(axis=-1)
+
+
+def _latitude_values(degree: int, height: int) -> np.ndarray:
+    """Latitude functions at the row centres ``(2 degree + 1, H, degree + 1)``."""
+    return latitude_table(degree, np.sin(ErpGrid(height, 1).latitudes)).transpose(0, 2, 1)
+
+
+def _longitude_values(degree: int, width: int) -> np.ndarray:
+    """Sines and cosines at the column centres ``(2 degree + 1, W)``."""
+    return longitude_table(degree, ErpGrid(1, width).longitudes).T
+
+
+@lru_cache(maxsize=64)
+def _unpack(degree: int) -> np.ndarray:
+    """Where coefficient i stands in the flattened (order, degree) table."""
+    found = np.repeat(np.arange(degree + 1), 2 * np.arange(degree + 1) + 1)
+    return (orders(degree) + degree) * (degree + 1) + found
+
+
+@lru_cache(maxsize=64)
+def _pack(degree: int) -> np.ndarray:
+    """For each place of the (order, degree) table, its coefficient; any (here the first) where l < |m|."""
+    packed = np.zeros((2 * degree + 1) * (degree + 1), dtype=np.intp)
+    packed[_unpack(degree)] = np.arange((degree + 1) ** 2)
+    return packed
+
+
+def _analyse_view(degree: int, values: Array, grid: Grid) -> Array:
+    """The route for views: block means against block integrals, in the view's own frame, then one rotation."""
+    if not isinstance(grid, PerspectiveGrid | FisheyeGrid):
+        raise TypeError(f"cannot analyse values on a {type(grid).__name__}; wanted one of the grids of eagor.grids")
+    xp = namespace(values)
+    lens = lens_of(grid)
+    rows, columns = _block_edges(lens, degree)
+    weights = constant(_lens_weights, lens, like=values)
+    area = constant(_block_areas, lens, degree, like=values)
+    sums = values * weights
+    sums = _pool(_pool(sums, rows, -2), columns, -1)
+    means = xp.where(area > 0, sums / xp.where(area > 0, area, xp.ones_like(area)), xp.zeros_like(sums))
+    if area.shape[0] * area.shape[1] * (degree + 1) ** 2 * 8 <= PLAN_BYTES:
+        flat = xp.reshape(means, (*means.shape[:-2], -1))
+        found = flat @ constant(_block_plan, lens, degree, like=values)
+    else:
+        found = sum(means[..., i, :] @ _like(_block_row(lens, degree, i), values) for i in range(area.shape[0]))
+    turn = np.asarray(grid.body_R_view)
+    return rotate(degree, found, turn if xp is np else _like(turn, values))
+
+
+def _lens_weights(lens: Lens) -> np.ndarray:
+    return forward_view(lens).weights
+
+
+@lru_cache(maxsize=64)
+def _block_edges(lens: Lens, degree: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """First row and column of each block, and one past the last: whole cells, at most BLOCK / (degree + 1) wide."""
+    grid = forward_view(lens)
+    largest_cell = math.sqrt(float(grid.density(np.array(grid.shape[1] / 2), np.array(grid.shape[0] / 2))))
+    cells = max(1, int(BLOCK / (degree + 1) / largest_cell))
+    return tuple(tuple([*range(0, n, cells), n]) for n in grid.shape)  # type: ignore[return-value]
+
+
+def _block_areas(lens: Lens, degree: int) -> np.ndarray:
+    rows, columns = _block_edges(lens, degree)
+    return _pool(_pool(forward_view(lens).weights, rows, -2), columns, -1)
+
+
+@lru_cache(maxsize=8)
+def _block_plan(lens: Lens, degree: int) -> np.ndarray:
+    """Integrals of the basis over every block ``(blocks, (degree + 1)^2)``."""
+    rows, _ = _block_edges(lens, degree)
+    return np.concatenate([_block_row(lens, degree, i) for i in range(len(rows) - 1)])
+
+
+def _block_row(lens: Lens, degree: int, row: int) -> np.ndarray:
+    """The same for one row of blocks: Gauss points in pixel coordinates, scaled to the block's exact solid angle."""
+    grid = forward_view(lens)
+    rows, columns = (np.asarray(edges) for edges in _block_edges(lens, degree))
+    height, width = rows[row + 1] - rows[row], np.diff(columns)
+    side = math.sqrt(float(grid.density(np.array(grid.shape[1] / 2), np.array(grid.shape[0] / 2)))) * max(
+        height, int(width.max())
+    )
+    nodes, weights = np.polynomial.legendre.leggauss(min(16, 2 + math.ceil(side * (degree + 1))))
+    nodes, weights = (nodes + 1) / 2, weights / 2
+    y = (rows[row] + height * nodes)[None, :, None]
+    x = columns[:-1, None, None] + width[:, None, None] * nodes
+    share = grid.density(x, y) * weights[:, None] * weights
+    if isinstance(grid, FisheyeGrid):
+        share = np.where(grid.project(grid.unproject(x, y))[2], share, 0.0)
+    area = _block_areas(lens, degree)[row]
+    total = share.sum(axis=(1, 2))
+    share *= np.divide(area, total, out=np.zeros_like(area), where=total > 0)[:, None, None]
+    basis = evaluate(degree, grid.unproject(x, y))
+    return np.einsum("bij,bijn->bn", share, basis)
+
+
+def _pool(values: Array, edges: tuple[int, ...], axis: int) -> Array:
+    """Sums of `values` between consecutive `edges` along `axis`."""
+    xp = namespace(values)
+    if len(edges) == values.shape[axis] + 1:
+        return values
+    if xp is np:
+        return np.add.reduceat(values, np.asarray(edges[:-1]), axis=axis)
+    total = xp.cumulative_sum(values, axis=axis)
+    last = xp.take(total, _like(np.asarray(edges[1:]) - 1, values, whole=True), axis=axis)
+    first = xp.zeros_like(xp.take(last, _like(np.asarray([0]), values, whole=True), axis=axis))
+    kept = xp.take(last, _like(np.arange(len(edges) - 2), values, whole=True), axis=axis)
+    return last - xp.concat([first, kept], axis=axis)
+
+
+def _like(table: np.ndarray, reference: Array, whole: bool = False) -> Array:
+    """A table that is not worth caching, as an array of the kind of `reference` (integers stay `whole`)."""
+    if isinstance(reference, np.ndarray):
+        return table if whole else table.astype(reference.dtype, copy=False)
+    from array_api_compat import device
+
+    xp = namespace(reference)
+    return xp.asarray(table.copy(), device=device(reference), **({} if whole else {"dtype": reference.dtype}))

@@ -1,0 +1,141 @@
+"""Moving a field over direction and distance: the shell warp.
+
+K fields on spheres of radii r_k describe a quantity around the body. When the body moves by t (given in the axes of
+the fields), what stood at direction omega and range r_k is read from where it stood before: direction
+(r_k omega + t) / |r_k omega + t| and range |r_k omega + t|, between the two neighbouring shells, linear in log range,
+clamped at the first and the last.
+
+With t turned onto the polar axis the azimuth does not change, so every order m moves by itself: the warp is a product
+of small matrices per order (Legendre functions at the warped latitudes, then Gauss quadrature back), and no basis
+function is evaluated at scattered points of the sphere.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from eagor._arrays import Array, constant, namespace
+from eagor.harmonics.legendre import latitude_table, reduced_legendre
+from eagor.harmonics.rotation import rotate
+
+
+def translate(degree: int, shells: Array, ranges: np.ndarray, new_R_old: np.ndarray, displacement: np.ndarray) -> Array:
+    """Fields ``(..., K, size)`` after the body has turned by `new_R_old` and moved by `displacement`.
+
+    `ranges` ``(K,)`` metres, growing; `displacement` ``(3,)`` metres, of the body, in the NEW body frame.
+    """
+    distance = float(np.linalg.norm(displacement))
+    if distance == 0.0:
+        return rotate(degree, shells, _as(new_R_old, shells))
+    pole_R_new = _to_pole(displacement / distance)
+    upright = rotate(degree, shells, _as(pole_R_new @ new_R_old, shells))
+    return rotate(degree, _along_pole(degree, upright, ranges, distance), _as(pole_R_new.T, shells))
+
+
+def _along_pole(degree: int, shells: Array, ranges: np.ndarray, distance: float) -> Array:
+    """The warp for a displacement of `distance` metres along +z."""
+    xp = namespace(shells)
+    nodes = _nodes(degree)[0]
+    count, points = len(ranges), len(ranges) * len(nodes)
+    # Where the quadrature node of each target shell was seen from before the step.
+    radius, z = ranges[:, None], nodes[None, :]
+    before = np.sqrt(radius**2 + distance**2 + 2 * radius * distance * z)
+    sines = ((radius * z + distance) / before).ravel()
+    position = np.interp(np.log(before).ravel(), np.log(ranges), np.arange(count))
+    lower = np.minimum(position.astype(np.intp), max(count - 2, 0))
+    upper = np.minimum(lower + 1, count - 1)
+    fraction = _as(position - lower, shells)[:, None]
+
+    table = _warped_legendre(degree, _as(sines, shells))  # (m, points, l)
+    batch = tuple(shells.shape[:-2])
+    packed = xp.take(shells, constant(_by_order, degree, like=shells), axis=-1)
+    packed = xp.reshape(packed, (*batch, count, degree + 1, 2, degree + 1))
+    packed = xp.permute_dims(
+        packed, (*range(len(batch)), -3 + packed.ndim, -1 + packed.ndim, -4 + packed.ndim, -2 + packed.ndim)
+    )
+    # Every order: the field of every source shell at every point, in one product; then keep the two that matter.
+    seen = table @ xp.reshape(packed, (*batch, degree + 1, degree + 1, 2 * count))
+    seen = xp.reshape(seen, (*batch, degree + 1, points, count, 2))
+    here = _as(np.arange(points), shells, whole=True)
+    below = seen[..., here, _as(lower, shells, whole=True), :]
+    above = seen[..., here, _as(upper, shells, whole=True), :]
+    values = xp.reshape(below + fraction * (above - below), (*batch, degree + 1, count, len(nodes), 2))
+    values = xp.matrix_transpose(values)  # (m, k, cos/sin, node)
+    found = xp.reshape(values, (*batch, degree + 1, 2 * count, len(nodes))) @ constant(_gauss_plan, degree, like=shells)
+    found = xp.reshape(found, (*batch, degree + 1, count, 2, degree + 1))
+    found = xp.permute_dims(found, (*range(len(batch)), len(batch) + 1, len(batch), len(batch) + 2, len(batch) + 3))
+    found = xp.reshape(found, (*batch, count, -1))
+    return xp.take(found, constant(_from_order, degree, like=shells), axis=-1)
+
+
+def _warped_legendre(degree: int, sines: Array) -> Array:
+    """P_lm ``(degree + 1 (m), n, degree + 1 (l))`` at sin(elevation) ``(n,)``."""
+    xp = namespace(sines)
+    cosines = xp.sqrt(xp.clip(1 - sines * sines, 0.0, 1.0))
+    powers = [xp.ones_like(cosines)]
+    for _ in range(degree):
+        powers.append(powers[-1] * cosines)
+    rows = reduced_legendre(degree, sines)
+    if xp is np:
+        table = np.zeros((degree + 1, sines.size, degree + 1), sines.dtype)
+        for l, row in enumerate(rows):
+            table[: l + 1, :, l] = row
+    else:
+        blank = xp.zeros_like(sines)[None]
+        full = [xp.concat([row, *([blank] * (degree - l))]) for l, row in enumerate(rows)]
+        table = xp.stack(full, axis=-1)
+    return table * xp.stack(powers)[..., None]
+
+
+@lru_cache(maxsize=16)
+def _nodes(degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss nodes over sin(elevation): twice what the degree needs, since the interpolation in range has kinks."""
+    return np.polynomial.legendre.leggauss(2 * degree + 2)
+
+
+def _gauss_plan(degree: int) -> np.ndarray:
+    """Quadrature back to coefficients ``(degree + 1 (m), nodes, degree + 1 (l))``."""
+    nodes, weights = _nodes(degree)
+    table = latitude_table(degree, nodes)[degree:] * weights
+    table[0] *= 2 * math.pi
+    table[1:] *= math.pi
+    return table.transpose(0, 2, 1)
+
+
+def _by_order(degree: int) -> np.ndarray:
+    """Coefficient behind each (m, cosine or sine, l); a harmless one where l < m, since the tables are zero there."""
+    l, m = np.arange(degree + 1), np.arange(degree + 1)[:, None]
+    cosine = np.where(l >= m, l * l + l + m, 0)
+    sine = np.where((l >= m) & (m > 0), l * l + l - m, 0)
+    return np.stack([cosine, sine], axis=1).ravel()
+
+
+def _from_order(degree: int) -> np.ndarray:
+    """Place in the (m, cosine or sine, l) table of each coefficient."""
+    place = np.zeros((degree + 1) ** 2, dtype=np.intp)
+    for l in range(degree + 1):
+        for m in range(-l, l + 1):
+            place[l * l + l + m] = (abs(m) * 2 + (m < 0)) * (degree + 1) + l
+    return place
+
+
+def _to_pole(axis: np.ndarray) -> np.ndarray:
+    """A rotation ``(3, 3)`` that takes the unit vector `axis` to +z (stable for every axis: Duff et al., JCGT 2017)."""
+    x, y, z = axis
+    sign = math.copysign(1.0, z)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    return np.array([[1 + sign * x * x * a, sign * b, -sign * x], [b, sign + y * y * a, -y], [x, y, z]])
+
+
+def _as(values: np.ndarray, reference: Array, whole: bool = False) -> Array:
+    """`values` as an array of the kind of `reference` (integers stay `whole`)."""
+    if isinstance(reference, np.ndarray):
+        return values if whole else values.astype(reference.dtype, copy=False)
+    from array_api_compat import device
+
+    xp = namespace(reference)
+    return xp.asarray(values.copy(), device=device(reference), **({} if whole else {"dtype": reference.dtype}))

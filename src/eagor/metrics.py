@@ -1,0 +1,250 @@
+"""How good a run was: direction errors, consistency over time, navigation success, honesty of the uncertainty.
+
+Directions are unit vectors in the body frame (x forward, y left, z up), step k in the frame of step k. Errors are in
+degrees, because reports are; everything else is in radians and metres. A figure over no cases is None, never NaN.
+All functions raise `DirectionError` or `RotationError` for bad vectors and matrices, `EagorError` for other input that
+is empty, not finite, or does not fit. How sure one is of a figure is the business of `eagor.statistics`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from eagor.errors import DirectionError, EagorError
+from eagor.sphere import angular_distance, check_rotation, unit
+from eagor.statistics import finite_values, outcomes, plain_labels, same_length
+
+
+def angular_error_deg(estimates: ArrayLike, truths: ArrayLike) -> np.ndarray:
+    """Great-circle angle in degrees between `estimates` and `truths` ``(..., 3)``, broadcast."""
+    a, b = _directions(estimates, "estimates"), _directions(truths, "truths")
+    try:
+        np.broadcast_shapes(a.shape, b.shape)
+    except ValueError:
+        raise DirectionError(
+            f"estimates {a.shape} and truths {b.shape} do not fit; pass one truth for each, or one (3,) for all"
+        ) from None
+    return np.degrees(angular_distance(a, b))
+
+
+def mean_error(errors: ArrayLike, where: ArrayLike | None = None) -> float | None:
+    """Mean of `errors` ``(n,)`` over the steps at which the mask `where` ``(n,)`` is true; None if there are none."""
+    errors = finite_values(errors, "errors")
+    if where is None:
+        return float(errors.mean())
+    mask = outcomes(where, "where")
+    same_length(errors=errors, where=mask)
+    return float(errors[mask].mean()) if mask.any() else None
+
+
+def mae_by_segment(
+    errors: ArrayLike, segments: Sequence[Hashable] | np.ndarray, names: Sequence[Hashable] | None = None
+) -> dict[Hashable, float | None]:
+    """Mean of `errors` ``(n,)`` in each segment, such as a leg of a walk; None for a segment without cases.
+
+    Args:
+        errors: one per step, any unit.
+        segments: ``(n,)`` labels, one per step; None where a step belongs to no segment.
+        names: the segments to report, in this order; by default those that occur, in order of appearance. A label
+            that is not among them raises `EagorError`: its steps would be lost in silence.
+    """
+    errors = finite_values(errors, "errors")
+    labels = plain_labels(segments)
+    if errors.ndim != 1 or len(labels) != len(errors):
+        raise EagorError(f"errors have shape {errors.shape} and there are {len(labels)} segments; wanted one per step")
+    present = [label for label in dict.fromkeys(labels) if label is not None]
+    names = present if names is None else list(names)
+    unknown = [label for label in present if label not in names]
+    if unknown:
+        raise EagorError(f"segments {unknown} are not among the names {names}; add them, or mark those steps None")
+    return {name: mean_error(errors, np.array([label == name for label in labels])) for name in names}
+
+
+def leg_delta(
+    by_segment: Mapping[Hashable, float | None], first: Hashable = "L1", last: Hashable = "L4"
+) -> float | None:
+    """How much the error grew over a walk: last leg minus first leg; None where either has no cases."""
+    if missing := [name for name in (first, last) if name not in by_segment]:
+        raise EagorError(
+            f"no segment {missing} among {list(by_segment)}; name the first and last leg as they are there"
+        )
+    begin, end = by_segment[first], by_segment[last]
+    return None if begin is None or end is None else end - begin
+
+
+def occlusion_error(errors: ArrayLike, occluded: ArrayLike) -> float | None:
+    """Mean of `errors` ``(n,)`` over the steps at which the target is `occluded` ``(n,)``; None if it never is."""
+    return mean_error(errors, occluded)
+
+
+def seam_crossings(true_directions: ArrayLike) -> np.ndarray:
+    """Mask ``(n,)`` of the steps at which the true bearing crosses the seam of the panorama, azimuth +-pi.
+
+    `true_directions` ``(n, 3)`` are the target's, in the body frame. Step k is a crossing where the short arc from the
+    bearing of step k - 1 to that of step k cuts the half-plane behind (y = 0, x < 0): y changes sign, and where it does
+    x is negative. Changing sides in front is none. Exactly behind counts as left (azimuth pi), so that a walk that
+    stops on the seam is counted once. The first step is never a crossing.
+    """
+    directions = _directions(true_directions, "true_directions", "(n, 3)")
+    left = directions[:, 1] >= 0
+    x, y = directions[:, 0], directions[:, 1]
+    # The chord cuts y = 0 at x = (y0 x1 - x0 y1) / (y0 - y1). The numerator is that of the sine of the azimuth's
+    # change, so the answer is that of the short way round in azimuth, at any elevation.
+    above = y[:-1] * x[1:] - x[:-1] * y[1:]
+    behind = np.where(left[:-1], above < 0, above > 0)
+    return np.concatenate([[False], (left[1:] != left[:-1]) & behind])
+
+
+def seam_error(errors: ArrayLike, true_directions: ArrayLike) -> float | None:
+    """Mean of `errors` ``(n,)`` over the `seam_crossings` of `true_directions` ``(n, 3)``; None if there are none."""
+    return mean_error(errors, seam_crossings(true_directions))
+
+
+def ego_motion(world_R_body: ArrayLike, positions: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """The motions between n poses, as `temporal_consistency` wants them.
+
+    `world_R_body` is ``(n, 3, 3)`` and `positions` ``(n, 3)``, metres, world frame. Returns new_R_old ``(n - 1, 3, 3)``
+    and the body's displacement in the NEW body frame ``(n - 1, 3)``, metres.
+    """
+    poses = check_rotation(np.asarray(world_R_body, dtype=np.float64), "world_R_body")
+    places = finite_values(positions, "positions")
+    if poses.ndim != 3 or places.shape != (len(poses), 3):
+        raise EagorError(f"got poses {poses.shape} and positions {places.shape}; wanted (n, 3, 3) and (n, 3)")
+    body_R_world = np.swapaxes(poses[1:], -1, -2)
+    return body_R_world @ poses[:-1], (body_R_world @ np.diff(places, axis=0)[..., None])[..., 0]
+
+
+def temporal_consistency(
+    estimates: ArrayLike, new_R_old: ArrayLike, translations: ArrayLike, true_ranges: ArrayLike
+) -> float | None:
+    """TC (deg/step): mean angle between each estimate and the one before it, carried along by the true motion.
+
+    The previous estimate, put at the target's true range, becomes the point ``new_R_old @ (direction * range) -
+    translation`` of the new body frame. A perfect estimate of a target that stands still therefore scores 0; while
+    the body only turns, so does any estimate that stays fixed in the world. Lower is calmer, not always better.
+
+    Args:
+        estimates: ``(n, 3)``, body frame of each step.
+        new_R_old: ``(n - 1, 3, 3)``, the true rotation from each step to the next.
+        translations: ``(n - 1, 3)``, the body's displacement over the same step, metres, in the NEW body frame.
+        true_ranges: ``(n,)``, distance to the target at each step, metres (the last is not used).
+
+    Returns:
+        Degrees per step; None where there is only one step.
+
+    Raises:
+        EagorError: also where a carried point falls on the camera itself, which has no direction.
+    """
+    directions = _directions(estimates, "estimates", "(n, 3)")
+    if len(directions) == 1:
+        return None
+    moved = np.asarray(translations, dtype=np.float64)
+    ranges = finite_values(true_ranges, "true_ranges")
+    if moved.shape != (len(directions) - 1, 3) or not np.isfinite(moved).all():
+        raise EagorError(f"translations {moved.shape} do not fit; wanted {(len(directions) - 1, 3)}, finite, metres")
+    if ranges.shape != (len(directions),) or ranges.min() < 0:
+        raise EagorError(f"true_ranges {ranges.shape} do not fit; wanted {(len(directions),)}, metres, none negative")
+    points = _turned(directions, new_R_old) * ranges[:-1, None] - moved
+    if (np.linalg.norm(points, axis=-1) == 0).any():
+        raise EagorError("an estimate carried along falls on the camera itself; end the episode before it is reached")
+    return float(angular_error_deg(directions[1:], points).mean())
+
+
+def tc_rotation(estimates: ArrayLike, new_R_old: ArrayLike) -> float | None:
+    """TC (deg/step) carried by the rotation alone, our reading of the paper; None where there is only one step.
+
+    `estimates` are ``(n, 3)``, `new_R_old` ``(n - 1, 3, 3)``. A perfect estimate scores above 0 while the body walks.
+    """
+    directions = _directions(estimates, "estimates", "(n, 3)")
+    if len(directions) == 1:
+        return None
+    return float(angular_error_deg(directions[1:], _turned(directions, new_R_old)).mean())
+
+
+def success(distance: ArrayLike, stopped: ArrayLike, success_distance: float) -> np.ndarray:
+    """Habitat's Success: the agent called stop AND is nearer to the target than `success_distance` (metres, strict).
+
+    `distance` (metres at the end, inf where there is no way) and `stopped` have one entry per episode.
+    """
+    distance, stopped = _lengths(distance, "distance", endless=True), outcomes(np.atleast_1d(stopped), "stopped")
+    same_length(distance=distance, stopped=stopped)
+    if not success_distance > 0:
+        raise EagorError(f"success_distance is {success_distance}; wanted metres above 0, such as 1.0")
+    return stopped & (distance < success_distance)
+
+
+def spl(succeeded: ArrayLike, shortest: ArrayLike, path: ArrayLike) -> np.ndarray:
+    """Success weighted by path length, per episode: ``S * shortest / max(shortest, path)``.
+
+    Anderson et al., On Evaluation of Embodied Navigation Agents, 2018. `shortest` is the shortest way from start
+    to target, `path` what the agent went, metres. An episode that starts on the target (shortest = 0) scores S if
+    the agent stayed there, and 0 if it walked: the limits of the formula, where it would divide by zero.
+    """
+    succeeded = outcomes(np.atleast_1d(succeeded), "succeeded")
+    efficiency = _efficiency(shortest, path)
+    same_length(succeeded=succeeded, shortest=efficiency)
+    return succeeded * efficiency
+
+
+def soft_spl(distance: ArrayLike, shortest: ArrayLike, path: ArrayLike) -> np.ndarray:
+    """SoftSPL, per episode: ``max(0, 1 - distance / shortest) * shortest / max(shortest, path)``, Habitat's definition.
+
+    `distance` is what is left at the end (metres, inf where there is no way). Where shortest = 0, the progress is 1 for
+    an agent that ends on the target and 0 for any other.
+    """
+    distance, shortest = _lengths(distance, "distance", endless=True), _lengths(shortest, "shortest")
+    efficiency = _efficiency(shortest, path)
+    same_length(distance=distance, shortest=shortest)
+    gained = np.maximum(0.0, shortest - distance) / np.where(shortest > 0, shortest, 1.0)
+    return np.where(shortest > 0, gained, distance == 0) * efficiency
+
+
+def credible_coverage(inside: ArrayLike) -> float:
+    """Share of the truths that lay `inside` ``(n,)`` their credible region: for 90 % regions it should be near 0.9."""
+    return float(outcomes(inside, "inside").mean())
+
+
+def log_score(log_densities: ArrayLike) -> float:
+    """Mean log density (nats per steradian) that the beliefs gave to the truths: HIGHER is better.
+
+    Proper: only the honest belief maximises it in expectation (Good, 1952). Knowing nothing scores -log(4 pi) = -2.53;
+    one truth that was given density 0 makes it -inf, as it should.
+    """
+    values = np.asarray(log_densities, dtype=np.float64)
+    if values.size == 0 or np.isnan(values).any() or (values == np.inf).any():
+        raise EagorError(f"log densities {values.shape} are empty, NaN or +inf; wanted one number or -inf per truth")
+    return float(values.mean())
+
+
+def _directions(vectors: ArrayLike, name: str, wanted: str = "(..., 3)") -> np.ndarray:
+    array = np.asarray(vectors, dtype=np.float64)
+    if array.size == 0 or (wanted == "(n, 3)" and array.ndim != 2):
+        raise DirectionError(f"{name} has shape {array.shape}; wanted {wanted}, at least one direction")
+    return unit(array)
+
+
+def _turned(directions: np.ndarray, new_R_old: ArrayLike) -> np.ndarray:
+    """All but the last of `directions` ``(n, 3)``, each turned into the frame of the step after it."""
+    turns = check_rotation(np.asarray(new_R_old, dtype=np.float64))
+    if turns.shape != (len(directions) - 1, 3, 3):
+        raise EagorError(f"new_R_old {turns.shape} does not fit; wanted {(len(directions) - 1, 3, 3)}: one per move")
+    return (turns @ directions[:-1, :, None])[..., 0]
+
+
+def _lengths(values: ArrayLike, name: str, endless: bool = False) -> np.ndarray:
+    """`values` as metres, one per episode ``(n,)``; only `endless` ones may be infinite."""
+    array = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    if array.ndim != 1 or array.size == 0 or not ((array >= 0) & (endless | np.isfinite(array))).all():
+        raise EagorError(f"{name} must be (n,) metres, none negative{', NaN' if endless else ', NaN or inf'}: {array}")
+    return array
+
+
+def _efficiency(shortest: ArrayLike, path: ArrayLike) -> np.ndarray:
+    """``shortest / max(shortest, path)``; 1 where both are 0: there was nowhere to go, and the agent did not."""
+    shortest, path = _lengths(shortest, "shortest"), _lengths(path, "path")
+    same_length(shortest=shortest, path=path)
+    longer = np.maximum(shortest, path)
+    return np.where(longer > 0, shortest / np.where(longer > 0, longer, 1.0), 1.0)

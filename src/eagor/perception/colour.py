@@ -1,0 +1,203 @@
+"""A perception without a model: it finds the colour that the query names.
+
+People use it for coloured markers, and to try the system. Pixels are judged in CIELAB by what shading leaves alone:
+hue, and chroma in proportion to lightness, so that the lit and the shaded side of a red footstool are both red. A
+plain colour difference (Delta E) would call the shaded side black and a pink wall half red.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from eagor.errors import ImageError, QueryError
+from eagor.evidence import Calibration, Evidence
+from eagor.grids import PatchGrid
+
+# A fuzzy interval: 0 up to the first number, 1 from the second to the third, 0 from the fourth on.
+Interval = tuple[float, float, float, float]
+_INF = math.inf
+
+
+@dataclass(frozen=True)
+class Colour:
+    """What counts as a colour: fuzzy intervals of CIELAB hue (degrees), saturation and lightness (0 to 100).
+
+    Saturation here is chroma / (lightness + 12): nearly constant under shading, and calm in the dark, where chroma
+    is noise. Achromatic colours have no hue.
+    """
+
+    hue: Interval | None
+    saturation: Interval
+    lightness: Interval
+
+
+def _above(low: float, high: float) -> Interval:
+    return (low, high, _INF, _INF)
+
+
+def _below(low: float, high: float) -> Interval:
+    return (-_INF, -_INF, low, high)
+
+
+COLOURS: dict[str, Colour] = {
+    "black": Colour(None, _below(0.25, 0.45), _below(14, 24)),
+    "white": Colour(None, _below(0.07, 0.13), _above(78, 88)),
+    "grey": Colour(None, _below(0.08, 0.14), (18, 28, 72, 84)),
+    "red": Colour((-6, 7, 41, 50), _above(0.4, 0.52), (3, 7, 68, 78)),
+    "orange": Colour((42, 52, 74, 82), _above(0.55, 0.75), _above(38, 46)),
+    "yellow": Colour((76, 86, 112, 120), _above(0.55, 0.75), _above(42, 52)),
+    "green": Colour((105, 115, 172, 184), _above(0.18, 0.28), _above(5, 9)),
+    "cyan": Colour((174, 184, 215, 226), _above(0.18, 0.28), _above(20, 30)),
+    "blue": Colour((215, 228, 307, 312), _above(0.2, 0.3), _above(4, 8)),
+    "purple": Colour((306, 312, 334, 344), _above(0.25, 0.35), (4, 8, 72, 80)),
+    "pink": Colour((-38, -22, 20, 34), _above(0.18, 0.26), _above(50, 60)),
+    "brown": Colour((30, 42, 80, 92), (0.3, 0.45, 1.2, 1.6), (6, 12, 46, 56)),
+    "beige": Colour((55, 66, 112, 122), (0.08, 0.14, 0.4, 0.5), _above(58, 68)),
+}
+SYNONYMS: dict[str, str] = {
+    "gray": "grey", "silver": "light grey", "charcoal": "dark grey",
+    "crimson": "red", "scarlet": "red", "maroon": "dark red", "burgundy": "dark red",
+    "gold": "yellow", "golden": "yellow", "lime": "green", "olive": "dark green",
+    "turquoise": "cyan", "teal": "cyan", "aqua": "cyan", "navy": "dark blue",
+    "violet": "purple", "magenta": "purple", "lilac": "light purple",
+    "tan": "beige", "cream": "beige",
+}  # fmt: skip
+_SHADES = {"dark": "dark", "deep": "dark", "light": "light", "pale": "light"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColourPerception:
+    """Finds the first colour that the query names: "red", "the dark green chair", "a light blue ball".
+
+    Attributes:
+        calibration: how responses become evidence; None for the default of `Evidence`.
+        rows: the panorama is averaged (in linear light) down to at most this many rows and twice as many columns
+            before it is judged. A thing needs two cells each way to count in full; single cells do not count.
+    """
+
+    calibration: Calibration | None = None
+    rows: int = 256
+
+    def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
+        """Evidence for what `query` names in `panorama` ``(H, W, 3)``, uint8 or floating in [0, 1], sRGB.
+
+        Raises `QueryError` if the query names no known colour, `ImageError` if the panorama is not such an array.
+        """
+        response = self.respond(panorama, query)
+        return Evidence.from_response(response, PatchGrid(*response.shape), calibration=self.calibration, stamp=stamp)
+
+    def respond(self, panorama: np.ndarray, query: str) -> np.ndarray:
+        """How much each cell has the colour of `query`, in [0, 1], at most ``(rows, 2 * rows)``."""
+        colour = parse_colour(query)
+        linear = _reduced(panorama, self.rows)
+        return _without_specks(_likeness(*_lightness_chroma_hue(linear), colour))
+
+
+def parse_colour(query: str) -> Colour:
+    """The first colour named in `query`, with "dark" or "light" before it. Raises `QueryError` if there is none."""
+    words: list[str] = re.findall(r"[a-z]+", query.lower()) if isinstance(query, str) else []
+    for previous, word in zip(["", *words], words, strict=False):
+        shade, _, name = SYNONYMS.get(word, word).rpartition(" ")
+        if name in COLOURS:
+            return _shaded(COLOURS[name], _SHADES.get(previous, shade))
+    known = ", ".join([*COLOURS, *SYNONYMS])
+    raise QueryError(
+        f"the query {query!r} names no colour, and colour is all that this perception sees. Put one in, such as "
+        f"'the red chair' or 'dark green'; known are {known}"
+    )
+
+
+def _shaded(colour: Colour, shade: str) -> Colour:
+    """`colour` with "dark" or "light" said before it ("" for neither)."""
+    zero_low, full_low, full_high, zero_high = colour.lightness
+    if shade == "dark":
+        return replace(colour, lightness=(zero_low - 20, full_low - 20, min(full_high, 40), min(zero_high, 54)))
+    if shade == "light":
+        low, high = colour.saturation[:2]  # light colours are pale: half of the saturation does
+        lightness = (max(zero_low, 46), max(full_low, 60), full_high + 20, zero_high + 20)
+        return replace(colour, lightness=lightness, saturation=(low / 2, high / 2, *colour.saturation[2:]))
+    return colour
+
+
+def _reduced(panorama: np.ndarray, rows: int) -> np.ndarray:
+    """The panorama in linear light, averaged over blocks to at most ``(rows, 2 * rows, 3)``, float32."""
+    image = np.asarray(panorama)
+    if image.ndim != 3 or image.shape[-1] != 3 or image.size == 0:
+        raise ImageError(
+            f"the panorama has shape {image.shape}; wanted (H, W, 3), RGB. Files: eagor.worlds.panorama.read_panorama"
+        )
+    decode: Callable[[np.ndarray], np.ndarray]
+    if image.dtype == np.uint8:
+        decode = _linear(np.arange(256, dtype=np.float32) / 255).__getitem__
+    elif image.dtype.kind == "f":
+        decode = _linear_checked
+    else:
+        raise ImageError(f"the panorama holds {image.dtype}; wanted uint8, or floating numbers in [0, 1]")
+    height, width = image.shape[:2]
+    tops = np.linspace(0, height, min(height, rows) + 1).astype(int)
+    lefts = np.linspace(0, width, min(width, 2 * rows) + 1).astype(int)
+    strips = [decode(image[top:end]).mean(axis=0) for top, end in pairwise(tops)]
+    sums = np.add.reduceat(np.stack(strips), lefts[:-1], axis=1)
+    return sums / np.diff(lefts)[:, None].astype(np.float32)
+
+
+def _linear_checked(coded: np.ndarray) -> np.ndarray:
+    if not (coded.min() >= 0 and coded.max() <= 1):  # NaN fails both comparisons
+        raise ImageError("a floating panorama must lie in [0, 1] and be finite; divide 8-bit values by 255")
+    return _linear(coded.astype(np.float32))
+
+
+def _linear(coded: np.ndarray) -> np.ndarray:
+    """sRGB values in [0, 1] to linear light (IEC 61966-2-1)."""
+    return np.where(coded > 0.04045, ((coded + 0.055) / 1.055) ** 2.4, coded / 12.92)
+
+
+# Linear sRGB to CIE XYZ (IEC 61966-2-1), each row over its sum, so that white (D65) is (1, 1, 1).
+_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]], dtype=np.float32)
+_XYZ /= _XYZ.sum(axis=1, keepdims=True)
+
+
+def _lightness_chroma_hue(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """CIELAB lightness (0 to 100), chroma and hue (degrees) of linear sRGB ``(..., 3)`` (CIE 15, section 8.2.1)."""
+    ratio = linear @ _XYZ.T
+    f = np.where(ratio > (6 / 29) ** 3, np.cbrt(ratio), ratio * (29 / 6) ** 2 / 3 + 4 / 29)
+    x, y, z = f[..., 0], f[..., 1], f[..., 2]
+    a, b = 500 * (x - y), 200 * (y - z)
+    return 116 * y - 16, np.hypot(a, b), np.degrees(np.arctan2(b, a))
+
+
+def _likeness(lightness: np.ndarray, chroma: np.ndarray, hue: np.ndarray, colour: Colour) -> np.ndarray:
+    """How much a pixel is of `colour`: the product of its fuzzy memberships, in [0, 1]."""
+    likeness = _member(chroma / (lightness + 12), colour.saturation) * _member(lightness, colour.lightness)
+    if colour.hue is None:
+        return likeness
+    start, full_low, full_high, end = colour.hue
+    turned = (hue - start) % 360  # the interval now starts at zero, clear of the wrap
+    return likeness * _member(turned, (0.0, full_low - start, full_high - start, end - start))
+
+
+def _member(values: np.ndarray, interval: Interval) -> np.ndarray:
+    """Membership of `values` in a fuzzy interval."""
+    zero_low, full_low, full_high, zero_high = interval
+    rise = _ramp(values, zero_low, full_low) if full_low > -_INF else 1.0
+    fall = _ramp(-values, -zero_high, -full_high) if full_high < _INF else 1.0
+    return rise * fall * np.ones_like(values)
+
+
+def _ramp(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    """0 below `low`, 1 above `high`, a smooth cubic between."""
+    t = np.clip((values - low) / (high - low), 0, 1)
+    return t * t * (3 - 2 * t)
+
+
+def _without_specks(likeness: np.ndarray) -> np.ndarray:
+    """`likeness`, less what stands alone: each cell counts as far as its 3 x 3 neighbourhood agrees."""
+    across = (np.roll(likeness, 1, axis=1) + 2 * likeness + np.roll(likeness, -1, axis=1)) / 4
+    padded = np.concatenate([across[:1], across, across[-1:]])
+    return likeness * _ramp((padded[:-2] + 2 * padded[1:-1] + padded[2:]) / 4, 0.25, 0.5)

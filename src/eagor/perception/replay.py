@@ -1,0 +1,341 @@
+"""A perception that reads what some detector wrote: detections or responses by time stamp, one JSON object per line.
+
+Any detector can write the file (JSON Lines, UTF-8). Each line is one look at the world, with these keys:
+
+- ``stamp``: seconds, when the image was captured. Required.
+- ``query``: what was looked for. Absent: the line holds for any query, and labels decide (see below).
+- ``image``: what the pixels mean, ``{"width": 1024, "height": 512, "projection": "equirectangular"}`` or
+  ``{"width": 640, "height": 480, "projection": "perspective", "hfov_deg": 90, "yaw_left_deg": 0, "pitch_up_deg": 0}``.
+  The view of a perspective image points `yaw_left_deg` to the left of forward and `pitch_up_deg` up (default 0).
+  Default: equirectangular. `width` and `height` are required for boxes, and for points in a perspective image.
+
+and exactly one of:
+
+- ``boxes``: ``[{"box": [x0, y0, x1, y1], "score": 0.9, "label": "chair"}, ...]``, pixels from the upper left corner of
+  the image. In an equirectangular image x0 > x1 or x1 > width means across the seam. ``[]``: looked and saw nothing.
+- ``points``: ``[{"azimuth_deg": 30, "elevation_deg": -5, "spread_deg": 4, "score": 0.9, "label": "chair"}, ...]`` in
+  the body frame (azimuth positive to the left); `spread_deg` is the standard deviation about the point, default 5.
+- ``response``: ``{"rows": 18, "cols": 36, "values": [...]}``, row by row from the upper left, over the whole image; in
+  a perspective image the cells are square.
+
+A perspective image says nothing about what lies outside it.
+
+Scores and response values lie in [0, 1]; `score` is 1 where absent. A `label` matters on lines without ``query``: the
+detection then counts if every word of its label occurs in the query (letter case aside): "chair" and "red chair" count
+for "the red chair", "armchair" does not. Detections without a label always count. Other keys are ignored, and null is
+as good as absent.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+from bisect import bisect_left, bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn, TextIO
+
+import numpy as np
+
+from eagor.errors import EagorError, FormatError, QueryError, TimeError
+from eagor.evidence import Calibration, Evidence
+from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
+from eagor.sphere import direction, world_R_body
+
+KINDS = ("boxes", "points", "response")
+DEFAULT_SPREAD_DEG = 5.0
+_LARGEST = 65536  # pixels along one side; more is a mistake
+_LONGEST = 32  # a view this many times longer than wide is a mistake too
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One line of the file, checked.
+
+    Attributes:
+        stamp: seconds, time of capture.
+        query: what was looked for, None for any query.
+        kind: "boxes", "points" or "response".
+        grid: of the image, or of the response; None for points anywhere.
+        values: boxes ``(n, 4)`` in pixels; points ``(n, 3)``: azimuth, elevation, spread in radians; or the response.
+        scores: ``(n,)`` in [0, 1]; empty for a response.
+        labels: ``(n,)`` text or None; empty for a response.
+    """
+
+    stamp: float
+    query: str | None
+    kind: str
+    grid: Grid | None
+    values: np.ndarray
+    scores: np.ndarray
+    labels: Sequence[str | None]
+
+    def answers(self, query: str) -> bool:
+        """Whether this line holds for `query` (letter case and spaces aside)."""
+        return self.query is None or _words(self.query) == _words(query)
+
+    def evidence(self, query: str, calibration: Calibration | None = None) -> Evidence:
+        """The evidence for `query`: on a line without a query of its own, what has an unfitting label is left out."""
+        if self.kind == "response" and self.grid is not None:
+            return Evidence.from_response(self.values, self.grid, calibration=calibration, stamp=self.stamp)
+        wanted = set(_words(query))
+        keep = [self.query is not None or label is None or wanted.issuperset(_words(label)) for label in self.labels]
+        values, scores = self.values[keep], self.scores[keep]
+        if self.kind == "boxes" and self.grid is not None:
+            return Evidence.from_boxes(values, self.grid, scores, calibration=calibration, stamp=self.stamp)
+        points, concentration = direction(values[:, 0], values[:, 1]), values[:, 2] ** -2.0
+        return Evidence.from_points(points, concentration, scores, self.grid, calibration, self.stamp)
+
+
+class ReplayPerception:
+    """Answers from a file of records instead of from the panorama.
+
+    Args:
+        path: the JSONL file (format: this module's text).
+        calibration: how responses become evidence.
+        tolerance: seconds by which a record may be away from the time that is asked for.
+
+    Attributes:
+        records: all `Record` objects by rising stamp.
+
+    Raises `FormatError` for a file that does not follow the format.
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], calibration: Calibration | None = None, tolerance: float = 0.05
+    ) -> None:
+        self.records = read_records(path)
+        self.calibration = calibration
+        self.tolerance = float(tolerance)
+        if not self.tolerance >= 0:
+            raise TimeError(f"tolerance = {tolerance!r}; wanted seconds, 0 or more")
+        self._name = os.fspath(path)
+
+    def near(self, query: str, stamp: float | None) -> tuple[Record, ...]:
+        """The records for `query` at the time nearest to `stamp`: more than one where several views share a stamp.
+
+        Raises `QueryError` if no record is for `query`, `TimeError` if none is within the tolerance.
+        """
+        if not isinstance(query, str):
+            raise QueryError(f"the query is {query!r}; wanted words")
+        if stamp is None or not math.isfinite(stamp):
+            raise TimeError(f"replay needs the time of capture, seconds; got stamp={stamp!r}. Pass stamp=...")
+        first = bisect_left(self.records, stamp - self.tolerance, key=lambda r: r.stamp)
+        last = bisect_right(self.records, stamp + self.tolerance, key=lambda r: r.stamp)
+        found = [r for r in self.records[first:last] if r.answers(query)]
+        if not found:
+            raise self._nothing(query, stamp)
+        nearest = min(found, key=lambda r: abs(r.stamp - stamp)).stamp
+        return tuple(r for r in found if r.stamp == nearest)
+
+    def _nothing(self, query: str, stamp: float) -> EagorError:
+        """Why there is no record for `query` at `stamp`."""
+        stamps = [r.stamp for r in self.records if r.answers(query)]
+        if not stamps:
+            asked = sorted({str(r.query) for r in self.records})[:8]
+            return QueryError(f"{self._name} has nothing for the query {query!r}; it has {', '.join(map(repr, asked))}")
+        nearest = min(stamps, key=lambda s: abs(s - stamp))
+        return TimeError(
+            f"{self._name} has no record for {query!r} within {self.tolerance:g} s of stamp {stamp:.6f}; the nearest "
+            f"is at {nearest:.6f} ({nearest - stamp:+.6f} s). Are both on one clock? Else raise the tolerance"
+        )
+
+    def __call__(self, panorama: np.ndarray | None, query: str, *, stamp: float | None = None) -> Evidence:
+        """The evidence recorded nearest to `stamp`, with the record's own stamp; `panorama` is not looked at.
+
+        Raises `QueryError` and `TimeError` as `near` does, and `FormatError` where several records share the stamp
+        (views of one moment): update the belief with each of ``near(query, stamp)`` instead.
+        """
+        record, *others = self.near(query, stamp)
+        if others:
+            raise FormatError(
+                f"{self._name} has {1 + len(others)} records for {query!r} at stamp {record.stamp:.6f}; wanted one. "
+                "If they are views of one moment, use each of near(query, stamp)"
+            )
+        return record.evidence(query, self.calibration)
+
+
+def read_records(path: str | os.PathLike[str]) -> tuple[Record, ...]:
+    """The records of a JSONL file by rising stamp; `FormatError` names the file and the line of what is wrong."""
+    name = os.fspath(path)
+    try:
+        content = Path(path).read_bytes()
+    except (OSError, ValueError) as error:  # ValueError: a null character in the path
+        raise FormatError(f"{name} cannot be read ({error}); give the path of a JSONL file") from error
+    lines = content.removeprefix(b"\xef\xbb\xbf").split(b"\n")
+    records: list[Record] = []
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        try:
+            records.append(parse_record(line))
+        except EagorError as error:
+            torn = number == len(lines) and not _is_json(line)
+            hint = ". The last line has no end: the writer was probably cut off; remove the line" if torn else ""
+            raise FormatError(f"{name}, line {number}: {error}{hint}") from error
+    if not records:
+        raise FormatError(f"{name} holds no records; wanted one JSON object per line, at least one")
+    return tuple(sorted(records, key=lambda r: r.stamp))
+
+
+def parse_record(line: str | bytes) -> Record:
+    """One line as a `Record`. Raises `FormatError` that says what is wrong and what is wanted."""
+    try:
+        text = line.decode("utf-8") if isinstance(line, bytes) else line
+        entry = json.loads(text, parse_constant=_no_constant)
+    except (ValueError, RecursionError) as error:  # UnicodeDecodeError and JSONDecodeError are ValueErrors
+        raise FormatError(f"is not JSON ({error}); wanted one JSON object") from error
+    _need(isinstance(entry, dict), "the line", entry, "one JSON object")
+    stamp = _number(entry, "stamp")
+    query = entry.get("query")
+    _need(query is None or (isinstance(query, str) and _words(query) != []), "query", query, "words, or no such key")
+    kinds = [kind for kind in KINDS if entry.get(kind) is not None]
+    if len(kinds) != 1:
+        raise FormatError(f"has {' and '.join(kinds) or 'none'} of boxes, points, response; wanted exactly one")
+    kind, image = kinds[0], {} if entry.get("image") is None else entry["image"]
+    _need(isinstance(image, dict), "image", image, "an object with width and height")
+    if kind == "response":
+        rows, cols, values = _response(entry["response"])
+        grid = _view(image, rows, cols) or PatchGrid(rows, cols)
+        return Record(stamp, query, kind, grid, values.reshape(rows, cols), np.zeros(0), ())
+    items = entry[kind]
+    _need(isinstance(items, list) and all(isinstance(i, dict) for i in items), kind, items, "a list of objects")
+    scores = np.array([_number(item, "score", 0, 1, default=1.0) for item in items])
+    labels = tuple(item.get("label") for item in items)
+    _need(all(label is None or isinstance(label, str) for label in labels), "label", labels, "text")
+    grid = _view(image)
+    if kind == "boxes":
+        height, width = _size(image, "height"), _size(image, "width")
+        values = np.array([_box(item.get("box"), height, width, grid is None) for item in items]).reshape(-1, 4)
+        grid = grid or ErpGrid(height, width)
+    else:
+        values = np.radians([_point(item) for item in items]).reshape(-1, 3)
+    return Record(stamp, query, kind, grid, values, scores, labels)
+
+
+def write_record(
+    file: TextIO,
+    stamp: float,
+    *,
+    query: str | None = None,
+    image: Mapping[str, Any] | None = None,
+    boxes: Sequence[Mapping[str, Any]] | None = None,
+    points: Sequence[Mapping[str, Any]] | None = None,
+    response: np.ndarray | None = None,
+) -> None:
+    """Append one line to an open text file, checked before anything is written, and flush it.
+
+    Give exactly one of `boxes`, `points` (entries as in the format) and `response` ``(rows, cols)``. Raises
+    `FormatError`.
+    """
+    entry: dict[str, Any] = {"stamp": stamp, "query": query, "image": image, "boxes": boxes, "points": points}
+    if response is not None:
+        values = np.asarray(response, dtype=float)
+        _need(values.ndim == 2, "response", values.shape, "an array (rows, cols)")
+        entry["response"] = {"rows": values.shape[0], "cols": values.shape[1], "values": values.ravel().tolist()}
+    try:
+        line = json.dumps({k: v for k, v in entry.items() if v is not None}, default=_plain)
+    except (TypeError, ValueError) as error:
+        raise FormatError(f"the record cannot be written as JSON: {error}") from error
+    parse_record(line)
+    file.write(line + "\n")
+    file.flush()
+
+
+def _view(image: dict, rows: int | None = None, cols: int | None = None) -> PerspectiveGrid | None:
+    """The perspective view that `image` describes, by pixels or in `rows` and `cols`; None if it is a panorama."""
+    projection = image.get("projection", "equirectangular")
+    if projection == "equirectangular":
+        return None
+    _need(projection == "perspective", "projection", projection, '"equirectangular" or "perspective"')
+    height, width = rows or _size(image, "height"), cols or _size(image, "width")
+    _need(max(height, width) <= _LONGEST * min(height, width), "image", (width, height), f"sides up to {_LONGEST}:1")
+    hfov, yaw = _number(image, "hfov_deg", 0.1, 179), _number(image, "yaw_left_deg", -360, 360, default=0.0)
+    pitch = _number(image, "pitch_up_deg", -90, 90, default=0.0)
+    # In REP-103 a positive pitch turns the nose down.
+    return PerspectiveGrid(height, width, math.radians(hfov), world_R_body(math.radians(yaw), -math.radians(pitch)))
+
+
+def _box(box: Any, height: int, width: int, panorama: bool) -> list[float]:
+    """Four pixel coordinates of a box with some area in the image."""
+    wanted = f"[x0, y0, x1, y1] in pixels of the {width} x {height} image (not x, y, width, height, and not 0 to 1)"
+    fine = isinstance(box, list) and len(box) == 4 and all(_is_number(v) and abs(v) <= 4 * _LARGEST for v in box)
+    _need(fine, "box", box, wanted)
+    x0, y0, x1, y1 = (float(v) for v in box)
+    left, right = (x0, x1 + width * (x1 < x0)) if panorama else (max(x0, 0.0), min(x1, float(width)))
+    _need(left < right <= left + width and max(y0, 0.0) < min(y1, float(height)), "box", box, wanted)
+    return [x0, y0, x1, y1]
+
+
+def _point(item: dict) -> tuple[float, float, float]:
+    """Azimuth, elevation and spread, degrees."""
+    azimuth, elevation = _number(item, "azimuth_deg", -360, 360), _number(item, "elevation_deg", -90, 90)
+    return azimuth, elevation, _number(item, "spread_deg", 0.1, 180, default=DEFAULT_SPREAD_DEG)
+
+
+def _response(response: Any) -> tuple[int, int, np.ndarray]:
+    """Rows, columns and the values ``(rows * cols,)``."""
+    _need(isinstance(response, dict), "response", response, "an object with rows, cols and values")
+    rows, cols, values = _size(response, "rows"), _size(response, "cols"), response.get("values")
+    fine = isinstance(values, list) and len(values) == rows * cols
+    found = f"{len(values)} values" if isinstance(values, list) else values
+    _need(fine, "values", found, f"rows * cols = {rows * cols} numbers")
+    wrong = [v for v in values if not (_is_number(v) and 0 <= v <= 1)]
+    _need(not wrong, "values", wrong[:3], "numbers in [0, 1]")
+    return rows, cols, np.array(values, dtype=np.float32)
+
+
+def _number(entry: dict, key: str, low: float = -1e300, high: float = 1e300, default: float | None = None) -> float:
+    value: Any = default if entry.get(key) is None else entry[key]
+    bounds = f"a number from {low:g} to {high:g}" if high < 1e300 else "a finite number"
+    _need(_is_number(value) and low <= value <= high, key, value, bounds)
+    return float(value)
+
+
+def _size(entry: dict, key: str) -> int:
+    value: Any = entry.get(key, 0)
+    fine = isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= _LARGEST
+    _need(fine, key, value or None, f"a whole number from 1 to {_LARGEST}")
+    return int(value)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _need(holds: bool, what: str, came: Any, wanted: str) -> None:
+    if not holds:
+        found = "is missing" if came is None else f"is {_short(came)}"
+        raise FormatError(f"{what} {found}; wanted {wanted}")
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _words(text: str) -> list[str]:
+    """Lower-case words: runs of letters and digits of any script."""
+    return re.findall(r"\w+", text.casefold())
+
+
+def _is_json(line: bytes) -> bool:
+    try:
+        json.loads(line)
+    except (ValueError, RecursionError):
+        return False
+    return True
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not a JSON number")
+
+
+def _plain(value: Any) -> Any:
+    """NumPy numbers and arrays as what JSON knows."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is not for JSON")

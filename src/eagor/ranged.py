@@ -1,0 +1,182 @@
+"""A belief about direction AND distance: what a moving camera needs, and where distance comes from bearings alone.
+
+K fields, one per shell of constant range, log-spaced. A step of the body moves every point (omega, r) by parallax,
+near ones more than far ones, so that only the shell at the true range keeps agreeing with the bearings that follow.
+
+Shells hold log-likelihood ratios, carried by value. The prior is uniform in direction and log range and enters when
+the belief is read: the direction belief is the log of the shells' mean likelihood, the distance a posterior mean.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from eagor._arrays import Array, as_float, namespace, to_numpy
+from eagor.belief import Belief, Reading, each_posterior
+from eagor.decode import Posterior, decoding_grid, peak_on_grid
+from eagor.diffusion import diffuse
+from eagor.errors import EagorError, PoseError
+from eagor.evidence import Evidence
+from eagor.grids import ErpGrid
+from eagor.harmonics import RealHarmonics
+from eagor.harmonics.shells import translate
+from eagor.sphere import check_rotation
+
+
+def log_ranges(nearest: float = 0.5, farthest: float = 12.0, count: int = 14) -> np.ndarray:
+    """`count` ranges (metres) from `nearest` to `farthest`, equally spaced in the logarithm."""
+    return np.geomspace(nearest, farthest, count)
+
+
+@dataclass(frozen=True, eq=False)
+class RangedBelief(Reading):
+    """Direction and distance: `shells` ``(..., K, (degree + 1)^2)`` at `ranges` ``(K,)`` metres, in the body frame."""
+
+    shells: Array
+    ranges: np.ndarray
+
+    def __post_init__(self) -> None:
+        ranges = np.array(self.ranges, dtype=np.float64)
+        if ranges.ndim != 1 or len(ranges) < 2 or not (ranges[0] > 0 and (np.diff(ranges) > 0).all()):
+            raise EagorError(f"ranges = {ranges.tolist()}; wanted at least two growing positive numbers, in metres")
+        if len(self.shells.shape) < 2 or self.shells.shape[-2] != len(ranges):
+            raise EagorError(
+                f"shells have shape {tuple(self.shells.shape)}; {len(ranges)} ranges want (..., {len(ranges)}, size)"
+            )
+        ranges.setflags(write=False)
+        object.__setattr__(self, "ranges", ranges)
+
+    @classmethod
+    def uniform(
+        cls,
+        degree: int,
+        ranges: np.ndarray | None = None,
+        batch_shape: tuple[int, ...] = (),
+        like: Array | None = None,
+    ) -> RangedBelief:
+        """Nothing known. `ranges` in metres (default: 14 from 0.5 to 12 m); `like` gives the kind of array."""
+        ranges = log_ranges() if ranges is None else np.asarray(ranges, dtype=np.float64)
+        return cls(Belief.uniform(degree, (*batch_shape, len(ranges)), like).coefficients, ranges)
+
+    @property
+    def degree(self) -> int:
+        """The highest degree of the harmonics."""
+        return math.isqrt(self.shells.shape[-1]) - 1
+
+    @property
+    def basis(self) -> RealHarmonics:
+        """The basis of the shells."""
+        return RealHarmonics(self.degree)
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:  # type: ignore[override]
+        """The leading dimensions, the shells' not counted."""
+        return tuple(self.shells.shape[:-2])
+
+    def predict(self, new_R_old: Array, translation: Array | None = None) -> RangedBelief:
+        """After the body has turned by `new_R_old` and moved by `translation` (metres, in the NEW body frame).
+
+        Both may have leading dimensions that match the batch. Raises `RotationError`, or `PoseError` for a translation
+        that is not three finite numbers.
+        """
+        turn = to_numpy(check_rotation(new_R_old))
+        step = np.zeros(3) if translation is None else np.asarray(to_numpy(translation), dtype=np.float64)
+        if step.shape[-1:] != (3,) or not np.isfinite(step).all():
+            raise PoseError(
+                f"translation = {step.tolist()}; wanted (x, y, z) metres of the body, in the new body frame"
+            )
+        shells = as_float(self.shells)
+        if turn.ndim == 2 and step.ndim == 1:
+            return replace(self, shells=translate(self.degree, shells, self.ranges, turn, step))
+        turn = np.broadcast_to(turn, (*self.batch_shape, 3, 3))
+        step = np.broadcast_to(step, (*self.batch_shape, 3))
+        moved = [
+            translate(self.degree, shells[index], self.ranges, turn[index], step[index])
+            for index in np.ndindex(*self.batch_shape)
+        ]
+        xp = namespace(shells)
+        return replace(self, shells=xp.reshape(xp.stack(moved), shells.shape))
+
+    def update(self, evidence: Evidence | Sequence[Evidence]) -> RangedBelief:
+        """With one more look added: the same for all shells, or one `Evidence` per shell if it tells ranges apart."""
+        if isinstance(evidence, Evidence):
+            return replace(self, shells=self.shells + evidence.coefficients(self.degree)[..., None, :])
+        if len(evidence) != len(self.ranges):
+            raise EagorError(f"got evidence for {len(evidence)} shells; wanted one, or {len(self.ranges)}")
+        added = [look.coefficients(self.degree) for look in evidence]
+        return replace(self, shells=self.shells + namespace(self.shells).stack(added, axis=-2))
+
+    def forget(self, factor: float) -> RangedBelief:
+        """With all log-odds scaled by `factor` in [0, 1]."""
+        return replace(self, shells=Belief(self.shells).forget(factor).coefficients)
+
+    def diffuse(self, sigma: float) -> RangedBelief:
+        """With each shell's density spread by a Gaussian of `sigma` radians per axis."""
+        return replace(self, shells=diffuse(self.degree, self.shells, sigma)) if sigma > 0 else self
+
+    def direction_belief(self) -> Belief:
+        """The belief over directions alone, projected back to this degree."""
+        grid = decoding_grid(self.degree)
+        return Belief(self.basis.analyse(self._marginal(self.shells, grid), grid))
+
+    def log_density(self, directions: Array) -> np.ndarray:
+        """log p per steradian at unit vectors ``(n..., 3)``: ``(..., n...)``; integrates to 1."""
+        f = to_numpy(self._marginal(self.shells, directions))
+        totals = np.asarray(self._each(lambda p: p.log_total))
+        return f - totals.reshape(*self.batch_shape, *([1] * (f.ndim - len(self.batch_shape))))
+
+    def mode(self) -> Array:
+        """The direction of highest density ``(..., 3)``, all ranges together, in the belief's own kind of array."""
+        grid = decoding_grid(self.degree)
+        return peak_on_grid(grid, self._marginal(self.shells, grid))
+
+    def range_probabilities(self) -> np.ndarray:
+        """Probability of each shell ``(..., K)``."""
+        coefficients = to_numpy(self.shells).astype(np.float64)
+        found = np.zeros((*self.batch_shape, len(self.ranges)))
+        for index in np.ndindex(*self.batch_shape):
+            posterior: Any = self.posteriors[index]
+            grid: ErpGrid = posterior.grid
+            field = self.basis.synthesise(coefficients[index], grid)
+            mass = np.sum(np.exp(field - field.max()) * grid.weights, axis=(-2, -1)) * self._prior
+            found[index] = mass / mass.sum()
+        return found
+
+    def distance(self) -> Any:
+        """Posterior mean of the range ``(...)``, metres."""
+        found = self.range_probabilities() @ self.ranges
+        return found if self.batch_shape else float(found)
+
+    @property
+    def _prior(self) -> np.ndarray:
+        """Prior probability of each shell ``(K,)``: its share of the logarithm of the range."""
+        width = np.gradient(np.log(self.ranges))
+        return width / width.sum()
+
+    def _marginal(self, shells: Array, where: Any) -> Array:
+        """log of the prior mean of exp(f_k) over the shells, on a grid or at directions."""
+        xp = namespace(shells)
+        f = self.basis.synthesise(shells, where)
+        axis = len(shells.shape) - 2
+        prior = np.log(self._prior).reshape(-1, *([1] * (len(f.shape) - axis - 1)))
+        if xp is not np:
+            prior = xp.asarray(prior, dtype=f.dtype, device=f.device)
+        f = f + prior
+        top = xp.max(f, axis=axis, keepdims=True)
+        return xp.log(xp.sum(xp.exp(f - top), axis=axis)) + xp.squeeze(top, axis=axis)
+
+    @cached_property
+    def posteriors(self) -> np.ndarray:  # type: ignore[override]
+        """The direction posterior on a grid that resolves it, for each belief of the batch."""
+        shells, rows = to_numpy(self.shells).astype(np.float64), decoding_grid(self.degree).height
+
+        def make(index: tuple[int, ...]) -> Posterior:
+            return Posterior.resolve(lambda grid: self._marginal(shells[index], grid), rows)
+
+        return each_posterior(self.batch_shape, make)

@@ -1,0 +1,151 @@
+"""Frames, directions and rotations: the one page of truth about angles.
+
+Body frame (ROS REP-103): x forward, y left, z up, right-handed. A *direction* is a unit vector ``(..., 3)`` in it.
+
+- azimuth = atan2(y, x), positive to the LEFT, in (-pi, pi]; elevation = asin(z), positive up.
+- Equirectangular image: pixel centres, azimuth = pi - 2 pi (j + 1/2) / W, elevation = pi/2 - pi (i + 1/2) / H.
+  The centre of the image is forward, the seam is behind, columns grow to the right.
+- Rotations are named by their frames: ``new_R_old @ direction_old = direction_new``; a pose is ``world_R_body``.
+- Radians everywhere; degrees only at the command line, in reports and in names that end in ``_deg``.
+
+Converters to the conventions of other software are in `eagor.conventions`, and nowhere else.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from eagor._arrays import Array, as_float, namespace, to_numpy
+from eagor.errors import DirectionError, RotationError
+
+FORWARD = (1.0, 0.0, 0.0)
+
+
+def direction(azimuth: Array, elevation: Array) -> Array:
+    """Unit vectors ``(..., 3)``, body frame, from azimuth (positive left) and elevation (positive up), radians."""
+    azimuth, elevation = as_float(azimuth), as_float(elevation)
+    xp = namespace(azimuth, elevation)
+    x, y = xp.cos(elevation) * xp.cos(azimuth), xp.cos(elevation) * xp.sin(azimuth)
+    return xp.stack([x, y, xp.sin(elevation) + 0.0 * x], axis=-1)
+
+
+def azimuth_elevation(directions: Array) -> tuple[Array, Array]:
+    """Azimuth and elevation (radians) of directions ``(..., 3)``; they need not have unit length."""
+    directions = as_float(directions)
+    xp = namespace(directions)
+    x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
+    return xp.atan2(y, x), xp.atan2(z, xp.hypot(x, y))
+
+
+def angular_distance(a: Array, b: Array) -> Array:
+    """Great-circle angle (radians) between directions ``(..., 3)``, broadcast.
+
+    atan2(|a x b|, a . b) keeps full precision near 0 and near pi, where acos loses half of the digits, and does
+    not ask for unit length.
+    """
+    a, b = as_float(a), as_float(b)
+    xp = namespace(a, b)
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    across = xp.hypot(xp.hypot(ay * bz - az * by, az * bx - ax * bz), ax * by - ay * bx)
+    return xp.atan2(across, ax * bx + ay * by + az * bz)
+
+
+def unit(vectors: Array) -> Array:
+    """`vectors` ``(..., 3)`` scaled to unit length. Raises `DirectionError` on a zero or non-finite vector."""
+    vectors = as_float(vectors)
+    if vectors.shape[-1:] != (3,):
+        raise DirectionError(f"directions have shape {tuple(vectors.shape)}; wanted (..., 3): x forward, y left, z up")
+    xp = namespace(vectors)
+    length = xp.sqrt(xp.sum(vectors * vectors, axis=-1, keepdims=True))
+    if not bool(xp.all(xp.isfinite(length) & (length > 0))):
+        raise DirectionError("a direction is the zero vector or not finite; drop it or give a finite (x, y, z)")
+    return vectors / length
+
+
+def wrap(angle: Array) -> Array:
+    """`angle` (radians) brought to [-pi, pi)."""
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+def rotation(axis: Array, angle: float) -> np.ndarray:
+    """The matrix ``(3, 3)`` that turns vectors by `angle` (radians, right-hand rule) about `axis` (Rodrigues)."""
+    x, y, z = unit(np.asarray(to_numpy(axis), dtype=np.float64))
+    c, s, v = math.cos(angle), math.sin(angle), 2 * math.sin(angle / 2) ** 2
+    return np.array(
+        [
+            [c + v * x * x, v * x * y - s * z, v * x * z + s * y],
+            [v * x * y + s * z, c + v * y * y, v * y * z - s * x],
+            [v * x * z - s * y, v * y * z + s * x, c + v * z * z],
+        ]
+    )
+
+
+def world_R_body(yaw: float, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
+    """The pose ``(3, 3)`` of a body turned by `yaw` (left), then `pitch` (nose DOWN), then `roll`, radians."""
+    return rotation((0, 0, 1), yaw) @ rotation((0, 1, 0), pitch) @ rotation((1, 0, 0), roll)
+
+
+def check_rotation(matrix: Array, name: str = "new_R_old", tolerance: float = 1e-6) -> Array:
+    """`matrix` ``(..., 3, 3)`` as a floating array, once it is certain to be a rotation.
+
+    Raises `RotationError` if it has another shape, is not finite, not orthogonal (beyond `tolerance`, or what
+    float32 can hold) or a reflection.
+    """
+    matrix = as_float(matrix)
+    if matrix.shape == (3, 3) and type(matrix) is np.ndarray:  # the hot path, in plain floats
+        (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+        # A rotation's rows are orthonormal and right-handed: the third is the cross product of the first two.
+        # NaN fails every comparison, so that it lands in the error branch too.
+        if (
+            abs(a * a + b * b + c * c - 1) < tolerance
+            and abs(d * d + e * e + f * f - 1) < tolerance
+            and abs(a * d + b * e + c * f) < tolerance
+            and abs(b * f - c * e - g) < tolerance
+            and abs(c * d - a * f - h) < tolerance
+            and abs(a * e - b * d - i) < tolerance
+        ):
+            return matrix
+    elif matrix.shape[-2:] == (3, 3):
+        xp = namespace(matrix)
+        rows = [[matrix[..., i, j] for j in range(3)] for i in range(3)]
+        (a, b, c), (d, e, f), (g, h, i) = rows
+        worst = [a * a + b * b + c * c - 1, d * d + e * e + f * f - 1, a * d + b * e + c * f]
+        worst += [b * f - c * e - g, c * d - a * f - h, a * e - b * d - i]
+        if all(bool(xp.all(xp.abs(error) < max(tolerance, 1e-5))) for error in worst):
+            return matrix
+    raise RotationError(_what_is_wrong(to_numpy(matrix), name))
+
+
+def _what_is_wrong(matrix: np.ndarray, name: str) -> str:
+    """Why `matrix` is no rotation, and what to do about it."""
+    wanted = f"{name} must be a rotation matrix (..., 3, 3) with {name} @ direction_old = direction_new"
+    if matrix.shape[-2:] != (3, 3):
+        return f"{wanted}; got shape {matrix.shape}. Quaternions: see eagor.conventions.rotation_from_wxyz"
+    if not np.isfinite(matrix).all():
+        return f"{wanted}; got NaN or infinity. Check the odometry that it comes from"
+    determinant = float(np.linalg.det(matrix).min())
+    defect = float(np.abs(matrix @ np.swapaxes(matrix, -1, -2) - np.eye(3)).max())
+    if defect < 1e-4 and determinant < 0:
+        return (
+            f"{wanted}; got a reflection (determinant {determinant:.3f}). One axis has the wrong sign: "
+            "the body frame is x forward, y LEFT, z up"
+        )
+    return (
+        f"{wanted}; got a matrix that is not orthogonal (R R^T differs from 1 by {defect:.2g}). "
+        "Normalise the quaternion before converting it, and pass no scale"
+    )
+
+
+def interpolate_rotation(start: np.ndarray, end: np.ndarray, fraction: float) -> np.ndarray:
+    """The rotation ``(3, 3)`` at `fraction` of the shortest turn from `start` to `end` (geodesic, constant speed)."""
+    if fraction <= 0.0 or np.array_equal(start, end):
+        return start
+    if fraction >= 1.0:
+        return end
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_matrix(start.T @ end).as_rotvec()
+    return start @ Rotation.from_rotvec(fraction * turn).as_matrix()

@@ -1,0 +1,342 @@
+"""Following targets over time: poses at one rate, evidence at another, late or out of order, answers whenever asked.
+
+The belief is kept in the axes of the odometry's world, so that turning the camera costs nothing and loses nothing:
+evidence is rotated once, from the body at the time of CAPTURE, and an answer is turned into the body at the time of the
+question. Evidence that arrives late therefore lands where it belongs by itself. Only what does not commute with adding
+(diffusion of a density, parallax under translation) needs its order restored, and for that a bounded history is
+replayed.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from eagor._arrays import to_numpy
+from eagor.belief import Belief
+from eagor.errors import EagorError, PoseError, TimeError
+from eagor.evidence import Calibration, Evidence
+from eagor.harmonics import RealHarmonics
+from eagor.ranged import RangedBelief, log_ranges
+from eagor.sphere import azimuth_elevation, check_rotation, interpolate_rotation
+
+Status = Literal["searching", "tracking", "ambiguous", "stale"]
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """How a `DirectionTracker` believes, forgets and answers.
+
+    - `degree`: of the harmonics; resolution is about 180 / degree degrees.
+    - `decode`: "mode", or "mean" for the published estimate.
+    - `calibration`: read every evidence with this one instead of its own.
+    - `ranges`: shells (metres) of the belief over distance, used where positions are known; None: directions only.
+    - `keep_per_second`: share of the log-odds that survives one second (1: nothing is forgotten).
+    - `diffusion`: radians per square root of a second by which a target wanders.
+    - `history`: seconds for which poses and evidence are kept, so that late evidence finds its place.
+    - `stale_after`: seconds without evidence after which an estimate is stale.
+    - `found_at`: nats by which the best direction must stand above a uniform belief; below, we are searching.
+    - `ambiguous_below`: if no mode holds this share of the belief, the answer is ambiguous.
+    """
+
+    degree: int = 15
+    decode: Literal["mode", "mean"] = "mode"
+    calibration: Calibration | None = None
+    ranges: Sequence[float] | None = field(default_factory=lambda: tuple(log_ranges().tolist()))
+    keep_per_second: float = 1.0
+    diffusion: float = 0.0
+    history: float = 10.0
+    stale_after: float = 5.0
+    found_at: float = 1.0
+    ambiguous_below: float = 0.65
+
+    def __post_init__(self) -> None:
+        if not 0 < self.keep_per_second <= 1 or self.diffusion < 0 or self.history < 0:
+            raise EagorError(
+                f"keep_per_second = {self.keep_per_second}, diffusion = {self.diffusion}, history = {self.history}; "
+                "wanted 0 < keep_per_second <= 1, diffusion >= 0 (rad per sqrt s) and history >= 0 (s)"
+            )
+
+    @classmethod
+    def paper(cls) -> TrackerConfig:
+        """The published recursion: degree 7, log(l + 1e-3) scaled to the frame's maximum, spherical mean."""
+        return cls(degree=7, decode="mean", calibration=Calibration.paper(), ranges=None)
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """A candidate: `direction` ``(3,)`` in the body frame, azimuth and elevation in radians, share of the belief."""
+
+    direction: np.ndarray
+    azimuth: float
+    elevation: float
+    weight: float
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The answer at one time, in the body frame of that time.
+
+    `direction` ``(3,)``, `azimuth` (positive left) and `elevation` (positive up) in radians; `modes`, strongest first;
+    `credible_angle` (radians): half-angle of the cone about the mode that holds 90 % of the belief; `presence`:
+    probability that the target is around at all; `distance` in metres, None where positions are unknown; `age`:
+    seconds since the newest evidence was captured (infinite before any).
+    """
+
+    stamp: float
+    direction: np.ndarray
+    azimuth: float
+    elevation: float
+    modes: tuple[Mode, ...]
+    credible_angle: float
+    presence: float
+    distance: float | None
+    status: Status
+    age: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """One evidence in world axes: when, from where, and its coefficients."""
+
+    stamp: float
+    position: np.ndarray | None
+    coefficients: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """A target's belief in world axes, about the place where the body stood at `stamp`."""
+
+    belief: Belief | RangedBelief
+    stamp: float
+    position: np.ndarray | None
+
+
+class DirectionTracker:
+    """Follows any number of targets from stamped poses and stamped evidence.
+
+    Call `rotate` for every pose of the odometry, `observe` for every evidence as it arrives, `estimate` whenever an
+    answer is wanted. Stamps are seconds on one clock. Without any pose the camera is taken to stand still.
+    """
+
+    def __init__(self, config: TrackerConfig | None = None) -> None:
+        self.config = config or TrackerConfig()
+        self._stamps: list[float] = []
+        self._poses: list[tuple[np.ndarray, np.ndarray | None]] = []
+        self._states: dict[str, _State] = {}
+        self._pasts: dict[str, list[tuple[_State | None, _Look]]] = {}
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """The targets that have had evidence."""
+        return tuple(self._states)
+
+    def rotate(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None) -> None:
+        """A pose of the body: orientation ``(3, 3)``, and `position` ``(3,)`` in metres of the world where known.
+
+        Raises `TimeError` if `stamp` lies before the pose before it, `RotationError` for what is no rotation,
+        `PoseError` for a position that is not three finite numbers or that is missing after earlier ones were given.
+        """
+        stamp = _checked_stamp(stamp)
+        if self._stamps and stamp < self._stamps[-1]:
+            raise TimeError(
+                f"pose at t = {stamp:.6f} s came after one at {self._stamps[-1]:.6f} s; time ran backwards. "
+                "Sort the poses, or start a new tracker where the clock was reset"
+            )
+        pose = np.array(to_numpy(check_rotation(world_R_body, "world_R_body")), dtype=np.float64)
+        place = None
+        if position is not None:
+            place = np.array(to_numpy(position), dtype=np.float64)
+            if place.shape != (3,) or not np.isfinite(place).all():
+                raise PoseError(f"position = {place.tolist()}; wanted (x, y, z) in metres of the world frame")
+        elif self._poses and self._poses[-1][1] is not None:
+            raise PoseError(
+                f"the pose at t = {stamp:.6f} s has no position, earlier ones have; repeat the last known position "
+                "if it is lost for a while, or never give one"
+            )
+        if self._stamps and stamp == self._stamps[-1]:
+            self._poses[-1] = (pose, place)
+            return
+        self._stamps.append(stamp)
+        self._poses.append((pose, place))
+        # One pose older than the history stays, so that its whole length can be interpolated.
+        first = max(0, bisect.bisect_right(self._stamps, stamp - self.config.history) - 1)
+        del self._stamps[:first], self._poses[:first]
+
+    def observe(self, evidence: Evidence, target: str = "target") -> None:
+        """Add evidence about `target`, placed by its time of capture; it may be late and out of order.
+
+        Raises `TimeError` without a stamp, or if it is older than the history, and `PoseError` if no pose of that
+        time is known any more.
+        """
+        if evidence.stamp is None:
+            raise TimeError(
+                "the evidence has no time stamp; pass stamp=... (time of capture, seconds) where it is made"
+            )
+        stamp = evidence.stamp
+        if self.config.calibration is not None:
+            evidence = evidence.with_calibration(self.config.calibration)
+        pose, position = self._pose_at(stamp)
+        found = to_numpy(evidence.coefficients(self.config.degree)).astype(np.float64)
+        turned = RealHarmonics(self.config.degree).rotate(found, pose)
+        look = _Look(stamp, position, turned)
+        state = self._states.get(target)
+        if state is None or look.stamp >= state.stamp or not self._linear(state):
+            self._absorb_in_order(target, look)
+        else:  # adding commutes: the late look only has to be forgotten for as long as it was under way
+            faded = look.coefficients * self.config.keep_per_second ** (state.stamp - look.stamp)
+            self._states[target] = replace(state, belief=Belief(state.belief.coefficients + faded))  # type: ignore[union-attr]
+
+    def estimate(self, now: float, target: str = "target") -> Estimate:
+        """The answer at time `now`, in the body frame of that time (the last known pose is held beyond its stamp).
+
+        Raises `TimeError` if `now` lies before the newest evidence. A target without evidence is `searching`, forward.
+        """
+        pose, _ = self._pose_at(_checked_stamp(now))
+        state = self._advanced(target, now)
+        belief = state.belief
+        if self.config.decode == "mean":
+            world = (
+                belief.mean_direction() if isinstance(belief, Belief) else belief.direction_belief().mean_direction()
+            )
+        else:
+            world = belief.mode()
+        found, weights = belief.modes(5)
+        age = now - self._states[target].stamp if target in self._states else math.inf
+        direction = world @ pose  # pose.T @ world
+        azimuth, elevation = azimuth_elevation(direction)
+        return Estimate(
+            stamp=now,
+            direction=direction,
+            azimuth=float(azimuth),
+            elevation=float(elevation),
+            modes=tuple(_mode(d @ pose, w) for d, w in zip(found, weights, strict=True)),
+            credible_angle=belief.credible_angle(0.9),
+            presence=belief.presence(),
+            distance=belief.distance() if isinstance(belief, RangedBelief) else None,
+            status=self._status(belief, weights, age),
+            age=age,
+        )
+
+    def belief(self, now: float, target: str = "target") -> Belief:
+        """The belief over directions at time `now`, in the body frame of that time."""
+        pose, _ = self._pose_at(_checked_stamp(now))
+        belief = self._advanced(target, now).belief
+        return (belief if isinstance(belief, Belief) else belief.direction_belief()).predict(pose.T)
+
+    def _status(self, belief: Belief | RangedBelief, weights: np.ndarray, age: float) -> Status:
+        gain = float(belief.log_density(belief.mode()[None])[0]) + math.log(4 * math.pi)
+        if math.isinf(age) or gain < self.config.found_at:
+            return "stale" if age > self.config.stale_after and not math.isinf(age) else "searching"
+        if age > self.config.stale_after:
+            return "stale"
+        return "ambiguous" if float(weights.max()) < self.config.ambiguous_below else "tracking"
+
+    def _linear(self, state: _State) -> bool:
+        """Whether everything that happens to this belief commutes with adding evidence."""
+        return isinstance(state.belief, Belief) and self.config.diffusion == 0
+
+    def _absorb_in_order(self, target: str, look: _Look) -> None:
+        """Add a look; where order matters and later ones came first, go back and replay them."""
+        past = self._pasts.setdefault(target, [])
+        state = self._states.get(target)
+        keep = state is None or not self._linear(state)
+        if state is None or look.stamp >= state.stamp:
+            self._states[target] = self._added(state, look)
+            if keep:
+                past.append((state, look))
+        else:
+            if look.stamp < past[0][1].stamp and past[0][0] is not None:
+                raise TimeError(
+                    f"evidence of t = {look.stamp:.3f} s is older than the history, which starts at "
+                    f"{past[0][1].stamp:.3f} s; raise TrackerConfig.history (now {self.config.history:g} s) or drop it"
+                )
+            place = bisect.bisect_right([other.stamp for _, other in past], look.stamp)
+            state = past[place][0]
+            later = [other for _, other in past[place:]]
+            del past[place:]
+            for other in [look, *later]:
+                past.append((state, other))
+                state = self._added(state, other)
+            self._states[target] = state  # type: ignore[assignment]
+        newest = self._states[target].stamp
+        del past[: sum(other.stamp < newest - self.config.history for _, other in past)]
+
+    def _added(self, state: _State | None, look: _Look) -> _State:
+        """The state after one look."""
+        if state is None:
+            state = _State(self._blank(look.position), look.stamp, look.position)
+        else:
+            state = self._moved(state, look.stamp, look.position)
+        belief = state.belief
+        if isinstance(belief, RangedBelief):
+            belief = replace(belief, shells=belief.shells + look.coefficients)
+        else:
+            belief = Belief(belief.coefficients + look.coefficients)
+        return _State(belief, look.stamp, state.position)
+
+    def _blank(self, position: np.ndarray | None) -> Belief | RangedBelief:
+        if position is None or self.config.ranges is None:
+            return Belief.uniform(self.config.degree)
+        return RangedBelief.uniform(self.config.degree, np.asarray(self.config.ranges))
+
+    def _moved(self, state: _State, stamp: float, position: np.ndarray | None) -> _State:
+        """The state carried to a later time and another place: parallax, forgetting, diffusion."""
+        belief, elapsed = state.belief, stamp - state.stamp
+        if isinstance(belief, RangedBelief) and position is not None and state.position is not None:
+            belief = belief.predict(np.eye(3), position - state.position)
+        if self.config.keep_per_second < 1:
+            belief = belief.forget(self.config.keep_per_second**elapsed)
+        if self.config.diffusion > 0:
+            belief = belief.diffuse(self.config.diffusion * math.sqrt(elapsed))
+        return _State(belief, stamp, position if position is not None else state.position)
+
+    def _advanced(self, target: str, now: float) -> _State:
+        state = self._states.get(target)
+        _, position = self._pose_at(now)
+        if state is None:
+            return _State(self._blank(position), now, position)
+        if now < state.stamp:
+            raise TimeError(
+                f"asked for t = {now:.6f} s, but evidence up to {state.stamp:.6f} s is already in; "
+                "ask for that time or later"
+            )
+        return self._moved(state, now, position)
+
+    def _pose_at(self, stamp: float) -> tuple[np.ndarray, np.ndarray | None]:
+        """Pose at a time: interpolated between its neighbours, the last one held beyond its stamp."""
+        if not self._stamps:
+            return np.eye(3), None
+        after = bisect.bisect_left(self._stamps, stamp)
+        if after == len(self._stamps):
+            return self._poses[-1]
+        if self._stamps[after] == stamp:
+            return self._poses[after]
+        if after == 0:
+            raise PoseError(
+                f"no pose for t = {stamp:.6f} s: poses are known from {self._stamps[0]:.6f} s on. Feed rotate() before "
+                f"observe(), or raise TrackerConfig.history (now {self.config.history:g} s)"
+            )
+        start, end = self._stamps[after - 1], self._stamps[after]
+        (pose_a, place_a), (pose_b, place_b) = self._poses[after - 1], self._poses[after]
+        fraction = (stamp - start) / (end - start)
+        place = None if place_a is None or place_b is None else place_a + fraction * (place_b - place_a)
+        return interpolate_rotation(pose_a, pose_b, fraction), place
+
+
+def _mode(direction: np.ndarray, weight: float) -> Mode:
+    azimuth, elevation = azimuth_elevation(direction)
+    return Mode(direction, float(azimuth), float(elevation), float(weight))
+
+
+def _checked_stamp(stamp: float) -> float:
+    stamp = float(stamp)
+    if not math.isfinite(stamp):
+        raise TimeError(f"stamp = {stamp!r}; wanted seconds, a finite number")
+    return stamp

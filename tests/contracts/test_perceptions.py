@@ -1,0 +1,572 @@
+"""Every perception keeps the contract; what people write wrong is refused with a text that helps."""
+
+import contextlib
+import io
+import json
+import math
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import eagor.perception as perception_module
+from eagor.errors import EagorError, FormatError, ImageError, QueryError, ResponseError, TimeError
+from eagor.evidence import Calibration, Evidence
+from eagor.grids import PatchGrid, PerspectiveGrid
+from eagor.perception import Perception, check_perception, known, load
+from eagor.perception.colour import COLOURS, SYNONYMS, ColourPerception, parse_colour
+from eagor.perception.replay import ReplayPerception, parse_record, read_records, write_record
+from eagor.sphere import angular_distance, azimuth_elevation, direction
+from eagor.worlds.painted import BALL_COLOURS, Ball, painted_room
+from eagor.worlds.panorama import read_panorama
+
+SHARED = Path(__file__).parents[2] / ".." / "shared"
+LYTHWOOD = SHARED / "panoramas" / "lythwood_room_1k.png"
+ANNOTATION = SHARED / "bench_samples" / "hstar_mini" / "hos_bench" / "lythwood_room" / "annotation.json"
+BRIGHT = [name for name in BALL_COLOURS if name not in ("white", "black")]  # the room itself has white in it
+PANORAMA = {"width": 1024, "height": 512}
+
+
+def strongest(evidence: Evidence) -> np.ndarray:
+    """The direction of the cell with the highest response."""
+    return evidence.grid.directions.reshape(-1, 3)[int(np.argmax(evidence.response))]
+
+
+def mean_response(response: np.ndarray, azimuth_deg: tuple, elevation_deg: tuple) -> float:
+    """Mean over the cells between two azimuths and two elevations (degrees, no wrap)."""
+    azimuth, elevation = (np.degrees(a) for a in azimuth_elevation(PatchGrid(*response.shape).directions))
+    inside = (azimuth > min(azimuth_deg)) & (azimuth < max(azimuth_deg))
+    inside &= (elevation > min(elevation_deg)) & (elevation < max(elevation_deg))
+    return float(response[inside].mean())
+
+
+@pytest.fixture
+def replay_file(tmp_path):
+    """One record of each kind, a second apart."""
+    path = tmp_path / "looks.jsonl"
+    with path.open("w") as file:
+        write_record(file, 3.0, query="chair", response=np.eye(4, 8) / 2)
+        write_record(file, 1.0, image=PANORAMA, boxes=[{"box": [256, 200, 300, 260], "score": 0.9, "label": "chair"}])
+        write_record(file, 2.0, points=[{"azimuth_deg": 90, "elevation_deg": 10, "spread_deg": 5, "score": 0.8}])
+        write_record(file, 4.0, image=PANORAMA, boxes=[])
+    return path
+
+
+# --- the contract ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("query", ["red", "the light blue ball", "dark grey", "white"])
+def test_colour_keeps_the_contract(query):
+    check_perception(ColourPerception(), painted_room(64, 128), query, roll=37)
+
+
+@pytest.mark.parametrize("shape", [(600, 1200), (300, 512), (3, 5), (1, 1)])
+def test_colour_keeps_the_contract_at_any_size(shape):
+    panorama = np.random.default_rng(0).integers(0, 256, (*shape, 3), dtype=np.uint8)
+    check_perception(ColourPerception(), panorama, "blue")
+
+
+def test_colour_averages_large_panoramas_and_rolls_with_them():
+    check_perception(ColourPerception(rows=32), painted_room(128, 256), "red", roll=4 * 13)
+    assert ColourPerception(rows=32)(painted_room(128, 256), "red").grid == PatchGrid(32, 64)
+
+
+@pytest.mark.parametrize("stamp", [1.0, 2.0, 3.0, 4.0])
+def test_replay_keeps_the_contract(replay_file, stamp):
+    check_perception(ReplayPerception(replay_file), painted_room(32, 64), "chair", stamp=stamp)
+
+
+@pytest.mark.parametrize(
+    ("fault", "says"),
+    [
+        (lambda p, q, stamp: 3, "wanted eagor.Evidence"),
+        (lambda p, q, stamp: Evidence.from_response(np.zeros((4, 8)), PatchGrid(4, 8)), "stamp"),
+        (lambda p, q, stamp: (p.fill(0), ColourPerception()(p, q, stamp=stamp))[1], "changed the panorama"),
+        (lambda p, q, stamp: Evidence.from_response(np.eye(4, 8), PatchGrid(4, 8), stamp=stamp), "roll"),
+    ],
+)
+def test_the_checker_finds_faults(fault, says):
+    with pytest.raises(AssertionError, match=says):
+        check_perception(lambda p, q, *, stamp=None: fault(p, q, stamp), painted_room(32, 64), "red", roll=8)
+
+
+def test_the_checker_wants_a_roll_that_the_response_can_follow():
+    with pytest.raises(AssertionError, match="another roll"):
+        check_perception(ColourPerception(rows=8), painted_room(32, 64), "red", roll=3)
+
+
+# --- load ------------------------------------------------------------------------------------------------------------
+
+
+def test_load_makes_the_built_in_ones(replay_file):
+    assert isinstance(load("colour"), ColourPerception)
+    assert load("colour", rows=64).rows == 64
+    replay = load(f"replay:{replay_file}", tolerance=0.2)
+    assert isinstance(replay, ReplayPerception)
+    assert isinstance(replay, Perception)
+    assert replay.tolerance == 0.2
+    assert {"colour", "replay"} <= set(known())
+
+
+def test_load_makes_installed_ones(monkeypatch):
+    points = [
+        EntryPoint("upside", "eagor.perception.colour:ColourPerception", "eagor.perceptions"),
+        EntryPoint("broken", "eagor.no_such_module:Thing", "eagor.perceptions"),
+    ]
+    monkeypatch.setattr(perception_module, "entry_points", lambda group: points)
+    assert isinstance(load("upside"), ColourPerception)
+    with pytest.raises(EagorError, match=r"'broken'.*cannot be imported"):
+        load("broken")
+    with pytest.raises(QueryError, match="broken, colour, replay, upside"):
+        load("nonsense:1")
+
+
+@pytest.mark.parametrize("spec", ["", ":", "color-blind", "Replay"])
+def test_load_lists_what_it_knows(spec):
+    with pytest.raises(QueryError, match=r"known are .*colour.*replay"):
+        load(spec)
+
+
+def test_load_refuses_arguments_that_do_not_fit():
+    with pytest.raises(EagorError, match="calibration"):
+        load("colour:red")
+    with pytest.raises(EagorError, match="path"):
+        load("replay")
+    with pytest.raises(EagorError, match="shade"):
+        load("colour", shade=3)
+
+
+# --- colour ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", BRIGHT)
+def test_a_ball_of_each_colour_is_found_and_no_other(name):
+    balls = (Ball((2.0, 0.6, 1.0), 0.35, name),)
+    response = ColourPerception().respond(painted_room(128, 256, balls), name)
+    azimuth, elevation = azimuth_elevation(np.array([2.0, 0.6, -0.3]))
+    angle = angular_distance(PatchGrid(*response.shape).directions, direction(azimuth, elevation))
+    assert response[angle < math.radians(5)].mean() > 0.85
+    assert response[angle > math.radians(13)].max() < 0.05
+    for other in set(BRIGHT) - {name}:
+        assert ColourPerception().respond(painted_room(128, 256, balls), other).mean() < 5e-4, other
+
+
+@pytest.mark.parametrize(
+    ("query", "rgb"),
+    [
+        ("the red chair", (255, 0, 0)),
+        ("RED", (110, 15, 20)),
+        ("dark red", (90, 10, 15)),
+        ("a maroon rug", (100, 10, 20)),
+        ("grey", (128, 128, 128)),
+        ("gray", (128, 128, 128)),
+        ("dark gray sofa", (70, 70, 72)),
+        ("light grey", (205, 205, 205)),
+        ("white", (250, 250, 250)),
+        ("black", (10, 10, 12)),
+        ("the blue ball on the red table", (0, 0, 255)),
+        ("navy", (0, 0, 110)),
+        ("light-blue", (173, 216, 230)),
+        ("green", (0, 255, 0)),
+        ("dark green armchair", (10, 60, 40)),
+        ("yellow", (255, 220, 0)),
+        ("orange", (255, 140, 0)),
+        ("turquoise", (64, 224, 208)),
+        ("purple", (128, 0, 128)),
+        ("violet", (148, 0, 211)),
+        ("pink", (255, 182, 193)),
+        ("hot pink", (255, 105, 180)),
+        ("brown", (120, 75, 45)),
+        ("beige", (225, 210, 180)),
+    ],
+)
+def test_colour_words_mean_what_people_mean(query, rgb):
+    plain = np.full((4, 8, 3), rgb, dtype=np.uint8)
+    assert ColourPerception().respond(plain, query).min() > 0.8
+    assert ColourPerception().respond(plain / 255.0, query).min() > 0.8
+
+
+@pytest.mark.parametrize(
+    ("query", "rgb"),
+    [
+        ("red", (255, 182, 193)),  # pink
+        ("red", (205, 175, 140)),  # a warm wall
+        ("red", (120, 75, 45)),  # wood
+        ("red", (128, 128, 128)),
+        ("red", (6, 3, 3)),  # noise in the dark
+        ("light red", (110, 15, 20)),
+        ("dark blue", (120, 160, 255)),
+        ("blue", (128, 0, 128)),
+        ("purple", (0, 0, 255)),
+        ("yellow", (255, 140, 0)),
+        ("white", (128, 128, 128)),
+        ("grey", (130, 130, 190)),
+        ("black", (60, 60, 60)),
+    ],
+)
+def test_colour_words_do_not_mean_what_people_do_not(query, rgb):
+    assert ColourPerception().respond(np.full((4, 8, 3), rgb, dtype=np.uint8), query).max() < 0.05
+
+
+def test_shading_does_not_change_a_hue():
+    shades = (np.linspace(0.25, 1.0, 32)[:, None, None] * np.array([200, 30, 35])).round().astype(np.uint8)
+    assert ColourPerception().respond(np.repeat(shades, 16, axis=1), "red").min() > 0.9
+
+
+def test_single_pixels_do_not_count_but_small_things_do():
+    panorama = np.full((64, 128, 3), 180, dtype=np.uint8)
+    panorama[20, 40] = panorama[30, 90] = (220, 0, 0)
+    assert ColourPerception().respond(panorama, "red").max() == 0
+    panorama[20:22, 127], panorama[20:22, 0] = (220, 0, 0), (220, 0, 0)  # two by two, across the seam
+    assert ColourPerception().respond(panorama, "red")[20:22, [0, 127]].min() > 0.9
+
+
+def test_nothing_of_the_colour_is_a_look_that_saw_nothing():
+    evidence = ColourPerception(calibration=Calibration(0.1, 0.05))(np.full((8, 16, 3), 180, np.uint8), "red", stamp=2)
+    assert np.asarray(evidence.response).max() == pytest.approx(0, abs=1e-6)
+    assert evidence.stamp == 2
+
+
+@pytest.mark.parametrize("query", ["", "the chair", "redwood", "rot", None, 7])
+def test_a_query_without_a_colour_lists_the_known_ones(query):
+    with pytest.raises(QueryError, match=r"red.*turquoise"):
+        ColourPerception()(painted_room(8, 16), query)
+
+
+def test_every_colour_word_is_understood():
+    for word in [*COLOURS, *SYNONYMS]:
+        for shade in ("", "dark ", "light "):
+            parse_colour(f"a {shade}{word} thing")
+
+
+@pytest.mark.parametrize(
+    "panorama",
+    [
+        np.zeros((8, 16), np.uint8),
+        np.zeros((8, 16, 4), np.uint8),
+        np.zeros((0, 16, 3), np.uint8),
+        np.zeros((8, 16, 3), np.int32),
+        np.full((8, 16, 3), 1.5),
+        np.full((8, 16, 3), np.nan),
+        np.full((8, 16, 3), -0.1),
+        None,
+    ],
+)
+def test_a_panorama_of_another_kind_is_an_image_error(panorama):
+    with pytest.raises(ImageError, match="panorama"):
+        ColourPerception()(panorama, "red")
+
+
+@pytest.mark.skipif(not LYTHWOOD.exists(), reason="the shared photographs are not here")
+def test_red_in_the_bedroom_photograph():
+    panorama = read_panorama(LYTHWOOD)
+    response = ColourPerception().respond(panorama, "red")
+    item = next(i for i in json.loads(ANNOTATION.read_text()) if "red footstool" in i["task"])
+    yaw = [y - 360 for y in item["yaw"]]  # degrees to the right of the middle, so the azimuth is minus that
+    middle, half = -(yaw[0] + yaw[1]) / 2, (yaw[1] - yaw[0]) / 4
+    assert mean_response(response, (middle - half, middle + half), (-36, -29)) > 0.8  # the middle of the footstool
+    red = {
+        "bed skirt": ((165, 125), (-48, -43)),
+        "bed skirt behind": ((-172, -179), (-39, -34)),
+        "pillow": ((146, 137), (-10.5, -7.5)),
+        "cushion by the window": ((-26, -29), (-38, -28)),
+        "cushion by the fire": ((-125, -129), (-40, -32)),
+    }
+    for name, (azimuth, elevation) in red.items():
+        assert mean_response(response, azimuth, elevation) > 0.6, name
+    other = {
+        "ceiling": ((-180, 180), (30, 90)),
+        "floor": ((-180, 180), (-90, -60)),
+        "lamp-lit wall": ((52, 43), (-2, 25)),
+        "wardrobe": ((35, 5), (-30, 40)),
+        "bed": ((165, 128), (-35, -15)),
+        "carpet": ((110, 70), (-50, -40)),
+    }
+    for name, (azimuth, elevation) in other.items():
+        assert mean_response(response, azimuth, elevation) < 0.05, name
+    assert response.mean() < 0.03
+
+
+@pytest.mark.skipif(not LYTHWOOD.exists(), reason="the shared photographs are not here")
+def test_green_armchairs_in_the_lounge_photograph():
+    panorama = read_panorama(LYTHWOOD.with_name("anniversary_lounge_1k.png"))
+    response = ColourPerception().respond(panorama, "the dark green armchair")
+    assert mean_response(response, (90, 50), (-60, -48)) > 0.9
+    assert mean_response(response, (-100, -150), (-25, -11)) > 0.6
+    assert mean_response(response, (-180, 180), (20, 90)) < 0.01
+
+
+# --- replay ----------------------------------------------------------------------------------------------------------
+
+
+def test_records_are_sorted_and_the_nearest_answers(replay_file):
+    replay = ReplayPerception(replay_file, tolerance=0.3)
+    assert [r.stamp for r in replay.records] == [1, 2, 3, 4]
+    assert [r.kind for r in replay.records] == ["boxes", "points", "response", "boxes"]
+    evidence = replay(None, "the chair", stamp=1.2)
+    assert evidence.stamp == 1.0  # when the picture was taken, not when we asked
+    assert np.degrees(azimuth_elevation(strongest(evidence))) == pytest.approx((82.3, 9.1), abs=1.5)
+    assert np.degrees(azimuth_elevation(strongest(replay(None, "chair", stamp=2)))) == pytest.approx((90, 10), abs=1.5)
+    assert np.asarray(replay(None, "Chair", stamp=3).response) == pytest.approx(np.eye(4, 8) / 2, abs=1e-6)
+    assert np.asarray(replay(None, "chair", stamp=4).response).max() == pytest.approx(0, abs=1e-6)
+
+
+def test_no_record_near_enough_names_the_nearest(replay_file):
+    replay = ReplayPerception(replay_file)
+    with pytest.raises(TimeError, match=r"nearest is at 3\.000000 \(-0\.400000 s\)"):
+        replay(None, "chair", stamp=3.4)
+    with pytest.raises(TimeError, match=r"nearest is at 2\.000000"):
+        replay(None, "sofa", stamp=3.0)  # the record at 3 is about chairs
+    for stamp in (None, math.nan, math.inf):
+        with pytest.raises(TimeError, match="stamp"):
+            replay(None, "chair", stamp=stamp)
+
+
+def test_a_query_that_the_file_is_not_about(tmp_path):
+    path = tmp_path / "one.jsonl"
+    path.write_text('{"stamp": 0, "query": "the red chair", "boxes": [], "image": {"width": 4, "height": 2}}\n')
+    with pytest.raises(QueryError, match="the red chair"):
+        ReplayPerception(path)(None, "the sofa", stamp=0)
+    with pytest.raises(QueryError, match="wanted words"):
+        ReplayPerception(path)(None, None, stamp=0)
+    assert ReplayPerception(path)(None, "The  red chair", stamp=0).stamp == 0
+
+
+@pytest.mark.parametrize(
+    ("label", "query", "counts"),
+    [
+        ("chair", "the red chair", True),
+        ("Red Chair", "the red chair", True),
+        ("armchair", "the red chair", False),
+        ("red sofa", "the red chair", False),
+        ("chair", "Chair!", True),
+        (None, "the red chair", True),
+    ],
+)
+def test_labels_are_matched_by_their_words(label, query, counts):
+    line = json.dumps({"stamp": 0, "image": PANORAMA, "boxes": [{"box": [500, 250, 520, 260], "label": label}]})
+    assert (np.asarray(parse_record(line).evidence(query).response).max() > 0.5) == counts
+
+
+def test_labels_do_not_matter_where_the_line_has_a_query():
+    line = json.dumps(
+        {"stamp": 0, "query": "seat", "points": [{"azimuth_deg": 0, "elevation_deg": 0, "label": "chair"}]}
+    )
+    assert np.asarray(parse_record(line).evidence("seat").response).max() > 0.9
+
+
+def test_a_box_across_the_seam():
+    for box in ([1014, 251, 10, 261], [1014, 251, 1034, 261], [-10, 251, 10, 261]):
+        line = json.dumps({"stamp": 0, "image": PANORAMA, "boxes": [{"box": box}]})
+        assert strongest(parse_record(line).evidence("x")) == pytest.approx([-1, 0, 0], abs=0.05)
+
+
+@pytest.mark.parametrize("kind", ["boxes", "points", "response"])
+def test_a_perspective_image_points_where_it_says_and_is_silent_elsewhere(kind):
+    image = {"projection": "perspective", "width": 640, "height": 480, "hfov_deg": 60}
+    image |= {"yaw_left_deg": 70, "pitch_up_deg": 20}
+    entry = {"stamp": 0, "image": image}
+    if kind == "boxes":
+        entry["boxes"] = [{"box": [300, 220, 340, 260]}]
+    elif kind == "points":
+        entry["points"] = [{"azimuth_deg": 70, "elevation_deg": 20}]
+    else:
+        entry["response"] = {"rows": 3, "cols": 5, "values": [0] * 7 + [1] + [0] * 7}
+    evidence = parse_record(json.dumps(entry)).evidence("x")
+    assert isinstance(evidence.grid, PerspectiveGrid)
+    assert np.degrees(azimuth_elevation(strongest(evidence))) == pytest.approx((70, 20), abs=1.5)
+    assert np.isfinite(np.asarray(evidence.coefficients(7))).all()
+
+
+def test_views_of_one_moment_are_told_apart(tmp_path):
+    path = tmp_path / "views.jsonl"
+    with path.open("w") as file:
+        for yaw in (0, 90, 180, 270):
+            image = {"projection": "perspective", "width": 8, "height": 8, "hfov_deg": 90, "yaw_left_deg": yaw}
+            write_record(file, 5.0, image=image, boxes=[])
+    replay = ReplayPerception(path)
+    assert len(replay.near("x", 5.01)) == 4
+    with pytest.raises(FormatError, match=r"4 records.*near\(query, stamp\)"):
+        replay(None, "x", stamp=5.0)
+
+
+def line(**changes) -> str:
+    """A good line with some keys changed."""
+    return json.dumps({"stamp": 1.0, "image": PANORAMA, "boxes": [{"box": [1, 2, 30, 40], "score": 0.5}]} | changes)
+
+
+BAD_LINES = [
+    ("[1, 2]", "the line is .*wanted one JSON object"),
+    ("{", "is not JSON"),
+    ("{'stamp': 1}", "is not JSON"),
+    ("[" * 5000, "is not JSON"),
+    ('{"stamp": NaN, "boxes": []}', "NaN is not a JSON number"),
+    ('{"stamp": 1e999, "boxes": []}', "stamp is inf; wanted a finite number"),
+    (line(stamp=None), "stamp is missing"),
+    (line(stamp="12:00"), "stamp is '12:00'; wanted a finite number"),
+    (line(stamp=True), "stamp is True"),
+    (line(query=""), "query is ''; wanted words"),
+    (line(query=5), "query is 5; wanted words"),
+    (line(points=[]), "has boxes and points of"),
+    ('{"stamp": 1}', "has none of boxes, points, response; wanted exactly one"),
+    (line(image="a.png"), "image is 'a.png'"),
+    (line(image={}), "height is missing; wanted a whole number"),
+    (line(image={"width": 0, "height": 4}), "width"),
+    (line(image={"width": 10.5, "height": 4}), "width is 10.5; wanted a whole number"),
+    (line(image=PANORAMA | {"projection": "cubemap"}), "projection is 'cubemap'"),
+    (line(image=PANORAMA | {"projection": "perspective"}), "hfov_deg is missing"),
+    (line(image=PANORAMA | {"projection": "perspective", "hfov_deg": 180}), "hfov_deg is 180"),
+    (line(boxes={}), r"boxes is \{\}; wanted a list of objects"),
+    (line(boxes=[[1, 2, 3, 4]]), "wanted a list of objects"),
+    (line(boxes=[{"score": 1}]), r"box is missing; wanted \[x0, y0, x1, y1\]"),
+    (line(boxes=[{"box": [1, 2, 3]}]), r"box is \[1, 2, 3\]"),
+    (line(boxes=[{"box": [1, 2, 3, "4"]}]), "box is"),
+    (line(boxes=[{"box": [1, 40, 30, 2]}]), "box is"),
+    (line(boxes=[{"box": [1, 600, 30, 700]}]), "1024 x 512 image"),
+    (line(boxes=[{"box": [0, 2, 2000, 40]}]), "1024 x 512 image"),
+    (line(boxes=[{"box": [1, 2, 30, 40], "score": 1.5}]), "score is 1.5; wanted a number from 0 to 1"),
+    (line(boxes=[{"box": [1, 2, 30, 40], "score": -0.1}]), "score is -0.1"),
+    (line(boxes=[{"box": [1, 2, 30, 40], "label": 3}]), "label is"),
+    (line(boxes=None, points=[{"azimuth_deg": 3}]), "elevation_deg is missing"),
+    (line(boxes=None, points=[{"azimuth_deg": 3, "elevation_deg": 95}]), "elevation_deg is 95"),
+    (line(boxes=None, points=[{"azimuth_deg": 3, "elevation_deg": 5, "spread_deg": 0}]), "spread_deg is 0"),
+    (line(boxes=None, response=[0, 1]), "response is"),
+    (line(boxes=None, response={"rows": 2, "cols": 2, "values": [0, 1, 1]}), "values is '3 values'; wanted .* = 4"),
+    (
+        line(boxes=None, response={"rows": 1, "cols": 2, "values": [0, 2]}),
+        r"values is \[2\]; wanted numbers in \[0, 1\]",
+    ),
+    (line(boxes=None, response={"rows": 10**9, "cols": 1, "values": []}), "rows is 1000000000"),
+    (line(image={"width": 1, "height": 99, "projection": "perspective", "hfov_deg": 9}), "sides up to"),
+]
+
+
+@pytest.mark.parametrize(("bad", "says"), BAD_LINES)
+def test_a_bad_line_is_named_with_its_number(tmp_path, bad, says):
+    path = tmp_path / "looks.jsonl"
+    path.write_text(line() + "\n\n" + bad + "\n" + line() + "\n")
+    with pytest.raises(FormatError, match=rf"looks\.jsonl, line 3: .*{says}"):
+        ReplayPerception(path)
+
+
+def test_a_torn_last_line_is_told_apart(tmp_path):
+    path = tmp_path / "looks.jsonl"
+    path.write_text(line() + "\n" + line()[:-20])
+    with pytest.raises(FormatError, match=r"line 2: is not JSON.*writer was probably cut off"):
+        read_records(path)
+    path.write_text(line() + "\n" + line())  # a last line without its newline is whole
+    assert len(read_records(path)) == 2
+
+
+@pytest.mark.parametrize("content", [b"", b"\n \n", b"\xff\xfe{}", b"\x00", b"\x89PNG\r\n\x1a\n"])
+def test_a_file_of_another_kind_is_a_format_error(tmp_path, content):
+    path = tmp_path / "other.jsonl"
+    path.write_bytes(content)
+    with pytest.raises(FormatError, match=r"other\.jsonl"):
+        read_records(path)
+
+
+def test_a_missing_file_and_a_bad_tolerance(tmp_path, replay_file):
+    for path in (tmp_path / "no.jsonl", tmp_path, "a\0b"):
+        with pytest.raises(FormatError, match="cannot be read"):
+            read_records(path)
+    for tolerance in (-1.0, math.nan):
+        with pytest.raises(TimeError, match="tolerance"):
+            ReplayPerception(replay_file, tolerance=tolerance)
+
+
+def test_windows_line_ends_and_a_byte_order_mark_are_fine(tmp_path):
+    path = tmp_path / "looks.jsonl"
+    path.write_bytes(b"\xef\xbb\xbf" + (line() + "\r\n" + line(stamp=2) + "\r\n").encode())
+    assert [r.stamp for r in read_records(path)] == [1, 2]
+
+
+def test_writing_checks_first():
+    file = io.StringIO()
+    for wrong in (
+        {},
+        {"boxes": [{"box": [0, 0, 1, 1]}]},
+        {"response": np.full((2, 4), 2.0)},
+        {"response": np.zeros(4)},
+    ):
+        with pytest.raises(FormatError):
+            write_record(file, 1.0, **wrong)
+    with pytest.raises(FormatError):
+        write_record(file, math.nan, points=[])
+    with pytest.raises(FormatError, match="cannot be written"):
+        write_record(file, 1.0, points=[{"azimuth_deg": object()}])
+    assert file.getvalue() == ""
+    write_record(file, np.float64(1), query="chair", points=[{"azimuth_deg": np.float32(10), "elevation_deg": 0}])
+    assert parse_record(file.getvalue()).values == pytest.approx(np.radians([[10, 0, 5]]))
+
+
+SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
+JSON = st.recursive(
+    SCALARS,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=8,
+)
+COORDINATES = st.lists(st.integers(-50, 1100) | st.floats(-50, 1100), min_size=4, max_size=4)
+ITEM = st.fixed_dictionaries(
+    {},
+    optional={
+        "box": COORDINATES | JSON,
+        "azimuth_deg": st.floats(-400, 400) | JSON,
+        "elevation_deg": st.floats(-95, 95) | JSON,
+        "spread_deg": st.floats(0, 200) | JSON,
+        "score": st.floats(-0.1, 1.1) | JSON,
+        "label": st.text(max_size=6) | JSON,
+    },
+)
+IMAGE = st.fixed_dictionaries(
+    {},
+    optional={
+        "width": st.integers(0, 2000) | JSON,
+        "height": st.integers(0, 2000) | JSON,
+        "projection": st.sampled_from(["equirectangular", "perspective"]) | JSON,
+        "hfov_deg": st.floats(0, 180) | JSON,
+        "yaw_left_deg": st.floats(-400, 400) | JSON,
+        "pitch_up_deg": st.floats(-100, 100) | JSON,
+    },
+)
+VALUES = st.lists(st.floats(0, 1) | st.floats(), min_size=1, max_size=6)
+RESPONSE = VALUES.map(lambda v: {"rows": 1, "cols": len(v), "values": v}) | JSON
+ENTRY = st.fixed_dictionaries(
+    {"stamp": st.floats(-10, 10) | JSON},
+    optional={
+        "query": st.text(max_size=8) | JSON,
+        "image": IMAGE | JSON,
+        "boxes": st.lists(ITEM, max_size=3) | JSON,
+        "points": st.lists(ITEM, max_size=3) | JSON,
+        "response": RESPONSE,
+    },
+)
+
+
+@given(ENTRY)
+@settings(max_examples=400, deadline=None)
+def test_only_our_errors_escape_from_any_entry(entry):
+    try:
+        record = parse_record(json.dumps(entry))
+        evidence = record.evidence("the red chair")
+    except EagorError:
+        return
+    assert np.isfinite(np.asarray(evidence.log_ratio)).all()
+
+
+@given(st.binary(max_size=60) | st.text(max_size=60).map(str.encode), st.integers(0, 200))
+@settings(max_examples=200, deadline=None)
+def test_only_our_errors_escape_from_any_bytes(junk, place):
+    good = line().encode()
+    with pytest.raises(FormatError):  # junk as a line is no record
+        parse_record(junk)
+    with contextlib.suppress(EagorError):
+        parse_record(good[:place] + junk + good[place:])
+
+
+def test_a_box_around_everything_names_no_direction():
+    with pytest.raises(ResponseError, match="whole sphere"):
+        parse_record(line(boxes=[{"box": [0, 0, 1024, 512]}])).evidence("x")

@@ -1,0 +1,254 @@
+"""Looking around in one picture: which way things move when the camera turns, and what a view shows."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from eagor.errors import EagorError, ImageError, PoseError, RotationError
+from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
+from eagor.sphere import angular_distance, azimuth_elevation, direction, rotation, world_R_body
+from eagor.worlds.painted import BALL_COLOURS, EYE, Ball, Room, bearing, paint, painted_room
+from eagor.worlds.panorama import read_panorama, turn, view
+
+LEFT = (0, 0, 1)  # turning about this axis turns to the left
+ANGLES = st.floats(-math.pi, math.pi)
+
+
+def smooth_picture(height=96, width=192):
+    """Low-order polynomials of the direction, one per channel, without any symmetry; uint8."""
+    x, y, z = np.moveaxis(ErpGrid(height, width).directions, -1, 0)
+    channels = [x + 0.5 * y * z, y - 0.4 * x * z + 0.2 * z, z + 0.6 * x * y]
+    return np.rint(127 + 80 * np.stack(channels, axis=-1)).astype(np.uint8)
+
+
+def blob(azimuth, elevation, height=180, width=360):
+    """A picture (H, W), float64, with one bright spot of 4 degrees at the given direction."""
+    angle = angular_distance(ErpGrid(height, width).directions, direction(azimuth, elevation))
+    return np.exp(-0.5 * (angle / math.radians(4)) ** 2)
+
+
+def brightest(picture, grid):
+    """The mean direction of what is bright."""
+    weight = np.where(picture > 0.3 * picture.max(), picture, 0) * grid.weights
+    return np.einsum("ij,ijk->k", weight, grid.directions)
+
+
+@pytest.mark.parametrize("columns", [1, 37, -50, 96])
+def test_a_turn_to_the_left_by_whole_columns_rolls_the_picture_to_the_right(columns):
+    picture = np.random.default_rng(1).integers(0, 256, (48, 192, 3), dtype=np.uint8)
+    yaw = columns * 2 * math.pi / 192
+    new_R_old = (world_R_body(yaw)).T @ world_R_body(0)  # what was at azimuth a is now at a - yaw
+    assert np.array_equal(turn(picture, new_R_old), np.roll(picture, columns, axis=1))
+
+
+def test_no_turn_changes_nothing_and_types_are_kept():
+    for picture in (smooth_picture(), smooth_picture()[..., 0], smooth_picture() / 255.0, np.float32(blob(1, 0))):
+        turned = turn(picture, np.eye(3))
+        assert turned.dtype == picture.dtype
+        assert turned.shape == picture.shape
+        assert np.allclose(turned, picture, atol=1e-6)
+
+
+@given(ANGLES, ANGLES, ANGLES)
+@settings(max_examples=20, deadline=None)
+def test_turning_there_and_back_returns(yaw, pitch, roll):
+    picture, new_R_old = smooth_picture(), world_R_body(yaw, pitch, roll).T
+    back = turn(turn(picture, new_R_old), new_R_old.T)
+    assert np.abs(back.astype(int) - picture).max() <= 3
+
+
+@given(ANGLES, st.floats(-1.5, 1.5), ANGLES, ANGLES, ANGLES)
+@settings(max_examples=40, deadline=None)
+def test_a_marker_appears_where_the_rotation_says(azimuth, elevation, yaw, pitch, roll):
+    new_R_old = world_R_body(yaw, pitch, roll).T
+    turned = turn(blob(azimuth, elevation), new_R_old)
+    error = angular_distance(brightest(turned, PatchGrid(180, 360)), new_R_old @ direction(azimuth, elevation))
+    assert math.degrees(error) < 0.5
+
+
+def test_the_pole_has_no_hole_and_no_pinch():
+    # Looking straight up after pitching the nose up: the zenith is a regular point of any smooth picture.
+    picture = smooth_picture().astype(float)
+    nose_up = world_R_body(0, -math.pi / 2, 0).T
+    x, y, z = np.moveaxis(ErpGrid(96, 192).directions @ nose_up, -1, 0)
+    exact = 127 + 80 * np.stack([x + 0.5 * y * z, y - 0.4 * x * z + 0.2 * z, z + 0.6 * x * y], axis=-1)
+    assert np.abs(turn(picture, nose_up) - exact).max() < 1.0
+
+
+def test_odd_widths_pass_the_pole_too():
+    picture = smooth_picture(91, 181).astype(float)
+    there_and_back = turn(turn(picture, rotation((0, 1, 0), 1.0)), rotation((0, 1, 0), -1.0))
+    assert np.abs(there_and_back - picture).max() < 3
+
+
+def test_a_forward_view_has_forward_in_the_middle_and_left_on_the_left():
+    grid = PerspectiveGrid(101, 151, math.radians(100))
+    for azimuth, elevation, at in (
+        (0, 0, (75.5, 50.5)),
+        (0.5, 0, (None, 50.5)),
+        (0, 0.3, (75.5, None)),
+        (0.4, -0.25, (None, None)),
+    ):
+        seen = view(blob(azimuth, elevation), grid)
+        row, column = np.unravel_index(np.argmax(seen), seen.shape)
+        x, y, _ = grid.project(direction(azimuth, elevation))
+        assert abs(column + 0.5 - x) < 1.5
+        assert abs(row + 0.5 - y) < 1.5
+        assert np.sign(75.5 - x).round() == np.sign(azimuth)  # left things on the left
+        assert np.sign(50.5 - y).round() == np.sign(elevation)  # high things above
+        assert at[0] is None or abs(x - at[0]) < 1e-9
+        assert at[1] is None or abs(y - at[1]) < 1e-9
+
+
+def test_a_turned_view_is_a_view_of_the_turned_panorama():
+    picture, pose = smooth_picture(), world_R_body(2.2, -0.3, 0.7)
+    one = view(picture, PerspectiveGrid(60, 80, 1.5, pose))
+    other = view(turn(picture, pose.T), PerspectiveGrid(60, 80, 1.5))
+    assert np.abs(one.astype(int) - other).max() <= 3
+
+
+def test_a_fisheye_is_black_where_it_sees_nothing():
+    seen = view(np.full((40, 80, 3), 200, np.uint8), FisheyeGrid(64, math.pi))
+    assert seen.shape == (64, 64, 3)
+    assert (seen[0, 0] == 0).all()
+    assert (seen[32, 32] == 200).all()
+
+
+@pytest.mark.parametrize(
+    ("mode", "suffix"),
+    [("RGB", "png"), ("L", "png"), ("LA", "png"), ("RGBA", "png"), ("P", "png"), ("I;16", "png"), ("CMYK", "jpg")],
+)
+def test_every_kind_of_picture_becomes_rgb(tmp_path, mode, suffix):
+    path = tmp_path / f"pano.{suffix}"
+    grey = np.tile(np.linspace(0, 255, 64).astype(np.uint8), (32, 1))
+    if mode == "I;16":
+        Image.fromarray(grey.astype(np.uint16) * 257).save(path)
+    else:
+        Image.fromarray(grey).convert(mode).save(path)
+    picture = read_panorama(path)
+    assert (picture.shape, picture.dtype) == ((32, 64, 3), np.uint8)
+    assert np.abs(picture[..., 1].astype(int) - grey).max() <= 6  # palette and JPEG round
+    assert picture.flags.writeable
+
+
+def test_a_transparent_palette_is_read_without_a_warning(tmp_path):
+    image = Image.new("P", (8, 4), 1)
+    image.putpalette([0, 0, 0, 250, 10, 10])
+    image.save(tmp_path / "p.png", transparency=b"\x00\x80")
+    assert (read_panorama(tmp_path / "p.png") == [250, 10, 10]).all()
+
+
+def test_an_image_that_is_not_two_to_one_is_accepted_with_a_warning(tmp_path):
+    Image.new("RGB", (300, 200)).save(tmp_path / "odd.png")
+    with pytest.warns(UserWarning, match=r"300 x 200, not 2:1: longitude and latitude are mapped separately"):
+        picture = read_panorama(tmp_path / "odd.png")
+    assert picture.shape == (200, 300, 3)
+
+
+def test_an_image_of_another_shape_maps_longitude_and_latitude_apart():
+    new_R_old = world_R_body(0.9, -0.4, 0.3).T
+    turned = turn(blob(0.5, 0.6, 200, 300), new_R_old)
+    error = angular_distance(brightest(turned, PatchGrid(200, 300)), new_R_old @ direction(0.5, 0.6))
+    assert math.degrees(error) < 0.7
+
+
+def test_unreadable_images_say_what_to_do(tmp_path):
+    with pytest.raises(ImageError, match="no file"):
+        read_panorama(tmp_path / "missing.png")
+    with pytest.raises(ImageError, match="folder"):
+        read_panorama(tmp_path)
+    (tmp_path / "empty.png").write_bytes(b"")
+    with pytest.raises(ImageError, match=r"empty \(0 bytes\)"):
+        read_panorama(tmp_path / "empty.png")
+    (tmp_path / "text.png").write_text("not an image")
+    with pytest.raises(ImageError, match="cannot be read as an image"):
+        read_panorama(tmp_path / "text.png")
+    Image.fromarray(np.zeros((2, 4), np.float32)).save(tmp_path / "float.tif")
+    with pytest.raises(ImageError, match="tone-map"):
+        read_panorama(tmp_path / "float.tif")
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_a_damaged_image_is_an_image_error(tmp_path, suffix):
+    noise = np.random.default_rng(2).integers(0, 256, (32, 64, 3), dtype=np.uint8)
+    Image.fromarray(noise).save(tmp_path / f"good.{suffix}")
+    data = (tmp_path / f"good.{suffix}").read_bytes()
+    for kept in (10, 40, len(data) // 3, len(data) // 2):
+        (tmp_path / f"cut.{suffix}").write_bytes(data[:kept])
+        with pytest.raises(ImageError, match="fetch or export it again"):
+            read_panorama(tmp_path / f"cut.{suffix}")
+
+
+def test_bad_arrays_and_rotations_are_refused():
+    with pytest.raises(ImageError, match="is an array"):
+        turn(np.zeros((0, 4, 3)), np.eye(3))
+    with pytest.raises(ImageError, match="shape"):
+        view(np.zeros(5), PerspectiveGrid(4, 4, 1.0))
+    with pytest.raises(RotationError):
+        turn(smooth_picture(), np.diag([1.0, -1.0, 1.0]))
+
+
+# --- the painted room ------------------------------------------------------------------------------------------------
+
+
+def colour_mask(picture, rgb):
+    """Pixels whose linear colour is a multiple of `rgb`: lit and shaded parts of one ball."""
+    wanted, seen = (np.asarray(c, float) / 255 for c in (rgb, picture))
+    wanted, seen = wanted**2.2, seen**2.2
+    length = np.linalg.norm(seen, axis=-1) * np.linalg.norm(wanted)
+    return (seen @ wanted > 0.995 * length) & (length > 1e-4)
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), ANGLES, st.floats(-0.6, 0.6), st.floats(-0.6, 0.6))
+@settings(max_examples=12, deadline=None)
+def test_a_ball_is_seen_at_its_true_direction_and_size(x, y, yaw, pitch, roll):
+    ball, grid = Ball((2.2, 1.4, 1.2), 0.35, "purple"), PatchGrid(180, 360)
+    position, pose = (x, y, 1.4), world_R_body(yaw, pitch, roll)
+    mask = colour_mask(paint(Room(balls=(ball,)), position, pose, *grid.shape, samples=1), ball.rgb)
+    towards, distance = bearing(ball, position, pose)
+    assert math.degrees(angular_distance(brightest(mask.astype(float), grid), towards)) < 1.0
+    radius = math.asin(ball.radius / distance)
+    solid_angle = 2 * math.pi * (1 - math.cos(radius))
+    assert abs(grid.weights[mask].sum() / solid_angle - 1) < 0.15  # the highlight is not purple
+
+
+def test_a_near_ball_hides_a_far_one():
+    near, far = Ball((1.5, 0, 1.3), 0.4, "red"), Ball((3.0, 0, 1.3), 0.4, "blue")
+    for balls in ((near, far), (far, near)):
+        picture = painted_room(64, 128, balls)
+        assert colour_mask(picture, near.rgb).sum() > 50
+        assert colour_mask(picture, far.rgb).sum() == 0
+
+
+def test_the_room_has_no_symmetry():
+    room = painted_room(64, 128, ()).astype(float)
+    others = [np.roll(room, k, axis=1) for k in (32, 64, 96)] + [room[:, ::-1], np.roll(room[:, ::-1], 64, axis=1)]
+    assert min(np.abs(room - other).mean() for other in others) > 5
+
+
+def test_turning_in_the_room_is_turning_its_panorama():
+    pose = world_R_body(1.0, 0.3, -0.4)
+    painted = paint(Room(), EYE, pose, 128, 256).astype(float)
+    turned = turn(painted_room(128, 256), pose.T).astype(float)
+    assert np.median(np.abs(painted - turned)) < 1.0
+    assert np.abs(painted - turned).mean() < 3.0  # edges differ by the resampling
+
+
+def test_the_room_says_what_is_wrong():
+    with pytest.raises(PoseError, match="outside the room"):
+        paint(Room(), (9.0, 0.0, 1.0))
+    with pytest.raises(EagorError, match="radius"):
+        Ball((0, 0, 1), -1.0)
+    with pytest.raises(EagorError, match=next(iter(BALL_COLOURS))):
+        Ball((0, 0, 1), 0.2, "mauve")
+    assert Ball((0, 0, 1), 0.2, (1, 2, 3)).rgb == (1, 2, 3)
+
+
+def test_bearing_is_in_the_body_frame():
+    towards, distance = bearing(Ball((1.0, 2.0, 1.3)), EYE, world_R_body(math.pi / 2))
+    assert distance == pytest.approx(math.sqrt(5))
+    assert azimuth_elevation(towards)[0] == pytest.approx(math.atan2(2, 1) - math.pi / 2)
