@@ -20,19 +20,13 @@ from typing import Any
 import numpy as np
 
 from eagor._arrays import Array, as_float, constant, namespace, to_numpy
-from eagor.decode import (
-    MIN_WEIGHT,
-    PROMINENCE,
-    CredibleRegion,
-    Posterior,
-    decoding_grid,
-    peak,
-)
 from eagor.diffusion import diffuse
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.grids import Grid
 from eagor.harmonics import RealHarmonics, rotation
+from eagor.peaks import decoding_grid, peak
+from eagor.posterior import MIN_WEIGHT, PROMINENCE, CredibleRegion, Posterior
 from eagor.sphere import check_rotation
 
 

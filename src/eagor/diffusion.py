@@ -18,9 +18,9 @@ from __future__ import annotations
 import math
 
 from eagor._arrays import Array, namespace
-from eagor.decode import decoding_grid, derivatives
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
+from eagor.peaks import decoding_grid, derivatives
 
 STEP = 0.5  # largest curvature times variance per step
 CONVEX = 0.5  # valleys steepen without bound; they hold no probability, so their curvature is clamped here

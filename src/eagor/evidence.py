@@ -19,13 +19,12 @@ import numpy as np
 
 from eagor._arrays import Array, namespace, to_numpy
 from eagor.coverage import Region, confine, region, taper
+from eagor.detections import MIN_SPREAD, WHOLE_SPHERE, bump, canvas_of, moments
 from eagor.errors import ResponseError, TimeError
-from eagor.grids import Grid, PatchGrid, PerspectiveGrid
+from eagor.grids import Grid
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import unit
 
-WHOLE_SPHERE = PatchGrid(90, 180)  # where detections given as boxes or points are drawn: cells of 2 degrees
-MIN_SPREAD = math.radians(4)  # standard deviation: no detector is surer than this about where a box's middle is
 _BLOCK = 1 << 16  # values at a time: adding, checking and taking the logarithm stay in the cache
 
 
@@ -158,12 +157,12 @@ class Evidence:
         """
         table = np.asarray(to_numpy(boxes), dtype=np.float64).reshape(-1, 4) if np.size(boxes) else np.zeros((0, 4))
         weights = _checked_scores(scores, len(table))
-        canvas = _canvas(grid)
+        canvas = canvas_of(grid)
         response = np.zeros(canvas.shape)
         for box, weight in zip(table, weights, strict=True):
-            centre, spread = _moments(box, grid)
-            bump = _bump(canvas.directions, centre, spread + min_spread**2 * np.eye(2))
-            response = np.maximum(response, weight * bump)
+            centre, spread = moments(box, grid)
+            drawn = bump(canvas.directions, centre, spread + min_spread**2 * np.eye(2))
+            response = np.maximum(response, weight * drawn)
         return cls.from_response(response.astype(np.float32), canvas, calibration, stamp)
 
     @classmethod
@@ -187,7 +186,7 @@ class Evidence:
         if not (np.isfinite(kappa).all() and (kappa > 0).all()):
             raise ResponseError("concentration must be finite and positive: 1 / spread^2, with the spread in radians")
         weights = _checked_scores(scores, len(points))
-        canvas = WHOLE_SPHERE if grid is None else _canvas(grid)
+        canvas = WHOLE_SPHERE if grid is None else canvas_of(grid)
         cosines = canvas.directions @ points.T
         response = np.max(weights * np.exp(kappa * (cosines - 1)), axis=-1, initial=0.0)
         return cls.from_response(response.astype(np.float32), canvas, calibration, stamp)
@@ -318,60 +317,3 @@ def _checked_scores(scores: Array | None, count: int) -> np.ndarray:
     if weights.shape != (count,) or not ((weights >= 0) & (weights <= 1)).all():
         raise ResponseError(f"scores must be {count} numbers in [0, 1], one per detection; got {weights.tolist()[:5]}")
     return weights
-
-
-def _canvas(grid: Grid) -> Grid:
-    """Where detections in an image are drawn: the whole sphere for a panorama, a coarse copy of the view else."""
-    if not isinstance(grid, PerspectiveGrid):
-        return grid if getattr(grid, "fov", None) else WHOLE_SPHERE
-    if grid.width <= 96:
-        return grid
-    # Square pixels at the same field of view: the width whose matching height is nearest to a whole number.
-    ratio = grid.height / grid.width
-    width = min(range(48, 97), key=lambda w: abs(w * ratio - round(w * ratio)) / (w * ratio) if w * ratio >= 1 else 1.0)
-    return replace(grid, height=max(1, round(width * ratio)), width=width)
-
-
-def _moments(box: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """Mean direction ``(3,)`` of a box's solid angle and its covariance ``(2, 2)`` about it in the tangent plane."""
-    height, width = grid.shape
-    x0, y0, x1, y1 = box
-    seam = not hasattr(grid, "body_R_view")
-    if seam and x1 < x0:
-        x1 += width
-    y0, y1 = max(y0, 0.0), min(y1, float(height))
-    if not seam:
-        x0, x1 = max(x0, 0.0), min(x1, float(width))
-    if not (np.isfinite(box).all() and x1 > x0 and y1 > y0 and x1 - x0 <= width):
-        raise ResponseError(
-            f"box {box.tolist()} has no area inside the {width} x {height} image; wanted x0, y0, x1, y1 in its pixels "
-            "(not x, y, width, height, and not 0 to 1)"
-        )
-    nodes, weights = np.polynomial.legendre.leggauss(12)
-    x = x0 + (x1 - x0) * (nodes + 1) / 2
-    y = (y0 + (y1 - y0) * (nodes + 1) / 2)[:, None]
-    share = grid.density(x, y) * weights * weights[:, None]
-    points = grid.unproject(x, y)
-    centre = np.einsum("ij,ijk->k", share, points)
-    length = np.linalg.norm(centre)
-    if length < 1e-9 * share.sum():
-        raise ResponseError(f"box {box.tolist()} spans the whole sphere, so it names no direction")
-    offsets = _tangent(points, centre / length)
-    return centre / length, np.einsum("ij,ijk,ijl->kl", share, offsets, offsets) / share.sum()
-
-
-def _bump(directions: np.ndarray, centre: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """exp(-d^2 / 2) with d the Mahalanobis distance in the tangent plane at `centre`."""
-    offsets = _tangent(directions, centre)
-    return np.exp(-0.5 * np.einsum("...k,kl,...l->...", offsets, np.linalg.inv(spread), offsets))
-
-
-def _tangent(directions: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Coordinates ``(..., 2)`` (radians) of directions in the tangent plane at `centre`: length is the angle."""
-    helper = np.array([0.0, 0.0, 1.0]) if abs(centre[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    first = np.cross(helper, centre)
-    first /= np.linalg.norm(first)
-    plane = directions @ np.stack([first, np.cross(centre, first)], axis=-1)
-    across = np.linalg.norm(plane, axis=-1)
-    angle = np.arctan2(across, directions @ centre)
-    return plane * (angle / np.maximum(across, 1e-12))[..., None]

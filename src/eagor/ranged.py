@@ -19,13 +19,14 @@ import numpy as np
 
 from eagor._arrays import Array, as_float, namespace, to_numpy
 from eagor.belief import Belief, Reading, each_posterior
-from eagor.decode import Posterior, decoding_grid, peak_on_grid
 from eagor.diffusion import diffuse
 from eagor.errors import EagorError, PoseError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.shells import translate
+from eagor.peaks import decoding_grid, peak_on_grid
+from eagor.posterior import Posterior
 from eagor.sphere import check_rotation
 
 

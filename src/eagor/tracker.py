@@ -19,11 +19,12 @@ import numpy as np
 
 from eagor._arrays import to_numpy
 from eagor.belief import Belief
-from eagor.errors import EagorError, PoseError, TimeError
+from eagor.errors import EagorError, TimeError
 from eagor.evidence import Calibration, Evidence
 from eagor.harmonics import RealHarmonics
+from eagor.poses import PoseHistory
 from eagor.ranged import RangedBelief, log_ranges
-from eagor.sphere import azimuth_elevation, check_rotation, interpolate_rotation
+from eagor.sphere import azimuth_elevation
 
 Status = Literal["searching", "tracking", "ambiguous", "stale"]
 
@@ -127,8 +128,7 @@ class DirectionTracker:
 
     def __init__(self, config: TrackerConfig | None = None) -> None:
         self.config = config or TrackerConfig()
-        self._stamps: list[float] = []
-        self._poses: list[tuple[np.ndarray, np.ndarray | None]] = []
+        self._poses = PoseHistory(self.config.history)
         self._states: dict[str, _State] = {}
         self._pasts: dict[str, list[tuple[_State | None, _Look]]] = {}
 
@@ -143,31 +143,7 @@ class DirectionTracker:
         Raises `TimeError` if `stamp` lies before the pose before it, `RotationError` for what is no rotation,
         `PoseError` for a position that is not three finite numbers or that is missing after earlier ones were given.
         """
-        stamp = _checked_stamp(stamp)
-        if self._stamps and stamp < self._stamps[-1]:
-            raise TimeError(
-                f"pose at t = {stamp:.6f} s came after one at {self._stamps[-1]:.6f} s; time ran backwards. "
-                "Sort the poses, or start a new tracker where the clock was reset"
-            )
-        pose = np.array(to_numpy(check_rotation(world_R_body, "world_R_body")), dtype=np.float64)
-        place = None
-        if position is not None:
-            place = np.array(to_numpy(position), dtype=np.float64)
-            if place.shape != (3,) or not np.isfinite(place).all():
-                raise PoseError(f"position = {place.tolist()}; wanted (x, y, z) in metres of the world frame")
-        elif self._poses and self._poses[-1][1] is not None:
-            raise PoseError(
-                f"the pose at t = {stamp:.6f} s has no position, earlier ones have; repeat the last known position "
-                "if it is lost for a while, or never give one"
-            )
-        if self._stamps and stamp == self._stamps[-1]:
-            self._poses[-1] = (pose, place)
-            return
-        self._stamps.append(stamp)
-        self._poses.append((pose, place))
-        # One pose older than the history stays, so that its whole length can be interpolated.
-        first = max(0, bisect.bisect_right(self._stamps, stamp - self.config.history) - 1)
-        del self._stamps[:first], self._poses[:first]
+        self._poses.add(stamp, world_R_body, position)
 
     def observe(self, evidence: Evidence, target: str = "target") -> None:
         """Add evidence about `target`, placed by its time of capture; it may be late and out of order.
@@ -182,7 +158,7 @@ class DirectionTracker:
         stamp = evidence.stamp
         if self.config.calibration is not None:
             evidence = evidence.with_calibration(self.config.calibration)
-        pose, position = self._pose_at(stamp)
+        pose, position = self._poses.at(stamp)
         found = to_numpy(evidence.coefficients(self.config.degree)).astype(np.float64)
         turned = RealHarmonics(self.config.degree).rotate(found, pose)
         look = _Look(stamp, position, turned)
@@ -198,7 +174,7 @@ class DirectionTracker:
 
         Raises `TimeError` if `now` lies before the newest evidence. A target without evidence is `searching`, forward.
         """
-        pose, _ = self._pose_at(_checked_stamp(now))
+        pose, _ = self._poses.at(now)
         state = self._advanced(target, now)
         belief = state.belief
         if self.config.decode == "mean":
@@ -226,7 +202,7 @@ class DirectionTracker:
 
     def belief(self, now: float, target: str = "target") -> Belief:
         """The belief over directions at time `now`, in the body frame of that time."""
-        pose, _ = self._pose_at(_checked_stamp(now))
+        pose, _ = self._poses.at(now)
         belief = self._advanced(target, now).belief
         return (belief if isinstance(belief, Belief) else belief.direction_belief()).predict(pose.T)
 
@@ -299,7 +275,7 @@ class DirectionTracker:
 
     def _advanced(self, target: str, now: float) -> _State:
         state = self._states.get(target)
-        _, position = self._pose_at(now)
+        _, position = self._poses.at(now)
         if state is None:
             return _State(self._blank(position), now, position)
         if now < state.stamp:
@@ -309,34 +285,7 @@ class DirectionTracker:
             )
         return self._moved(state, now, position)
 
-    def _pose_at(self, stamp: float) -> tuple[np.ndarray, np.ndarray | None]:
-        """Pose at a time: interpolated between its neighbours, the last one held beyond its stamp."""
-        if not self._stamps:
-            return np.eye(3), None
-        after = bisect.bisect_left(self._stamps, stamp)
-        if after == len(self._stamps):
-            return self._poses[-1]
-        if self._stamps[after] == stamp:
-            return self._poses[after]
-        if after == 0:
-            raise PoseError(
-                f"no pose for t = {stamp:.6f} s: poses are known from {self._stamps[0]:.6f} s on. Feed rotate() before "
-                f"observe(), or raise TrackerConfig.history (now {self.config.history:g} s)"
-            )
-        start, end = self._stamps[after - 1], self._stamps[after]
-        (pose_a, place_a), (pose_b, place_b) = self._poses[after - 1], self._poses[after]
-        fraction = (stamp - start) / (end - start)
-        place = None if place_a is None or place_b is None else place_a + fraction * (place_b - place_a)
-        return interpolate_rotation(pose_a, pose_b, fraction), place
-
 
 def _mode(direction: np.ndarray, weight: float) -> Mode:
     azimuth, elevation = azimuth_elevation(direction)
     return Mode(direction, float(azimuth), float(elevation), float(weight))
-
-
-def _checked_stamp(stamp: float) -> float:
-    stamp = float(stamp)
-    if not math.isfinite(stamp):
-        raise TimeError(f"stamp = {stamp!r}; wanted seconds, a finite number")
-    return stamp

@@ -51,7 +51,7 @@ def reduced_legendre(degree: int, z: Array) -> list[Array]:
     xp = namespace(z)
     start, a, b = _recursion(degree)
     column = (-1,) + (1,) * z.ndim
-    one = xp.ones_like(z)[None]
+    one = xp.ones_like(z)[None, ...]
     rows = [start[0] * one]
     for l in range(1, degree + 1):
         scale_a, scale_b = (xp.reshape(_like(np.array(t[l]), z), column) for t in (a, b))
@@ -74,8 +74,8 @@ def evaluate(degree: int, directions: Array) -> Array:
         sines.append(s * x + c * y)
     columns = []
     for l, row in enumerate(reduced_legendre(degree, z)):
-        columns += [row[-m] * sines[-m] for m in range(-l, 0)]
-        columns += [row[m] * cosines[m] for m in range(l + 1)]
+        columns += [row[-m, ...] * sines[-m] for m in range(-l, 0)]
+        columns += [row[m, ...] * cosines[m] for m in range(l + 1)]
     return xp.stack(columns, axis=-1)
 
 

@@ -31,7 +31,7 @@ from eagor.grids import (
 from eagor.harmonics.legendre import evaluate, latitude_table, longitude_table, orders
 from eagor.harmonics.rotation import rotate
 
-BLOCK = 0.4  # side of a view's block, in units of the angular scale 1 / (degree + 1)
+BLOCK = 0.25  # side of a view's block, in units of the angular scale 1 / (degree + 1)
 SMALL = 1_000_000  # OpenBLAS has kernels of their own for products up to 100^3
 PLAN_BYTES = 256e6  # a view plan larger than this is computed block row by block row instead of kept
 
@@ -69,7 +69,7 @@ def synthesise(degree: int, coefficients: Array, grid: Grid | Array) -> Array:
         flat = points.reshape(-1, 3)
         parts = [coefficients @ evaluate(degree, flat[i : i + 4096]).T for i in range(0, len(flat), 4096)]
         values = np.concatenate(parts, axis=-1) if parts else np.zeros((*coefficients.shape[:-1], 0))
-        return values.reshape(*coefficients.shape[:-1], *points.shape[:-1])
+        return values.reshape((*coefficients.shape[:-1], *points.shape[:-1]))
     if isinstance(points, np.ndarray):
         from array_api_compat import device
 

@@ -40,7 +40,7 @@ def rotate(degree: int, coefficients: Array, new_R_old: Array) -> Array:
     flat = xp.reshape(xp.broadcast_to(coefficients, (*batch, size)), (-1, size)).T
     turns = xp.reshape(xp.broadcast_to(new_R_old, (*batch, 3, 3)), (-1, 3, 3))
     if new_R_old.ndim == 2:
-        turns = new_R_old[None]
+        turns = new_R_old[None, ...]
     turns = xp.astype(turns, flat.dtype)
     if xp is not np:
         rotated = _rotate_columns(degree, flat, turns)
@@ -118,7 +118,7 @@ def _quarter(degree: int, columns: Array, transposed: bool) -> Array:
     parts = []
     for l in range(degree + 1):
         block = constant(_quarter_block, degree, l, transposed, like=columns)
-        parts.append(block @ columns[l * l : (l + 1) ** 2])
+        parts.append(block @ columns[l * l : (l + 1) ** 2, ...])
     return namespace(columns).concat(parts)
 
 

@@ -1,0 +1,279 @@
+"""How fast and how exact the core is, against rivals in the same process.
+
+    python benchmarks/core.py [--repeats 200] [--json FILE]
+
+Times are ratios to one np.log over a 512 x 1024 float32 map, which is the least that any log-domain method pays for a
+full-size response. One thread. Each round times every contestant once, in turn, so that a change of the machine's speed
+hits all of them; the table gives the ratio of the medians, and the range of the ratios over five blocks of rounds.
+"""
+
+from __future__ import annotations
+
+import os
+
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Callable
+
+import ducc0
+import numpy as np
+import torch
+from e3nn import o3
+
+import eagor
+from eagor import conventions
+from eagor.harmonics.shells import _cubic
+from eagor.sphere import rotation, world_R_body
+
+torch.set_num_threads(1)
+RNG = np.random.default_rng(0)
+FULL, PATCH = eagor.ErpGrid(512, 1024), eagor.PatchGrid(37, 74)
+FULL_MAP = RNG.random(FULL.shape, dtype=np.float32)
+PATCH_MAP = RNG.random(PATCH.shape, dtype=np.float32)
+YAW, ANY = rotation((0, 0, 1), 0.3), world_R_body(0.3, 0.2, -0.1)
+L = 7
+START = RNG.normal(size=(L + 1) ** 2)
+FLOOR = 0.1
+
+
+def ours(
+    response: np.ndarray, grid: eagor.grids.Grid, turn: np.ndarray, decode: str = "mode"
+) -> Callable[[], np.ndarray]:
+    belief = eagor.Belief(START)
+
+    def step() -> np.ndarray:
+        after = belief.predict(turn).update(eagor.Evidence.from_response(response, grid))
+        return after.mode() if decode == "mode" else after.mean_direction()
+
+    return step
+
+
+def with_ducc(turn: np.ndarray) -> Callable[[], np.ndarray]:
+    """log, weights, adjoint synthesis (`analysis_2d` is wrong for maps without a band limit), rotate, argmax."""
+    alm0 = conventions.to_healpix_alm(START)
+    weights = FULL.weights.astype(np.float32)
+    (_, _, r02), (_, _, r12), (r20, r21, r22) = turn.tolist()
+    angles = (math.atan2(r21, -r20), math.acos(max(-1.0, min(1.0, r22))), math.atan2(r12, r02))
+    if abs(r22 - 1) < 1e-12:
+        angles = (math.atan2(turn[1, 0], turn[0, 0]), 0.0, 0.0)
+    grid = eagor.ErpGrid(64, 128)
+
+    def step() -> np.ndarray:
+        field = np.log(FULL_MAP + np.float32(FLOOR)) * weights
+        found = ducc0.sht.adjoint_synthesis_2d(
+            map=field[None], spin=0, lmax=L, geometry="F1", phi0=math.pi - math.pi / 1024, nthreads=1
+        )[0]
+        alm = ducc0.sht.rotate_alm(alm0, L, *angles, nthreads=1) + found
+        values = ducc0.sht.synthesis_2d(
+            alm=alm[None], spin=0, lmax=L, geometry="F1", ntheta=64, nphi=128, phi0=math.pi - math.pi / 128, nthreads=1
+        )[0]
+        return grid.directions.reshape(-1, 3)[values.argmax()]
+
+    return step
+
+
+def with_e3nn(turn: np.ndarray) -> Callable[[], np.ndarray]:
+    """FromS2Grid, D_from_matrix, ToS2Grid: the same step with its public modules."""
+    to_coefficients = o3.FromS2Grid((512, 1024), L)
+    to_grid = o3.ToS2Grid(L, (64, 128))
+    irreps = o3.Irreps([(1, (l, 1)) for l in range(L + 1)])
+    start, image = torch.tensor(START, dtype=torch.float32), torch.tensor(FULL_MAP)
+    matrix = torch.tensor(conventions.rotation_to_e3nn(turn), dtype=torch.float32)
+
+    def step() -> np.ndarray:
+        with torch.no_grad():
+            found = to_coefficients(torch.log(image + FLOOR))
+            after = irreps.D_from_matrix(matrix) @ start + found
+            return to_grid(after).argmax().numpy()
+
+    return step
+
+
+def batch_ducc(coefficients: np.ndarray, turns: np.ndarray) -> Callable[[], np.ndarray]:
+    alm = np.ascontiguousarray(conventions.to_healpix_alm(coefficients))
+    # Its angles are given, read off beforehand in one go: only the rotations themselves are timed.
+    beta = np.arctan2(np.hypot(turns[:, 0, 2], turns[:, 1, 2]), turns[:, 2, 2])
+    alpha, gamma = np.arctan2(turns[:, 1, 2], turns[:, 0, 2]), np.arctan2(turns[:, 2, 1], -turns[:, 2, 0])
+
+    def loop() -> np.ndarray:
+        out = np.empty_like(alm)
+        for i in range(len(alm)):
+            out[i] = ducc0.sht.rotate_alm(alm[i], L, gamma[i], beta[i], alpha[i], nthreads=1)
+        return out
+
+    return loop
+
+
+def shells_by_definition(belief: eagor.RangedBelief, turn: np.ndarray, step: np.ndarray) -> Callable[[], np.ndarray]:
+    """The rival of the shell warp: evaluate the basis at the warped points of a quadrature grid, each step anew."""
+    basis = belief.basis
+    grid = basis.quadrature()
+    ranges = belief.ranges
+
+    def warp() -> np.ndarray:
+        found = []
+        for r in ranges:
+            before = r * grid.directions + step
+            distance = np.linalg.norm(before, axis=-1)
+            position = np.interp(np.log(distance), np.log(ranges), np.arange(len(ranges)))
+            values = basis.evaluate(before / distance[..., None] @ turn) @ belief.shells.T
+            nearest, weights = _cubic(position.ravel(), len(ranges))
+            picked = np.take_along_axis(values.reshape(-1, len(ranges)), nearest.T, axis=1)
+            found.append(basis.analyse(np.sum(picked * weights.T, axis=1).reshape(grid.shape), grid))
+        return np.stack(found)
+
+    return warp
+
+
+def measure(contestants: dict[str, Callable[[], object]], repeats: int) -> dict[str, list[float]]:
+    """Seconds of each run, contestants in turn."""
+    for run in contestants.values():
+        run()
+    times: dict[str, list[float]] = {name: [] for name in contestants}
+    for _ in range(repeats):
+        for name, run in contestants.items():
+            start = time.perf_counter()
+            run()
+            times[name].append(time.perf_counter() - start)
+    return times
+
+
+def ratio(times: dict[str, list[float]], name: str, unit: str) -> dict[str, float]:
+    blocks = [
+        np.median(a) / np.median(b)
+        for a, b in zip(np.array_split(times[name], 5), np.array_split(times[unit], 5), strict=True)
+    ]
+    return {"ratio": float(np.median(times[name]) / np.median(times[unit])), "low": min(blocks), "high": max(blocks)}
+
+
+def accuracy() -> dict[str, float]:
+    basis, rng = eagor.RealHarmonics(L), np.random.default_rng(1)
+    c = rng.normal(size=basis.size)
+    grid = eagor.ErpGrid(16, 32)
+    equivariance = max(
+        float(np.abs(basis.analyse(basis.synthesise(c, grid.directions @ R), grid) - basis.rotate(c, R)).max())
+        for R in (rotation(rng.normal(size=3), rng.uniform(0, 3)) for _ in range(20))
+    )
+    turns = [rotation(rng.normal(size=3), rng.uniform(-3, 3)) for _ in range(200)]
+    moved = c
+    for R in turns:
+        moved = basis.rotate(moved, R)
+    for R in reversed(turns):
+        moved = basis.rotate(moved, R.T)
+    drift = eagor.angular_distance(eagor.Belief(moved).mean_direction(), eagor.Belief(c).mean_direction())
+    turns32 = conventions.rotation_from_wxyz(rng.normal(size=(4096, 4)))
+    batch = rng.normal(size=(4096, basis.size))
+    in_torch = basis.rotate(torch.tensor(batch, dtype=torch.float32), torch.tensor(turns32, dtype=torch.float32))
+    return {
+        "equivariance error, 20 random rotations": equivariance,
+        "drift after 200 rotations and back (degrees)": math.degrees(float(drift)),
+        "torch float32 against NumPy float64, 4096 rotations": float(
+            np.abs(in_torch.numpy() - basis.rotate(batch, turns32)).max()
+        ),
+    }
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--repeats", type=int, default=200)
+    arguments.add_argument("--json", metavar="FILE")
+    options = arguments.parse_args()
+
+    out = np.empty_like(FULL_MAP)
+
+    def log() -> np.ndarray:  # into memory that is already there: a fresh 2 MB array can cost more than the logarithm
+        return np.log(FULL_MAP, out=out)
+
+    small = measure(
+        {
+            "log": log,
+            "patch, yaw": ours(PATCH_MAP, PATCH, YAW),
+            "patch, any rotation": ours(PATCH_MAP, PATCH, ANY),
+            "patch, yaw, published mean": ours(PATCH_MAP, PATCH, YAW, "mean"),
+            "full map, yaw": ours(FULL_MAP, FULL, YAW),
+            "full map, any rotation": ours(FULL_MAP, FULL, ANY),
+            "ducc0, full map, any rotation": with_ducc(ANY),
+        },
+        options.repeats,
+    )
+    slow = measure(
+        {"ours": ours(FULL_MAP, FULL, ANY), "e3nn, full map, any rotation": with_e3nn(ANY)},
+        max(20, options.repeats // 10),
+    )
+    coefficients = np.random.default_rng(2).normal(size=(4096, (L + 1) ** 2))
+    turns = conventions.rotation_from_wxyz(np.random.default_rng(3).normal(size=(4096, 4)))
+    basis, single = eagor.RealHarmonics(L), coefficients.astype(np.float32)
+    tensors = torch.tensor(single), torch.tensor(turns, dtype=torch.float32)
+    many = measure(
+        {
+            "float64": lambda: basis.rotate(coefficients, turns),
+            "float32": lambda: basis.rotate(single, turns),
+            "torch float32": lambda: basis.rotate(*tensors),
+            "ducc0 loop": batch_ducc(coefficients, turns),
+        },
+        max(10, options.repeats // 10),
+    )
+    ranged = eagor.RangedBelief.uniform(12).update(eagor.Evidence.from_points([[0.6, 0.64, 0.48]], 50.0))
+    look, moved = eagor.Evidence.from_response(PATCH_MAP, PATCH), np.array([0.2, 0.1, -0.05])
+    shells = measure(
+        {
+            "log": log,
+            "step": lambda: ranged.predict(ANY, moved).update(look),
+            "warp": lambda: ranged.predict(ANY, moved),
+            "by definition": shells_by_definition(ranged, ANY, moved),
+        },
+        max(20, options.repeats // 10),
+    )
+    difference = np.abs(ranged.predict(ANY, moved).shells - shells_by_definition(ranged, ANY, moved)()).max()
+
+    rows: list[tuple[str, dict[str, float], str]] = [
+        (f"whole step, {name}", ratio(small, name, "log"), limit)
+        for name, limit in [
+            ("patch, yaw", "<= 0.4"),
+            ("patch, any rotation", "<= 0.75"),
+            ("patch, yaw, published mean", ""),
+            ("full map, yaw", "<= 3.5"),
+            ("full map, any rotation", "<= 3.5"),
+        ]
+    ]
+    rows.append(("RangedBelief step, 14 shells, L = 12", ratio(shells, "step", "log"), "<= 15"))
+    faster: list[tuple[str, dict[str, float], str]] = [
+        (
+            "ducc0 route / ours, full map",
+            ratio(small, "ducc0, full map, any rotation", "full map, any rotation"),
+            ">= 2",
+        ),
+        ("e3nn route / ours, full map", ratio(slow, "e3nn, full map, any rotation", "ours"), ">= 8"),
+        ("ducc0 loop / ours, 4096 rotations, float64", ratio(many, "ducc0 loop", "float64"), ">= 3"),
+        ("ducc0 loop / ours, 4096 rotations, float32", ratio(many, "ducc0 loop", "float32"), ">= 3"),
+        ("ducc0 loop / ours, 4096 rotations, torch float32", ratio(many, "ducc0 loop", "torch float32"), ""),
+        ("basis at warped points / ours, 14 shells", ratio(shells, "by definition", "warp"), ">= 30"),
+    ]
+    exact = accuracy() | {"shell warp against its definition (largest difference)": float(difference)}
+
+    print(f"np.log over 512 x 1024 float32: {np.median(small['log']) * 1e6:.0f} us (the unit of the first table)\n")
+    for title, table in [("cost, in units of that np.log", rows), ("how many times faster than a rival", faster)]:
+        print(f"{title:52s} {'ratio':>7s}   {'blocks':13s} aim")
+        for name, found, limit in table:
+            print(f"  {name:50s} {found['ratio']:7.2f}   {found['low']:5.2f}..{found['high']:5.2f}  {limit}")
+        print()
+    for name, value in exact.items():
+        print(f"  {name:60s} {value:.1e}")
+    if options.json:
+        report = {
+            "unit_seconds": float(np.median(small["log"])),
+            "cost": {n: r for n, r, _ in rows},
+            "faster": {n: r for n, r, _ in faster},
+            "accuracy": exact,
+        }
+        with open(options.json, "w", encoding="utf-8") as file:
+            json.dump(report, file, indent=1)
+
+
+if __name__ == "__main__":
+    main()

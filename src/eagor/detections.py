@@ -1,0 +1,71 @@
+"""Detections on the sphere: from a box in an image to a smooth bump around the direction that it means."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from eagor.errors import ResponseError
+from eagor.grids import Grid, PatchGrid, PerspectiveGrid
+
+WHOLE_SPHERE = PatchGrid(90, 180)  # where detections given as boxes or points are drawn: cells of 2 degrees
+MIN_SPREAD = math.radians(4)  # standard deviation: no detector is surer than this about where a box's middle is
+
+
+def canvas_of(grid: Grid) -> Grid:
+    """Where detections in an image are drawn: the whole sphere for a panorama, a coarse copy of the view else."""
+    if not isinstance(grid, PerspectiveGrid):
+        return grid if getattr(grid, "fov", None) else WHOLE_SPHERE
+    if grid.width <= 96:
+        return grid
+    # Square pixels at the same field of view: the width whose matching height is nearest to a whole number.
+    ratio = grid.height / grid.width
+    width = min(range(48, 97), key=lambda w: abs(w * ratio - round(w * ratio)) / (w * ratio) if w * ratio >= 1 else 1.0)
+    return replace(grid, height=max(1, round(width * ratio)), width=width)
+
+
+def moments(box: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """Mean direction ``(3,)`` of a box's solid angle and its covariance ``(2, 2)`` about it in the tangent plane."""
+    height, width = grid.shape
+    x0, y0, x1, y1 = box
+    seam = not hasattr(grid, "body_R_view")
+    if seam and x1 < x0:
+        x1 += width
+    y0, y1 = max(y0, 0.0), min(y1, float(height))
+    if not seam:
+        x0, x1 = max(x0, 0.0), min(x1, float(width))
+    if not (np.isfinite(box).all() and x1 > x0 and y1 > y0 and x1 - x0 <= width):
+        raise ResponseError(
+            f"box {box.tolist()} has no area inside the {width} x {height} image; wanted x0, y0, x1, y1 in its pixels "
+            "(not x, y, width, height, and not 0 to 1)"
+        )
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    x = x0 + (x1 - x0) * (nodes + 1) / 2
+    y = (y0 + (y1 - y0) * (nodes + 1) / 2)[:, None]
+    share = grid.density(x, y) * weights * weights[:, None]
+    points = grid.unproject(x, y)
+    centre = np.einsum("ij,ijk->k", share, points)
+    length = np.linalg.norm(centre)
+    if length < 1e-9 * share.sum():
+        raise ResponseError(f"box {box.tolist()} spans the whole sphere, so it names no direction")
+    offsets = _tangent(points, centre / length)
+    return centre / length, np.einsum("ij,ijk,ijl->kl", share, offsets, offsets) / share.sum()
+
+
+def bump(directions: np.ndarray, centre: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """exp(-d^2 / 2) with d the Mahalanobis distance in the tangent plane at `centre`."""
+    offsets = _tangent(directions, centre)
+    return np.exp(-0.5 * np.einsum("...k,kl,...l->...", offsets, np.linalg.inv(spread), offsets))
+
+
+def _tangent(directions: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Coordinates ``(..., 2)`` (radians) of directions in the tangent plane at `centre`: length is the angle."""
+    helper = np.array([0.0, 0.0, 1.0]) if abs(centre[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    first = np.cross(helper, centre)
+    first /= np.linalg.norm(first)
+    plane = directions @ np.stack([first, np.cross(centre, first)], axis=-1)
+    across = np.linalg.norm(plane, axis=-1)
+    angle = np.arctan2(across, directions @ centre)
+    return plane * (angle / np.maximum(across, 1e-12))[..., None]

@@ -1,0 +1,360 @@
+"""Pictures: a belief over a panorama, and curves of error over time.
+
+Every function returns a `PIL.Image.Image`. Panoramas are in the layout of `eagor.sphere` (centre forward, azimuth grows
+to the LEFT), and so are the axes. matplotlib is imported when the first picture is drawn, with the Agg canvas and
+without pyplot: nothing global is touched, no window is opened.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eagor.belief import Reading
+from eagor.grids import PatchGrid
+from eagor.sphere import azimuth_elevation
+from eagor.tracker import Estimate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from PIL.Image import Image
+
+INK, PAPER, GRID_LINE = "#1f2430", "#ffffff", "#d8dbe2"
+OURS, TRUTH = "#00e5ff", "#39ff6a"
+# Markers and colours that stay apart in grey and for the colour-blind; the first ones go to the methods named first.
+OTHERS = (("s", "#ffb000"), ("D", "#ff5fa8"), ("^", "#b197ff"), ("v", "#ff7043"), ("P", "#9ccc65"), ("X", "#90a4ae"))
+CURVES = ("#00838f", "#b26a00", "#c2185b", "#5e35b1", "#d84315", "#558b2f", "#546e7a", "#6d4c41", "#9e9d24")
+HEAT_ROWS = 180
+
+
+def draw_belief(
+    panorama: np.ndarray,
+    belief: Reading,
+    estimate: Estimate | np.ndarray | None = None,
+    truth: np.ndarray | None = None,
+    others: Mapping[str, np.ndarray] | None = None,
+    modes: Sequence[np.ndarray] | None = None,
+    title: str = "",
+    width: int = 1200,
+) -> Image:
+    """`belief` as heat over `panorama` ``(H, W, 3)``, with the border of its 90 % region.
+
+    Args:
+        panorama: what the camera saw, uint8, in the body frame of the belief.
+        belief: one belief, no batch.
+        estimate: the answer, as an `Estimate` or a direction ``(3,)``; an arrow shows the way from forward to it.
+        truth: the true direction ``(3,)``, where known.
+        others: other methods' directions by name.
+        modes: directions of candidates; default: those of `estimate`.
+        title: a line above the picture.
+        width: of the picture in pixels.
+    """
+    figure = _figure(width, round(width * 0.595))
+    axes = figure.add_axes((0.055, 0.145, 0.92, 0.775))
+    paint_belief(axes, panorama, belief, estimate, truth, others, modes)
+    axes.set_xlabel("azimuth in degrees, positive to the left", color=INK)
+    axes.set_ylabel("elevation", color=INK)
+    figure.text(0.055, 0.945, title, fontsize=13, color=INK, weight="bold")
+    _legend(figure, axes)
+    return _image(figure)
+
+
+def draw_strip(panels: Sequence[Mapping[str, Any]], columns: int = 2, width: int = 1400) -> Image:
+    """Several beliefs in one picture: each panel has the arguments of `draw_belief` (without `width`), row by row."""
+    rows = math.ceil(len(panels) / columns)
+    left, gap, head, foot, legend = 48, 52, 30, 30, 44  # pixels around the panels
+    wide = (width - left - gap * (columns - 1) - 28) / columns
+    high = wide / 2
+    total = rows * (head + high + foot) + legend
+    figure = _figure(width, round(total))
+    axes = None
+    for index, panel in enumerate(panels):
+        row, column = divmod(index, columns)
+        x, y = left + column * (wide + gap), total - (row + 1) * (head + high) - row * foot
+        axes = figure.add_axes((x / width, y / total, wide / width, high / total))
+        paint_belief(axes, **{name: value for name, value in panel.items() if name != "title"})
+        axes.set_title(panel.get("title", ""), loc="left", fontsize=11, color=INK, weight="bold", pad=6)
+        axes.set_xticks(range(180, -181, -90), _degrees(range(180, -181, -90)))
+        if column:
+            axes.set_yticklabels([])
+    if axes is not None:
+        _legend(figure, axes)
+    return _image(figure)
+
+
+def draw_errors(
+    stamps: Sequence[float],
+    errors: Mapping[str, Sequence[float]],
+    shaded: Sequence[tuple[float, float, str]] = (),
+    title: str = "",
+    width: int = 1200,
+) -> Image:
+    """Direction errors (degrees) of several methods over time (seconds); the first method is drawn on top, and thick.
+
+    `shaded` marks stretches: begin, end, and what happened.
+    """
+    figure = _figure(width, round(width * 0.42))
+    axes = figure.add_axes((0.06, 0.13, 0.69, 0.76 if title else 0.83))
+    highest = max((float(np.max(np.asarray(values))) for values in errors.values()), default=180.0)
+    highest = min(180, 30 * math.ceil(max(highest, 1.0) * 1.05 / 30))
+    for begin, end, what in shaded:
+        axes.axvspan(begin, end, color="#eceff4", zorder=0, linewidth=0)
+        axes.text((begin + end) / 2, 0.975 * highest, what, ha="center", va="top", fontsize=9, color="#5b6472")
+    ends = []
+    for index, (name, values) in enumerate(errors.items()):
+        colour, first = CURVES[index % len(CURVES)], index == 0
+        axes.plot(stamps, values, color=colour, linewidth=3 if first else 1.4, zorder=5 if first else 3, label=name)
+        mean = float(np.mean(np.asarray(values)))
+        ends.append((mean, name, colour, first))
+    axes.set_xlim(stamps[0], stamps[-1])
+    axes.set_ylim(0, highest)
+    axes.set_yticks(range(0, highest + 1, 30 if highest > 60 else 10))
+    axes.set_xlabel("time (s)", color=INK)
+    axes.set_ylabel("direction error (degrees)", color=INK)
+    axes.grid(color=GRID_LINE, linewidth=0.8)
+    _plain(axes)
+    figure.text(0.06, 0.935, title, fontsize=13, color=INK, weight="bold")
+    figure.text(0.77, 0.925, "mean error over the run", fontsize=9.5, color="#5b6472")
+    for row, (mean, name, colour, first) in enumerate(sorted(ends, key=lambda end: end[0])):
+        y = 0.86 - 0.07 * row
+        weight = "bold" if first else "normal"
+        figure.text(0.77, y, "■", color=colour, fontsize=12, va="center")
+        figure.text(0.79, y, name, color=INK, fontsize=10.5, va="center", weight=weight)
+        figure.text(0.985, y, f"{mean:.1f}°", color=INK, fontsize=10.5, va="center", ha="right", weight=weight)
+    return _image(figure)
+
+
+def draw_map(
+    path: np.ndarray,
+    headings: np.ndarray,
+    found: np.ndarray,
+    target: np.ndarray,
+    distractor: np.ndarray,
+    hidden: np.ndarray,
+    size: tuple[float, float],
+    width: int = 1200,
+) -> Image:
+    """A walk from above: x to the right, y (the left of a body at yaw 0) up.
+
+    Args:
+        path: the camera's positions ``(n, 3)``, metres, world frame.
+        headings: where it faced ``(n, 3)``.
+        found: where the target was taken to be ``(n, 3)``.
+        target: where it was ``(3,)``.
+        distractor: where the other thing was ``(n, 3)``.
+        hidden: when the camera saw nothing ``(n,)``, bool.
+        size: of the room, along x and y, centred on the origin.
+        width: of the picture in pixels.
+    """
+    figure = _figure(width, round(width * 0.6))
+    axes = figure.add_axes((0.05, 0.09, 0.70, 0.88))
+    axes.set_aspect("equal")
+    axes.set_xlim(-size[0] / 2 - 0.4, size[0] / 2 + 1.2)
+    axes.set_ylim(-size[1] / 2 - 0.5, size[1] / 2 + 0.5)
+    axes.add_patch(_rectangle(size))
+    axes.plot(*distractor[:, :2].T, ":", color="#c98b8b", linewidth=1.6, label="the other red ball")
+    axes.plot(*path[:, :2].T, color="#9aa1ad", linewidth=2, label="camera", zorder=3)
+    axes.plot(*np.where(hidden[:, None], path, np.nan)[:, :2].T, color=INK, linewidth=5, label="camera, covered",
+    zorder=4) every = slice(0, None, max(1, len(path) // 24))
+    arrows = {"color": "#5b6472", "angles": "xy", "scale": 24, "width": 0.0032, "zorder": 5}
+    axes.quiver(*path[every, :2].T, *headings[every, :2].T, **arrows)
+    axes.plot(*path[0, :2], "o", color=INK, markersize=9, zorder=6, linestyle="none", label="start")
+    axes.plot(*target[:2], "o", color="#c8201f", markersize=20, mec="white", mew=2, zorder=6, linestyle="none", label="target")
+    dots = {"c": np.linspace(0, 1, len(found)), "cmap": "viridis", "s": 34, "edgecolors": "white", "linewidths": 0.6}
+    shade = axes.scatter(*found[:, :2].T, zorder=7, label="target, as we took it to be", **dots)
+    axes.set_xlabel("x (m)", color=INK)
+    axes.set_ylabel("y (m)", color=INK)
+    axes.grid(color=GRID_LINE, linewidth=0.6)
+    axes.set_axisbelow(True)
+    _plain(axes)
+    figure.legend(loc="upper left", bbox_to_anchor=(0.76, 0.96), frameon=False, fontsize=10, labelspacing=1.0)
+    bar = figure.colorbar(shade, cax=figure.add_axes((0.79, 0.14, 0.014, 0.34)), ticks=[0, 1])
+    bar.ax.set_yticklabels(["start", "end"], color=INK, fontsize=9.5)
+    return _image(figure)
+
+
+def paint_belief(
+    axes: Axes,
+    panorama: np.ndarray,
+    belief: Reading,
+    estimate: Estimate | np.ndarray | None = None,
+    truth: np.ndarray | None = None,
+    others: Mapping[str, np.ndarray] | None = None,
+    modes: Sequence[np.ndarray] | None = None,
+) -> None:
+    """What `draw_belief` draws, into `axes`."""
+    axes.set_xlim(180, -180)
+    axes.set_ylim(-90, 90)
+    axes.set_xticks(range(180, -181, -45), _degrees(range(180, -181, -45)))
+    axes.set_yticks(range(-90, 91, 30), _degrees(range(-90, 91, 30)))
+    _plain(axes)
+    whole = (180, -180, -90, 90)
+    axes.imshow(_muted(panorama), extent=whole, aspect="auto", interpolation="antialiased", zorder=0)
+    for at in (-90, 0, 90):
+        axes.axvline(at, color="white", alpha=0.22, linewidth=0.8, zorder=1)
+    axes.axhline(0, color="white", alpha=0.22, linewidth=0.8, zorder=1)
+    _heat(axes, belief)
+    if estimate is not None:
+        found = estimate.direction if isinstance(estimate, Estimate) else np.asarray(estimate)
+        if modes is None:
+            modes = [mode.direction for mode in estimate.modes] if isinstance(estimate, Estimate) else []
+        _arrow(axes, found)
+    for index, mode in enumerate(modes or ()):
+        _mark(axes, mode, "o", "white", 15, "candidate directions" if index == 0 else None, hollow=True, width=1.8)
+    for index, (name, where) in enumerate((others or {}).items()):
+        marker, colour = OTHERS[index % len(OTHERS)]
+        _mark(axes, where, marker, colour, 8.5, name)
+    if truth is not None:
+        _mark(axes, truth, "o", TRUTH, 21, "truth", hollow=True, width=2.6)
+    if estimate is not None:
+        _mark(axes, found, "o", OURS, 8.5, "estimate")
+
+
+def _heat(axes: Axes, belief: Reading) -> None:
+    """The density as heat, and the border of its 90 % region; nothing where the belief knows nothing."""
+    from matplotlib import colormaps
+
+    grid = PatchGrid(HEAT_ROWS, 2 * HEAT_ROWS)
+    log_density = np.asarray(belief.log_density(grid.directions))
+    times = np.exp(np.minimum(log_density + math.log(4 * math.pi), 50.0))  # how many times likelier than by chance
+    most = float(times.max())
+    contrast = 1 - 1 / max(most, 1.0)  # 0 for a uniform belief, 1 for a sharp one
+    if contrast < 0.1:
+        return
+    share = np.sqrt(np.clip((times - 1) / (most - 1), 0, 1))
+    rgba = colormaps["inferno"](0.35 + 0.6 * share)
+    rgba[..., 3] = 0.85 * contrast * np.clip(1.3 * share, 0, 1)
+    axes.imshow(rgba, extent=(180, -180, -90, 90), aspect="auto", interpolation="bilinear", zorder=2)
+    # A few columns more on either side, so that a border that crosses the seam runs on into the frame.
+    more = 8
+    azimuth = np.degrees(math.pi - 2 * math.pi * (np.arange(-more, grid.width + more) + 0.5) / grid.width)
+    elevation = np.degrees(grid.latitudes)
+    padded = np.concatenate([log_density[:, -more:], log_density, log_density[:, :more]], axis=1)
+    region = belief.credible_region(0.9)
+    vague = region.area > 2 * math.pi  # half of the sphere: its border then follows ripples, and is drawn faintly
+    lines = (("white", 0.8),) if vague else (("black", 3.4), ("white", 1.6))
+    style = {"levels": [region.threshold], "linestyles": "solid", "alpha": 0.45 if vague else 1.0, "zorder": 3}
+    for colour, width in lines:
+        axes.contour(azimuth, elevation, padded, colors=colour, linewidths=width, **style)
+    axes.plot([], [], color="white", linewidth=1.6, label="90 % region")
+
+
+def _arrow(axes: Axes, where: np.ndarray) -> None:
+    """The shortest way from forward to `where`, as an arrow along the great circle."""
+    end = np.asarray(where, dtype=float)
+    angle = math.acos(max(-1.0, min(1.0, float(end[0]))))
+    side = np.array([0.0, end[1], end[2]])
+    box = axes.get_window_extent()
+    short = math.tau * 18 / box.width  # 18 pixels: the head stays clear of the rings about the estimate
+    if angle < 2 * short or np.linalg.norm(side) < 1e-6:
+        return
+    side /= np.linalg.norm(side)
+    along = np.linspace(0, angle - short, 90)[:, None]
+    path = np.cos(along) * np.array([1.0, 0.0, 0.0]) + np.sin(along) * side
+    azimuth, elevation = azimuth_elevation(path)
+    x, y = np.degrees(azimuth), np.degrees(elevation)
+    axes.plot(x, y, color=OURS, linewidth=1.8, zorder=6, path_effects=_outline(3.6), solid_capstyle="round")
+    axes.plot(0, 0, "o", color=OURS, markersize=4.5, markeredgecolor="black", markeredgewidth=0.8, zorder=6)
+    head = {"arrowstyle": "-|>,head_width=0.32,head_length=0.55", "color": OURS, "linewidth": 1.8, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", xy=(x[-1], y[-1]), xytext=(x[-4], y[-4]), arrowprops=head, zorder=6)
+
+
+def _mark(
+    axes: Axes,
+    where: np.ndarray,
+    marker: str,
+    colour: str,
+    size: float,
+    label: str | None,
+    hollow: bool = False,
+    width: float = 1.0,
+) -> None:
+    """A marker at a direction, twice where it lies on the seam."""
+    azimuth, elevation = (math.degrees(float(a)) for a in azimuth_elevation(np.asarray(where)))
+    places = [azimuth] + ([azimuth - math.copysign(360, azimuth)] if abs(azimuth) > 172 else [])
+    for place in places:
+        style = {"markersize": size, "linestyle": "none", "zorder": 7}
+        if hollow:  # a dark ring below the bright one
+            axes.plot(place, elevation, marker, mfc="none", mec="black", mew=width + 1.8, alpha=0.7, **style)
+            axes.plot(place, elevation, marker, mfc="none", mec=colour, mew=width, label=label, **style)
+        else:
+            axes.plot(place, elevation, marker, mfc=colour, mec="black", mew=width, label=label, **style)
+        label = None
+
+
+def _legend(figure: Figure, axes: Axes) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    if not handles:
+        return
+    order = sorted(range(len(labels)), key=lambda i: (labels[i] != "estimate", labels[i] != "truth"))
+    legend = figure.legend(
+        [handles[i] for i in order],
+        [labels[i] for i in order],
+        loc="lower center",
+        ncols=len(labels),
+        fontsize=10,
+        facecolor="#3a4152",
+        edgecolor="none",
+        labelcolor="white",
+        handletextpad=0.5,
+        columnspacing=1.6,
+        borderpad=0.45,
+        bbox_to_anchor=(0.5, 0.004),
+    )
+    for handle in legend.legend_handles:
+        if handle is not None and hasattr(handle, "set_markersize"):
+            handle.set_markersize(9)  # type: ignore[attr-defined]
+
+
+def _rectangle(size: tuple[float, float]) -> Any:
+    from matplotlib.patches import Rectangle
+
+    corner = (-size[0] / 2, -size[1] / 2)
+    return Rectangle(corner, size[0], size[1], fill=False, edgecolor=INK, linewidth=2.2, zorder=2)
+
+
+def _muted(panorama: np.ndarray) -> np.ndarray:
+    """The panorama darker and half as colourful, so that what is drawn over it stands out; at most 1600 columns."""
+    image = np.asarray(panorama)
+    step = max(1, image.shape[1] // 1600)
+    image = image[::step, ::step].astype(np.float32) / (255 if image.dtype == np.uint8 else 1)
+    grey = image.mean(axis=-1, keepdims=True)
+    return np.clip((0.45 * grey + 0.55 * image) * 0.72, 0, 1)
+
+
+def _degrees(angles: Sequence[int]) -> list[str]:
+    return [f"{a:+d}°" if a else "0°" for a in angles]
+
+
+def _outline(width: float) -> list[Any]:
+    from matplotlib import patheffects
+
+    return [patheffects.Stroke(linewidth=width, foreground="black", alpha=0.75), patheffects.Normal()]
+
+
+def _plain(axes: Axes) -> None:
+    axes.tick_params(colors=INK, labelsize=9.5, length=3)
+    for spine in axes.spines.values():
+        spine.set_color("#9aa1ad")
+
+
+def _figure(width: int, height: int) -> Figure:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=PAPER)
+
+
+def _image(figure: Figure) -> Image:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+
+
+__all__ = ["draw_belief", "draw_errors", "draw_map", "draw_strip", "paint_belief"]

@@ -1,0 +1,287 @@
+"""What a belief must obey, and what its read-outs mean."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import directions, field, rotations
+
+from eagor.belief import Belief
+from eagor.errors import EagorError, RotationError
+from eagor.evidence import Evidence
+from eagor.grids import ErpGrid, PatchGrid
+from eagor.harmonics import RealHarmonics
+from eagor.sphere import angular_distance, direction, rotation
+
+SEEDS = st.integers(0, 500)
+FINE = ErpGrid(1024, 2048)
+
+
+def look(*targets, concentration=60.0, scores=None):
+    return Evidence.from_points(np.array(targets), concentration, scores)
+
+
+def fine_posterior(belief):
+    f = belief.basis.synthesise(belief.coefficients, FINE)
+    total = f.max() + math.log(np.sum(np.exp(f - f.max()) * FINE.weights))
+    return f, total, np.exp(f - total) * FINE.weights
+
+
+@given(st.permutations(range(5)), SEEDS)
+@settings(max_examples=20)
+def test_evidence_in_any_order_gives_the_same_belief(order, seed):
+    rng = np.random.default_rng(seed)
+    looks = [Evidence.from_response(rng.random((8, 16)), PatchGrid(8, 16)) for _ in range(5)]
+    forward, shuffled = Belief.uniform(7), Belief.uniform(7)
+    for i in range(5):
+        forward, shuffled = forward.update(looks[i]), shuffled.update(looks[order[i]])
+    assert np.allclose(forward.coefficients, shuffled.coefficients, atol=1e-12)
+
+
+@given(SEEDS, rotations(), rotations())
+@settings(max_examples=25)
+def test_late_evidence_equals_on_time_after_one_rotation(seed, first, second):
+    rng = np.random.default_rng(seed)
+    early, later = (Evidence.from_response(rng.random((8, 16)), PatchGrid(8, 16)) for _ in range(2))
+    on_time = Belief.uniform(7).predict(first).update(early).predict(second).update(later)
+    late = Belief.uniform(7).predict(first).predict(second).update(later).update(early, new_R_capture=second)
+    assert np.abs(on_time.coefficients - late.coefficients).max() < 1e-12
+
+
+@given(rotations(), directions())
+@settings(max_examples=40)
+def test_the_mode_turns_with_the_body(R, target):
+    belief = Belief.uniform(7).update(look(target))
+    assert np.degrees(angular_distance(belief.predict(R).mode(), R @ belief.mode())) < 0.1
+    assert np.degrees(angular_distance(belief.mode(), target)) < 0.1
+    assert np.allclose(belief.predict(R).mean_direction(), R @ belief.mean_direction(), atol=1e-12)
+
+
+@pytest.mark.parametrize("degree", [3, 7, 15, 31])
+@given(target=directions())
+@settings(max_examples=20)
+def test_the_mode_is_far_finer_than_its_grid(degree, target):
+    basis = RealHarmonics(degree)
+    belief = Belief(basis.smooth(basis.evaluate(target), 0.1))
+    assert np.degrees(angular_distance(belief.mode(), target)) < 0.1
+
+
+@given(SEEDS)
+@settings(max_examples=10)
+def test_the_mode_is_the_highest_point(seed):
+    belief = Belief(field(9, seed))
+    values = belief.log_ratio(FINE)
+    assert belief.log_ratio(belief.mode()) >= values.max() - 1e-3 * np.ptp(values)
+
+
+def test_the_published_estimate_is_the_first_moment_of_the_log_field():
+    belief = Belief(field(7, 4))
+    f = belief.log_ratio(FINE)
+    moment = np.einsum("ij,ijk->k", f * FINE.weights, FINE.directions)
+    assert np.allclose(belief.mean_direction(), moment / np.linalg.norm(moment), atol=1e-9)
+    assert belief.resultant() == pytest.approx(np.linalg.norm(moment) / np.sum(f * FINE.weights), rel=1e-9)
+    only_degree_one = Belief(np.where(np.arange(64) < 4, belief.coefficients, 0.0))
+    assert np.allclose(only_degree_one.mean_direction(), belief.mean_direction()), "it depends on degree 1 alone"
+
+
+def test_the_published_estimate_fails_where_the_mode_does_not():
+    """Two blobs 120 degrees apart: the mean lies between them, where nothing is."""
+    strong, weak = direction(0.0, 0.0), direction(math.radians(120), 0.0)
+    belief = Belief.uniform(7).update(look(strong, weak, scores=[1.0, 0.6]))
+    assert np.degrees(angular_distance(belief.mode(), strong)) < 2
+    assert np.degrees(angular_distance(belief.mean_direction(), strong)) > 30
+
+
+@pytest.mark.parametrize(("degree", "height"), [(7, 3), (7, 20), (15, 10), (15, 60), (31, 30)])
+def test_regions_entropy_and_presence_match_a_fine_quadrature(degree, height):
+    c = field(degree, degree + height, width=0.12)
+    c *= height / np.ptp(RealHarmonics(degree).synthesise(c, ErpGrid(64, 128)))
+    belief = Belief(c)
+    f, total, probability = fine_posterior(belief)
+    assert belief.entropy() == pytest.approx(total - np.sum(probability * f), abs=1e-3)
+    assert belief.presence(0.3) == pytest.approx(
+        0.3 * np.exp(total) / (4 * math.pi) / (0.3 * np.exp(total) / (4 * math.pi) + 0.7), abs=1e-3
+    )
+    for mass in (0.5, 0.9) if height < 60 else (0.9,):  # a sharper region of 50 % outruns the reference itself
+        region = belief.credible_region(mass)
+        inside = f - total >= region.threshold
+        assert probability[inside].sum() == pytest.approx(mass, abs=1e-3)
+        assert region.area == pytest.approx(FINE.weights[inside].sum(), rel=0.02)
+        assert (region.contains(FINE.directions[::100, ::100]) == inside[::100, ::100]).all()
+        cone = angular_distance(FINE.directions, region.mode) <= region.angle
+        assert probability[cone].sum() == pytest.approx(mass, abs=5e-3)
+    assert np.sum(np.exp(belief.log_density(FINE.directions)) * FINE.weights) == pytest.approx(1, abs=1e-6)
+
+
+@given(SEEDS, st.floats(0.05, 0.45), st.floats(0.5, 0.95))
+@settings(max_examples=15)
+def test_a_larger_mass_is_a_larger_region(seed, small, large):
+    belief = Belief(5 * field(7, seed))
+    inner, outer = belief.credible_region(small), belief.credible_region(large)
+    assert inner.area < outer.area
+    assert inner.threshold > outer.threshold
+    assert inner.angle <= outer.angle
+
+
+def test_knowing_nothing():
+    belief = Belief.uniform(7)
+    assert belief.entropy() == pytest.approx(math.log(4 * math.pi))
+    assert belief.presence(0.2) == pytest.approx(0.2)
+    assert np.allclose(belief.mode(), [1, 0, 0])
+    assert np.allclose(belief.mean_direction(), [1, 0, 0])
+    found, weights = belief.modes(3)
+    assert found.shape == (1, 3)
+    assert weights == pytest.approx([1.0])
+    assert belief.log_density(np.eye(3)) == pytest.approx(-math.log(4 * math.pi))
+
+
+def test_looking_and_seeing_nothing_lowers_presence_and_a_sighting_raises_it():
+    belief = Belief.uniform(15)
+    empty = belief.update(Evidence.from_response(np.zeros((8, 16)), PatchGrid(8, 16)))
+    assert empty.presence() < 0.5
+    seen = belief
+    for _ in range(6):
+        seen = seen.update(look(direction(1.0, 0.2)))
+    assert seen.presence() > 0.9
+    assert seen.entropy() < belief.entropy() - 2
+
+
+def test_modes_are_the_targets_strongest_first_and_weights_share_the_belief():
+    a, b, c = direction(0.2, -0.1), direction(2.0, 0.3), direction(-2.2, -0.4)
+    belief = Belief.uniform(15)
+    for _ in range(3):
+        belief = belief.update(look(a, b, c, scores=[0.9, 0.6, 0.75]))
+    found, weights = belief.modes(5)
+    assert len(found) == 3
+    for target, mode in zip((a, c, b), found, strict=True):
+        assert np.degrees(angular_distance(target, mode)) < 2
+    assert weights[0] > weights[1] > weights[2] > 0.02
+    assert weights.sum() == pytest.approx(1, abs=0.05)
+    assert np.allclose(belief.modes(1)[0][0], belief.mode(), atol=1e-3)
+    assert len(belief.modes(2)[0]) == 2
+
+
+@given(SEEDS, rotations())
+@settings(max_examples=15)
+def test_modes_turn_with_the_body(seed, R):
+    belief = Belief(8 * field(9, seed))
+    (one, w1), (two, w2) = belief.modes(4), belief.predict(R).modes(4)
+    assert len(one) == len(two)
+    assert np.degrees(angular_distance(one @ R.T, two)).max() < 1.0
+    assert np.allclose(w1, w2, atol=0.02)
+
+
+def test_neighbouring_ripples_are_one_mode():
+    belief = Belief.uniform(15).update(look(direction(0.0, 0.0)))
+    assert len(belief.modes(9)[0]) == 1, "the ringing around one sighting is no second candidate"
+
+
+def test_a_mode_at_the_pole_and_one_on_the_seam():
+    up, behind = direction(0.0, math.pi / 2 - 0.01), direction(math.pi, 0.0)
+    belief = Belief.uniform(15).update(look(up, behind))
+    found, _ = belief.modes(5)
+    assert len(found) == 2
+    for target in (up, behind):
+        assert np.degrees(angular_distance(found, target)).min() < 1.5
+
+
+def test_beliefs_never_change():
+    belief = Belief.uniform(7)
+    before = belief.coefficients.copy()
+    belief.update(look(direction(0.3, 0.1))).predict(rotation((0, 0, 1), 1.0)).forget(0.5).diffuse(0.1)
+    assert np.array_equal(belief.coefficients, before)
+    with pytest.raises(AttributeError):
+        belief.coefficients = before
+
+
+def test_forgetting_scales_the_odds():
+    belief = Belief.uniform(7).update(look(direction(0.3, 0.1)))
+    assert np.allclose(belief.forget(0.25).coefficients, 0.25 * belief.coefficients)
+    assert belief.forget(0.0).entropy() == pytest.approx(math.log(4 * math.pi))
+
+
+@pytest.mark.parametrize(("concentration", "degrees"), [(100, 4), (100, 1), (20, 10), (300, 2)])
+@pytest.mark.parametrize("degree", [7, 15])
+def test_diffusion_widens_a_peak_as_convolution_does(concentration, degrees, degree):
+    """kappa 100 and 4 degrees give about 67, where the heat kernel on the log field leaves 99.5."""
+
+    def resultant(belief):
+        _, _, probability = fine_posterior(belief)
+        return np.linalg.norm(np.einsum("ij,ijk->k", probability, FINE.directions))
+
+    mu = direction(0.4, 0.3)
+    c = np.zeros((degree + 1) ** 2)
+    c[1:4] = concentration * np.array([mu[1], mu[2], mu[0]]) * math.sqrt(4 * math.pi / 3)
+    belief, sigma = Belief(c), math.radians(degrees)
+    exact = resultant(belief) * math.exp(-(sigma**2))  # the heat kernel on the degree-1 moment
+    spread = 1 - resultant(belief.diffuse(sigma))
+    assert spread == pytest.approx(1 - exact, rel=0.02)
+    assert 1 - resultant(belief.diffuse_log(sigma)) < 0.9 * (1 - exact) or degrees == 1
+    assert belief.diffuse(sigma).presence(1e-9) == pytest.approx(belief.presence(1e-9), rel=0.05), "Z is kept"
+
+
+@given(SEEDS, st.floats(0.01, 0.1))
+@settings(max_examples=8, deadline=None)
+def test_diffusion_of_any_belief_matches_the_heat_equation(seed, sigma):
+    degree = 9
+    c = field(degree, seed, width=0.15)
+    c *= 10 / np.ptp(RealHarmonics(degree).synthesise(c, ErpGrid(32, 64)))
+    big, grid = RealHarmonics(47), ErpGrid(96, 192)
+    p = np.exp(Belief(c).log_ratio(grid))
+    p /= np.sum(p * grid.weights)
+    q = big.synthesise(big.smooth(big.analyse(p, grid), sigma), grid)
+    ours = np.exp(Belief(c).diffuse(sigma).log_ratio(grid))
+    ours /= np.sum(ours * grid.weights)
+    apart = 0.5 * np.sum(np.abs(ours - q) * grid.weights)
+    moved = 0.5 * np.sum(np.abs(p - q) * grid.weights)
+    assert apart < max(0.5 * moved, 0.01)
+
+
+def test_batches_are_loops():
+    beliefs = [Belief(6 * field(7, s)) for s in range(6)]
+    batch = Belief(np.stack([b.coefficients for b in beliefs]).reshape(2, 3, -1))
+    turns = np.stack([rotation((0, 1, 1), 0.3 * s) for s in range(6)]).reshape(2, 3, 3, 3)
+    assert batch.mode().shape == (2, 3, 3)
+    for i, b in enumerate(beliefs):
+        at = divmod(i, 3)
+        assert np.allclose(batch.mode()[at], b.mode(), atol=1e-9)
+        assert np.allclose(batch.mean_direction()[at], b.mean_direction())
+        assert batch.resultant()[at] == pytest.approx(float(b.resultant()))
+        assert batch.entropy()[at] == pytest.approx(b.entropy())
+        assert batch.presence()[at] == pytest.approx(b.presence())
+        assert batch.credible_angle()[at] == pytest.approx(b.credible_angle())
+        assert np.allclose(batch.predict(turns)[at].coefficients, b.predict(turns[at]).coefficients, atol=1e-12)
+        assert np.allclose(batch.diffuse(0.05)[at].coefficients, b.diffuse(0.05).coefficients, atol=0.15)
+        directions_, weights = batch.modes(3)
+        one, w = b.modes(3)
+        assert np.allclose(directions_[at][: len(one)], one)
+        assert np.allclose(weights[at][: len(w)], w)
+        assert (weights[at][len(w) :] == 0).all()
+    d = np.eye(3)
+    assert np.allclose(batch.log_density(d)[1, 2], beliefs[5].log_density(d))
+    with pytest.raises(EagorError, match="one belief"):
+        batch.credible_region(0.9)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        lambda b: b.forget(1.5),
+        lambda b: b.forget(math.nan),
+        lambda b: b.diffuse(-1),
+        lambda b: b.credible_region(1.0),
+        lambda b: b.presence(2.0),
+        lambda b: Belief(np.zeros(63)),
+        lambda b: b[0],
+    ],
+)
+def test_bad_arguments_are_refused(bad):
+    with pytest.raises(EagorError):
+        bad(Belief.uniform(7))
+
+
+def test_a_reflection_is_no_motion():
+    with pytest.raises(RotationError):
+        Belief.uniform(7).predict(np.diag([1.0, -1.0, 1.0]))

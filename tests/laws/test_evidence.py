@@ -1,0 +1,289 @@
+"""What one look may and may not say."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import random_directions, rotations
+
+from eagor import coverage
+from eagor.errors import EagorError, ResponseError, TimeError
+from eagor.evidence import Calibration, Evidence
+from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
+from eagor.harmonics import RealHarmonics
+from eagor.sphere import angular_distance, azimuth_elevation, direction, rotation
+
+PATCHES = PatchGrid(12, 24)
+SPHERE = ErpGrid(64, 128)
+
+
+def field(evidence, degree=15, where=SPHERE):
+    return RealHarmonics(degree).synthesise(evidence.coefficients(degree), where)
+
+
+def brightest(evidence, degree=15):
+    values = field(evidence, degree)
+    return SPHERE.directions.reshape(-1, 3)[values.argmax()]
+
+
+@given(st.floats(0, 1), st.floats(0.001, 1), st.floats(0, 1), st.floats(0.1, 4))
+def test_the_calibration_is_its_formula(l, floor, neutral, temperature):
+    calibration = Calibration(floor, neutral, temperature)
+    expected = temperature * math.log((l + floor) / (neutral + floor))
+    evidence = Evidence.from_response(np.full(PATCHES.shape, l), PATCHES, calibration)
+    assert np.allclose(evidence.log_ratio, expected, atol=1e-12)
+    assert np.allclose(calibration.log_ratio(np.array(l)), expected)
+    assert np.allclose(evidence.response, l, atol=1e-9)
+    if l == 0:
+        assert expected == pytest.approx(calibration.empty)
+
+
+def test_the_default_says_nothing_at_a_neutral_response_of_at_least_five_per_cent():
+    calibration = Calibration()
+    assert calibration.neutral >= 0.05
+    assert calibration.log_ratio(np.array(calibration.neutral)) == 0
+    assert calibration.empty < 0 < calibration.log_ratio(np.array(1.0))
+
+
+def test_the_published_profile_scales_to_the_maximum_and_only_it_does():
+    response = np.random.default_rng(0).random(PATCHES.shape) * 0.4
+    paper = Evidence.from_response(response, PATCHES, Calibration.paper())
+    assert np.allclose(paper.log_ratio, np.log(response / response.max() + 1e-3), atol=1e-12)
+    assert np.allclose(paper.response, response, atol=1e-12)
+    ours = Evidence.from_response(response, PATCHES)
+    assert np.allclose(ours.log_ratio, Calibration().log_ratio(response))
+    assert np.allclose(paper.with_calibration(Calibration()).log_ratio, ours.log_ratio, atol=1e-9)
+    empty = Evidence.from_response(np.zeros(PATCHES.shape), PATCHES, Calibration.paper())
+    assert np.allclose(empty.log_ratio, math.log(1e-3))
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64, np.float16, np.uint8, bool])
+def test_an_empty_look_is_good_input_negative_and_bounded(dtype):
+    for grid in (PATCHES, PerspectiveGrid(12, 20, 1.5)):
+        evidence = Evidence.from_response(np.zeros(grid.shape, dtype), grid)
+        assert np.allclose(evidence.log_ratio, Calibration().empty)
+    assert np.allclose(field(Evidence.from_boxes([], ErpGrid(256, 512))), Calibration().empty, atol=1e-5)
+    assert np.allclose(field(Evidence.from_points(np.zeros((0, 3)), 10.0)), Calibration().empty, atol=1e-5)
+    assert np.allclose(
+        field(Evidence.from_mask(np.zeros((0, *PATCHES.shape)), PATCHES)), Calibration().empty, atol=1e-5
+    )
+
+
+VIEWS = [
+    PerspectiveGrid(36, 64, math.radians(100), rotation((0, 0, 1), 0.8) @ rotation((0, 1, 0), 0.3)),
+    PerspectiveGrid(40, 40, math.radians(60), rotation((1, 2, 0), 1.3)),
+    PerspectiveGrid(40, 60, math.radians(140)),
+    PerspectiveGrid(108, 192, math.radians(100)),
+    FisheyeGrid(40, math.radians(150), rotation((0, 1, 0), -0.6)),
+]
+
+
+@pytest.mark.parametrize("grid", VIEWS, ids=lambda g: f"{type(g).__name__}-{g.shape}")
+@pytest.mark.parametrize("kind", ["empty", "full", "blob", "blob at the border", "one cell"])
+def test_what_was_not_looked_at_gains_nothing(grid, kind):
+    """Beyond 30 degrees outside the border, at L = 15, one view leaves less than 0.02 nats."""
+    height, width = grid.shape
+    middle, border = (
+        grid.directions[height // 2, width // 2],
+        grid.unproject(np.array(width * 0.85), np.array(height / 2)),
+    )
+    cell = np.zeros(grid.shape)
+    cell[height // 2, width // 2] = 1
+    response = {
+        "empty": np.zeros(grid.shape),
+        "full": np.ones(grid.shape),
+        "blob": np.exp(-0.5 * (angular_distance(grid.directions, middle) / 0.14) ** 2),
+        "blob at the border": np.exp(-0.5 * (angular_distance(grid.directions, border) / 0.14) ** 2),
+        "one cell": cell,
+    }[kind]
+    values = field(Evidence.from_response(response, grid))
+    seen = grid.directions[grid.weights > 0].reshape(-1, 3)
+    outside = coverage._distance(SPHERE.directions, seen) > math.radians(31)
+    assert np.abs(values[outside]).max() < 0.02
+    if kind in ("full", "empty"):
+        inner = field(Evidence.from_response(response, grid), where=middle)
+        assert inner == pytest.approx(float(Calibration().log_ratio(response[0, 0])), rel=0.25), (
+            "and is kept where seen"
+        )
+
+
+def test_without_the_confinement_it_would_leak():
+    """The law above can fail: the plain projection of the same view is far above the limit."""
+    grid = VIEWS[0]
+    values = RealHarmonics(15).analyse(np.full(grid.shape, 2.0), grid)
+    outside = coverage._distance(SPHERE.directions, grid.directions.reshape(-1, 3)) > math.radians(31)
+    assert np.abs(RealHarmonics(15).synthesise(values, SPHERE)[outside]).max() > 0.06
+
+
+@given(rotations())
+@settings(max_examples=20)
+def test_a_turned_view_is_the_turned_evidence(R):
+    rng = np.random.default_rng(0)
+    response = rng.random((18, 32))
+    ahead = Evidence.from_response(response, PerspectiveGrid(18, 32, 1.6))
+    turned = Evidence.from_response(response, PerspectiveGrid(18, 32, 1.6, R))
+    basis = RealHarmonics(7)
+    assert np.allclose(turned.coefficients(7), basis.rotate(ahead.coefficients(7), R), atol=1e-12)
+
+
+@pytest.mark.parametrize("grid", [ErpGrid(36, 72), PatchGrid(36, 72)])
+def test_masked_cells_gain_nothing(grid):
+    """A robot that hides the lower third of its own panorama."""
+    response = np.zeros(grid.shape)
+    cover = (grid.directions[..., 2] > -0.4).astype(float)
+    evidence = Evidence.from_response(response, grid, coverage=cover)
+    assert (evidence.log_ratio[cover == 0] == 0).all(), "exactly zero where nothing was looked at"
+    values = field(evidence)
+    hidden = np.degrees(np.arcsin(SPHERE.directions[..., 2])) < np.degrees(np.arcsin(-0.4)) - 30
+    assert np.abs(values[hidden]).max() < 0.02
+    assert values[16, 64] == pytest.approx(Calibration().empty, rel=0.1)
+    assert np.allclose(Evidence.from_response(response, grid, coverage=np.ones(grid.shape)).seen is None, True)
+    kept = evidence.with_calibration(Calibration(floor=0.2))
+    assert (kept.log_ratio[cover == 0] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("azimuth_deg", "elevation_deg"), [(0, 0), (64, -34), (179, 5), (-178, -20), (90, 60), (-120, 85)]
+)
+def test_a_box_points_to_its_middle(azimuth_deg, elevation_deg):
+    """Also across the seam, in every spelling of it."""
+    grid = ErpGrid(512, 1024)
+    x = (180 - azimuth_deg) / 360 * 1024
+    y = (90 - elevation_deg) / 180 * 512
+    target = direction(math.radians(azimuth_deg), math.radians(elevation_deg))
+    half_x, half_y = 20 / max(0.2, math.cos(math.radians(elevation_deg))), 12
+    box = np.array([x - half_x, y - half_y, x + half_x, y + half_y])
+    spellings = [box]
+    if box[2] > 1024 or box[0] < 0:
+        spellings.append(np.array([box[0] % 1024, box[1], box[2] % 1024, box[3]]))
+    for spelling in spellings:
+        assert np.degrees(angular_distance(brightest(Evidence.from_boxes([spelling], grid)), target)) < 3.5
+
+
+def test_boxes_in_a_view_and_several_boxes():
+    grid = PerspectiveGrid(1080, 1920, math.radians(100), rotation((0, 0, 1), 1.0))
+    evidence = Evidence.from_boxes([[1500, 500, 1600, 600], [200, 500, 260, 560]], grid, scores=[0.9, 0.4])
+    target = grid.unproject(np.array(1550.0), np.array(550.0))
+    assert np.degrees(angular_distance(brightest(evidence), target)) < 4
+    assert evidence.response.max() == pytest.approx(0.9, abs=0.02)
+    other = evidence.grid.project(grid.unproject(np.array(230.0), np.array(530.0)))
+    assert evidence.response[int(other[1]), int(other[0])] == pytest.approx(0.4, abs=0.05)
+
+
+def test_points_are_von_mises_fisher_bumps():
+    target = direction(2.0, -0.4)
+    evidence = Evidence.from_points([target], 1 / 0.15**2, [0.8])
+    assert np.degrees(angular_distance(brightest(evidence), target)) < 3
+    off = angular_distance(evidence.grid.directions, target)
+    assert np.allclose(evidence.response, 0.8 * np.exp((np.cos(off) - 1) / 0.15**2), atol=1e-6)
+
+
+def test_masks_take_the_best_score_where_they_overlap():
+    masks = np.zeros((2, *PATCHES.shape), bool)
+    masks[0, 3:6, 4:8] = masks[1, 5:8, 6:10] = True
+    evidence = Evidence.from_mask(masks, PATCHES, scores=[0.3, 0.9])
+    assert evidence.response[4, 5] == pytest.approx(0.3, abs=1e-6)
+    assert evidence.response[5, 7] == pytest.approx(0.9, abs=1e-6)
+    assert evidence.response[0, 0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_left_of_the_picture_is_the_left_of_the_body():
+    response = np.zeros(PATCHES.shape)
+    response[6, 3] = 1
+    azimuth, elevation = azimuth_elevation(brightest(Evidence.from_response(response, PATCHES)))
+    assert np.degrees(azimuth) == pytest.approx(180 - 360 * 3.5 / 24, abs=3)
+    assert np.degrees(elevation) == pytest.approx(90 - 180 * 6.5 / 12, abs=3)
+
+
+@given(st.integers(0, 1000), st.floats(0, 1))
+@settings(max_examples=20)
+def test_more_response_is_never_less_evidence(seed, more):
+    response = np.random.default_rng(seed).random(PATCHES.shape) * 0.5
+    higher = response + more * 0.5
+    low, high = (Evidence.from_response(r, PATCHES).log_ratio for r in (response, higher))
+    assert (high >= low).all()
+
+
+@pytest.mark.parametrize(
+    ("response", "text"),
+    [
+        (np.full(PATCHES.shape, np.nan), "NaN"),
+        (np.where(np.arange(24) == 3, np.inf, np.zeros(PATCHES.shape)), "infinite"),
+        (np.full(PATCHES.shape, 1.5), "1.5"),
+        (np.full(PATCHES.shape, -0.1), "-0.1"),
+        (np.full(PATCHES.shape, 255, np.uint8), "255"),
+        (np.zeros((12, 23)), "12, 23"),
+        (np.zeros((0, 12, 24)), "at least one"),
+        (np.zeros(5), "shape"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["numpy", "numpy32", "torch"])
+def test_bad_responses_are_refused_with_a_reason(response, text, kind):
+    if kind == "numpy32" and response.dtype == np.float64:
+        response = response.astype(np.float32)
+    if kind == "torch":
+        import torch
+
+        response = torch.tensor(response)
+    with pytest.raises(ResponseError, match=text):
+        Evidence.from_response(response, PATCHES)
+
+
+def test_one_bad_value_at_the_end_of_a_large_map_is_found():
+    grid = ErpGrid(512, 1024)
+    for bad in (np.nan, 1.0001, -1e-6, -np.inf):
+        response = np.zeros(grid.shape, np.float32)
+        response[-1, -1] = bad
+        with pytest.raises(ResponseError):
+            Evidence.from_response(response, grid)
+    response = np.zeros(grid.shape, np.float32)
+    response[3, 4] = -0.0
+    assert Evidence.from_response(response, grid).log_ratio[3, 4] == pytest.approx(Calibration().empty)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Evidence.from_boxes([[10, 10, 10, 20]], ErpGrid(64, 128)),
+        lambda: Evidence.from_boxes([[10, 10, np.nan, 20]], ErpGrid(64, 128)),
+        lambda: Evidence.from_boxes([[0.1, 0.1, 0.05, 0.2]], PerspectiveGrid(64, 64, 1.0)),
+        lambda: Evidence.from_boxes([[500, 500, 600, 600]], PerspectiveGrid(64, 64, 1.0)),
+        lambda: Evidence.from_boxes([[1, 1, 5, 5]], ErpGrid(64, 128), scores=[1.2]),
+        lambda: Evidence.from_boxes([[1, 1, 5, 5]], ErpGrid(64, 128), scores=[0.5, 0.5]),
+        lambda: Evidence.from_points([[1, 0, 0]], -1.0),
+        lambda: Evidence.from_points([[0, 0, 0]], 1.0),
+        lambda: Evidence.from_mask(np.zeros((3, 3)), PATCHES),
+        lambda: Evidence.from_response(np.zeros(PATCHES.shape), PATCHES, coverage=np.full(PATCHES.shape, 2.0)),
+        lambda: Calibration(floor=0.0),
+        lambda: Calibration(temperature=-1),
+        lambda: Calibration(neutral=2),
+    ],
+)
+def test_bad_detections_are_refused(make):
+    with pytest.raises(EagorError):
+        make()
+
+
+def test_a_stamp_must_be_a_time():
+    with pytest.raises(TimeError, match="capture"):
+        Evidence.from_response(np.zeros(PATCHES.shape), PATCHES, stamp=math.nan)
+
+
+def test_evidence_does_not_share_memory_with_the_response():
+    response = np.zeros(PATCHES.shape)
+    evidence = Evidence.from_response(response, PATCHES)
+    before = evidence.coefficients(7)
+    response += 1
+    assert np.array_equal(evidence.coefficients(7), before)
+
+
+def test_the_logarithm_comes_before_the_integral():
+    """On sparse maps upsampling first is wrong by more than half; patches must agree with pixels of the same values."""
+    rng = np.random.default_rng(0)
+    response = (rng.random((37, 74)) > 0.99).astype(float)
+    patches = Evidence.from_response(response, PatchGrid(37, 74), Calibration.paper()).coefficients(7)
+    pixels = Evidence.from_response(np.kron(response, np.ones((8, 8))), PatchGrid(296, 592), Calibration.paper())
+    assert np.allclose(patches, pixels.coefficients(7), atol=1e-9)
+    assert random_directions(3).shape == (3, 3)

@@ -1,0 +1,128 @@
+"""Direction and distance together."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import rotations
+
+from eagor.belief import Belief
+from eagor.errors import EagorError, PoseError, RotationError
+from eagor.evidence import Evidence
+from eagor.ranged import RangedBelief, log_ranges
+from eagor.sphere import angular_distance, rotation
+
+
+def bearing(position, target):
+    offset = target - position
+    return offset / np.linalg.norm(offset)
+
+
+def walk(target, steps, stride, noise=0.0, seed=0, degree=12, turn=0.0):
+    """Walk along a line past `target`, looking at it at every step; the belief and the true bearing at the end."""
+    rng = np.random.default_rng(seed)
+    belief, position, heading = RangedBelief.uniform(degree), np.zeros(3), np.eye(3)
+    for _ in range(steps):
+        position = position + stride
+        new_R_old = rotation((0, 0, 1), -turn)
+        heading = heading @ new_R_old.T
+        seen = bearing(position, target) + noise * rng.normal(size=3)
+        look = Evidence.from_points([heading.T @ seen / np.linalg.norm(seen)], 50.0, [0.9])
+        belief = belief.predict(new_R_old, heading.T @ stride).update(look)
+    return belief, heading.T @ bearing(position, target), np.linalg.norm(target - position)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.15])
+@pytest.mark.parametrize("distance", [1.5, 3.0, 5.0])
+def test_walking_past_a_target_tells_its_distance(distance, turn):
+    target = np.array([0.5 * distance, distance, 0.2])
+    belief, truth, away = walk(target, 12, np.array([distance / 8, 0, 0]), turn=turn)
+    assert np.degrees(angular_distance(belief.mode(), truth)) < 4
+    assert belief.distance() == pytest.approx(away, rel=0.2)
+
+
+def test_without_moving_the_distance_stays_the_prior():
+    belief, _, _ = walk(np.array([2.0, 2.0, 0]), 6, np.zeros(3))
+    assert np.allclose(belief.range_probabilities(), RangedBelief.uniform(12).range_probabilities(), atol=1e-6)
+    prior = np.gradient(np.log(log_ranges()))
+    assert np.allclose(belief.range_probabilities(), prior / prior.sum(), atol=1e-6)
+
+
+def test_walking_past_a_target_keeps_what_rotation_alone_loses():
+    target, stride = np.array([2.0, 1.5, 0.0]), np.array([0.25, 0, 0])
+    ranged, flat, position = RangedBelief.uniform(12, log_ranges(count=28)), Belief.uniform(12), np.zeros(3)
+    for _ in range(8):
+        position = position + stride
+        look = Evidence.from_points([bearing(position, target)], 50.0, [0.9])
+        ranged, flat = ranged.predict(np.eye(3), stride).update(look), flat.update(look)
+    for _ in range(8):  # now blind
+        position = position + stride
+        ranged = ranged.predict(np.eye(3), stride)
+    truth = bearing(position, target)
+    assert np.degrees(angular_distance(ranged.mode(), truth)) < 12
+    assert np.degrees(angular_distance(flat.mode(), truth)) > 60
+
+
+@given(rotations())
+@settings(max_examples=15)
+def test_rotation_alone_is_the_belief_on_every_shell(R):
+    look = Evidence.from_points([[0.6, 0.64, 0.48]], 40.0)
+    ranged = RangedBelief.uniform(7).update(look).predict(R)
+    flat = Belief.uniform(7).update(look).predict(R)
+    for shell in ranged.shells:
+        assert np.allclose(shell, flat.coefficients, atol=1e-12)
+    assert np.degrees(angular_distance(ranged.mode(), flat.mode())) < 1e-3
+    assert np.allclose(ranged.direction_belief().coefficients, flat.coefficients, atol=1e-6)
+    assert ranged.presence() == pytest.approx(flat.presence(), abs=1e-9)
+    assert ranged.entropy() == pytest.approx(flat.entropy(), abs=1e-9)
+
+
+def test_a_range_cue_enters_shell_by_shell():
+    belief = RangedBelief.uniform(7, log_ranges(1, 8, 7))
+    ranges = belief.ranges
+    looks = [Evidence.from_points([[1, 0, 0]], 40.0, [math.exp(-8 * math.log(r / 4) ** 2)]) for r in ranges]
+    for _ in range(5):
+        belief = belief.update(looks)
+    assert belief.distance() == pytest.approx(4, rel=0.1)
+    assert ranges[belief.range_probabilities().argmax()] == pytest.approx(4, rel=0.01)
+    with pytest.raises(EagorError, match="7"):
+        belief.update(looks[:3])
+
+
+def test_batches_are_loops():
+    one, two = (walk(np.array([1.0, y, 0.1]), 3, np.array([0.2, 0, 0]), degree=7)[0] for y in (2.0, -1.0))
+    batch = RangedBelief(np.stack([one.shells, two.shells]), one.ranges)
+    assert np.allclose(batch.mode(), [one.mode(), two.mode()])
+    assert np.allclose(batch.distance(), [one.distance(), two.distance()])
+    turns = np.stack([rotation((0, 0, 1), 0.3), rotation((0, 1, 0), 0.1)])
+    steps = np.array([[0.2, 0, 0], [0, 0.1, 0.0]])
+    moved = batch.predict(turns, steps)
+    assert np.allclose(moved.shells[1], two.predict(turns[1], steps[1]).shells, atol=1e-12)
+    assert np.allclose(batch.predict(turns[0], steps[0]).shells[1], two.predict(turns[0], steps[0]).shells, atol=1e-12)
+    assert np.allclose(batch.log_density(np.eye(3))[0], one.log_density(np.eye(3)))
+
+
+@settings(max_examples=10)
+@given(st.floats(0.1, 0.9))
+def test_forgetting_and_diffusion_reach_every_shell(factor):
+    belief = walk(np.array([1.0, 2.0, 0.1]), 3, np.array([0.2, 0, 0]), degree=7)[0]
+    assert np.allclose(belief.forget(factor).shells, factor * belief.shells)
+    assert belief.diffuse(0.2).entropy() > belief.entropy()
+
+
+@pytest.mark.parametrize(
+    ("bad", "error"),
+    [
+        (lambda b: b.predict(np.eye(3), [1.0, 2.0]), PoseError),
+        (lambda b: b.predict(np.eye(3), [1.0, 2.0, math.nan]), PoseError),
+        (lambda b: b.predict(np.ones((3, 3)), [0.0, 0, 0]), RotationError),
+        (lambda b: RangedBelief.uniform(7, [2.0, 1.0]), EagorError),
+        (lambda b: RangedBelief.uniform(7, [-1.0, 1.0]), EagorError),
+        (lambda b: RangedBelief(np.zeros((3, 64)), log_ranges()), EagorError),
+    ],
+)
+def test_bad_arguments_are_refused(bad, error):
+    with pytest.raises(error):
+        bad(RangedBelief.uniform(7))

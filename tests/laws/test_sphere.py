@@ -1,0 +1,113 @@
+"""Frames, angles and rotations."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import directions, random_directions, rotations
+
+from eagor.errors import DirectionError, RotationError
+from eagor.sphere import (
+    angular_distance,
+    azimuth_elevation,
+    check_rotation,
+    direction,
+    interpolate_rotation,
+    rotation,
+    unit,
+    world_R_body,
+    wrap,
+)
+
+
+def test_left_is_positive_and_up_is_positive():
+    assert np.allclose(direction(math.pi / 2, 0.0), [0, 1, 0])
+    assert np.allclose(direction(0.0, math.pi / 2), [0, 0, 1])
+    azimuth, elevation = azimuth_elevation(np.array([1.0, 1.0, math.sqrt(2)]))
+    assert azimuth == pytest.approx(math.pi / 4)
+    assert elevation == pytest.approx(math.pi / 4)
+
+
+@given(directions())
+def test_angles_and_directions_are_inverse(d):
+    assert angular_distance(direction(*azimuth_elevation(d)), d) < 1e-12
+
+
+@given(directions(), st.floats(0, math.pi), rotations())
+def test_distance_is_the_angle_of_the_turn_and_invariant(d, angle, R):
+    axis = np.cross(d, [0.3, -0.5, 0.8])
+    turned = rotation(axis, angle) @ d
+    assert angular_distance(d, turned) == pytest.approx(angle, abs=1e-14 + 1e-14 * angle)
+    assert angular_distance(R @ d, R @ turned) == pytest.approx(angle, abs=1e-12)
+
+
+@pytest.mark.parametrize("tiny", [1e-15, 1e-12, 1e-9])
+def test_distance_keeps_its_digits_near_zero_and_pi(tiny):
+    """The arc cosine of the dot product returns 0 for all of these."""
+    a, b = np.array([1.0, 0, 0]), np.array([math.cos(tiny), math.sin(tiny), 0])
+    assert angular_distance(a, b) == pytest.approx(tiny, rel=1e-9)
+    assert math.pi - angular_distance(a, -b) == pytest.approx(tiny, abs=5e-16)
+
+
+def test_distance_broadcasts_and_ignores_length():
+    many = random_directions(12).reshape(3, 4, 3)
+    assert angular_distance(many, np.array([2.0, 0, 0])).shape == (3, 4)
+    assert np.allclose(angular_distance(5 * many, many), 0)
+
+
+def test_yaw_turns_left_pitch_turns_the_nose_down_and_roll_lowers_the_right():
+    assert np.allclose(world_R_body(math.pi / 2) @ [1, 0, 0], [0, 1, 0])
+    assert (world_R_body(0, 0.3) @ [1, 0, 0])[2] < 0
+    assert (world_R_body(0, 0, 0.3) @ [0, -1, 0])[2] < 0  # REP-103: positive roll about x lowers the right side
+
+
+@given(rotations())
+def test_every_rotation_passes_and_its_reflection_does_not(R):
+    assert check_rotation(R) is R
+    assert check_rotation(np.stack([R, R])).shape == (2, 3, 3)
+    with pytest.raises(RotationError, match="reflection"):
+        check_rotation(R @ np.diag([1.0, 1, -1]))
+
+
+@pytest.mark.parametrize(
+    ("matrix", "text"),
+    [
+        (np.eye(3) * 1.01, "not orthogonal"),
+        (np.full((3, 3), np.nan), "NaN"),
+        (np.eye(4), "shape"),
+        (np.zeros((3, 3)), "not orthogonal"),
+        ([[1.0, 0, 0], [0, 1, 0], [0, 0, -1]], "LEFT"),
+    ],
+)
+def test_what_is_no_rotation_is_refused_with_a_reason(matrix, text):
+    with pytest.raises(RotationError, match=text):
+        check_rotation(np.array(matrix))
+
+
+@given(rotations(), rotations(), st.floats(0, 1))
+def test_interpolation_moves_at_constant_speed_from_start_to_end(a, b, fraction):
+    def angle(R):
+        return np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2, (np.trace(R) - 1) / 2
+
+    whole = math.atan2(*angle(a.T @ b))
+    part = math.atan2(*angle(a.T @ interpolate_rotation(a, b, fraction)))
+    if whole < math.pi - 1e-6:
+        assert part == pytest.approx(fraction * whole, abs=1e-7)
+    assert np.allclose(interpolate_rotation(a, b, 0.0), a)
+    assert np.allclose(interpolate_rotation(a, b, 1.0), b)
+
+
+def test_unit_refuses_what_has_no_direction():
+    with pytest.raises(DirectionError, match="zero"):
+        unit(np.array([[1.0, 0, 0], [0, 0, 0]]))
+    with pytest.raises(DirectionError, match="shape"):
+        unit(np.ones(2))
+
+
+@given(st.floats(-50, 50))
+def test_wrap_changes_an_angle_by_whole_turns(angle):
+    wrapped = wrap(angle)
+    assert -math.pi <= wrapped <= math.pi
+    assert (angle - wrapped) / (2 * math.pi) == pytest.approx(round((angle - wrapped) / (2 * math.pi)), abs=1e-9)

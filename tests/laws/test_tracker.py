@@ -1,0 +1,242 @@
+"""Evidence late, early and out of order; poses at any rate; several targets; honest answers."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import rotations
+
+from eagor.belief import Belief
+from eagor.errors import EagorError, PoseError, RotationError, TimeError
+from eagor.evidence import Calibration, Evidence
+from eagor.grids import PatchGrid
+from eagor.sphere import angular_distance, direction, rotation, world_R_body
+from eagor.tracker import DirectionTracker, TrackerConfig
+
+GRID = PatchGrid(12, 24)
+FLAT = {"ranges": None, "degree": 7}
+
+
+def look(target, stamp, score=0.9, concentration=60.0):
+    return Evidence.from_points([target], concentration, [score], stamp=stamp)
+
+
+def noise(seed, stamp):
+    return Evidence.from_response(np.random.default_rng(seed).random(GRID.shape), GRID, stamp=stamp)
+
+
+def turning(config, stamps, turns, positions=None):
+    tracker = DirectionTracker(config)
+    for i, stamp in enumerate(stamps):
+        tracker.rotate(stamp, turns[i], None if positions is None else positions[i])
+    return tracker
+
+
+@given(st.lists(rotations(), min_size=4, max_size=6))
+@settings(max_examples=15)
+def test_the_published_profile_is_the_published_recursion_step_for_step(turns):
+    """c(1) = b(1); c(t) = D(R_t) c(t - 1) + b(t); the spherical mean of each."""
+    tracker, coefficients, before = DirectionTracker(TrackerConfig.paper()), None, None
+    for step, world_R_now in enumerate(turns):
+        response = np.random.default_rng(step).random(GRID.shape)
+        b = Evidence.from_response(response, GRID, Calibration.paper()).coefficients(7)
+        belief = Belief(b) if before is None else Belief(coefficients).predict(world_R_now.T @ before)
+        coefficients = b if before is None else belief.coefficients + b
+        before = world_R_now
+        tracker.rotate(float(step), world_R_now)
+        tracker.observe(Evidence.from_response(response, GRID, stamp=float(step)))
+        assert np.allclose(tracker.belief(float(step)).coefficients, coefficients, atol=1e-9)
+        estimate = tracker.estimate(float(step))
+        assert np.allclose(estimate.direction, Belief(coefficients).mean_direction(), atol=1e-9)
+
+
+@given(st.permutations(range(6)), st.lists(rotations(), min_size=6, max_size=6))
+@settings(max_examples=25)
+def test_with_rotation_only_late_equals_on_time(order, turns):
+    stamps = [0.1 * i for i in range(6)]
+    config = TrackerConfig(**FLAT, keep_per_second=0.5)
+    on_time, late = DirectionTracker(config), turning(config, stamps, turns)
+    for i, stamp in enumerate(stamps):
+        on_time.rotate(stamp, turns[i])
+        on_time.observe(noise(i, stamp))
+    for i in order:
+        late.observe(noise(i, stamps[i]))
+    now = stamps[-1] + 0.3
+    assert np.abs(on_time.belief(now).coefficients - late.belief(now).coefficients).max() < 1e-12
+
+
+@given(st.permutations(range(5)))
+@settings(max_examples=8, deadline=None)
+@pytest.mark.parametrize("kind", ["translation", "diffusion"])
+def test_what_does_not_commute_is_replayed(kind, order):
+    stamps = [0.2 * i for i in range(5)]
+    turns = [world_R_body(0.2 * i, 0.05 * i) for i in range(5)]
+    positions = [np.array([0.2 * i, 0.1, 0.0]) for i in range(5)] if kind == "translation" else None
+    config = TrackerConfig(degree=7, diffusion=0.05 if kind == "diffusion" else 0.0)
+    results = []
+    for sequence in (range(5), order):
+        tracker = turning(config, stamps, turns, positions)
+        for i in sequence:
+            tracker.observe(look(direction(0.5 - 0.1 * i, 0.1), stamps[i]))
+        results.append(tracker.belief(1.0).coefficients)
+    assert np.allclose(results[0], results[1], atol=1e-9)
+
+
+@given(rotations(), rotations())
+@settings(max_examples=20)
+def test_evidence_is_placed_by_its_time_of_capture(first, second):
+    """A detection straight ahead at t = 0, delivered after the turn, stands where the turn put it."""
+    tracker = turning(TrackerConfig(**FLAT), [0.0, 1.0], [first, second])
+    tracker.observe(look(np.array([1.0, 0, 0]), 0.0))
+    expected = second.T @ first @ [1, 0, 0]
+    estimate = tracker.estimate(1.0)
+    assert np.degrees(angular_distance(estimate.direction, expected)) < 0.1
+    assert np.degrees(angular_distance(tracker.belief(1.0).mode(), expected)) < 0.2
+
+
+def test_poses_are_interpolated_and_the_last_is_held():
+    tracker = turning(TrackerConfig(**FLAT), [0.0, 1.0], [world_R_body(0.0), world_R_body(1.0)])
+    tracker.observe(look(np.array([1.0, 0, 0]), 0.25))
+    assert tracker.estimate(1.0).azimuth == pytest.approx(-0.75, abs=2e-3)
+    assert tracker.estimate(0.25).azimuth == pytest.approx(0.0, abs=2e-3)
+    assert tracker.estimate(9.0).azimuth == pytest.approx(-0.75, abs=2e-3)
+
+
+def test_a_tracker_without_poses_stands_still():
+    tracker = DirectionTracker()
+    tracker.observe(look(direction(1.2, -0.3), 5.0))
+    estimate = tracker.estimate(5.0)
+    assert estimate.azimuth == pytest.approx(1.2, abs=2e-3)
+    assert estimate.elevation == pytest.approx(-0.3, abs=2e-3)
+    assert estimate.distance is None
+
+
+def test_with_positions_parallax_gives_distance():
+    target, tracker = np.array([2.0, 2.0, 0.2]), DirectionTracker(TrackerConfig(degree=12))
+    for i in range(12):
+        position, pose = np.array([0.25 * i, 0, 0]), world_R_body(0.3 * i)
+        tracker.rotate(float(i), pose, position)
+        offset = target - position
+        tracker.observe(look(pose.T @ offset / np.linalg.norm(offset), float(i)))
+    estimate = tracker.estimate(11.0)
+    truth = pose.T @ (target - position)
+    assert np.degrees(angular_distance(estimate.direction, truth)) < 4
+    assert estimate.distance == pytest.approx(np.linalg.norm(truth), rel=0.2)
+    # Moving on without looking: the answer keeps up with the parallax.
+    tracker.rotate(12.0, pose, position + np.array([0.5, 0, 0]))
+    truth = pose.T @ (target - position - [0.5, 0, 0])
+    assert np.degrees(angular_distance(tracker.estimate(12.0).direction, truth)) < 8
+
+
+def test_targets_are_followed_apart():
+    tracker = DirectionTracker(TrackerConfig(**FLAT))
+    tracker.observe(look(direction(1.0, 0.0), 0.0), target="chair")
+    tracker.observe(look(direction(-2.0, 0.3), 0.0), target="plant")
+    assert set(tracker.targets) == {"chair", "plant"}
+    assert tracker.estimate(0.0, "chair").azimuth == pytest.approx(1.0, abs=0.01)
+    assert tracker.estimate(0.0, "plant").azimuth == pytest.approx(-2.0, abs=0.01)
+    assert tracker.estimate(0.0, "door").status == "searching"
+
+
+def test_the_status_says_what_is_known():
+    tracker = DirectionTracker(TrackerConfig(ranges=None, stale_after=2.0))
+    assert tracker.estimate(0.0).status == "searching"
+    assert math.isinf(tracker.estimate(0.0).age)
+    for t in range(3):
+        tracker.observe(Evidence.from_response(np.zeros(GRID.shape), GRID, stamp=float(t)))
+    assert tracker.estimate(2.0).status == "searching", "looked and saw nothing"
+    assert tracker.estimate(2.0).presence < 0.5
+    for t in range(3, 6):
+        tracker.observe(look(direction(0.5, 0.0), float(t)))
+    found = tracker.estimate(5.0)
+    assert found.status == "tracking"
+    assert len(found.modes) == 1
+    assert found.modes[0].weight > 0.9
+    later = tracker.estimate(7.5)
+    assert later.status == "stale"
+    assert later.age == pytest.approx(2.5)
+    two = Evidence.from_points([direction(0.5, 0.0), direction(-2.0, 0.1)], 60.0, [0.9, 0.9], stamp=6.0)
+    tracker = DirectionTracker(TrackerConfig(ranges=None))
+    tracker.observe(two)
+    assert tracker.estimate(6.0).status == "ambiguous"
+    assert len(tracker.estimate(6.0).modes) == 2
+
+
+def test_what_was_learnt_fades_and_wanders():
+    def entropy(**changes):
+        tracker = DirectionTracker(TrackerConfig(**FLAT, **changes))
+        for t in range(4):
+            tracker.observe(look(direction(0.5, 0.0), 0.1 * t))
+        return tracker.belief(3.0).entropy()
+
+    assert entropy() < entropy(keep_per_second=0.7) < math.log(4 * math.pi)
+    assert entropy() < entropy(diffusion=0.3)
+
+
+def test_forgetting_depends_on_time_and_not_on_how_often_one_asks():
+    config = TrackerConfig(**FLAT, keep_per_second=0.5)
+    one, two = DirectionTracker(config), DirectionTracker(config)
+    for tracker in (one, two):
+        tracker.observe(look(direction(0.5, 0.0), 0.0))
+    for t in (0.5, 1.0, 1.5):
+        two.estimate(t)
+    assert np.allclose(one.belief(2.0).coefficients, two.belief(2.0).coefficients)
+    start = look(direction(0.5, 0.0), 0.0).coefficients(7)
+    assert np.allclose(one.belief(2.0).coefficients, 0.25 * start)
+
+
+def test_time_must_not_run_backwards():
+    tracker = turning(TrackerConfig(**FLAT), [0.0, 1.0], [np.eye(3)] * 2)
+    with pytest.raises(TimeError, match="backwards"):
+        tracker.rotate(0.5, np.eye(3))
+    tracker.observe(look(direction(0, 0), 1.0))
+    with pytest.raises(TimeError, match="already in"):
+        tracker.estimate(0.5)
+    with pytest.raises(TimeError, match="finite"):
+        tracker.rotate(math.nan, np.eye(3))
+    with pytest.raises(TimeError, match="capture"):
+        tracker.observe(Evidence.from_response(np.zeros(GRID.shape), GRID))
+
+
+def test_evidence_from_before_the_history_is_refused_and_the_belief_kept():
+    tracker = DirectionTracker(TrackerConfig(degree=7, history=2.0))
+    for i in range(60):
+        tracker.rotate(0.1 * i, np.eye(3), np.zeros(3))
+    with pytest.raises(PoseError, match="history"):
+        tracker.observe(look(direction(0, 0), 1.0))
+    tracker.observe(look(direction(0, 0), 5.0))
+    before = tracker.belief(6.0).coefficients
+    moving = DirectionTracker(TrackerConfig(degree=7, diffusion=0.1, history=2.0))
+    for t in (0.0, 3.0, 4.0):
+        moving.observe(look(direction(0, 0), t))
+    with pytest.raises(TimeError, match="history"):
+        moving.observe(look(direction(0, 0), 0.5))
+    assert np.array_equal(tracker.belief(6.0).coefficients, before)
+    assert len(tracker._poses) < 30, "the memory of poses is bounded"
+
+
+def test_poses_must_be_poses():
+    tracker = DirectionTracker()
+    with pytest.raises(RotationError, match="world_R_body"):
+        tracker.rotate(0.0, np.diag([1.0, -1, 1]))
+    with pytest.raises(PoseError, match="metres"):
+        tracker.rotate(0.0, np.eye(3), [1.0, math.nan, 0.0])
+    tracker.rotate(0.0, np.eye(3), np.zeros(3))
+    with pytest.raises(PoseError, match="no position"):
+        tracker.rotate(1.0, np.eye(3))
+
+
+def test_a_corrected_pose_of_the_same_time_replaces_the_first():
+    tracker = turning(TrackerConfig(**FLAT), [0.0, 0.0], [np.eye(3), rotation((0, 0, 1), 0.5)])
+    tracker.observe(look(np.array([1.0, 0, 0]), 0.0))
+    assert np.degrees(angular_distance(tracker._states["target"].belief.mode(), direction(0.5, 0))) < 0.2
+
+
+@pytest.mark.parametrize(
+    "changes", [{"keep_per_second": 0.0}, {"keep_per_second": 2.0}, {"diffusion": -1.0}, {"history": -1}]
+)
+def test_impossible_settings_are_refused(changes):
+    with pytest.raises(EagorError):
+        TrackerConfig(**changes)
