@@ -45,9 +45,9 @@ class Reading:
     ) -> tuple[np.ndarray, np.ndarray]:
         """At most `k` separate peaks, highest density first: directions ``(..., n, 3)`` and weights ``(..., n)``.
 
-        A mode stands at least `prominence` nats above the saddle around it; its weight is the probability of its basin
-        of attraction, and modes lighter than `min_weight` are left out. n is the largest number found in the batch;
-        where a belief has fewer, the rest have weight 0 and repeat the first direction.
+        A mode stands at least `prominence` nats above the saddle around it; its weight is its basin's share of the
+        belief that exceeds a typical direction's, and modes lighter than `min_weight` are left out. n is the largest
+        number found in the batch; where a belief has fewer, the rest have weight 0 and repeat the first direction.
         """
         found = [p.modes(k, prominence, min_weight) for p in self.posteriors.reshape(-1)]
         most = max((len(weights) for _, weights in found), default=0)

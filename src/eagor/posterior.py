@@ -121,17 +121,28 @@ class Posterior:
                 high = middle
         return low, float(np.sum(weights[keep] * np.clip(0.5 + (v - low) / s, 0, 1)))
 
+    def _median(self) -> float:
+        """The value of f that half of the sphere lies above."""
+        values, areas = self.coarse.reshape(-1), ErpGrid(*self.coarse.shape).weights.reshape(-1)
+        order = np.argsort(values)
+        return float(values[order][np.searchsorted(np.cumsum(areas[order]), areas.sum() / 2)])
+
     def modes(self, count: int, prominence: float, min_weight: float) -> tuple[np.ndarray, np.ndarray]:
         """Directions ``(n, 3)`` and weights ``(n,)`` of at most `count` modes, highest density first.
 
         Each cell climbs to its peak; basins whose peak stands less than `prominence` nats above the saddle to a higher
-        one join that one. A mode's weight is the probability of its basin.
+        one join that one. A mode's weight is its share of what stands out: the probability in its basin in excess of a
+        typical direction's (the median of f over the sphere). For a sharp belief that is the probability of the basin;
+        early on, when most of the belief still lies anywhere, it keeps the candidates comparable.
         """
         height, width = self.coarse.shape
         label = _merge(self.coarse, _climb(self.coarse), prominence)
         peaks, inverse = np.unique(label, return_inverse=True)
-        fine = self.probability.reshape(height, self.grid.height // height, width, self.grid.width // width)
+        typical = np.exp(self._median() - self.log_total) * self.grid.weights
+        excess = np.maximum(self.probability - typical, 0.0)
+        fine = excess.reshape(height, self.grid.height // height, width, self.grid.width // width)
         weight = np.bincount(inverse.reshape(-1), fine.sum(axis=(1, 3)).reshape(-1))
+        weight = weight / weight.sum() if weight.sum() > 0 else np.full(len(weight), 1 / len(weight))
         flat = self.coarse.reshape(-1)
         order = [i for i in np.argsort(-flat[peaks]) if weight[i] >= min_weight][:count]
         if not order:
