@@ -40,6 +40,14 @@ class Reading:
     batch_shape: tuple[int, ...]
     posteriors: np.ndarray  # of Posterior, shape batch_shape
 
+    @property
+    def posterior(self) -> Posterior:
+        """The posterior of a belief without batch dimensions."""
+        if self.batch_shape:
+            raise EagorError(f"this reads one belief, and got a batch {self.batch_shape}; index it: belief[i]")
+        found: Any = self.posteriors[()]
+        return found
+
     def modes(
         self, k: int = 3, prominence: float = PROMINENCE, min_weight: float = MIN_WEIGHT
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -62,11 +70,7 @@ class Reading:
 
     def credible_region(self, mass: float = 0.9) -> CredibleRegion:
         """The smallest region that holds `mass` of the belief (highest density). One belief at a time."""
-        if self.batch_shape:
-            raise EagorError(
-                f"credible_region reads one belief; this is a batch {self.batch_shape}. Index it: belief[i]"
-            )
-        posterior: Any = self.posteriors[()]
+        posterior = self.posterior
         level, area = posterior.level(_checked_mass(mass))
         return CredibleRegion(
             mass=mass,

@@ -15,7 +15,7 @@ import numpy as np
 
 from eagor.belief import Reading
 from eagor.grids import PatchGrid
-from eagor.sphere import azimuth_elevation
+from eagor.sphere import azimuth_elevation, unit
 from eagor.tracker import Estimate
 
 if TYPE_CHECKING:
@@ -158,12 +158,15 @@ def draw_map(
     axes.add_patch(_rectangle(size))
     axes.plot(*distractor[:, :2].T, ":", color="#c98b8b", linewidth=1.6, label="the other red ball")
     axes.plot(*path[:, :2].T, color="#9aa1ad", linewidth=2, label="camera", zorder=3)
-    axes.plot(*np.where(hidden[:, None], path, np.nan)[:, :2].T, color=INK, linewidth=5, label="camera, covered",
-    zorder=4) every = slice(0, None, max(1, len(path) // 24))
+    dark = np.where(hidden[:, None], path, np.nan)
+    axes.plot(*dark[:, :2].T, color=INK, linewidth=5, label="camera, covered", zorder=4)
+    every = slice(0, None, max(1, len(path) // 24))
     arrows = {"color": "#5b6472", "angles": "xy", "scale": 24, "width": 0.0032, "zorder": 5}
     axes.quiver(*path[every, :2].T, *headings[every, :2].T, **arrows)
     axes.plot(*path[0, :2], "o", color=INK, markersize=9, zorder=6, linestyle="none", label="start")
-    axes.plot(*target[:2], "o", color="#c8201f", markersize=20, mec="white", mew=2, zorder=6, linestyle="none", label="target")
+    axes.plot(
+        *target[:2], "o", color="#c8201f", markersize=20, mec="white", mew=2, zorder=6, linestyle="none", label="target"
+    )
     dots = {"c": np.linspace(0, 1, len(found)), "cmap": "viridis", "s": 34, "edgecolors": "white", "linewidths": 0.6}
     shade = axes.scatter(*found[:, :2].T, zorder=7, label="target, as we took it to be", **dots)
     axes.set_xlabel("x (m)", color=INK)
@@ -198,8 +201,8 @@ def paint_belief(
         axes.axvline(at, color="white", alpha=0.22, linewidth=0.8, zorder=1)
     axes.axhline(0, color="white", alpha=0.22, linewidth=0.8, zorder=1)
     _heat(axes, belief)
-    if estimate is not None:
-        found = estimate.direction if isinstance(estimate, Estimate) else np.asarray(estimate)
+    found = estimate.direction if isinstance(estimate, Estimate) else estimate
+    if found is not None:
         if modes is None:
             modes = [mode.direction for mode in estimate.modes] if isinstance(estimate, Estimate) else []
         _arrow(axes, found)
@@ -210,7 +213,7 @@ def paint_belief(
         _mark(axes, where, marker, colour, 8.5, name)
     if truth is not None:
         _mark(axes, truth, "o", TRUTH, 21, "truth", hollow=True, width=2.6)
-    if estimate is not None:
+    if found is not None:
         _mark(axes, found, "o", OURS, 8.5, "estimate")
 
 
@@ -248,19 +251,26 @@ def _arrow(axes: Axes, where: np.ndarray) -> None:
     end = np.asarray(where, dtype=float)
     angle = math.acos(max(-1.0, min(1.0, float(end[0]))))
     side = np.array([0.0, end[1], end[2]])
-    box = axes.get_window_extent()
-    short = math.tau * 18 / box.width  # 18 pixels: the head stays clear of the rings about the estimate
-    if angle < 2 * short or np.linalg.norm(side) < 1e-6:
+    if angle < 1e-6 or np.linalg.norm(side) < 1e-6:
         return
-    side /= np.linalg.norm(side)
-    along = np.linspace(0, angle - short, 90)[:, None]
-    path = np.cos(along) * np.array([1.0, 0.0, 0.0]) + np.sin(along) * side
-    azimuth, elevation = azimuth_elevation(path)
+    along = np.linspace(0, angle, 240)[:, None]
+    azimuth, elevation = azimuth_elevation(np.cos(along) * np.array([1.0, 0, 0]) + np.sin(along) * unit(side))
     x, y = np.degrees(azimuth), np.degrees(elevation)
+    pixels = axes.get_window_extent().width / 360
+    clear = pixels * np.hypot(x - x[-1], y - y[-1]) > 18  # the head stays clear of the rings about the estimate
+    x, y = x[clear], y[clear]
+    if len(x) < 8:
+        return
     axes.plot(x, y, color=OURS, linewidth=1.8, zorder=6, path_effects=_outline(3.6), solid_capstyle="round")
     axes.plot(0, 0, "o", color=OURS, markersize=4.5, markeredgecolor="black", markeredgewidth=0.8, zorder=6)
-    head = {"arrowstyle": "-|>,head_width=0.32,head_length=0.55", "color": OURS, "linewidth": 1.8, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", xy=(x[-1], y[-1]), xytext=(x[-4], y[-4]), arrowprops=head, zorder=6)
+    head = {
+        "arrowstyle": "-|>,head_width=0.32,head_length=0.55",
+        "color": OURS,
+        "linewidth": 1.8,
+        "shrinkA": 0,
+        "shrinkB": 0,
+    }
+    axes.annotate("", xy=(x[-1], y[-1]), xytext=(x[-6], y[-6]), arrowprops=head, zorder=6)
 
 
 def _mark(

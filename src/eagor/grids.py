@@ -134,6 +134,54 @@ class PatchGrid(_Equirectangular):
         return _frozen(np.broadcast_to(row[:, None], self.shape))
 
 
+@dataclass(frozen=True)
+class ErpWindow:
+    """A rectangular part of an `ErpGrid`: `rows` from `top` down, `cols` from `left` on, around the seam if need be."""
+
+    whole: ErpGrid
+    top: int
+    left: int
+    rows: int
+    cols: int
+
+    @classmethod
+    def around(cls, marked: np.ndarray, times: int = 1) -> ErpWindow:
+        """The smallest window with the `marked` cells ``(H, W)`` and their neighbours, each cell cut `times` finer."""
+        height, width = marked.shape
+        rows = np.flatnonzero(marked.any(axis=1))
+        top, bottom = max(rows[0] - 1, 0), min(rows[-1] + 2, height)
+        columns = np.flatnonzero(marked.any(axis=0))
+        gaps = np.diff(np.append(columns, columns[0] + width))
+        widest = int(gaps.argmax())
+        left, count = int(columns[(widest + 1) % len(columns)]) - 1, width - int(gaps[widest]) + 3
+        if count >= width:
+            left, count = 0, width
+        whole = ErpGrid(height * times, width * times)
+        return cls(whole, int(top) * times, left * times, int(bottom - top) * times, count * times)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.rows, self.cols
+
+    @property
+    def columns(self) -> np.ndarray:
+        """The columns of the whole grid, in order."""
+        return (self.left + np.arange(self.cols)) % self.whole.width
+
+    @cached_property
+    def directions(self) -> np.ndarray:
+        """Unit vectors ``(rows, cols, 3)`` of the cell centres, body frame."""
+        x, y = self.left + np.arange(self.cols) + 0.5, self.top + np.arange(self.rows)[:, None] + 0.5
+        return _frozen(self.whole.unproject(x, y))
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """Quadrature weights ``(rows, cols)`` in steradians."""
+        row = fejer_weights(self.whole.height)[self.top : self.top + self.rows] * (2 * math.pi / self.whole.width)
+        return _frozen(np.broadcast_to(row[:, None], self.shape))
+
+
 @dataclass(frozen=True, eq=False)
 class PerspectiveGrid:
     """A pinhole view: rows, columns, horizontal field of view (radians, below pi) and its pose in the body.

@@ -9,11 +9,11 @@ from functools import cached_property
 
 import numpy as np
 
-from eagor.grids import ErpGrid
+from eagor.grids import ErpGrid, ErpWindow
 from eagor.peaks import peak_on_grid, refine
 
 CELLS_PER_SIGMA = 6.0  # grid spacing against the width of the sharpest peak
-MAX_ROWS = 512  # 0.35 degrees: nothing that a camera robot asks for is finer
+MAX_ROWS = 1024  # 0.18 degrees: nothing that a camera robot asks for is finer
 NEGLIGIBLE = 18.0  # nats below the top: what lies there holds less than 1e-4 of the sharpest belief
 PROMINENCE = 0.7  # nats: a peak counts as a mode if it stands out by a factor of two from the saddle around it
 MIN_WEIGHT = 0.02  # ... and holds at least this share of the belief
@@ -41,39 +41,44 @@ class CredibleRegion:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """exp(f) on a grid that resolves its sharpest peak. One belief, no batch.
+    """exp(f) where it matters, as finely as its sharpest peak asks for. One belief, no batch.
 
-    `field` ``(H, W)`` is f on `grid`; `coarse` is f on a grid that resolves f itself, where peaks and basins are
-    looked for.
+    `coarse` ``(H, W)`` is f on a grid that resolves f itself, where peaks and basins are looked for; `field` is f again
+    on a `window` of a finer grid that resolves exp(f), around all cells that are not negligible.
     """
 
-    grid: ErpGrid
-    field: np.ndarray
     coarse: np.ndarray
+    window: ErpWindow
+    field: np.ndarray
 
     @classmethod
-    def resolve(cls, field: Callable[[ErpGrid], np.ndarray], rows: int) -> Posterior:
-        """Evaluate `field` on `rows` rows, and again on as many as its sharpest peak asks for."""
+    def resolve(cls, field: Callable[[ErpGrid | ErpWindow], np.ndarray], rows: int) -> Posterior:
+        """Evaluate `field` on `rows` rows, and again around its peaks on as many as the sharpest asks for."""
         grid = ErpGrid(rows, 2 * rows)
         values = field(grid)
         _, sigma = refine(grid, values.reshape(-1), int(values.argmax()))
-        wanted = CELLS_PER_SIGMA * math.pi / sigma
-        times = min(math.ceil(wanted / rows), max(1, MAX_ROWS // rows))
+        times = min(math.ceil(CELLS_PER_SIGMA * math.pi / sigma / rows), max(1, MAX_ROWS // rows))
         if times <= 1:
-            return cls(grid, values, values)
-        grid = ErpGrid(times * rows, 2 * times * rows)
-        return cls(grid, field(grid), values)
+            return cls(values, ErpWindow(grid, 0, 0, *grid.shape), values)
+        # Between the coarse cells a sharp peak rises higher than any of them: a little slack for that.
+        window = ErpWindow.around(values > values.max() - NEGLIGIBLE - 4, times)
+        return cls(values, window, field(window))
 
     @cached_property
     def log_total(self) -> float:
         """log of the integral of exp(f) over the sphere."""
         top = float(self.field.max())
-        return top + math.log(float(np.sum(np.exp(self.field - top) * self.grid.weights)))
+        return top + math.log(float(np.sum(np.exp(self.field - top) * self.window.weights)))
 
     @cached_property
     def probability(self) -> np.ndarray:
-        """Probability of each cell ``(H, W)``; sums to 1."""
-        return np.exp(self.field - self.log_total) * self.grid.weights
+        """Probability of each cell of the window; sums to 1."""
+        return np.exp(self.field - self.log_total) * self.window.weights
+
+    @property
+    def gain(self) -> float:
+        """By how many nats the best direction stands above a uniform belief."""
+        return float(self.field.max()) - self.log_total + math.log(4 * math.pi)
 
     @cached_property
     def mode(self) -> np.ndarray:
@@ -87,7 +92,7 @@ class Posterior:
     def cone(self, mass: float) -> float:
         """Half-angle (radians) of the cone about the mode that holds `mass`."""
         keep = self.field > self.field.max() - NEGLIGIBLE
-        cosine, probability = self.grid.directions[keep] @ self.mode, self.probability[keep]
+        cosine, probability = self.window.directions[keep] @ self.mode, self.probability[keep]
         order = np.argsort(-cosine)
         cosine, probability = cosine[order], probability[order]
         reached = np.cumsum(probability) - probability / 2
@@ -98,17 +103,15 @@ class Posterior:
 
         Cells that the border cuts count in part: f is taken as uniform over the range that its slope spans in the cell.
         """
-        top = float(self.field.max())
-        rows = np.flatnonzero(self.field.max(axis=1) > top - NEGLIGIBLE)
-        band = slice(rows[0], rows[-1] + 1)
-        f, probability, weights = self.field[band], self.probability[band], self.grid.weights[band]
-        right, left = np.roll(f, -1, axis=1), np.roll(f, 1, axis=1)
-        padded = np.concatenate([f[:1], f, f[-1:]])
-        side, down = (right - left) / 2, (padded[2:] - padded[:-2]) / 2
+        f, top = self.field, float(self.field.max())
+        wide = np.pad(f, ((0, 0), (1, 1)), mode="wrap" if self.window.cols == self.window.whole.width else "edge")
+        tall = np.pad(f, ((1, 1), (0, 0)), mode="edge")
+        side, down = (wide[:, 2:] - wide[:, :-2]) / 2, (tall[2:] - tall[:-2]) / 2
         spread = np.maximum(np.hypot(side, down), 1e-9)
         # A cell's mass is not its midpoint's: the second differences of exp(f) correct it.
-        bent = right + left + padded[2:] + padded[:-2] - 4 * f + side**2 + down**2
+        bent = wide[:, 2:] + wide[:, :-2] + tall[2:] + tall[:-2] - 4 * f + side**2 + down**2
         keep = f > top - NEGLIGIBLE
+        probability, weights = self.probability, self.window.weights
         p, v, s = (probability * (1 + np.clip(bent / 24, -0.5, 0.5)))[keep], f[keep], spread[keep]
         low, high = float(v.min()) - 1, top + 1
         above, below = np.exp(s / 2), np.exp(-s / 2)
@@ -138,10 +141,12 @@ class Posterior:
         height, width = self.coarse.shape
         label = _merge(self.coarse, _climb(self.coarse), prominence)
         peaks, inverse = np.unique(label, return_inverse=True)
-        typical = np.exp(self._median() - self.log_total) * self.grid.weights
+        typical = np.exp(self._median() - self.log_total) * self.window.weights
         excess = np.maximum(self.probability - typical, 0.0)
-        fine = excess.reshape(height, self.grid.height // height, width, self.grid.width // width)
-        weight = np.bincount(inverse.reshape(-1), fine.sum(axis=(1, 3)).reshape(-1))
+        times = self.window.whole.height // height
+        rows = (self.window.top + np.arange(self.window.rows)) // times
+        basin = inverse.reshape(height, width)[rows[:, None], self.window.columns // times]
+        weight = np.bincount(basin.reshape(-1), excess.reshape(-1), minlength=len(peaks))
         weight = weight / weight.sum() if weight.sum() > 0 else np.full(len(weight), 1 / len(weight))
         flat = self.coarse.reshape(-1)
         order = [i for i in np.argsort(-flat[peaks]) if weight[i] >= min_weight][:count]

@@ -22,7 +22,6 @@ from eagor.belief import Belief, Reading, each_posterior
 from eagor.diffusion import diffuse
 from eagor.errors import EagorError, PoseError
 from eagor.evidence import Evidence
-from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.shells import translate
 from eagor.peaks import decoding_grid, peak_on_grid
@@ -143,9 +142,8 @@ class RangedBelief(Reading):
         found = np.zeros((*self.batch_shape, len(self.ranges)))
         for index in np.ndindex(*self.batch_shape):
             posterior: Any = self.posteriors[index]
-            grid: ErpGrid = posterior.grid
-            field = self.basis.synthesise(coefficients[index], grid)
-            mass = np.sum(np.exp(field - field.max()) * grid.weights, axis=(-2, -1)) * self._prior
+            field = self.basis.synthesise(coefficients[index], posterior.window)
+            mass = np.sum(np.exp(field - field.max()) * posterior.window.weights, axis=(-2, -1)) * self._prior
             found[index] = mass / mass.sum()
         return found
 

@@ -176,13 +176,11 @@ class DirectionTracker:
         """
         pose, _ = self._poses.at(now)
         state = self._advanced(target, now)
-        belief = state.belief
+        belief, posterior = state.belief, state.belief.posterior
         if self.config.decode == "mean":
-            world = (
-                belief.mean_direction() if isinstance(belief, Belief) else belief.direction_belief().mean_direction()
-            )
+            world = (belief if isinstance(belief, Belief) else belief.direction_belief()).mean_direction()
         else:
-            world = belief.mode()
+            world = posterior.mode
         found, weights = belief.modes(5)
         age = now - self._states[target].stamp if target in self._states else math.inf
         direction = world @ pose  # pose.T @ world
@@ -196,7 +194,7 @@ class DirectionTracker:
             credible_angle=belief.credible_angle(0.9),
             presence=belief.presence(),
             distance=belief.distance() if isinstance(belief, RangedBelief) else None,
-            status=self._status(belief, weights, age),
+            status=self._status(posterior.gain, weights, age),
             age=age,
         )
 
@@ -206,8 +204,7 @@ class DirectionTracker:
         belief = self._advanced(target, now).belief
         return (belief if isinstance(belief, Belief) else belief.direction_belief()).predict(pose.T)
 
-    def _status(self, belief: Belief | RangedBelief, weights: np.ndarray, age: float) -> Status:
-        gain = float(belief.log_density(belief.mode()[None])[0]) + math.log(4 * math.pi)
+    def _status(self, gain: float, weights: np.ndarray, age: float) -> Status:
         if math.isinf(age) or gain < self.config.found_at:
             return "stale" if age > self.config.stale_after and not math.isinf(age) else "searching"
         if age > self.config.stale_after:
@@ -228,10 +225,11 @@ class DirectionTracker:
             if keep:
                 past.append((state, look))
         else:
-            if look.stamp < past[0][1].stamp and past[0][0] is not None:
+            base = past[0][0]  # nothing before this state is remembered
+            if base is not None and look.stamp < base.stamp:
                 raise TimeError(
                     f"evidence of t = {look.stamp:.3f} s is older than the history, which starts at "
-                    f"{past[0][1].stamp:.3f} s; raise TrackerConfig.history (now {self.config.history:g} s) or drop it"
+                    f"{base.stamp:.3f} s; raise TrackerConfig.history (now {self.config.history:g} s) or drop it"
                 )
             place = bisect.bisect_right([other.stamp for _, other in past], look.stamp)
             state = past[place][0]

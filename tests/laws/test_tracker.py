@@ -209,8 +209,9 @@ def test_evidence_from_before_the_history_is_refused_and_the_belief_kept():
     tracker.observe(look(direction(0, 0), 5.0))
     before = tracker.belief(6.0).coefficients
     moving = DirectionTracker(TrackerConfig(degree=7, diffusion=0.1, history=2.0))
-    for t in (0.0, 3.0, 4.0):
+    for t in (1.0, 3.0, 4.0):
         moving.observe(look(direction(0, 0), t))
+    moving.observe(look(direction(0, 0), 1.5))  # the state of t = 1 is still there to start from
     with pytest.raises(TimeError, match="history"):
         moving.observe(look(direction(0, 0), 0.5))
     assert np.array_equal(tracker.belief(6.0).coefficients, before)

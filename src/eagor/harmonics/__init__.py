@@ -13,7 +13,7 @@ import numpy as np
 
 from eagor._arrays import Array, as_float, constant, namespace
 from eagor.errors import GridError
-from eagor.grids import ErpGrid, Grid
+from eagor.grids import ErpGrid, ErpWindow, Grid
 from eagor.harmonics import legendre, projection, rotation
 from eagor.sphere import check_rotation
 
@@ -59,7 +59,7 @@ class RealHarmonics:
             )
         return projection.analyse(self.degree, values, grid)
 
-    def synthesise(self, coefficients: Array, where: Grid | Array) -> Array:
+    def synthesise(self, coefficients: Array, where: Grid | ErpWindow | Array) -> Array:
         """Values of the field: ``(..., H, W)`` on a grid, ``(..., n...)`` at an array of unit vectors ``(n..., 3)``."""
         return projection.synthesise(self.degree, self._checked(coefficients), where)
 

@@ -19,6 +19,7 @@ import numpy as np
 from eagor._arrays import Array, constant, namespace
 from eagor.grids import (
     ErpGrid,
+    ErpWindow,
     FisheyeGrid,
     Grid,
     Lens,
@@ -54,15 +55,20 @@ def analyse(degree: int, values: Array, grid: Grid) -> Array:
     return _analyse_view(degree, values, grid)
 
 
-def synthesise(degree: int, coefficients: Array, grid: Grid | Array) -> Array:
+def synthesise(degree: int, coefficients: Array, grid: Grid | ErpWindow | Array) -> Array:
     """Values of the field: ``(..., H, W)`` on a grid, or ``(..., n...)`` at an array of directions ``(n..., 3)``."""
     xp = namespace(coefficients)
-    if isinstance(grid, ErpGrid | PatchGrid):
+    if isinstance(grid, ErpGrid | PatchGrid | ErpWindow):
+        whole = grid.whole if isinstance(grid, ErpWindow) else grid
+        over_rows = constant(_latitude_values, degree, whole.height, like=coefficients)
+        over_columns = constant(_longitude_values, degree, whole.width, like=coefficients)
+        if isinstance(grid, ErpWindow):
+            over_rows = over_rows[:, grid.top : grid.top + grid.rows, :]
+            over_columns = xp.take(over_columns, _like(grid.columns, coefficients, whole=True), axis=1)
         padded = xp.take(coefficients, constant(_pack, degree, like=coefficients), axis=-1)
         padded = xp.reshape(padded, (*coefficients.shape[:-1], 2 * degree + 1, degree + 1, 1))
-        rings = constant(_latitude_values, degree, grid.height, like=coefficients) @ padded
-        rings = xp.matrix_transpose(xp.reshape(rings, (*coefficients.shape[:-1], 2 * degree + 1, grid.height)))
-        return rings @ constant(_longitude_values, degree, grid.width, like=coefficients)
+        rings = xp.reshape(over_rows @ padded, (*coefficients.shape[:-1], 2 * degree + 1, grid.shape[0]))
+        return xp.matrix_transpose(rings) @ over_columns
     points = grid if hasattr(grid, "ndim") else getattr(grid, "directions", grid)
     if xp is np:
         points = np.asarray(points, dtype=coefficients.dtype)

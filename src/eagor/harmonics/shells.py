@@ -59,8 +59,9 @@ def _along_pole(degree: int, shells: Array, ranges: np.ndarray, distance: float)
     seen = table @ xp.reshape(packed, (*batch, degree + 1, degree + 1, 2 * count))
     seen = xp.reshape(seen, (*batch, degree + 1, points * count, 2))
     values = sum(
-        _as(weight, shells)[:, None] * xp.take(seen, _as(np.arange(points) * count + source, shells, whole=True),
-        axis=-2) for source, weight in zip(nearest, weights, strict=True)
+        _as(weight, shells)[:, None]
+        * xp.take(seen, _as(np.arange(points) * count + source, shells, whole=True), axis=-2)
+        for source, weight in zip(nearest, weights, strict=True)
     )
     values = xp.reshape(values, (*batch, degree + 1, count, len(nodes), 2))
     values = xp.matrix_transpose(values)  # (m, k, cos/sin, node)

@@ -1,0 +1,87 @@
+"""The command line: thin.
+
+Each command is a frozen dataclass in `eagor.cli.options` and a function in a module of its own.
+
+Exit codes:
+
+- 0: fine.
+- 1: the run failed, after the input had been found good (nothing could be looked at, a result could not be written,
+  a bug).
+- 2: usage: an option, a query or an input file is not what was wanted. Nothing was computed.
+- 3: finished, but some frames could not be run; what could be is in the output.
+- 130: interrupted (Ctrl-C). 141: the reader of the output went away (``eagor track ... | head``).
+
+Results go to stdout (with ``--json`` exactly one object), everything else to stderr. An error is one line there; with
+``--debug``, or EAGOR_DEBUG set, its traceback as well.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+# Our matrices are small: threads inside the matrix library cost far more than they bring (the demo takes several times
+# as long where cores are shared). It reads this when NumPy is first imported; who sets it, decides.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from eagor._version import __version__
+from eagor.cli import terminal
+from eagor.errors import EagorError
+
+DESCRIPTION = """In which direction is the thing I asked for, and how sure are we, while the camera turns and moves?
+
+Azimuth is positive to the LEFT, elevation positive up, both in degrees; the middle of a panorama is forward."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command in `argv` (default: the process's own) and return its exit code."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    debug = "--debug" in arguments or bool(os.environ.get("EAGOR_DEBUG"))
+    try:
+        with terminal.warnings_as_lines():
+            code = _run(arguments)
+        sys.stdout.flush()
+        return code
+    except KeyboardInterrupt:
+        terminal.log("interrupted")
+        return 130
+    except BrokenPipeError:
+        # Nobody reads on: that is no fault of the run. What is still in the buffer must not be tried again at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except Exception as error:
+        if debug:
+            import traceback
+
+            traceback.print_exc()
+        known = isinstance(error, EagorError | OSError)
+        terminal.error(str(error) if known else f"{type(error).__name__}: {error} (a bug; --debug shows where)")
+        return 2 if isinstance(error, EagorError) and not isinstance(error, terminal.RunError) else 1
+
+
+def _run(arguments: list[str]) -> int:
+    if arguments in (["--version"], ["-V"]):
+        print(f"eagor {__version__}")
+        return 0
+    try:
+        command = _parse(arguments)
+    except SystemExit as stop:  # --help, or usage: tyro has said what it had to say
+        return stop.code if isinstance(stop.code, int) else 2
+    module, _, function = command.runs.partition(":")
+    return getattr(import_module(module), function)(command)
+
+
+def _parse(arguments: list[str]):
+    import tyro
+
+    from eagor.cli.options import Command
+
+    return tyro.cli(
+        Command,  # type: ignore[arg-type]
+        prog="eagor",
+        description=DESCRIPTION,
+        args=arguments,
+        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes),
+    )

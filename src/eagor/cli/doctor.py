@@ -1,0 +1,70 @@
+"""``eagor doctor``: what is installed here, and what is not."""
+
+from __future__ import annotations
+
+import os
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from typing import Any
+
+from eagor._version import __version__
+from eagor.cli import terminal
+from eagor.cli.options import Doctor
+from eagor.perception import known
+
+PACKAGES = ("numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich")
+OPTIONAL = {"torch": "tensors on a GPU, and models; see the extra 'vlm'"}
+
+
+def doctor(options: Doctor) -> int:
+    """Run the command; exit code 1 if something that the package needs is missing."""
+    found = {name: _version(name) for name in PACKAGES}
+    optional = {name: _version(name) if find_spec(name) else None for name in OPTIONAL}
+    perceptions = {name: _state(name) for name in sorted(known())}
+    cpu = {"name": _processor(), "cores": _cores()}
+    healthy = all(found.values())
+    if options.json:
+        result: dict[str, Any] = {"eagor": __version__, "python": platform.python_version()}
+        result |= {"platform": platform.platform(), "cpu": cpu, "packages": found, "optional": optional}
+        terminal.emit(result | {"perceptions": perceptions, "healthy": healthy})
+        return terminal.OK if healthy else terminal.FAILED
+    print(f"eagor        {__version__}")
+    print(f"python       {platform.python_version()} on {platform.platform()}")
+    print(f"processor    {cpu['name']}, {cpu['cores']} cores for this process")
+    print("packages     " + ", ".join(f"{name} {number or 'MISSING'}" for name, number in found.items()))
+    for name, use in OPTIONAL.items():
+        print(f"{name:12} " + (optional[name] or f"not installed ({use})"))
+    for label, (name, state) in zip(["perceptions", *[""] * len(perceptions)], perceptions.items(), strict=False):
+        print(f"{label:12} {name}: {state}")
+    print("all there" if healthy else "something is missing: install eagor again with pip")
+    return terminal.OK if healthy else terminal.FAILED
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _state(name: str) -> str:
+    """Whether a perception can be imported ("ready"), or why not."""
+    try:
+        known()[name].load()
+    except Exception as error:  # a broken plugin may raise anything
+        return f"cannot be imported ({type(error).__name__}: {error})"
+    return "ready"
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _processor() -> str:
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            names = [line.partition(":")[2].strip() for line in file if line.startswith("model name")]
+    except OSError:
+        names = []
+    return names[0] if names else platform.processor() or platform.machine()

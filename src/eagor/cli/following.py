@@ -1,0 +1,128 @@
+"""Following a target through frames: poses and looks into the tracker (and its rivals), one result per frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor.belief import Belief
+from eagor.cli.locate import mode_as_json
+from eagor.cli.looking import is_input_fault, look_if_recorded, read_frame
+from eagor.cli.methods import Rivals
+from eagor.cli.poses import Step
+from eagor.errors import EagorError
+from eagor.evidence import Evidence
+from eagor.perception import Perception
+from eagor.sphere import azimuth_elevation
+from eagor.tracker import DirectionTracker, Estimate, TrackerConfig
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What one frame came to.
+
+    `problem` says why it could not be looked at, if so; `looks` is how many pieces of evidence it gave; `others` are
+    the rivals' directions ``(3,)`` by name.
+    """
+
+    image: Path
+    stamp: float
+    estimate: Estimate
+    belief: Belief
+    panorama: np.ndarray | None
+    looks: int
+    problem: str | None
+    others: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def distance(self) -> float | None:
+        """Metres; None where it is unknown: no positions, or no target yet."""
+        return None if self.estimate.status == "searching" else self.estimate.distance
+
+    def as_json(self) -> dict[str, Any]:
+        """This frame for ``--json`` and for .jsonl files."""
+        e, distance = self.estimate, self.distance
+        entry: dict[str, Any] = {
+            "frame": self.image.name,
+            "stamp": self.stamp,
+            "azimuth_deg": _degrees(e.azimuth),
+            "elevation_deg": _degrees(e.elevation),
+            "credible_angle_deg": _degrees(e.credible_angle),
+            "presence": round(e.presence, 6),
+            "distance_m": None if distance is None else round(distance, 4),
+            "status": e.status,
+            "modes": [mode_as_json(m.direction, m.weight) for m in e.modes],
+            "looks": self.looks,
+        }
+        if self.problem is not None:
+            entry["problem"] = self.problem
+        if self.others:
+            entry["methods"] = {name: as_angles(direction) for name, direction in self.others.items()}
+        return entry
+
+
+def follow(
+    steps: Sequence[Step], perception: Perception, query: str, config: TrackerConfig, compare: bool
+) -> Iterator[Result]:
+    """One result per image, in time.
+
+    An image that cannot be read or judged gives a result with a problem; the poses carry the belief on. Raises
+    `EagorError` where no other frame could do better (a query that means nothing).
+    """
+    tracker, rivals = DirectionTracker(config), Rivals() if compare else None
+    poses, fed, warned = [step.pose for step in steps], 0, False
+    for index, step in enumerate(steps):
+        # One pose ahead: what a replay recorded a little after this frame then finds the pose of its own moment.
+        while fed < min(index + 2, len(poses)):
+            tracker.rotate(poses[fed].stamp, poses[fed].world_R_body, poses[fed].position)
+            fed += 1
+        if step.image is None:
+            continue
+        stamp, now = step.pose.stamp, step.pose.stamp
+        panorama, looks, problem = None, (), None
+        try:
+            panorama = read_frame(step.image, warn=not warned)
+            warned = warned or panorama.shape[1] != 2 * panorama.shape[0]
+            looks = look_if_recorded(perception, panorama, query, stamp)
+        except EagorError as error:
+            if is_input_fault(error):
+                raise
+            problem = str(error)
+        for evidence in looks:
+            placed = _within(evidence, poses[0].stamp, poses[fed - 1].stamp)
+            tracker.observe(placed)
+            now = max(now, float(placed.stamp or now))
+        if rivals is not None:
+            rivals.move(step.pose.world_R_body, step.pose.position)
+            rivals.see(looks)
+        yield Result(
+            image=step.image,
+            stamp=stamp,
+            estimate=tracker.estimate(now),
+            belief=tracker.belief(now),
+            panorama=panorama,
+            looks=len(looks),
+            problem=problem,
+            others=rivals.directions() if rivals is not None else {},
+        )
+
+
+def _within(evidence: Evidence, first: float, last: float) -> Evidence:
+    """The evidence, captured no earlier and no later than poses are known (a replay may be off by its tolerance)."""
+    stamp = evidence.stamp
+    return evidence if stamp is None else replace(evidence, stamp=min(max(stamp, first), last))
+
+
+def as_angles(direction: np.ndarray) -> dict[str, float]:
+    """A direction for ``--json``."""
+    azimuth, elevation = azimuth_elevation(direction)
+    return {"azimuth_deg": _degrees(float(azimuth)), "elevation_deg": _degrees(float(elevation))}
+
+
+def _degrees(angle: float) -> float:
+    return round(math.degrees(angle), 4)

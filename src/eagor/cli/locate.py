@@ -1,0 +1,108 @@
+"""``eagor locate``: one panorama, one look, one answer."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor.belief import Belief
+from eagor.cli import terminal
+from eagor.cli.looking import (
+    checked_degree,
+    checked_picture,
+    checked_query,
+    first_stamp,
+    look,
+    make_perception,
+    read_frame,
+)
+from eagor.cli.options import Locate
+from eagor.cli.words import STATUS, in_words, signed
+from eagor.sphere import azimuth_elevation
+from eagor.tracker import DirectionTracker, Estimate, TrackerConfig
+
+
+def locate(options: Locate) -> int:
+    """Run the command; returns its exit code."""
+    query = checked_query(options.query)
+    if options.modes < 1:
+        raise terminal.UsageError(f"--modes {options.modes}; wanted 1 or more")
+    config = TrackerConfig(degree=checked_degree(options.degree))
+    if options.picture is not None:
+        checked_picture(options.picture)
+    perception = make_perception(options.perception)
+    stamp = first_stamp(perception, query) if options.stamp is None else options.stamp
+    panorama = read_frame(options.panorama)
+    tracker = DirectionTracker(config)
+    looks = look(perception, panorama, query, stamp)
+    for evidence in looks:
+        tracker.observe(evidence)
+    now = max(float(evidence.stamp or 0.0) for evidence in looks)
+    estimate, belief = tracker.estimate(now), tracker.belief(now)
+    modes = _modes(belief, options.modes)
+    if options.picture is not None:
+        _draw(options, options.picture, panorama, belief, estimate, [d for d, _ in modes])
+    if options.json:
+        terminal.emit(_as_json(options, estimate, modes))
+    else:
+        _print(options, estimate, modes)
+    return terminal.OK
+
+
+def _modes(belief: Belief, count: int) -> list[tuple[np.ndarray, float]]:
+    directions, weights = belief.modes(count)
+    return [(d, float(w)) for d, w in zip(directions, weights, strict=True)]
+
+
+def _as_json(options: Locate, estimate: Estimate, modes: list[tuple[np.ndarray, float]]) -> dict[str, Any]:
+    return {
+        "query": options.query,
+        "perception": options.perception,
+        "azimuth_deg": round(math.degrees(estimate.azimuth), 4),
+        "elevation_deg": round(math.degrees(estimate.elevation), 4),
+        "credible_angle_deg": round(math.degrees(estimate.credible_angle), 4),
+        "presence": round(estimate.presence, 6),
+        "status": estimate.status,
+        "modes": [mode_as_json(direction, weight) for direction, weight in modes],
+    }
+
+
+def mode_as_json(direction: np.ndarray, weight: float) -> dict[str, float]:
+    """One mode for ``--json``."""
+    azimuth, elevation = azimuth_elevation(direction)
+    return {
+        "azimuth_deg": round(math.degrees(azimuth), 4),
+        "elevation_deg": round(math.degrees(elevation), 4),
+        "weight": round(weight, 6),
+    }
+
+
+def _print(options: Locate, estimate: Estimate, modes: list[tuple[np.ndarray, float]]) -> None:
+    print(f"{options.query}, in {options.panorama.name}, as {options.perception.partition(':')[0]} sees it")
+    print(f"  status          {estimate.status}: {STATUS[estimate.status]}")
+    print(f"  direction       {in_words(estimate.azimuth, estimate.elevation)}")
+    print(f"  azimuth         {signed(estimate.azimuth)} deg (positive to the left)")
+    print(f"  elevation       {signed(estimate.elevation)} deg")
+    print(f"  credible angle  {math.degrees(estimate.credible_angle):.1f} deg (a cone about it that holds 90 %)")
+    print(f"  presence        {100 * estimate.presence:.0f} %")
+    print("  modes           azimuth elevation  weight")
+    for direction, weight in modes:
+        azimuth, elevation = (float(a) for a in azimuth_elevation(direction))
+        words = in_words(azimuth, elevation)
+        print(f"                  {signed(azimuth):>7} {signed(elevation):>9} {100 * weight:5.0f} %  {words}")
+
+
+def _draw(
+    options: Locate, path: Path, panorama: np.ndarray, belief: Belief, estimate: Estimate, modes: list[np.ndarray]
+) -> None:
+    from eagor.drawing import draw_belief
+
+    title = f"“{options.query}”: {in_words(estimate.azimuth, estimate.elevation)} ({estimate.status})"
+    picture = draw_belief(panorama, belief, estimate, modes=modes, title=title)
+    try:
+        picture.save(path)
+    except OSError as error:
+        raise terminal.RunError(f"the picture cannot be written to {path} ({error})") from error

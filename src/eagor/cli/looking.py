@@ -1,0 +1,107 @@
+"""From file names and words on the command line to panoramas and evidence."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from eagor.cli.terminal import UsageError
+from eagor.errors import EagorError, ImageError, QueryError, TimeError
+from eagor.evidence import Evidence
+from eagor.perception import Perception, load
+from eagor.perception.replay import ReplayPerception
+from eagor.worlds.panorama import read_panorama
+
+IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
+MAX_DEGREE = 63
+
+
+def checked_degree(degree: int) -> int:
+    """`degree`, once it is one that this command line offers."""
+    if not 1 <= degree <= MAX_DEGREE:
+        raise UsageError(f"--degree {degree}; wanted 1 to {MAX_DEGREE} (15 resolves about 12 degrees)")
+    return degree
+
+
+def checked_query(query: str) -> str:
+    """`query`, once there is a word in it."""
+    if not re.search(r"\w", query):
+        raise QueryError(f"the query {query!r} has no words; say what to look for, such as 'red chair'")
+    return query
+
+
+def checked_picture(path: Path) -> Path:
+    """`path`, once it names a kind of picture and a folder that is there."""
+    if path.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
+        raise UsageError(f"--picture {path}: wanted a file name that ends in .png, .jpg or .webp")
+    if not path.absolute().parent.is_dir():
+        raise UsageError(f"--picture {path}: there is no folder {path.absolute().parent}; make it first")
+    return path
+
+
+def make_perception(spec: str) -> Perception:
+    """The perception that ``--perception`` names."""
+    if spec.partition(":")[0] == "replay" and not spec.partition(":")[2]:
+        raise UsageError("--perception replay needs the file that the detector wrote: replay:FILE.jsonl")
+    return load(spec)
+
+
+def find_frames(places: Sequence[Path]) -> tuple[Path, ...]:
+    """The images that `places` name (one folder, or image files), by name; numbers in names count by value."""
+    if len(places) == 1 and places[0].is_dir():
+        found = [p for p in places[0].iterdir() if p.suffix.lower() in IMAGES and not p.name.startswith(".")]
+        if not found:
+            raise ImageError(f"{places[0]} holds no images; wanted files that end in {', '.join(IMAGES)}")
+    else:
+        found = list(places)
+        for place in found:
+            if place.is_dir():
+                raise UsageError(f"{place} is a folder; give one folder, or only image files")
+            if not place.exists():
+                raise ImageError(f"there is no file {place}; give a folder of panoramas, or image files")
+    return tuple(sorted(found, key=lambda p: (_natural(p.name), str(p))))
+
+
+def read_frame(path: Path, warn: bool = True) -> np.ndarray:
+    """The panorama in a file; `warn` if it is not 2:1."""
+    with warnings.catch_warnings():
+        if not warn:
+            warnings.simplefilter("ignore")
+        return read_panorama(path)
+
+
+def first_stamp(perception: Perception, query: str) -> float:
+    """The time of a replay's first record for `query`; 0 for perceptions that look at the image."""
+    if isinstance(perception, ReplayPerception):
+        return next((record.stamp for record in perception.records if record.answers(query)), 0.0)
+    return 0.0
+
+
+def look(perception: Perception, panorama: np.ndarray, query: str, stamp: float) -> tuple[Evidence, ...]:
+    """What `perception` sees: one evidence, or one per view where a replay has several views of one moment."""
+    if isinstance(perception, ReplayPerception):
+        return tuple(r.evidence(query, perception.calibration) for r in perception.near(query, stamp))
+    return (perception(panorama, query, stamp=stamp),)
+
+
+def look_if_recorded(perception: Perception, panorama: np.ndarray, query: str, stamp: float) -> tuple[Evidence, ...]:
+    """As `look`, but a time for which a replay has no line says nothing, as its format has it."""
+    try:
+        return look(perception, panorama, query, stamp)
+    except TimeError:
+        if isinstance(perception, ReplayPerception):
+            return ()
+        raise
+
+
+def is_input_fault(error: EagorError) -> bool:
+    """Whether every other frame would fail in the same way."""
+    return isinstance(error, QueryError)
+
+
+def _natural(name: str) -> list[tuple[int, str | int]]:
+    return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"([0-9]+)", name) if part]

@@ -1,0 +1,184 @@
+"""Poses from a CSV file, and which frame each of them belongs to.
+
+The first line names the columns; their order is free, and columns that are not named here are ignored:
+
+- ``stamp``: seconds, on the clock of the frames; must grow from line to line.
+- the orientation ``world_R_body`` (REP-103: x forward, y left, z up), either as the unit quaternion ``qw,qx,qy,qz`` or
+  as ``yaw_deg,pitch_deg,roll_deg``: yaw to the left, then pitch (positive: nose DOWN), then roll.
+- ``x,y,z`` (optional): position in metres of the world frame.
+- ``frame`` (optional): the file name of the image that was captured in this pose. Lines that leave it empty are
+  odometry between the frames. Without this column, lines and frames pair in order, and there must be as many of each.
+
+Blank lines, and lines that begin with ``#``, are skipped.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+
+import numpy as np
+
+from eagor.conventions import rotation_from_wxyz
+from eagor.errors import EagorError, FormatError, PoseError, RotationError, TimeError
+from eagor.sphere import world_R_body
+
+QUATERNION = ("qw", "qx", "qy", "qz")
+ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
+POSITION = ("x", "y", "z")
+HEADERS = "stamp,qw,qx,qy,qz[,x,y,z][,frame] or stamp,yaw_deg,pitch_deg,roll_deg[,x,y,z][,frame]"
+_NORM_TOLERANCE = 0.01  # a quaternion printed with three digits is still one
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """One line: when (seconds), `world_R_body` ``(3, 3)``, `position` ``(3,)`` in metres or None, its frame's name."""
+
+    stamp: float
+    world_R_body: np.ndarray
+    position: np.ndarray | None
+    frame: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A pose and the image that was captured in it; None for odometry between frames."""
+
+    pose: Pose
+    image: Path | None
+
+
+def read_poses(path: str | Path) -> tuple[Pose, ...]:
+    """The poses in the file, by time (format: this module's text).
+
+    Raises `FormatError` for a file that does not follow the format, `RotationError` for a quaternion that is no
+    rotation, `TimeError` where time does not grow; each text names the file and the line.
+    """
+    try:
+        text = Path(path).read_bytes().decode("utf-8-sig")
+    except (OSError, ValueError) as error:  # UnicodeDecodeError, and null characters in the path
+        raise FormatError(f"{path} cannot be read as text ({error}); give a CSV file of poses: {HEADERS}") from error
+    lines = _lines(path, text)
+    try:
+        number, header = next(lines)
+    except StopIteration:
+        raise FormatError(f"{path} is empty; wanted a line with the names of the columns: {HEADERS}") from None
+    names = [name.strip().lower() for name in header]
+    try:
+        _check_header(names)
+    except FormatError as error:
+        raise FormatError(f"{path}, line {number}: {error}") from error
+    poses: list[Pose] = []
+    for number, fields in lines:
+        try:
+            pose = _pose(names, [field.strip() for field in fields])
+            if poses and pose.stamp <= poses[-1].stamp:
+                raise TimeError(
+                    f"stamp {pose.stamp:.6f} comes after {poses[-1].stamp:.6f}: time stands still or runs backwards; "
+                    "sort the lines by stamp, and split the file where the clock was reset"
+                )
+        except EagorError as error:
+            raise type(error)(f"{path}, line {number}: {error}") from error
+        poses.append(pose)
+    if not poses:
+        raise FormatError(f"{path} has a header and no poses; wanted one line per frame: {HEADERS}")
+    return tuple(poses)
+
+
+def pair(poses: Sequence[Pose], images: Sequence[Path], name: str | Path = "the pose file") -> tuple[Step, ...]:
+    """Each pose with its image, by time; images by file name where the file gives names, in order otherwise.
+
+    Poses of images that were not asked for are kept as odometry. Raises `PoseError` for an image without a pose or with
+    two, and where there are no names and the numbers differ.
+    """
+    if all(pose.frame is None for pose in poses):
+        if len(poses) != len(images):
+            raise PoseError(
+                f"{name} has {len(poses)} poses for {len(images)} frames; without a column 'frame' they pair in order, "
+                "one each. Add that column with the file names, or give as many of each"
+            )
+        return tuple(Step(pose, image) for pose, image in zip(poses, images, strict=True))
+    by_name = {image.name: image for image in images}
+    if len(by_name) < len(images):
+        twice = sorted(n for n in by_name if sum(image.name == n for image in images) > 1)
+        raise PoseError(f"two frames are called {twice[0]}, so that names cannot tell them apart; rename one")
+    steps = tuple(Step(pose, by_name.get(PurePath(pose.frame).name) if pose.frame else None) for pose in poses)
+    used = [step.image.name for step in steps if step.image is not None]
+    missing = [n for n in by_name if n not in used]
+    if missing:
+        raise PoseError(
+            f"{name} has no pose for {_some(missing)}: its column 'frame' must name each image. "
+            "Add a line for it, or leave that image out"
+        )
+    if len(used) > len(by_name):
+        twice = sorted(n for n in by_name if used.count(n) > 1)
+        raise PoseError(f"{name} has several poses for {_some(twice)}; leave 'frame' empty on all lines but one")
+    return steps
+
+
+def _lines(path: str | Path, text: str) -> Iterator[tuple[int, list[str]]]:
+    """Line numbers and fields, without blank lines and comments."""
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    try:
+        for fields in reader:
+            if any(field.strip() for field in fields) and not fields[0].lstrip().startswith("#"):
+                yield reader.line_num, fields
+    except csv.Error as error:
+        raise FormatError(f"{path}, line {reader.line_num}: is not CSV ({error}); wanted {HEADERS}") from error
+
+
+def _check_header(names: Sequence[str]) -> None:
+    """Raise `FormatError` unless the columns say when, and in one way only how the body stood."""
+    known = ("stamp", *QUATERNION, *ANGLES, *POSITION, "frame")
+    twice = sorted({n for n in names if n in known and names.count(n) > 1})
+    if twice:
+        raise FormatError(f"the column {twice[0]!r} is there twice")
+    groups = {group: [n for n in group if n in names] for group in (QUATERNION, ANGLES, POSITION)}
+    for group, found in groups.items():
+        if found and len(found) < len(group):
+            raise FormatError(f"has {', '.join(found)} but not {', '.join(n for n in group if n not in found)}")
+    if "stamp" not in names or bool(groups[QUATERNION]) == bool(groups[ANGLES]):
+        hint = " (fields must be separated by commas)" if len(names) == 1 else ""
+        raise FormatError(f"the columns are {', '.join(names)}{hint}; wanted {HEADERS}")
+
+
+def _pose(names: Sequence[str], fields: Sequence[str]) -> Pose:
+    if len(fields) != len(names):
+        raise FormatError(f"has {len(fields)} fields where the header has {len(names)}; cut off, or a comma too many?")
+    row = dict(zip(names, fields, strict=True))
+    if "qw" in row:
+        matrix = _from_quaternion([_number(row, n) for n in QUATERNION])
+    else:
+        matrix = world_R_body(*(math.radians(_number(row, n)) for n in ANGLES))
+    position = np.array([_number(row, n) for n in POSITION]) if "x" in row else None
+    return Pose(_number(row, "stamp"), matrix, position, row.get("frame") or None)
+
+
+def _from_quaternion(wxyz: Sequence[float]) -> np.ndarray:
+    norm = math.hypot(*wxyz)
+    if abs(norm - 1) > _NORM_TOLERANCE:
+        raise RotationError(
+            f"qw,qx,qy,qz = {', '.join(f'{v:g}' for v in wxyz)} is no rotation: its length is {norm:.3g}, wanted 1. "
+            "Normalise it; the real part comes first"
+        )
+    return rotation_from_wxyz(np.asarray(wxyz) / norm)
+
+
+def _number(row: dict[str, str], name: str) -> float:
+    try:
+        value = float(row[name])
+    except ValueError:
+        raise FormatError(f"{name} is {row[name]!r}; wanted a number") from None
+    if not math.isfinite(value):
+        raise FormatError(f"{name} is {row[name]}; wanted a finite number. Leave out lines without a known pose")
+    return value
+
+
+def _some(names: Sequence[str]) -> str:
+    """The first few names."""
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return ", ".join(names[:3]) + more

@@ -1,0 +1,71 @@
+"""What commands say, and where: results to stdout, everything else to stderr, progress only where somebody watches."""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from eagor.errors import EagorError
+
+OK, FAILED, USAGE, INCOMPLETE = 0, 1, 2, 3
+
+
+class UsageError(EagorError):
+    """The command line asks for something that cannot be done (exit code 2, as for every `EagorError` about input)."""
+
+
+class RunError(EagorError):
+    """The input was fine, but the run failed (exit code 1)."""
+
+
+def log(text: str) -> None:
+    """One line for people, on stderr."""
+    print(f"eagor: {text}", file=sys.stderr, flush=True)
+
+
+def warning(text: str) -> None:
+    """Something that people should know, on stderr; the run goes on."""
+    log(f"warning: {text}")
+
+
+def error(text: str) -> None:
+    """What went wrong, on stderr, on one line whatever it contains."""
+    log(f"error: {' '.join(text.split())}")
+
+
+def emit(result: dict[str, Any]) -> None:
+    """The one JSON object on stdout."""
+    print(json.dumps(result, allow_nan=False, ensure_ascii=False), flush=True)
+
+
+@contextmanager
+def warnings_as_lines() -> Iterator[None]:
+    """The package's own warnings (an image that is not 2:1, ...) become lines on stderr, each kind of text once."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        warnings.filterwarnings("once", category=UserWarning, module=r"eagor(\.|$)")
+
+        def show(message: Warning | str, *_: Any, **__: Any) -> None:
+            warning(str(message))
+
+        warnings.showwarning = show
+        yield
+
+
+@contextmanager
+def progress(what: str, total: int, shown: bool = True) -> Iterator[Callable[[], None]]:
+    """A bar on stderr, moved on by calling what this yields; silent unless `shown` and stderr is a terminal."""
+    if not (shown and sys.stderr.isatty()):
+        yield lambda: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda: bar.advance(task)

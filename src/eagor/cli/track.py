@@ -1,0 +1,138 @@
+"""``eagor track``: a series of panoramas and the camera's poses, one line per frame.
+
+A frame that cannot be read does not end the run: it is reported on stderr, the poses carry the belief over it, and the
+exit code is 3. The file of ``--out`` is flushed after every line, so that nothing that was computed is lost.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from eagor.cli import terminal
+from eagor.cli.following import Result, follow
+from eagor.cli.looking import checked_degree, checked_query, find_frames, make_perception
+from eagor.cli.methods import NAMES
+from eagor.cli.options import Track
+from eagor.cli.poses import pair, read_poses
+from eagor.cli.words import signed
+from eagor.sphere import azimuth_elevation
+from eagor.tracker import TrackerConfig
+
+COLUMNS = ("frame", "stamp", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "distance_m", "status")
+
+
+def track(options: Track) -> int:
+    """Run the command; returns its exit code."""
+    if len(options.words) < 2:
+        raise terminal.UsageError(f"got {' '.join(options.words)!r}; wanted FRAMES (a folder or images), then QUERY")
+    query = checked_query(options.words[-1])
+    images = find_frames([Path(word) for word in options.words[:-1]])
+    steps = pair(read_poses(options.poses), images, options.poses)
+    config = TrackerConfig(degree=checked_degree(options.degree))
+    perception = make_perception(options.perception)
+    entries, bad, looked = [], 0, 0
+    with ExitStack() as stack:
+        write = stack.enter_context(_table(options.out, options.compare)) if options.out else None
+        draw = _painter(options.picture, query) if options.picture else None
+        advance = stack.enter_context(terminal.progress("looking", len(images), shown=options.json))
+        if not options.json:
+            print(_header(options.compare), flush=True)
+        for number, result in enumerate(follow(steps, perception, query, config, options.compare)):
+            if result.problem is not None:
+                terminal.warning(f"{result.image.name} is left out: {result.problem}")
+                bad += 1
+            looked += result.looks
+            if write is not None:
+                write(result)
+            if draw is not None:
+                draw(number, result)
+            if options.json:
+                entries.append(result.as_json())
+            else:
+                print(_line(result), flush=True)
+            advance()
+    if options.json:
+        summary = {"query": query, "perception": options.perception, "frames": entries, "left_out": bad}
+        terminal.emit(summary)
+    if bad == len(images):
+        raise terminal.RunError(f"none of the {bad} frames could be looked at; the reasons are above")
+    if looked == 0:
+        raise terminal.RunError(
+            f"{options.perception} has nothing for any of the {len(images)} frames; are its stamps on the clock of "
+            f"{options.poses} ({steps[0].pose.stamp:g} to {steps[-1].pose.stamp:g} s)?"
+        )
+    if bad:
+        terminal.log(f"{bad} of {len(images)} frames were left out")
+    return terminal.INCOMPLETE if bad else terminal.OK
+
+
+def _header(compare: bool) -> str:
+    others = "".join(f"{name:>15}" for name in NAMES) if compare else ""
+    angles = "   (degrees; azimuth/elevation)" if compare else ""
+    return f"     stamp  azimuth  elevation  cone 90%  distance  modes  status    {others}{angles}"
+
+
+def _line(result: Result) -> str:
+    e, distance = result.estimate, result.distance
+    far = "-" if distance is None else f"{distance:.2f} m"
+    line = f"{result.stamp:10.3f} {signed(e.azimuth):>8} {signed(e.elevation):>10} {signed(e.credible_angle)[1:]:>9}"
+    line += f" {far:>9} {len(e.modes):>6}  {e.status:10}"
+    for direction in result.others.values():
+        azimuth, elevation = azimuth_elevation(direction)
+        line += f"{signed(float(azimuth)) + '/' + signed(float(elevation)):>15}"
+    return line.rstrip()
+
+
+@contextmanager
+def _table(path: Path, compare: bool) -> Iterator[Callable[[Result], None]]:
+    """The file of ``--out``; what this yields writes one line and flushes it."""
+    if path.suffix.lower() not in (".csv", ".jsonl"):
+        raise terminal.UsageError(f"--out {path}: wanted a file name that ends in .csv or .jsonl")
+    try:
+        file = path.open("w", encoding="utf-8", newline="")
+    except OSError as error:
+        raise terminal.UsageError(f"--out {path} cannot be written ({error})") from error
+    with file:
+        if path.suffix.lower() == ".jsonl":
+            yield lambda result: print(json.dumps(result.as_json()), file=file, flush=True)
+            return
+        extra = [f"{name.replace('-', '_')}_{angle}_deg" for name in NAMES for angle in ("azimuth", "elevation")]
+        writer = csv.writer(file)
+        writer.writerow([*COLUMNS, "modes", "problem", *(extra if compare else [])])
+        file.flush()
+
+        def write(result: Result) -> None:
+            entry = result.as_json()
+            row = [entry[name] for name in COLUMNS] + [len(entry["modes"]), entry.get("problem", "")]
+            row += [angle for method in entry.get("methods", {}).values() for angle in method.values()]
+            writer.writerow(row)
+            file.flush()
+
+        yield write
+
+
+def _painter(folder: Path, query: str) -> Callable[[int, Result], None]:
+    """Draws a frame with its belief into `folder`; frames that could not be read are left out."""
+    from eagor.drawing import draw_belief
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise terminal.UsageError(f"--picture {folder}: cannot be made a folder ({error})") from error
+
+    def draw(number: int, result: Result) -> None:
+        if result.panorama is None:
+            return
+        title = f"“{query}” at {result.stamp:.2f} s ({result.estimate.status})"
+        shown = {name: result.others[name] for name in ("centroid", "published") if name in result.others}
+        picture = draw_belief(result.panorama, result.belief, result.estimate, others=shown, title=title)
+        try:
+            picture.save(folder / f"{number:04d}.png")
+        except OSError as error:
+            raise terminal.RunError(f"the picture cannot be written into {folder} ({error})") from error
+
+    return draw

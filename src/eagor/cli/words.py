@@ -1,0 +1,41 @@
+"""Directions in words, for people."""
+
+from __future__ import annotations
+
+import math
+
+STATUS = {
+    "searching": "nothing stands out yet",
+    "tracking": "one direction stands out",
+    "ambiguous": "several directions fit",
+    "stale": "nothing seen for a while",
+}
+
+
+def in_words(azimuth: float, elevation: float) -> str:
+    """A direction (radians, azimuth positive left) such as "64 degrees to the left, 33 degrees down".
+
+    What lies within 4 degrees of an axis is on it; within 5 degrees of a pole only up or down is left to say.
+    """
+    side, height = round(math.degrees(math.remainder(azimuth, math.tau))), round(math.degrees(elevation))
+    if abs(height) >= 85:
+        return "straight up" if height > 0 else "straight down"
+    where, hand = abs(side), "left" if side > 0 else "right"
+    if where <= 4:
+        level = "straight ahead"
+    elif where <= 112:
+        level = f"{where} degrees to the {hand}"
+    elif where <= 157:
+        level = f"behind you, to the {hand} ({where} degrees)"
+    elif where <= 175:
+        level = f"behind you, slightly {hand} ({where} degrees)"
+    else:
+        level = "straight behind you"
+    if abs(height) <= 4:
+        return level
+    return f"{level}, {abs(height)} degrees {'up' if height > 0 else 'down'}"
+
+
+def signed(angle: float) -> str:
+    """An angle (radians) in degrees with its sign and one decimal: "+62.9"."""
+    return f"{math.degrees(angle):+.1f}"
