@@ -3,8 +3,9 @@
     python benchmarks/core.py [--repeats 200] [--json FILE]
 
 Times are ratios to one np.log over a 512 x 1024 float32 map, which is the least that any log-domain method pays for a
-full-size response. One thread. Each round times every contestant once, in turn, so that a change of the machine's speed
-hits all of them; the table gives the ratio of the medians, and the range of the ratios over five blocks of rounds.
+full-size response. One thread. The contestants take turns, a few runs each after two that do not count (so that none
+pays for the caches that another left behind), and a change of the machine's speed hits all of them. The table gives the
+ratio of the medians, and the range of that ratio over five parts of the session.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ YAW, ANY = rotation((0, 0, 1), 0.3), world_R_body(0.3, 0.2, -0.1)
 L = 7
 START = RNG.normal(size=(L + 1) ** 2)
 FLOOR = 0.1
+TURN = 5  # counted runs before the next contestant's turn
 
 
 def ours(
@@ -131,15 +133,15 @@ def shells_by_definition(belief: eagor.RangedBelief, turn: np.ndarray, step: np.
 
 
 def measure(contestants: dict[str, Callable[[], object]], repeats: int) -> dict[str, list[float]]:
-    """Seconds of each run, contestants in turn."""
-    for run in contestants.values():
-        run()
+    """Seconds of each counted run, contestants in turn."""
     times: dict[str, list[float]] = {name: [] for name in contestants}
-    for _ in range(repeats):
+    for _ in range(max(5, repeats // TURN)):
         for name, run in contestants.items():
-            start = time.perf_counter()
-            run()
-            times[name].append(time.perf_counter() - start)
+            for count in range(-2, TURN):
+                start = time.perf_counter()
+                run()
+                if count >= 0:
+                    times[name].append(time.perf_counter() - start)
     return times
 
 

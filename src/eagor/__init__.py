@@ -6,36 +6,95 @@
     estimate = tracker.estimate(now)                          # direction, cone, modes, presence, status
 
 The frames are on one page, `eagor.sphere`; the mathematics is in `eagor.belief` and the modules below it.
+
+The names below are loaded when they are first used (PEP 562), so that the command line can answer `--help` without
+NumPy, and choose the number of threads before NumPy is there.
 """
 
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from eagor._version import __version__
-from eagor.belief import Belief
-from eagor.errors import EagorError
-from eagor.evidence import Calibration, Evidence
-from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
-from eagor.harmonics import RealHarmonics
-from eagor.ranged import RangedBelief, log_ranges
-from eagor.sphere import angular_distance, azimuth_elevation, direction
-from eagor.tracker import DirectionTracker, Estimate, Mode, TrackerConfig
+
+if TYPE_CHECKING:
+    from eagor.baselines import (
+        Centroid,
+        CircularCentroid,
+        GridFilter,
+        HistogramFilter,
+        ParticleFilter,
+        Published,
+        VonMisesFisherFilter,
+    )
+    from eagor.belief import Belief
+    from eagor.errors import EagorError
+    from eagor.evidence import Calibration, Evidence
+    from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
+    from eagor.harmonics import RealHarmonics
+    from eagor.ranged import RangedBelief, log_ranges
+    from eagor.sphere import angular_distance, azimuth_elevation, direction
+    from eagor.tracker import DirectionTracker, Estimate, Mode, TrackerConfig
 
 __all__ = [
     "Belief",
     "Calibration",
+    "Centroid",
+    "CircularCentroid",
     "DirectionTracker",
     "EagorError",
     "ErpGrid",
     "Estimate",
     "Evidence",
     "FisheyeGrid",
+    "GridFilter",
+    "HistogramFilter",
     "Mode",
+    "ParticleFilter",
     "PatchGrid",
     "PerspectiveGrid",
+    "Published",
     "RangedBelief",
     "RealHarmonics",
     "TrackerConfig",
+    "VonMisesFisherFilter",
     "__version__",
     "angular_distance",
     "azimuth_elevation",
     "direction",
     "log_ranges",
 ]
+
+_HOME = {
+    "baselines": (
+        "Centroid",
+        "CircularCentroid",
+        "GridFilter",
+        "HistogramFilter",
+        "ParticleFilter",
+        "Published",
+        "VonMisesFisherFilter",
+    ),
+    "belief": ("Belief",),
+    "errors": ("EagorError",),
+    "evidence": ("Calibration", "Evidence"),
+    "grids": ("ErpGrid", "FisheyeGrid", "PatchGrid", "PerspectiveGrid"),
+    "harmonics": ("RealHarmonics",),
+    "ranged": ("RangedBelief", "log_ranges"),
+    "sphere": ("angular_distance", "azimuth_elevation", "direction"),
+    "tracker": ("DirectionTracker", "Estimate", "Mode", "TrackerConfig"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _HOME.items():
+        if name in names:
+            value = getattr(import_module(f"eagor.{module}"), name)
+            globals()[name] = value
+            return value
+    raise AttributeError(f"module 'eagor' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,15 +1,15 @@
 """Rivals of `eagor.Belief`, fed the same evidence through the same two calls.
 
 Every rival is an immutable value: ``predict(new_R_old, translation=None)`` and ``update(evidence)`` return a new one,
-``direction()`` is a unit vector ``(3,)`` in the body frame, forward while nothing is known. Where there is a distribution,
-``log_density(directions)`` gives its logarithm ``(...)`` per steradian at unit vectors ``(..., 3)``.
+``direction()`` is a unit vector ``(3,)`` in the body frame, forward while nothing is known. Where there is a
+distribution, ``log_density(directions)`` gives its logarithm ``(...)`` per steradian at unit vectors ``(..., 3)``.
 
 - As in the published comparison, nothing to tune: `Centroid`, `CircularCentroid`, `GridFilter`, `Published`.
-- Stronger ones: `VonMisesFisherFilter`, `HistogramFilter`, `ParticleFilter`. They read the evidence with a calibration of
-  their own; their defaults won on the development seeds of ``benchmarks/quality.py``, with as many trials as ours had.
+- Stronger ones: `VonMisesFisherFilter`, `HistogramFilter`, `ParticleFilter`. They read the evidence with a
+  calibration of their own; their defaults won on the development seeds of ``benchmarks/quality.py``, with as many trials as ours had.
 
-All accept `translation` and ignore it: distance is what `eagor.RangedBelief` adds. They raise `RotationError` for what is
-no rotation and `ResponseError` for evidence with batch dimensions.
+All accept `translation` and ignore it: distance is what `eagor.RangedBelief` adds. They raise `RotationError` for
+what is no rotation and `ResponseError` for evidence with batch dimensions.
 """
 
 from __future__ import annotations
@@ -60,7 +60,8 @@ class _PerFrame:
 
     def update(self, evidence: Evidence) -> Self:
         response = _seen_response(evidence)
-        return self if response.max() < SILENT else replace(self, last=self._read(response / response.sum(), evidence.grid))
+        return self if response.max() < SILENT else replace(self, last=self._read(response / response.sum(),
+        evidence.grid))
 
     def direction(self) -> np.ndarray:
         return self.last
@@ -74,7 +75,8 @@ class Centroid(_PerFrame):
 
     def _read(self, share: np.ndarray, grid: Grid) -> np.ndarray:
         height, width = share.shape
-        return grid.unproject(share.sum(axis=0) @ (np.arange(width) + 0.5), share.sum(axis=1) @ (np.arange(height) + 0.5))
+        return grid.unproject(share.sum(axis=0) @ (np.arange(width) + 0.5), share.sum(axis=1) @ (np.arange(height) +
+        0.5))
 
 
 class CircularCentroid(_PerFrame):
@@ -97,7 +99,8 @@ class GridFilter:
 
     def predict(self, new_R_old: np.ndarray, translation: ArrayLike | None = None) -> GridFilter:
         turn = check_rotation(new_R_old)
-        return self if np.array_equal(turn, np.eye(3)) else GridFilter(_sample(self.values, GRID, GRID.directions @ turn))
+        return self if np.array_equal(turn, np.eye(3)) else GridFilter(_sample(self.values, GRID, GRID.directions @
+        turn))
 
     def update(self, evidence: Evidence) -> GridFilter:
         return GridFilter(self.values + _log_ratio(evidence, Calibration.paper(), GRID.directions))
@@ -169,8 +172,8 @@ class HistogramFilter:
     """A Bayes filter on a grid of probabilities.
 
     The grid stays fixed in the world; turns are composed and the evidence is looked up through them, so that nothing is
-    resampled. Before each look the density is convolved with a kernel of `diffusion` (radians per axis: how far the target may
-    wander between two looks), and a share `mixing` of it is spread evenly, so that a lost target can be found again.
+    resampled. Before each look the density is convolved with a kernel of `diffusion` (radians per axis: how far the
+    target may wander between two looks), and a share `mixing` of it is spread evenly, so that a lost target can be found again.
     """
 
     log_map: np.ndarray = field(default_factory=lambda: np.full(GRID.shape, NOTHING_KNOWN))
@@ -202,13 +205,13 @@ class HistogramFilter:
 class ParticleFilter:
     """Directions of equal weight: turned exactly, roughened, weighed by the evidence, resampled systematically.
 
-    `roughening`: radians per axis of noise at each prediction. `reborn`: share of the particles drawn afresh at each look, from
-    the response, or from anywhere while that is silent. `kernel`: radians, the width with which the particles are smoothed
-    into a density; the answer is their mean within two of it from where they are densest.
+    `roughening`: radians per axis of noise at each prediction. `reborn`: share of the particles drawn afresh at each
+    look, from the response, or from anywhere while that is silent. `kernel`: radians, the width with which the particles are
+    smoothed into a density; the answer is their mean within two of it from where they are densest.
 
-    Each step draws from a copy of `rng`, which the new filter keeps: a filter never changes, and the same steps give the
-    same particles. Sources: Gordon, Salmond and Smith, IEE Proceedings F 140(2), 1993 (bootstrap filter, roughening); Lenser
-    and Veloso, ICRA 2000 (sensor resetting).
+    Each step draws from a copy of `rng`, which the new filter keeps: a filter never changes, and the same steps give
+    the same particles. Sources: Gordon, Salmond and Smith, IEE Proceedings F 140(2), 1993 (bootstrap filter,
+    roughening); Lenser and Veloso, ICRA 2000 (sensor resetting).
     """
 
     particles: np.ndarray
@@ -307,7 +310,8 @@ def _log_ratio(evidence: Evidence, calibration: Calibration, directions: np.ndar
 def _sample(values: np.ndarray, grid: Grid, directions: np.ndarray) -> np.ndarray:
     """`values` ``(H, W)`` at directions ``(..., 3)``: bilinear between cell centres, zero outside the grid.
 
-    A panorama goes on across the seam and over the poles; a view keeps the value of its outermost cells up to its border.
+    A panorama goes on across the seam and over the poles; a view keeps the value of its outermost cells up to its
+    border.
     """
     height, width = grid.shape
     x, y, inside = grid.project(directions)

@@ -17,7 +17,7 @@ from eagor.harmonics import RealHarmonics
 
 def decoding_grid(degree: int) -> ErpGrid:
     """The grid on which a field of this degree is searched for its peak: four rows per degree."""
-    rows = max(64, 4 * (degree + 1))
+    rows = max(48, 4 * (degree + 1))
     return ErpGrid(rows, 2 * rows)
 
 

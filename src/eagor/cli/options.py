@@ -54,7 +54,7 @@ class Track(Common):
 
     runs: ClassVar[str] = "eagor.cli.track:track"
 
-    words: Annotated[tuple[str, ...], Positional, arg(metavar="FRAMES QUERY")]
+    words: Annotated[tuple[str, ...], Positional, arg(metavar="FRAMES QUERY", help_behavior_hint="(required)")]
     """A folder of panoramas (or several image files, taken in the order of their names), then what to look for."""
     poses: Annotated[Path, arg(metavar="CSV")]
     """The camera's poses: a CSV file with the columns stamp,qw,qx,qy,qz (world_R_body) or

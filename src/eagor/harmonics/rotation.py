@@ -31,8 +31,11 @@ def rotate(degree: int, coefficients: Array, new_R_old: Array) -> Array:
 
     The caller has checked that `new_R_old` is a rotation.
     """
-    if type(coefficients) is np.ndarray and coefficients.ndim == 1 and new_R_old.ndim == 2:
-        return _rotate_one(degree, coefficients, new_R_old)
+    if new_R_old.ndim == 2 and type(coefficients) is np.ndarray and type(new_R_old) is np.ndarray:
+        if coefficients.ndim == 1:
+            return _rotate_alike(degree, coefficients, new_R_old)
+        columns = np.ascontiguousarray(coefficients.reshape(-1, coefficients.shape[-1]).T)
+        return _rotate_alike(degree, columns, new_R_old).T.reshape(coefficients.shape)
     xp = namespace(coefficients, new_R_old)
     batch = np.broadcast_shapes(tuple(coefficients.shape[:-1]), tuple(new_R_old.shape[:-2]))
     size = coefficients.shape[-1]
@@ -53,29 +56,35 @@ def rotate(degree: int, coefficients: Array, new_R_old: Array) -> Array:
     return xp.reshape(rotated.T, (*batch, size))
 
 
-def _rotate_one(degree: int, coefficients: np.ndarray, new_R_old: np.ndarray) -> np.ndarray:
-    """One belief, one rotation, as few NumPy calls as possible: this is the step that a robot repeats."""
+def _rotate_alike(degree: int, coefficients: np.ndarray, new_R_old: np.ndarray) -> np.ndarray:
+    """One rotation of one belief ``(size,)`` or of several ``(size, n)``, in as few NumPy calls as possible.
+
+    This is the step that a robot repeats.
+    """
     (r00, r01, r02), (r10, r11, r12), (_, _, r22) = new_R_old.tolist()
     tilt = math.hypot(r02, r12)
     if tilt < 1e-15 and r22 > 0:  # a pure yaw
-        return _turn_one(degree, coefficients, complex(r00, r10))
+        return _turn_alike(degree, coefficients, complex(r00, r10))
     alpha = complex(r02, r12) / tilt if tilt > 0 else 1 + 0j
     gamma = complex(alpha.real * r11 - alpha.imag * r01, alpha.real * r10 - alpha.imag * r00)
-    beta = complex(r22, tilt)
-    turned = _turn_one(degree, coefficients, gamma)
-    turned = _turn_one(degree, _quarter(degree, turned[:, None], False)[:, 0], beta)
-    return _turn_one(degree, _quarter(degree, turned[:, None], True)[:, 0], alpha)
+    turned = _turn_alike(degree, coefficients, gamma)
+    turned = _turn_alike(degree, _quarter(degree, turned, False), complex(r22, tilt))
+    return _turn_alike(degree, _quarter(degree, turned, True), alpha)
 
 
-def _turn_one(degree: int, coefficients: np.ndarray, phase: complex) -> np.ndarray:
-    """Z of one angle, given as (cos, sin) in a complex number, on one vector of coefficients."""
+def _turn_alike(degree: int, coefficients: np.ndarray, phase: complex) -> np.ndarray:
+    """Z of one angle, given as (cos, sin) in a complex number."""
     phase /= abs(phase)
     powers = [1 + 0j]
     for _ in range(degree):
         powers.append(powers[-1] * phase)
     table = np.array([power.conjugate() for power in powers[:0:-1]] + powers)
     mixed: Any = table[_order_index(degree)]
-    return coefficients * mixed.real - coefficients[_partner(degree)] * mixed.imag
+    even, odd = mixed.real, mixed.imag
+    if coefficients.ndim == 2:
+        even, odd = even[:, None], odd[:, None]
+    turned = coefficients * even - coefficients[_partner(degree)] * odd
+    return turned.astype(coefficients.dtype, copy=False)
 
 
 def _rotate_columns(degree: int, columns: Array, turns: Array) -> Array:
@@ -113,7 +122,7 @@ def _turn(degree: int, columns: Array, cosine: Array, sine: Array) -> Array:
 
 def _quarter(degree: int, columns: Array, transposed: bool) -> Array:
     """J (or its transpose) on `columns` ``(size, n)``."""
-    if degree <= DENSE_UP_TO and columns.shape[1] <= 16:
+    if degree <= DENSE_UP_TO and (columns.ndim == 1 or columns.shape[1] <= 16):
         return constant(_quarter_dense, degree, transposed, like=columns) @ columns
     parts = []
     for l in range(degree + 1):

@@ -1,9 +1,4 @@
-"""Pictures: a belief over a panorama, and curves of error over time.
-
-Every function returns a `PIL.Image.Image`. Panoramas are in the layout of `eagor.sphere` (centre forward, azimuth grows
-to the LEFT), and so are the axes. matplotlib is imported when the first picture is drawn, with the Agg canvas and
-without pyplot: nothing global is touched, no window is opened.
-"""
+"""A belief over a panorama: heat, the border of its 90 % region, and where everybody points."""
 
 from __future__ import annotations
 
@@ -14,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor.belief import Reading
+from eagor.drawing.sheet import INK, figure, image, plain
 from eagor.grids import PatchGrid
 from eagor.sphere import azimuth_elevation, unit
 from eagor.tracker import Estimate
@@ -23,11 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from PIL.Image import Image
 
-INK, PAPER, GRID_LINE = "#1f2430", "#ffffff", "#d8dbe2"
 OURS, TRUTH = "#00e5ff", "#39ff6a"
 # Markers and colours that stay apart in grey and for the colour-blind; the first ones go to the methods named first.
 OTHERS = (("s", "#ffb000"), ("D", "#ff5fa8"), ("^", "#b197ff"), ("v", "#ff7043"), ("P", "#9ccc65"), ("X", "#90a4ae"))
-CURVES = ("#00838f", "#b26a00", "#c2185b", "#5e35b1", "#d84315", "#558b2f", "#546e7a", "#6d4c41", "#9e9d24")
 HEAT_ROWS = 180
 
 
@@ -53,14 +47,14 @@ def draw_belief(
         title: a line above the picture.
         width: of the picture in pixels.
     """
-    figure = _figure(width, round(width * 0.595))
-    axes = figure.add_axes((0.055, 0.145, 0.92, 0.775))
+    sheet = figure(width, round(width * 0.595))
+    axes = sheet.add_axes((0.055, 0.145, 0.92, 0.775))
     paint_belief(axes, panorama, belief, estimate, truth, others, modes)
     axes.set_xlabel("azimuth in degrees, positive to the left", color=INK)
     axes.set_ylabel("elevation", color=INK)
-    figure.text(0.055, 0.945, title, fontsize=13, color=INK, weight="bold")
-    _legend(figure, axes)
-    return _image(figure)
+    sheet.text(0.055, 0.945, title, fontsize=13, color=INK, weight="bold")
+    _legend(sheet, axes)
+    return image(sheet)
 
 
 def draw_strip(panels: Sequence[Mapping[str, Any]], columns: int = 2, width: int = 1400) -> Image:
@@ -70,114 +64,20 @@ def draw_strip(panels: Sequence[Mapping[str, Any]], columns: int = 2, width: int
     wide = (width - left - gap * (columns - 1) - 28) / columns
     high = wide / 2
     total = rows * (head + high + foot) + legend
-    figure = _figure(width, round(total))
+    sheet = figure(width, round(total))
     axes = None
     for index, panel in enumerate(panels):
         row, column = divmod(index, columns)
         x, y = left + column * (wide + gap), total - (row + 1) * (head + high) - row * foot
-        axes = figure.add_axes((x / width, y / total, wide / width, high / total))
+        axes = sheet.add_axes((x / width, y / total, wide / width, high / total))
         paint_belief(axes, **{name: value for name, value in panel.items() if name != "title"})
         axes.set_title(panel.get("title", ""), loc="left", fontsize=11, color=INK, weight="bold", pad=6)
         axes.set_xticks(range(180, -181, -90), _degrees(range(180, -181, -90)))
         if column:
             axes.set_yticklabels([])
     if axes is not None:
-        _legend(figure, axes)
-    return _image(figure)
-
-
-def draw_errors(
-    stamps: Sequence[float],
-    errors: Mapping[str, Sequence[float]],
-    shaded: Sequence[tuple[float, float, str]] = (),
-    title: str = "",
-    width: int = 1200,
-) -> Image:
-    """Direction errors (degrees) of several methods over time (seconds); the first method is drawn on top, and thick.
-
-    `shaded` marks stretches: begin, end, and what happened.
-    """
-    figure = _figure(width, round(width * 0.42))
-    axes = figure.add_axes((0.06, 0.13, 0.69, 0.76 if title else 0.83))
-    highest = max((float(np.max(np.asarray(values))) for values in errors.values()), default=180.0)
-    highest = min(180, 30 * math.ceil(max(highest, 1.0) * 1.05 / 30))
-    for begin, end, what in shaded:
-        axes.axvspan(begin, end, color="#eceff4", zorder=0, linewidth=0)
-        axes.text((begin + end) / 2, 0.975 * highest, what, ha="center", va="top", fontsize=9, color="#5b6472")
-    ends = []
-    for index, (name, values) in enumerate(errors.items()):
-        colour, first = CURVES[index % len(CURVES)], index == 0
-        axes.plot(stamps, values, color=colour, linewidth=3 if first else 1.4, zorder=5 if first else 3, label=name)
-        mean = float(np.mean(np.asarray(values)))
-        ends.append((mean, name, colour, first))
-    axes.set_xlim(stamps[0], stamps[-1])
-    axes.set_ylim(0, highest)
-    axes.set_yticks(range(0, highest + 1, 30 if highest > 60 else 10))
-    axes.set_xlabel("time (s)", color=INK)
-    axes.set_ylabel("direction error (degrees)", color=INK)
-    axes.grid(color=GRID_LINE, linewidth=0.8)
-    _plain(axes)
-    figure.text(0.06, 0.935, title, fontsize=13, color=INK, weight="bold")
-    figure.text(0.77, 0.925, "mean error over the run", fontsize=9.5, color="#5b6472")
-    for row, (mean, name, colour, first) in enumerate(sorted(ends, key=lambda end: end[0])):
-        y = 0.86 - 0.07 * row
-        weight = "bold" if first else "normal"
-        figure.text(0.77, y, "■", color=colour, fontsize=12, va="center")
-        figure.text(0.79, y, name, color=INK, fontsize=10.5, va="center", weight=weight)
-        figure.text(0.985, y, f"{mean:.1f}°", color=INK, fontsize=10.5, va="center", ha="right", weight=weight)
-    return _image(figure)
-
-
-def draw_map(
-    path: np.ndarray,
-    headings: np.ndarray,
-    found: np.ndarray,
-    target: np.ndarray,
-    distractor: np.ndarray,
-    hidden: np.ndarray,
-    size: tuple[float, float],
-    width: int = 1200,
-) -> Image:
-    """A walk from above: x to the right, y (the left of a body at yaw 0) up.
-
-    Args:
-        path: the camera's positions ``(n, 3)``, metres, world frame.
-        headings: where it faced ``(n, 3)``.
-        found: where the target was taken to be ``(n, 3)``.
-        target: where it was ``(3,)``.
-        distractor: where the other thing was ``(n, 3)``.
-        hidden: when the camera saw nothing ``(n,)``, bool.
-        size: of the room, along x and y, centred on the origin.
-        width: of the picture in pixels.
-    """
-    figure = _figure(width, round(width * 0.6))
-    axes = figure.add_axes((0.05, 0.09, 0.70, 0.88))
-    axes.set_aspect("equal")
-    axes.set_xlim(-size[0] / 2 - 0.4, size[0] / 2 + 1.2)
-    axes.set_ylim(-size[1] / 2 - 0.5, size[1] / 2 + 0.5)
-    axes.add_patch(_rectangle(size))
-    axes.plot(*distractor[:, :2].T, ":", color="#c98b8b", linewidth=1.6, label="the other red ball")
-    axes.plot(*path[:, :2].T, color="#9aa1ad", linewidth=2, label="camera", zorder=3)
-    dark = np.where(hidden[:, None], path, np.nan)
-    axes.plot(*dark[:, :2].T, color=INK, linewidth=5, label="camera, covered", zorder=4)
-    every = slice(0, None, max(1, len(path) // 24))
-    arrows = {"color": "#5b6472", "angles": "xy", "scale": 24, "width": 0.0032, "zorder": 5}
-    axes.quiver(*path[every, :2].T, *headings[every, :2].T, **arrows)
-    axes.plot(*path[0, :2], "o", color=INK, markersize=9, zorder=6, linestyle="none", label="start")
-    axes.plot(
-        *target[:2], "o", color="#c8201f", markersize=20, mec="white", mew=2, zorder=6, linestyle="none", label="target"
-    )
-    dots = {"c": np.linspace(0, 1, len(found)), "cmap": "viridis", "s": 34, "edgecolors": "white", "linewidths": 0.6}
-    shade = axes.scatter(*found[:, :2].T, zorder=7, label="target, as we took it to be", **dots)
-    axes.set_xlabel("x (m)", color=INK)
-    axes.set_ylabel("y (m)", color=INK)
-    axes.grid(color=GRID_LINE, linewidth=0.6)
-    axes.set_axisbelow(True)
-    _plain(axes)
-    figure.legend(loc="upper left", bbox_to_anchor=(0.76, 0.96), frameon=False, fontsize=10, labelspacing=1.0)
-    bar = figure.colorbar(shade, cax=figure.add_axes((0.79, 0.14, 0.014, 0.34)), ticks=[0, 1])
-    bar.ax.set_yticklabels(["start", "end"], color=INK, fontsize=9.5)
-    return _image(figure)
+        _legend(sheet, axes)
+    return image(sheet)
 
 
 def paint_belief(
@@ -194,7 +94,7 @@ def paint_belief(
     axes.set_ylim(-90, 90)
     axes.set_xticks(range(180, -181, -45), _degrees(range(180, -181, -45)))
     axes.set_yticks(range(-90, 91, 30), _degrees(range(-90, 91, 30)))
-    _plain(axes)
+    plain(axes)
     whole = (180, -180, -90, 90)
     axes.imshow(_muted(panorama), extent=whole, aspect="auto", interpolation="antialiased", zorder=0)
     for at in (-90, 0, 90):
@@ -296,12 +196,12 @@ def _mark(
         label = None
 
 
-def _legend(figure: Figure, axes: Axes) -> None:
+def _legend(sheet: Figure, axes: Axes) -> None:
     handles, labels = axes.get_legend_handles_labels()
     if not handles:
         return
     order = sorted(range(len(labels)), key=lambda i: (labels[i] != "estimate", labels[i] != "truth"))
-    legend = figure.legend(
+    legend = sheet.legend(
         [handles[i] for i in order],
         [labels[i] for i in order],
         loc="lower center",
@@ -318,13 +218,6 @@ def _legend(figure: Figure, axes: Axes) -> None:
     for handle in legend.legend_handles:
         if handle is not None and hasattr(handle, "set_markersize"):
             handle.set_markersize(9)  # type: ignore[attr-defined]
-
-
-def _rectangle(size: tuple[float, float]) -> Any:
-    from matplotlib.patches import Rectangle
-
-    corner = (-size[0] / 2, -size[1] / 2)
-    return Rectangle(corner, size[0], size[1], fill=False, edgecolor=INK, linewidth=2.2, zorder=2)
 
 
 def _muted(panorama: np.ndarray) -> np.ndarray:
@@ -344,27 +237,3 @@ def _outline(width: float) -> list[Any]:
     from matplotlib import patheffects
 
     return [patheffects.Stroke(linewidth=width, foreground="black", alpha=0.75), patheffects.Normal()]
-
-
-def _plain(axes: Axes) -> None:
-    axes.tick_params(colors=INK, labelsize=9.5, length=3)
-    for spine in axes.spines.values():
-        spine.set_color("#9aa1ad")
-
-
-def _figure(width: int, height: int) -> Figure:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=PAPER)
-
-
-def _image(figure: Figure) -> Image:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL import Image
-
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
-
-
-__all__ = ["draw_belief", "draw_errors", "draw_map", "draw_strip", "paint_belief"]
