@@ -79,20 +79,40 @@ def evaluate(degree: int, directions: Array) -> Array:
     return xp.stack(columns, axis=-1)
 
 
-def latitude_table(degree: int, sines: np.ndarray) -> np.ndarray:
-    """P_l|m| ``(2 degree + 1, degree + 1, n)``, signed order m by degree l (zero where l < |m|), at sin(elevation).
+def latitude_functions(degree: int, sines: Array) -> Array:
+    """The latitude part of Y_lm, ``(degree + 1 (l), degree + 1 (m), n)``, at sin(elevation) ``(n,)``; zero where m > l.
 
-    This is the latitude part of Y_lm: the reduced functions times cos(elevation)^|m|.
+    It is the reduced function times cos(elevation)^m.
     """
-    sines = np.asarray(sines, dtype=np.float64)
-    cosines = np.sqrt(np.maximum(0.0, 1 - sines**2))
-    powers = cosines ** np.arange(degree + 1)[:, None]
-    table = np.zeros((2 * degree + 1, degree + 1, sines.size))
-    for l, row in enumerate(reduced_legendre(degree, sines)):
-        values = row * powers[: l + 1]
-        table[degree : degree + l + 1, l] = values
-        table[degree - l : degree + 1, l] = values[::-1]
-    return table
+    xp = namespace(sines)
+    cosines = xp.sqrt(xp.clip(1 - sines * sines, 0.0, 1.0))
+    if xp is np:  # the same recursion in place: the factor cos^m does not depend on l
+        start, a, b = _recursion(degree)
+        table = np.zeros((degree + 1, degree + 1, sines.size), sines.dtype)
+        table[0, 0] = start[0]
+        power = np.ones_like(sines)
+        for l in range(1, degree + 1):
+            row = table[l, :l]
+            np.multiply(table[l - 1, :l], sines, out=row)
+            if l > 1:
+                row[:-1] -= np.array(b[l][:-1])[:, None] * table[l - 2, : l - 1]
+            row *= np.array(a[l])[:, None]
+            power = power * cosines
+            np.multiply(power, start[l], out=table[l, l])
+        return table
+    powers = [xp.ones_like(cosines)]
+    for _ in range(degree):
+        powers.append(powers[-1] * cosines)
+    blank = xp.zeros_like(sines)[None, ...]
+    rows = reduced_legendre(degree, sines)
+    full = xp.stack([xp.concat([row, *([blank] * (degree - l))]) for l, row in enumerate(rows)])
+    return full * xp.stack(powers)
+
+
+def latitude_table(degree: int, sines: np.ndarray) -> np.ndarray:
+    """The latitude part again, ``(2 degree + 1, degree + 1, n)``: signed order m by degree l, zero where l < |m|."""
+    found = latitude_functions(degree, np.asarray(sines, dtype=np.float64)).transpose(1, 0, 2)
+    return np.concatenate([found[:0:-1], found])
 
 
 def longitude_table(degree: int, azimuths: np.ndarray) -> np.ndarray:

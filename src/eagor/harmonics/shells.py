@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 
 from eagor._arrays import Array, constant, namespace
-from eagor.harmonics.legendre import latitude_table, reduced_legendre
+from eagor.harmonics.legendre import latitude_functions, latitude_table
 from eagor.harmonics.rotation import rotate
 
 
@@ -48,7 +48,7 @@ def _along_pole(degree: int, shells: Array, ranges: np.ndarray, distance: float)
     position = np.interp(np.log(before).ravel(), np.log(ranges), np.arange(count))
     nearest, weights = _cubic(position, count)
 
-    table = _warped_legendre(degree, _as(sines, shells))  # (m, points, l)
+    table = xp.permute_dims(latitude_functions(degree, _as(sines, shells)), (1, 2, 0))  # (m, points, l)
     batch = tuple(shells.shape[:-2])
     packed = xp.take(shells, constant(_by_order, degree, like=shells), axis=-1)
     packed = xp.reshape(packed, (*batch, count, degree + 1, 2, degree + 1))
@@ -87,29 +87,10 @@ def _cubic(position: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(lower + np.arange(-1, 3)[:, None], 0, count - 1), weights
 
 
-def _warped_legendre(degree: int, sines: Array) -> Array:
-    """P_lm ``(degree + 1 (m), n, degree + 1 (l))`` at sin(elevation) ``(n,)``."""
-    xp = namespace(sines)
-    cosines = xp.sqrt(xp.clip(1 - sines * sines, 0.0, 1.0))
-    powers = [xp.ones_like(cosines)]
-    for _ in range(degree):
-        powers.append(powers[-1] * cosines)
-    rows = reduced_legendre(degree, sines)
-    if xp is np:
-        table = np.zeros((degree + 1, sines.size, degree + 1), sines.dtype)
-        for l, row in enumerate(rows):
-            table[: l + 1, :, l] = row
-    else:
-        blank = xp.zeros_like(sines)[None, ...]
-        full = [xp.concat([row, *([blank] * (degree - l))]) for l, row in enumerate(rows)]
-        table = xp.stack(full, axis=-1)
-    return table * xp.stack(powers)[..., None]
-
-
 @lru_cache(maxsize=16)
 def _nodes(degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss nodes over sin(elevation): twice what the degree needs, since the interpolation in range has kinks."""
-    return np.polynomial.legendre.leggauss(2 * degree + 2)
+    """Gauss nodes over sin(elevation): half more than an unwarped field needs (1e-3 at half the first shell)."""
+    return np.polynomial.legendre.leggauss(3 * degree // 2 + 2)
 
 
 def _gauss_plan(degree: int) -> np.ndarray:
