@@ -75,6 +75,8 @@ def _rotate_alike(degree: int, coefficients: np.ndarray, new_R_old: np.ndarray) 
 def _turn_alike(degree: int, coefficients: np.ndarray, phase: complex) -> np.ndarray:
     """Z of one angle, given as (cos, sin) in a complex number."""
     phase /= abs(phase)
+    if abs(phase - 1) < 1e-15:
+        return coefficients
     powers = [1 + 0j]
     for _ in range(degree):
         powers.append(powers[-1] * phase)

@@ -58,11 +58,9 @@ def _along_pole(degree: int, shells: Array, ranges: np.ndarray, distance: float)
     # Every order: the field of every source shell at every point, in one product; then keep the four that matter.
     seen = table @ xp.reshape(packed, (*batch, degree + 1, degree + 1, 2 * count))
     seen = xp.reshape(seen, (*batch, degree + 1, points * count, 2))
-    values = sum(
-        _as(weight, shells)[:, None]
-        * xp.take(seen, _as(np.arange(points) * count + source, shells, whole=True), axis=-2)
-        for source, weight in zip(nearest, weights, strict=True)
-    )
+    where = _as((np.arange(points) * count + nearest).ravel(), shells, whole=True)
+    picked = xp.reshape(xp.take(seen, where, axis=-2), (*batch, degree + 1, 4, points, 2))
+    values = xp.sum(picked * _as(weights, shells)[..., None], axis=-3)
     values = xp.reshape(values, (*batch, degree + 1, count, len(nodes), 2))
     values = xp.matrix_transpose(values)  # (m, k, cos/sin, node)
     found = xp.reshape(values, (*batch, degree + 1, 2 * count, len(nodes))) @ constant(_gauss_plan, degree, like=shells)
@@ -120,12 +118,11 @@ def _from_order(degree: int) -> np.ndarray:
 
 
 def _to_pole(axis: np.ndarray) -> np.ndarray:
-    """A rotation ``(3, 3)`` that takes the unit vector `axis` to +z (stable for every axis: Duff et al., JCGT 2017)."""
-    x, y, z = axis
-    sign = math.copysign(1.0, z)
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    return np.array([[1 + sign * x * x * a, sign * b, -sign * x], [b, sign + y * y * a, -y], [x, y, z]])
+    """The rotation Ry(-beta) Rz(-alpha) ``(3, 3)`` that takes the unit vector `axis` to +z."""
+    x, y, z = axis.tolist()
+    across = math.hypot(x, y)
+    c, s = (x / across, y / across) if across > 0 else (1.0, 0.0)
+    return np.array([[z * c, z * s, -across], [-s, c, 0.0], [across * c, across * s, z]])
 
 
 def _as(values: np.ndarray, reference: Array, whole: bool = False) -> Array:
