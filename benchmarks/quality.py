@@ -547,7 +547,7 @@ def partial_views(seed: tuple[int, ...], looks: int = 6) -> tuple[list[tuple[np.
 def tune_calibration(episodes: int) -> None:
     """Our calibration as a probability: log scores and coverage without forgetting, presence, partial views, statuses."""
     base, present, absent = SEEDS["dev"], SCENARIOS[1], ABSENT
-    alike = replace(present, name="two alike", distractor=0.8)
+    alike = replace(SCENARIOS[0], what="two things alike, always seen", distractor=0.8)
     standing = [(i, [episode(s, (base, i, n)) for n in range(episodes)]) for i, s in enumerate(SCENARIOS)]
     others = [[episode(s, (base, 50 + k, n)) for n in range(episodes)] for k, s in enumerate((present, absent, alike))]
     views = [partial_views((base, 60, n)) for n in range(2 * episodes)]

@@ -6,7 +6,8 @@ distribution, ``log_density(directions)`` gives its logarithm ``(...)`` per ster
 
 - As in the published comparison, nothing to tune: `Centroid`, `CircularCentroid`, `GridFilter`, `Published`.
 - Stronger ones: `VonMisesFisherFilter`, `HistogramFilter`, `ParticleFilter`. They read the evidence with a
-  calibration of their own; their defaults won on the development seeds of ``benchmarks/quality.py``, with as many trials as ours had.
+  calibration of their own; their defaults won on the development seeds of ``benchmarks/quality.py``, with as many
+  trials as ours had.
 
 All accept `translation` and ignore it: distance is what `eagor.RangedBelief` adds. They raise `RotationError` for
 what is no rotation and `ResponseError` for evidence with batch dimensions.
@@ -26,10 +27,10 @@ from numpy.typing import ArrayLike
 from eagor._arrays import to_numpy
 from eagor.belief import Belief
 from eagor.coverage import taper
-from eagor.peaks import peak_on_grid
 from eagor.errors import ResponseError
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import ErpGrid, Grid
+from eagor.peaks import peak_on_grid
 from eagor.sphere import FORWARD, azimuth_elevation, check_rotation, direction, unit
 
 GRID = ErpGrid(64, 128)  # cells of 2.8 degrees, for the rivals that keep a map
@@ -110,7 +111,7 @@ class GridFilter:
         return GRID.directions.reshape(-1, 3)[np.argmax(self.values)] if known else np.array(FORWARD)
 
     def log_density(self, directions: np.ndarray) -> np.ndarray:
-        return _sample(_normalised(self.values), GRID, directions)
+        return _log_density(_normalised(self.values), directions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +199,7 @@ class HistogramFilter:
         return self.body_R_grid @ peak_on_grid(GRID, self.log_map) if known else np.array(FORWARD)
 
     def log_density(self, directions: np.ndarray) -> np.ndarray:
-        return _sample(self.log_map, GRID, directions @ self.body_R_grid)
+        return _log_density(self.log_map, directions @ self.body_R_grid)
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,7 +249,7 @@ class ParticleFilter:
         return unit(self.particles[near].sum(axis=0)) if near.any() else densest
 
     def log_density(self, directions: np.ndarray) -> np.ndarray:
-        return _sample(self._log_map, GRID, directions)
+        return _log_density(self._log_map, directions)
 
     @cached_property
     def _log_map(self) -> np.ndarray:
@@ -326,6 +327,11 @@ def _sample(values: np.ndarray, grid: Grid, directions: np.ndarray) -> np.ndarra
     upper = flat[first] * (1 - right) + flat[first + 1] * right
     lower = flat[first + stride] * (1 - right) + flat[first + stride + 1] * right
     return np.where(inside, upper * (1 - down) + lower * down, 0.0)
+
+
+def _log_density(log_map: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """log of the density that `log_map` holds on `GRID`: the density is interpolated, so that it keeps its mass."""
+    return np.log(np.maximum(_sample(np.exp(log_map), GRID, directions), 1e-300))
 
 
 def _normalised(log_values: np.ndarray) -> np.ndarray:

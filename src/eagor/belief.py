@@ -25,20 +25,39 @@ from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.grids import Grid
 from eagor.harmonics import RealHarmonics, rotation
-from eagor.peaks import decoding_grid, peak
-from eagor.posterior import MIN_WEIGHT, PROMINENCE, CredibleRegion, Posterior
+from eagor.peaks import FLAT, decoding_grid, peak
+from eagor.posterior import CELLS_FOR_REGIONS, MIN_WEIGHT, PROMINENCE, CredibleRegion, Field, Posterior
 from eagor.sphere import check_rotation
 
 
 class Reading:
-    """What can be read from any posterior over directions; `Belief` and `RangedBelief` supply `posteriors`.
+    """What can be read from any posterior over directions; `Belief` and `RangedBelief` supply the field.
 
     Leading batch dimensions of the belief lead the results. These read-outs run in NumPy, whatever arrays the
     belief holds.
     """
 
-    batch_shape: tuple[int, ...]
-    posteriors: np.ndarray  # of Posterior, shape batch_shape
+    @property
+    def degree(self) -> int:
+        """The highest degree of the harmonics."""
+        raise NotImplementedError
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """The leading dimensions."""
+        raise NotImplementedError
+
+    def _field(self, index: tuple[int, ...]) -> Field:
+        """How to evaluate the log-posterior of one belief of the batch (up to a constant), in NumPy."""
+        raise NotImplementedError
+
+    @cached_property
+    def posteriors(self) -> np.ndarray:
+        """The `Posterior` of each belief of the batch, an object array (kept: beliefs never change)."""
+        found = np.empty(self.batch_shape, dtype=object)
+        for index in np.ndindex(*self.batch_shape):
+            found[index] = Posterior.resolve(self._field(index), decoding_grid(self.degree).height)
+        return found
 
     @property
     def posterior(self) -> Posterior:
@@ -70,7 +89,8 @@ class Reading:
 
     def credible_region(self, mass: float = 0.9) -> CredibleRegion:
         """The smallest region that holds `mass` of the belief (highest density). One belief at a time."""
-        posterior = self.posterior
+        rows = decoding_grid(self.degree).height
+        posterior = self.posterior and Posterior.resolve(self._field(()), rows, CELLS_FOR_REGIONS)
         level, area = posterior.level(_checked_mass(mass))
         return CredibleRegion(
             mass=mass,
@@ -117,14 +137,6 @@ def _checked_mass(mass: float) -> float:
     return mass
 
 
-def each_posterior(count: tuple[int, ...], make: Callable[[tuple[int, ...]], Posterior]) -> np.ndarray:
-    """An object array of posteriors, one per index of the batch shape `count`."""
-    found = np.empty(count, dtype=object)
-    for index in np.ndindex(*count):
-        found[index] = make(index)
-    return found
-
-
 @dataclass(frozen=True, eq=False)
 class Belief(Reading):
     """A belief over directions: `coefficients` ``(..., (degree + 1)^2)`` of the log-posterior in the body frame.
@@ -158,7 +170,7 @@ class Belief(Reading):
         return RealHarmonics(self.degree)
 
     @property
-    def batch_shape(self) -> tuple[int, ...]:  # type: ignore[override]
+    def batch_shape(self) -> tuple[int, ...]:
         """The leading dimensions."""
         return tuple(self.coefficients.shape[:-1])
 
@@ -216,13 +228,14 @@ class Belief(Reading):
     def mean_direction(self) -> Array:
         """The published estimate ``(..., 3)``: m / |m| with m the integral of f * omega, i.e. of degree 1 alone.
 
-        Forward where m vanishes.
+        Forward where m vanishes (up to the rounding of float32 evidence).
         """
         moment = self._moment()
         xp = namespace(moment)
         length = xp.sqrt(xp.sum(moment * moment, axis=-1, keepdims=True))
         forward = constant(_forward, like=moment) + xp.zeros_like(moment)
-        return xp.where(length > 1e-12, moment / xp.where(length > 1e-12, length, xp.ones_like(length)), forward)
+        known = length > FLAT * xp.clip(xp.abs(self.coefficients[..., :1]), 1.0, math.inf)
+        return xp.where(known, moment / xp.where(known, length, xp.ones_like(length)), forward)
 
     def resultant(self) -> Array:
         """The published confidence ``(...)``: |m| / integral of f, signed.
@@ -238,15 +251,9 @@ class Belief(Reading):
         c = self.coefficients
         return namespace(c).stack([c[..., 3], c[..., 1], c[..., 2]], axis=-1) * math.sqrt(4 * math.pi / 3)
 
-    @cached_property
-    def posteriors(self) -> np.ndarray:  # type: ignore[override]
-        """exp(f) on a grid that resolves it, for each belief of the batch (kept: the belief never changes)."""
-        coefficients, rows = to_numpy(self.coefficients).astype(np.float64), decoding_grid(self.degree).height
-
-        def make(index: tuple[int, ...]) -> Posterior:
-            return Posterior.resolve(lambda grid: self.basis.synthesise(coefficients[index], grid), rows)
-
-        return each_posterior(self.batch_shape, make)
+    def _field(self, index: tuple[int, ...]) -> Field:
+        coefficients = to_numpy(self.coefficients)[index].astype(np.float64)
+        return lambda where: self.basis.synthesise(coefficients, where)
 
 
 def _forward() -> np.ndarray:

@@ -23,7 +23,7 @@ from eagor._arrays import Array, constant
 from eagor.grids import ErpGrid, FisheyeGrid, Grid, Lens, PatchGrid, PerspectiveGrid, forward_view, lens_of
 from eagor.harmonics import RealHarmonics
 
-PENALTY = 200.0
+PENALTY = 1000.0
 CONFINE_UP_TO = 31  # above this degree the ringing is narrow and the dense solve is not worth it: taper only
 
 # A region: what was seen, hashable. The grid's kind and size (or the lens), and the packed mask where one was given.

@@ -39,9 +39,9 @@ class Calibration:
       "nothing here" into a detection.
     """
 
-    floor: float = 0.1
+    floor: float = 0.2
     neutral: float = 0.05
-    temperature: float = 1.0
+    temperature: float = 2.0
     scale_to_max: bool = False
 
     def __post_init__(self) -> None:

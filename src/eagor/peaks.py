@@ -14,6 +14,8 @@ from eagor._arrays import Array, constant, namespace
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 
+FLAT = 1e-5  # a field that varies by less, relative to its size, is constant up to the rounding of float32 evidence
+
 
 def decoding_grid(degree: int) -> ErpGrid:
     """The grid on which a field of this degree is searched for its peak: four rows per degree."""
@@ -36,7 +38,8 @@ def peak_on_grid(grid: ErpGrid, values: Array) -> Array:
     if type(values) is np.ndarray and values.ndim == 2:
         flat = values.reshape(-1)
         best = int(flat.argmax())
-        if flat[best] == flat[0] and not (flat - flat[0]).any():
+        top = float(flat[best])
+        if top - float(flat.min()) <= FLAT * max(1.0, abs(top)):
             return np.array([1.0, 0.0, 0.0])
         return refine(grid, flat, best)[0]
     xp = namespace(values)
@@ -60,7 +63,8 @@ def peak_on_grid(grid: ErpGrid, values: Array) -> Array:
     frames = xp.reshape(frames, (*row.shape, 3, 3))
     moved = frames[..., 0, :] + u[..., None] * frames[..., 1, :] + v[..., None] * frames[..., 2, :]
     moved = moved / xp.sqrt(xp.sum(moved * moved, axis=-1, keepdims=True))
-    flatland = xp.max(flat, axis=-1) == xp.min(flat, axis=-1)
+    top = xp.max(flat, axis=-1)
+    flatland = top - xp.min(flat, axis=-1) <= FLAT * xp.clip(xp.abs(top), 1.0, math.inf)
     forward = xp.zeros_like(moved)
     forward = forward + constant(_forward, like=values)
     return xp.where(flatland[..., None], forward, moved)

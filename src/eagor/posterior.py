@@ -12,11 +12,15 @@ import numpy as np
 from eagor.grids import ErpGrid, ErpWindow
 from eagor.peaks import peak_on_grid, refine
 
-CELLS_PER_SIGMA = 6.0  # grid spacing against the width of the sharpest peak
+CELLS_PER_SIGMA = 3.0  # grid spacing against the width of the sharpest peak: integrals converge long before that
+CELLS_FOR_REGIONS = 8.0  # ... but the border of a region of 90 % is only as sharp as the cells that it cuts
 MAX_ROWS = 1024  # 0.18 degrees: nothing that a camera robot asks for is finer
 NEGLIGIBLE = 18.0  # nats below the top: what lies there holds less than 1e-4 of the sharpest belief
 PROMINENCE = 0.7  # nats: a peak counts as a mode if it stands out by a factor of two from the saddle around it
 MIN_WEIGHT = 0.02  # ... and holds at least this share of the belief
+
+
+Field = Callable[[ErpGrid | ErpWindow], np.ndarray]  # evaluates f on a grid, or on a part of one
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +56,12 @@ class Posterior:
     field: np.ndarray
 
     @classmethod
-    def resolve(cls, field: Callable[[ErpGrid | ErpWindow], np.ndarray], rows: int) -> Posterior:
+    def resolve(cls, field: Field, rows: int, cells_per_sigma: float = CELLS_PER_SIGMA) -> Posterior:
         """Evaluate `field` on `rows` rows, and again around its peaks on as many as the sharpest asks for."""
         grid = ErpGrid(rows, 2 * rows)
         values = field(grid)
         _, sigma = refine(grid, values.reshape(-1), int(values.argmax()))
-        times = min(math.ceil(CELLS_PER_SIGMA * math.pi / sigma / rows), max(1, MAX_ROWS // rows))
+        times = min(math.ceil(cells_per_sigma * math.pi / sigma / rows), max(1, MAX_ROWS // rows))
         if times <= 1:
             return cls(values, ErpWindow(grid, 0, 0, *grid.shape), values)
         # Between the coarse cells a sharp peak rises higher than any of them: a little slack for that.

@@ -12,20 +12,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from eagor._arrays import Array, as_float, namespace, to_numpy
-from eagor.belief import Belief, Reading, each_posterior
+from eagor.belief import Belief, Reading
 from eagor.diffusion import diffuse
 from eagor.errors import EagorError, PoseError
 from eagor.evidence import Evidence
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.shells import translate
 from eagor.peaks import decoding_grid, peak_on_grid
-from eagor.posterior import Posterior
+from eagor.posterior import Field
 from eagor.sphere import check_rotation
 
 
@@ -75,7 +74,7 @@ class RangedBelief(Reading):
         return RealHarmonics(self.degree)
 
     @property
-    def batch_shape(self) -> tuple[int, ...]:  # type: ignore[override]
+    def batch_shape(self) -> tuple[int, ...]:
         """The leading dimensions, the shells' not counted."""
         return tuple(self.shells.shape[:-2])
 
@@ -170,12 +169,6 @@ class RangedBelief(Reading):
         top = xp.max(f, axis=axis, keepdims=True)
         return xp.log(xp.sum(xp.exp(f - top), axis=axis)) + xp.squeeze(top, axis=axis)
 
-    @cached_property
-    def posteriors(self) -> np.ndarray:  # type: ignore[override]
-        """The direction posterior on a grid that resolves it, for each belief of the batch."""
-        shells, rows = to_numpy(self.shells).astype(np.float64), decoding_grid(self.degree).height
-
-        def make(index: tuple[int, ...]) -> Posterior:
-            return Posterior.resolve(lambda grid: self._marginal(shells[index], grid), rows)
-
-        return each_posterior(self.batch_shape, make)
+    def _field(self, index: tuple[int, ...]) -> Field:
+        shells = to_numpy(self.shells)[index].astype(np.float64)
+        return lambda where: self._marginal(shells, where)

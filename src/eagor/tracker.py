@@ -49,7 +49,7 @@ class TrackerConfig:
     decode: Literal["mode", "mean"] = "mode"
     calibration: Calibration | None = None
     ranges: Sequence[float] | None = field(default_factory=lambda: tuple(log_ranges().tolist()))
-    keep_per_second: float = 1.0
+    keep_per_second: float = 0.9
     diffusion: float = 0.0
     history: float = 10.0
     stale_after: float = 5.0
@@ -66,7 +66,7 @@ class TrackerConfig:
     @classmethod
     def paper(cls) -> TrackerConfig:
         """The published recursion: degree 7, log(l + 1e-3) scaled to the frame's maximum, spherical mean."""
-        return cls(degree=7, decode="mean", calibration=Calibration.paper(), ranges=None)
+        return cls(degree=7, decode="mean", calibration=Calibration.paper(), ranges=None, keep_per_second=1.0)
 
 
 @dataclass(frozen=True, eq=False)
