@@ -303,7 +303,7 @@ def walk(seed: tuple[int, ...], steps: int = 30, step_m: float = 0.25, noise_deg
             points.append(_jittered(unit(offset), noise_deg, rng))
         if rng.random() < 0.2:
             points.append(unit(rng.normal(size=3)))
-        evidence.append(Evidence.from_points(np.reshape(points, (-1, 3)), kappa, grid=GRID))
+        evidence.append(Evidence.from_points(np.reshape(points, (-1, 3)), kappa))
         turns.append(pose.T @ before)
         displacements.append(pose.T @ forward * step_m * (t > 0))
         truths.append(unit(offset))

@@ -48,7 +48,7 @@ class TrackerConfig:
     degree: int = 15
     decode: Literal["mode", "mean"] = "mode"
     calibration: Calibration | None = None
-    ranges: Sequence[float] | None = field(default_factory=lambda: tuple(log_ranges().tolist()))
+    ranges: Sequence[float] | None = field(default_factory=lambda: tuple(log_ranges(count=20).tolist()))
     keep_per_second: float = 0.9
     diffusion: float = 0.0
     history: float = 10.0
