@@ -97,7 +97,7 @@ class Ours:
 
 @dataclass(frozen=True)
 class LinearPool:
-    """Sum of the responses themselves, no logarithm, band-limited to degree 15, read at its maximum. No distribution."""
+    """Sum of the responses, no logarithm, band-limited to degree 15, read at its maximum. It is no distribution."""
 
     coefficients: np.ndarray = field(default_factory=lambda: np.zeros(256))
 
@@ -123,8 +123,8 @@ def belief(floor: float, keep: float, degree: int, temperature: float, ranged: b
 def methods() -> dict[str, Factory]:
     """Every method of the comparison, as `rng` -> filter.
 
-    Rivals and "Belief tuned" have the settings that won on the development seeds, equal numbers of trials each; "Belief" is
-    the package's default (no forgetting), "Belief METHOD" the setting of METHOD section 4.
+    Rivals and "Belief tuned" have the settings that won on the development seeds, equal numbers of trials each;
+    "Belief" is the package's default (no forgetting), "Belief METHOD" the setting of METHOD section 4.
     """
     return {
         "Centroid": lambda rng: Centroid(),
@@ -187,7 +187,7 @@ ABSENT = Scenario("S0", "no target, 2 clutter blobs per frame", detection=0.0, c
 
 @dataclass(frozen=True)
 class Episode:
-    """Evidence ``T``, how the camera turned before each frame ``(T, 3, 3)``, where the target is after the last ``(3,)``."""
+    """T looks, how the camera turned before each ``(T, 3, 3)``, where the target is after the last ``(3,)``."""
 
     evidence: list[Evidence]
     turns: np.ndarray
@@ -417,9 +417,7 @@ def print_report(split: str, episodes: int, found: dict[str, Any]) -> None:
             pair = entry["ours_minus_this_deg"]
             print(f"  {name:17}{_cell(pair):>22}   p = {pair['p']:.3f}")
     count = found["walk"]["Published"]["all_deg"]["n"]
-    print(
-        f"\nThe walk, {count} walks: mean error (deg) over all steps, over the last ten; distance error over the last ten"
-    )
+    print(f"\nThe walk, {count} walks: mean error (deg), the same over the last ten steps, and of the distance there")
     for name, entry in found["walk"].items():
         distance = f"{_cell(entry['distance_error_percent'])} %" if "distance_error_percent" in entry else ""
         print(f"  {name:21}{_cell(entry['all_deg']):>22}{_cell(entry['last_ten_deg']):>22}   {distance}")
@@ -427,7 +425,7 @@ def print_report(split: str, episodes: int, found: dict[str, Any]) -> None:
         print(f"  required: {requirement}: {'met' if met else 'NOT MET'}")
 
 
-# ------------------------------------------------------------------------------------------------ tuning, development seeds
+# ------------------------------------------------------------------------------------------------ tuning
 
 
 @dataclass(frozen=True)
@@ -463,7 +461,12 @@ SWEEPS = (
     ),
     Sweep(
         "Histogram",
-        {"floor": (0.1, 0.4, 1.0), "diffusion_deg": (1, 4, 8), "mixing": (0.001, 0.02), "temperature": (2.0, 4.0, 8.0)},
+        {
+            "floor": (0.1, 0.4, 1.0),
+            "diffusion_deg": (1.5, 4, 8),
+            "mixing": (0.001, 0.02),
+            "temperature": (2.0, 4.0, 8.0),
+        },
         lambda floor, diffusion_deg, mixing, temperature: (
             lambda rng: HistogramFilter(
                 calibration=_read(floor, temperature), diffusion=math.radians(diffusion_deg), mixing=mixing
@@ -495,8 +498,8 @@ SWEEPS = (
 def tune(episodes: int) -> None:
     """Sweep every method on the development seeds and print the best of each.
 
-    The criterion, the same for all: the mean error over S1 to S8 and the walk with equal weights; among those within half a
-    degree of the best, the highest log score.
+    The criterion, the same for all: the mean error over S1 to S8 and the walk with equal weights; among those within
+    half a degree of the best, the highest log score.
     """
     base = SEEDS["dev"]
     runs = [[episode(s, (base, i, n)) for n in range(episodes)] for i, s in enumerate(SCENARIOS)]
@@ -528,7 +531,7 @@ def tune(episodes: int) -> None:
 
 
 def partial_views(seed: tuple[int, ...], looks: int = 6) -> tuple[list[tuple[np.ndarray, np.ndarray]], Any, np.ndarray]:
-    """A camera of 90 degrees that looks `looks` times in random directions: (turn, response) pairs, its grid, the truth."""
+    """A camera of 90 degrees looks in random directions: its turns and responses, its grid, the truth."""
     rng, grid, pose, frames = np.random.default_rng(seed), PerspectiveGrid(32, 32, math.pi / 2), np.eye(3), []
     target = _somewhere(rng)
     for _ in range(looks):
@@ -545,16 +548,16 @@ def partial_views(seed: tuple[int, ...], looks: int = 6) -> tuple[list[tuple[np.
 
 
 def tune_calibration(episodes: int) -> None:
-    """Our calibration as a probability: log scores and coverage without forgetting, presence, partial views, statuses."""
+    """Our calibration as a probability: log scores, coverage, presence, partial views; then the statuses."""
     base, present, absent = SEEDS["dev"], SCENARIOS[1], ABSENT
     alike = replace(SCENARIOS[0], what="two things alike, always seen", distractor=0.8)
     standing = [(i, [episode(s, (base, i, n)) for n in range(episodes)]) for i, s in enumerate(SCENARIOS)]
     others = [[episode(s, (base, 50 + k, n)) for n in range(episodes)] for k, s in enumerate((present, absent, alike))]
     views = [partial_views((base, 60, n)) for n in range(2 * episodes)]
     print(
-        "\nCalibration of Belief (degree 15, nothing forgotten). Standing: log score, coverage of the 90 % region, the same "
-        "without S8.\nPresence: log loss after 1, 3 and 10 frames of S2 against clutter alone. Views: log score, coverage. "
-        "Total: standing + views - mean presence loss"
+        "\nCalibration of Belief (degree 15, nothing forgotten). Standing: log score, coverage of the 90 % region, and "
+        "without S8.\nPresence: log loss after 1, 3, 10 frames of S2 against clutter alone. Views: log score, coverage."
+        "\nTotal: standing + views - mean presence loss"
     )
     table = []
     for floor, neutral, temperature in itertools.product((0.1, 0.2, 0.4, 1.0), (0.05, 0.1, 0.2), (1, 2, 3, 4)):
@@ -582,7 +585,8 @@ def tune_calibration(episodes: int) -> None:
         total = log + view_log - np.mean(losses)
         table.append((total, calibration, cover))
         print(
-            f"  floor {floor:<4} neutral {neutral:<5} temperature {temperature}: standing {log:5.2f} {cover:.2f} {still:.2f}"
+            f"  floor {floor:<4} neutral {neutral:<5} temperature {temperature}:"
+            f" standing {log:5.2f} {cover:.2f} {still:.2f}"
             f"   presence {losses[0]:.2f} {losses[1]:.2f} {losses[2]:.2f}   views {view_log:5.2f} {view_cover:.2f}"
             f"   total {total:5.2f}",
             flush=True,
@@ -600,7 +604,7 @@ def _first(run: Episode, steps: int, calibration: Calibration) -> Belief:
 
 
 def tune_status(calibration: Calibration, groups: list[list[Episode]]) -> None:
-    """The thresholds of `TrackerConfig`: shares of right verdicts on one target, on clutter alone, on two things alike."""
+    """The thresholds of `TrackerConfig`: how often they are right on one target, on clutter, on two things alike."""
     print("\nfound_at (nats): share of S2 found / of clutter alone not found, after 1, 3, 10 frames")
     gains = {}
     for steps in (1, 3, 10):

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import directions, random_directions, rotations
 
+from eagor.baselines import GRID as FILTER_GRID
 from eagor.baselines import (
     Centroid,
     CircularCentroid,
@@ -184,7 +185,8 @@ def test_the_published_form_prefers_what_a_view_does_not_see():
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("axis", [(0, 0, 1), (1, 2, -1)], ids=["yaw", "general"])
 def test_a_filter_follows_a_static_target_through_turns(name, axis):
-    turns = [rotation(axis, angle) for angle in (0.9, -0.4, 1.7, 0.2, 2.5, -1.1, 0.6, 0.6, 1.3)]
+    angles = (0.9, -0.4, 1.7, 0.2, 2.5, -1.1, 0.6, 0.6, 1.3)
+    turns = [rotation(np.roll(axis, k) if axis[0] else axis, angle) for k, angle in enumerate(angles)]
     for target in random_directions(4, seed=1):
         current, target = followed(made(name), target, turns)
         assert degrees(answer(current), target) < TOLERANCE[name]
@@ -196,8 +198,8 @@ def test_a_filter_remembers_through_turns_without_looks(name):
     target, current = unit(np.array([0.3, 0.9, 0.2])), made(name)
     for _ in range(3):
         current = current.predict(np.eye(3)).update(blob(target))
-    for angle in (0.8, 0.8, -0.3, 1.2, 0.5):
-        turn = rotation((0.2, 0.1, 1.0), angle)
+    for k, angle in enumerate((0.8, 0.8, -0.3, 1.2, 0.5)):
+        turn = rotation(np.roll((0.2, 0.1, 1.0), k), angle)
         current, target = current.predict(turn), turn @ target
     assert degrees(answer(current), target) < (12 if name == "particles" else 4)  # 2000 of them, spread by five steps
 
@@ -268,6 +270,29 @@ def test_a_lost_target_is_found_again(name):
     for _ in range(12):
         current = current.predict(np.eye(3)).update(blob([0, -0.8, 0.6]))
     assert degrees(answer(current), [0, -0.8, 0.6]) < 4
+
+
+@given(rotations(), directions())
+@settings(max_examples=30)
+def test_resampling_reads_across_the_seam_and_over_the_poles(turn, axis):
+    """The field axis . omega is the same everywhere on the sphere; bilinear interpolation errs by spacing^2 / 8."""
+    turned = GridFilter(FILTER_GRID.directions @ axis).predict(turn)
+    np.testing.assert_allclose(turned.values, FILTER_GRID.directions @ (turn @ axis), atol=1e-3)
+
+
+@pytest.mark.parametrize("floor", [0.01, 0.1, 0.2, 0.4, 1.0])
+def test_the_published_scaling_does_not_turn_rounding_into_a_detection(floor):
+    """A silent response read back from float32 evidence is 1e-8, not 0; over its own maximum that would be 1."""
+    nothing = Evidence.from_response(np.zeros(GRID.shape, dtype=np.float32), GRID, Calibration(floor=floor))
+    np.testing.assert_allclose(GridFilter().update(nothing).values, math.log(1e-3), atol=1e-3)
+
+
+def test_mixing_puts_a_share_of_the_density_everywhere():
+    sure = HistogramFilter(diffusion=0.0, mixing=0.05)
+    for _ in range(10):
+        sure = sure.update(blob([0, 1, 0]))
+    lowest = np.exp(sure.predict(np.eye(3)).log_density(FILTER_GRID.directions).min())
+    assert lowest == pytest.approx(0.05 / (4 * math.pi), rel=0.01)
 
 
 # Equivariance
@@ -352,6 +377,7 @@ def test_histogram_diffusion_widens_by_the_variance_it_is_told_everywhere(target
         density = np.exp(current.log_density(FINE.directions)) * FINE.weights
         return np.linalg.norm(np.einsum("ij,ijk->k", density, FINE.directions)) / density.sum()
 
+    assert np.sum(np.exp(wide.log_density(FILTER_GRID.directions)) * FILTER_GRID.weights) == pytest.approx(1, abs=1e-9)
     assert resultant(wide) / resultant(narrow) == pytest.approx(mean_length(sigma**-2), abs=2e-3)
     assert degrees(wide.direction(), narrow.direction()) < 0.3
 
