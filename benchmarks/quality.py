@@ -463,7 +463,7 @@ SWEEPS = (
         "Histogram",
         {
             "floor": (0.1, 0.4, 1.0),
-            "diffusion_deg": (1.5, 4, 8),
+            "diffusion_deg": (0, 1.5, 4),
             "mixing": (0.001, 0.02),
             "temperature": (2.0, 4.0, 8.0),
         },

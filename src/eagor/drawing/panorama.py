@@ -138,7 +138,7 @@ def _heat(axes: Axes, belief: Reading) -> None:
     elevation = np.degrees(grid.latitudes)
     padded = np.concatenate([log_density[:, -more:], log_density, log_density[:, :more]], axis=1)
     region = belief.credible_region(0.9)
-    vague = region.area > 2 * math.pi  # half of the sphere: its border then follows ripples, and is drawn faintly
+    vague = region.area > math.pi / 2  # an eighth of the sphere: its border follows ripples, and is drawn faintly
     lines = (("white", 0.8),) if vague else (("black", 3.4), ("white", 1.6))
     style = {"levels": [region.threshold], "linestyles": "solid", "alpha": 0.45 if vague else 1.0, "zorder": 3}
     for colour, width in lines:
