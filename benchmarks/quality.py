@@ -55,7 +55,7 @@ SEEDS = {"dev": 1_000_003, "report": 2_000_003}  # first words of the seed seque
 GRID = PatchGrid(37, 74)
 NEUTRAL = 0.05  # on the whole sphere it shifts the field and moves no direction
 PARTICLES = 2000
-HPD_GRID = ErpGrid(96, 192)
+HPD_GRID = ErpGrid(120, 240)
 OURS = "Belief tuned"
 TUNED = {
     "floor": 1.0,
@@ -248,25 +248,22 @@ def follow(filter_: Any, run: Episode) -> Any:
     return filter_
 
 
-def covered(filter_: Any, truth: np.ndarray, mass: float = 0.9) -> bool:
-    """Whether the truth lies in the smallest region that holds `mass` of the belief."""
-    if isinstance(filter_, Ours):
-        return bool(filter_.belief.credible_region(mass).contains(truth[None])[0])
-    log_density = filter_.belief.log_ratio(HPD_GRID) if isinstance(filter_, Published) else None
-    if log_density is None:
-        log_density, level = filter_.log_density(HPD_GRID.directions), float(filter_.log_density(truth[None])[0])
-    else:
-        level = float(filter_.belief.log_ratio(truth[None])[0])
-    density = np.exp(log_density - log_density.max()) * HPD_GRID.weights
-    return float(density[log_density > level].sum()) <= mass * float(density.sum())
+def score(filter_: Any, truth: np.ndarray) -> tuple[float, float | None, bool | None]:
+    """Error in degrees, log density of the truth, and whether it lies in the smallest region that holds 90 % (or None).
 
-
-def score(filter_: Any, truth: np.ndarray, with_region: bool = True) -> tuple[float, float | None, bool | None]:
-    """Error in degrees, log density of the truth, and whether the 90 % region holds it (None: no distribution)."""
+    One quadrature for all methods: cells of 1.5 degrees integrate peaks down to a width of 1 degree.
+    """
     error = math.degrees(float(angular_distance(filter_.direction(), truth)))
     if not hasattr(filter_, "log_density"):
         return error, None, None
-    return error, float(filter_.log_density(truth[None])[0]), covered(filter_, truth) if with_region else None
+    if isinstance(filter_, Ours | Published):  # the field itself: its own normalisation would be worked out each time
+        field_, level = filter_.belief.log_ratio(HPD_GRID), float(filter_.belief.log_ratio(truth[None])[0])
+    else:
+        field_, level = filter_.log_density(HPD_GRID.directions), float(filter_.log_density(truth[None])[0])
+    top = float(field_.max())
+    mass = np.exp(field_ - top) * HPD_GRID.weights
+    total = float(mass.sum())
+    return error, level - top - math.log(total), float(mass[field_ > level].sum()) <= 0.9 * total
 
 
 # ------------------------------------------------------------------------------------------------ the walk: the
@@ -511,7 +508,7 @@ def tune(episodes: int) -> None:
             make, errors, logs = sweep.make(**chosen), [], []
             for index, group in enumerate(runs if sweep.standing else []):
                 ends = [
-                    score(follow(make(np.random.default_rng((base, index, n, 1))), run), run.truth, False)
+                    score(follow(make(np.random.default_rng((base, index, n, 1))), run), run.truth)
                     for n, run in enumerate(group)
                 ]
                 errors.append(np.mean([error for error, _, _ in ends]))

@@ -181,15 +181,16 @@ class HistogramFilter:
     """A Bayes filter on a grid of probabilities.
 
     The grid stays fixed in the world; turns are composed and the evidence is looked up through them, so that nothing is
-    resampled. Before each look the density is convolved with a kernel of `diffusion` (radians per axis: how far the
-    target may wander between two looks), and a share `mixing` of it is spread evenly, so that a lost target can be
-    found again.
+    resampled. Before each look a share `mixing` of the density is spread evenly, so that a lost target can be found
+    again, and the rest is convolved with a kernel of `diffusion` (radians per axis: how far the target may wander
+    between two looks; the grid carries none below half a cell, 0.025). With the mixing, no diffusion did best in
+    development, even with drifting targets.
     """
 
     log_map: np.ndarray = field(default_factory=lambda: np.full(GRID.shape, NOTHING_KNOWN))
     body_R_grid: np.ndarray = field(default_factory=lambda: np.eye(3))
-    calibration: Calibration = field(default_factory=lambda: Calibration(floor=1.0, neutral=0.05, temperature=8.0))
-    diffusion: float = math.radians(1)
+    calibration: Calibration = field(default_factory=lambda: Calibration(floor=0.4, neutral=0.05, temperature=8.0))
+    diffusion: float = 0.0
     mixing: float = 0.02
 
     def predict(self, new_R_old: np.ndarray, translation: ArrayLike | None = None) -> HistogramFilter:

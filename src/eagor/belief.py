@@ -73,10 +73,11 @@ class Reading:
         """At most `k` separate peaks, highest density first: directions ``(..., n, 3)`` and weights ``(..., n)``.
 
         A mode stands at least `prominence` nats above the saddle around it; its weight is its basin's share of the
-        belief that exceeds a typical direction's, and modes lighter than `min_weight` are left out. n is the largest
-        number found in the batch; where a belief has fewer, the rest have weight 0 and repeat the first direction.
+        belief that exceeds a typical direction's. Modes lighter than `min_weight` are left out unless they rise nearly
+        as high as the best. n is the largest number found in the batch; where a belief has fewer, the rest have weight
+        0 and repeat the first direction.
         """
-        found = [p.modes(k, prominence, min_weight) for p in self.posteriors.reshape(-1)]
+        found = [p.modes(k, prominence, min_weight)[:2] for p in self.posteriors.reshape(-1)]
         most = max((len(weights) for _, weights in found), default=0)
         directions = [np.concatenate([d, np.repeat(d[:1], most - len(d), axis=0)]) for d, _ in found]
         weights = [np.concatenate([w, np.zeros(most - len(w))]) for _, w in found]

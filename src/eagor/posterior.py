@@ -17,7 +17,8 @@ CELLS_FOR_REGIONS = 8.0  # ... but the border of a region of 90 % is only as sha
 MAX_ROWS = 1024  # 0.18 degrees: nothing that a camera robot asks for is finer
 NEGLIGIBLE = 18.0  # nats below the top: what lies there holds less than 1e-4 of the sharpest belief
 PROMINENCE = 0.7  # nats: a peak counts as a mode if it stands out by a factor of two from the saddle around it
-MIN_WEIGHT = 0.02  # ... and holds at least this share of the belief
+MIN_WEIGHT = 0.02  # ... and holds at least this share of the belief,
+RIVAL = 0.75  # or rises above a typical direction by this share of the best one's height
 
 
 Field = Callable[[ErpGrid | ErpWindow], np.ndarray]  # evaluates f on a grid, or on a part of one
@@ -134,32 +135,35 @@ class Posterior:
         order = np.argsort(values)
         return float(values[order][np.searchsorted(np.cumsum(areas[order]), areas.sum() / 2)])
 
-    def modes(self, count: int, prominence: float, min_weight: float) -> tuple[np.ndarray, np.ndarray]:
-        """Directions ``(n, 3)`` and weights ``(n,)`` of at most `count` modes, highest density first.
+    def modes(self, count: int, prominence: float, min_weight: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Directions ``(n, 3)``, weights ``(n,)`` and heights ``(n,)`` of at most `count` modes, highest density first.
 
         Each cell climbs to its peak; basins whose peak stands less than `prominence` nats above the saddle to a higher
-        one join that one. A mode's weight is its share of what stands out: the probability in its basin in excess of a
-        typical direction's (the median of f over the sphere). For a sharp belief that is the probability of the basin;
-        early on, when most of the belief still lies anywhere, it keeps the candidates comparable.
+        one join that one.
+
+        A mode's weight is its share of what stands out: the probability in its basin in excess of a typical direction's
+        (the median of f over the sphere). For a sharp belief that is the probability of the basin; early on, when most
+        of the belief still lies anywhere, it keeps the candidates comparable. Its height is how far f rises there above
+        the typical direction, relative to the best. Modes below both `min_weight` and `RIVAL` are left out: looks
+        that repeat each other turn a small difference in height into any difference in weight.
         """
         height, width = self.coarse.shape
         label = _merge(self.coarse, _climb(self.coarse), prominence)
         peaks, inverse = np.unique(label, return_inverse=True)
-        typical = np.exp(self._median() - self.log_total) * self.window.weights
-        excess = np.maximum(self.probability - typical, 0.0)
+        if len(peaks) == 1:
+            return self.mode[None], np.ones(1), np.ones(1)
+        typical = self._median()
+        excess = np.maximum(self.probability - np.exp(typical - self.log_total) * self.window.weights, 0.0)
         times = self.window.whole.height // height
         rows = (self.window.top + np.arange(self.window.rows)) // times
         basin = inverse.reshape(height, width)[rows[:, None], self.window.columns // times]
         weight = np.bincount(basin.reshape(-1), excess.reshape(-1), minlength=len(peaks))
-        weight = weight / weight.sum() if weight.sum() > 0 else np.full(len(weight), 1 / len(weight))
+        weight = weight / weight.sum()
         flat = self.coarse.reshape(-1)
-        order = [i for i in np.argsort(-flat[peaks]) if weight[i] >= min_weight][:count]
-        if not order:
-            order = [int(np.argmax(flat[peaks]))]
-        if len(peaks) == 1:
-            return self.mode[None], weight
+        stands = (flat[peaks] - typical) / (flat.max() - typical)
+        order = [i for i in np.argsort(-flat[peaks]) if weight[i] >= min_weight or stands[i] >= RIVAL][:count]
         grid = ErpGrid(height, width)
-        return np.array([refine(grid, flat, int(peaks[i]))[0] for i in order]), weight[order]
+        return np.array([refine(grid, flat, int(peaks[i]))[0] for i in order]), weight[order], stands[order]
 
 
 def _over_pole(row: np.ndarray) -> np.ndarray:

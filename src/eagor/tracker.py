@@ -23,6 +23,7 @@ from eagor.errors import EagorError, TimeError
 from eagor.evidence import Calibration, Evidence
 from eagor.harmonics import RealHarmonics
 from eagor.poses import PoseHistory
+from eagor.posterior import MIN_WEIGHT, PROMINENCE, RIVAL
 from eagor.ranged import RangedBelief, log_ranges
 from eagor.sphere import azimuth_elevation
 
@@ -42,7 +43,9 @@ class TrackerConfig:
     - `history`: seconds for which poses and evidence are kept, so that late evidence finds its place.
     - `stale_after`: seconds without evidence after which an estimate is stale.
     - `found_at`: nats by which the best direction must stand above a uniform belief; below, we are searching.
-    - `ambiguous_below`: if no mode holds this share of the belief, the answer is ambiguous.
+    - `ambiguous_below`: if no mode holds this share of the belief, the answer is ambiguous. So it is if a second one
+      rises nearly as high (`eagor.posterior.RIVAL`), whatever their weights: looks that repeat each other make any
+      small difference decisive, and two things that both look like the target stay two.
     """
 
     degree: int = 15
@@ -181,7 +184,7 @@ class DirectionTracker:
             world = (belief if isinstance(belief, Belief) else belief.direction_belief()).mean_direction()
         else:
             world = posterior.mode
-        found, weights = belief.modes(5)
+        found, weights, heights = posterior.modes(5, PROMINENCE, MIN_WEIGHT)
         age = now - self._states[target].stamp if target in self._states else math.inf
         direction = world @ pose  # pose.T @ world
         azimuth, elevation = azimuth_elevation(direction)
@@ -194,7 +197,7 @@ class DirectionTracker:
             credible_angle=belief.credible_angle(0.9),
             presence=belief.presence(),
             distance=belief.distance() if isinstance(belief, RangedBelief) else None,
-            status=self._status(posterior.gain, weights, age),
+            status=self._status(posterior.gain, weights, heights, age),
             age=age,
         )
 
@@ -204,12 +207,13 @@ class DirectionTracker:
         belief = self._advanced(target, now).belief
         return (belief if isinstance(belief, Belief) else belief.direction_belief()).predict(pose.T)
 
-    def _status(self, gain: float, weights: np.ndarray, age: float) -> Status:
+    def _status(self, gain: float, weights: np.ndarray, heights: np.ndarray, age: float) -> Status:
         if math.isinf(age) or gain < self.config.found_at:
             return "stale" if age > self.config.stale_after and not math.isinf(age) else "searching"
         if age > self.config.stale_after:
             return "stale"
-        return "ambiguous" if float(weights.max()) < self.config.ambiguous_below else "tracking"
+        rivals = int((heights >= RIVAL).sum())
+        return "ambiguous" if rivals > 1 or float(weights.max()) < self.config.ambiguous_below else "tracking"
 
     def _linear(self, state: _State) -> bool:
         """Whether everything that happens to this belief commutes with adding evidence."""

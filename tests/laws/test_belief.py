@@ -168,10 +168,11 @@ def test_modes_are_the_targets_strongest_first_and_weights_share_the_belief():
 @settings(max_examples=15)
 def test_modes_turn_with_the_body(seed, R):
     belief = Belief(8 * field(9, seed))
-    (one, w1), (two, w2) = belief.modes(4), belief.predict(R).modes(4)
-    assert len(one) == len(two)
-    assert np.degrees(angular_distance(one @ R.T, two)).max() < 1.0
-    assert np.allclose(w1, w2, atol=0.02)
+    (one, w1), (two, w2) = belief.modes(9), belief.predict(R).modes(9)
+    for mode, weight in zip(one[w1 > 0.1], w1[w1 > 0.1], strict=True):
+        apart = np.degrees(angular_distance(R @ mode, two))
+        assert apart.min() < 1.0
+        assert w2[apart.argmin()] == pytest.approx(weight, abs=0.03)
 
 
 def test_neighbouring_ripples_are_one_mode():

@@ -157,11 +157,20 @@ def test_the_status_says_what_is_known():
     later = tracker.estimate(7.5)
     assert later.status == "stale"
     assert later.age == pytest.approx(2.5)
-    two = Evidence.from_points([direction(0.5, 0.0), direction(-2.0, 0.1)], 60.0, [0.9, 0.9], stamp=6.0)
+
+
+@pytest.mark.parametrize("looks", [1, 5, 40])
+def test_two_things_alike_stay_two_however_often_we_look(looks):
+    """Repeated looks turn a small difference in score into any odds; that is no reason to stop asking."""
+    places = [direction(0.5, 0.0), direction(-2.0, 0.1)]
     tracker = DirectionTracker(TrackerConfig(ranges=None))
-    tracker.observe(two)
-    assert tracker.estimate(6.0).status == "ambiguous"
-    assert len(tracker.estimate(6.0).modes) == 2
+    for t in range(looks):
+        tracker.observe(Evidence.from_points(places, 60.0, [0.9, 0.85], stamp=float(t)))
+    estimate = tracker.estimate(looks - 1.0)
+    assert estimate.status == "ambiguous"
+    assert len(estimate.modes) == 2
+    for place, mode in zip(places, estimate.modes, strict=True):
+        assert np.degrees(angular_distance(place, mode.direction)) < 2
 
 
 def test_what_was_learnt_fades_and_wanders():
