@@ -28,7 +28,7 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 unexport PYTHONPATH PYTHONHOME
 
 help:
-	@echo "make demo    search for an object in a built-in apartment, compare with the baselines, leave pictures"
+	@echo "make demo    follow a red ball through a painted room, compare with the baselines, leave pictures"
 	echo "make test    every check: ruff, pyright, import-linter, pytest"
 	echo "make lint    the checks without the tests"
 	echo "make bench   the measured comparisons (minutes)"

@@ -412,7 +412,8 @@ def print_report(split: str, episodes: int, found: dict[str, Any]) -> None:
     for name, entry in found["standing"].items():
         if "ours_minus_this_deg" in entry:
             pair = entry["ours_minus_this_deg"]
-            print(f"  {name:17}{_cell(pair):>22}   p = {pair['p']:.3f}")
+            chance = "< 0.001" if pair["p"] < 0.001 else f"= {pair['p']:.3f}"
+            print(f"  {name:17}{_cell(pair):>22}   p {chance}")
     count = found["walk"]["Published"]["all_deg"]["n"]
     print(f"\nThe walk, {count} walks: mean error (deg), the same over the last ten steps, and of the distance there")
     for name, entry in found["walk"].items():

@@ -151,6 +151,16 @@ class RangedBelief(Reading):
         found = self.range_probabilities() @ self.ranges
         return found if self.batch_shape else float(found)
 
+    def distance_spread(self) -> Any:
+        """Relative uncertainty of the distance ``(...)``: standard deviation of the logarithm of the range.
+
+        About 0.9 while nothing is known, 0.1 when the distance is known to 10 %.
+        """
+        probability, log_range = self.range_probabilities(), np.log(self.ranges)
+        mean = probability @ log_range
+        found = np.sqrt(np.maximum(probability @ log_range**2 - mean**2, 0.0))
+        return found if self.batch_shape else float(found)
+
     @property
     def _prior(self) -> np.ndarray:
         """Prior probability of each shell ``(K,)``: its share of the logarithm of the range."""

@@ -100,6 +100,7 @@ class Estimate:
     credible_angle: float
     presence: float
     distance: float | None
+    distance_spread: float | None
     status: Status
     age: float
 
@@ -197,6 +198,7 @@ class DirectionTracker:
             credible_angle=belief.credible_angle(0.9),
             presence=belief.presence(),
             distance=belief.distance() if isinstance(belief, RangedBelief) else None,
+            distance_spread=belief.distance_spread() if isinstance(belief, RangedBelief) else None,
             status=self._status(posterior.gain, weights, heights, age),
             age=age,
         )

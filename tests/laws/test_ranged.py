@@ -41,6 +41,7 @@ def test_walking_past_a_target_tells_its_distance(distance, turn):
     belief, truth, away = walk(target, 12, np.array([distance / 8, 0, 0]), turn=turn)
     assert np.degrees(angular_distance(belief.mode(), truth)) < 4
     assert belief.distance() == pytest.approx(away, rel=0.2)
+    assert belief.distance_spread() < 0.3 < 0.8 < RangedBelief.uniform(12).distance_spread()
 
 
 def test_without_moving_the_distance_stays_the_prior():

@@ -11,10 +11,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor._arrays import Array, as_float, constant, namespace
+from eagor._arrays import Array, as_float, constant, namespace, to_numpy
 from eagor.errors import GridError
 from eagor.grids import ErpGrid, ErpWindow, Grid
 from eagor.harmonics import legendre, projection, rotation
+from eagor.harmonics.shells import translate
 from eagor.sphere import check_rotation
 
 __all__ = ["RealHarmonics"]
@@ -83,6 +84,19 @@ class RealHarmonics:
         """The Laplace-Beltrami operator: multiplication by -l(l+1)."""
         coefficients = self._checked(coefficients)
         return -constant(_eigenvalues, self.degree, like=coefficients) * coefficients
+
+    def translate(
+        self, shells: Array, ranges: np.ndarray, displacement: np.ndarray, new_R_old: np.ndarray | None = None
+    ) -> Array:
+        """Fields over direction and distance after the body has moved: the shell warp.
+
+        `shells` ``(..., K, size)`` are fields at growing `ranges` ``(K,)`` in metres; the body turns by `new_R_old` (by
+        default not at all) and moves by `displacement` ``(3,)`` metres, in the NEW body frame. See
+        `eagor.harmonics.shells`.
+        """
+        turn = np.eye(3) if new_R_old is None else to_numpy(check_rotation(new_R_old))
+        step = np.asarray(to_numpy(displacement), dtype=np.float64)
+        return translate(self.degree, self._checked(shells), np.asarray(ranges, dtype=np.float64), turn, step)
 
     def quadrature(self, factor: int = 2) -> ErpGrid:
         """The smallest `ErpGrid` on which products of `factor` fields of this degree are integrated exactly."""
