@@ -29,13 +29,12 @@ from eagor._arrays import to_numpy
 from eagor.belief import Belief
 from eagor.coverage import taper
 from eagor.errors import ResponseError
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import SILENT, Calibration, Evidence
 from eagor.grids import ErpGrid, Grid
 from eagor.peaks import peak_on_grid
 from eagor.sphere import FORWARD, azimuth_elevation, check_rotation, direction, unit
 
 GRID = ErpGrid(64, 128)  # cells of 2.8 degrees, for the rivals that keep a map
-SILENT = 1e-6  # a response below this everywhere names no direction; recovering it from float32 evidence leaves 1e-8
 NOTHING_KNOWN = -math.log(4 * math.pi)
 
 
@@ -306,10 +305,8 @@ def _seen_response(evidence: Evidence) -> np.ndarray:
 
 
 def _calibrated(evidence: Evidence, calibration: Calibration) -> Evidence:
-    """`evidence` read with `calibration`; the rounding of a silent response is not scaled up to a detection."""
+    """`evidence` read with `calibration`."""
     _check_single(evidence)
-    if calibration.scale_to_max and to_numpy(evidence.response).max() < SILENT:
-        calibration = replace(calibration, scale_to_max=False)
     return evidence.with_calibration(calibration)
 
 

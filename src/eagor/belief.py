@@ -123,6 +123,11 @@ class Reading:
         """log p per steradian at unit vectors ``(n..., 3)``: ``(..., n...)``; integrates to 1."""
         raise NotImplementedError
 
+    def _log_totals(self, ndim: int) -> np.ndarray:
+        """log of the integral of exp(f), shaped to be subtracted from values of `ndim` dimensions, the batch's first."""
+        totals = np.asarray(self._each(lambda p: p.log_total))
+        return totals.reshape(self.batch_shape + (1,) * (ndim - len(self.batch_shape)))
+
     def _each(self, read: Callable[[Posterior], float]) -> Any:
         values = [read(p) for p in self.posteriors.reshape(-1)]
         return np.reshape(values, self.batch_shape) if self.batch_shape else float(values[0])
@@ -216,11 +221,10 @@ class Belief(Reading):
     def log_density(self, directions: Array) -> Array:
         """log p per steradian at unit vectors ``(n..., 3)``: ``(..., n...)``; integrates to 1."""
         f = self.log_ratio(directions)
-        totals = np.asarray(self._each(lambda p: p.log_total))
-        totals = totals.reshape(*self.batch_shape, *([1] * (len(f.shape) - len(self.batch_shape))))
-        return f - (
-            totals if isinstance(f, np.ndarray) else namespace(f).asarray(totals, dtype=f.dtype, device=f.device)
-        )
+        totals = self._log_totals(len(f.shape))
+        if isinstance(f, np.ndarray | np.generic):
+            return f - totals
+        return f - namespace(f).asarray(totals, dtype=f.dtype, device=f.device)
 
     def mode(self) -> Array:
         """The direction of highest density ``(..., 3)``, in the belief's own kind of array."""

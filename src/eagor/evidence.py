@@ -25,6 +25,7 @@ from eagor.grids import Grid
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import unit
 
+SILENT = 1e-6  # a response below this is the rounding of zero, and must not be scaled up to a detection
 _BLOCK = 1 << 16  # values at a time: adding, checking and taking the logarithm stay in the cache
 
 
@@ -39,9 +40,9 @@ class Calibration:
       "nothing here" into a detection.
     """
 
-    floor: float = 0.2
+    floor: float = 0.4
     neutral: float = 0.05
-    temperature: float = 2.0
+    temperature: float = 3.0
     scale_to_max: bool = False
 
     def __post_init__(self) -> None:
@@ -152,8 +153,9 @@ class Evidence:
         that runs past the border, crosses the seam. `scores` ``(n,)`` in [0, 1], default 1. No boxes at all is good
         input.
 
-        A detector means the middle of its box, so each box becomes a smooth bump: the Gaussian with the mean direction
-        and the second moments of the box's solid angle, widened by `min_spread` (radians).
+        The evidence comes on a grid of its own: a panorama is drawn with cells of 2 degrees, a large view as a
+        coarse copy. A detector means the middle of its box, so each box becomes a smooth bump: the Gaussian with the
+        mean direction and the second moments of the box's solid angle, widened by `min_spread` (radians).
         """
         table = np.asarray(to_numpy(boxes), dtype=np.float64).reshape(-1, 4) if np.size(boxes) else np.zeros((0, 4))
         weights = _checked_scores(scores, len(table))
@@ -178,7 +180,8 @@ class Evidence:
         """Evidence from points: directions ``(n, 3)`` with von Mises-Fisher `concentration` (scalar or ``(n,)``, > 0).
 
         The response is the highest of ``score * exp(concentration * (cos(angle) - 1))``; a spread of s radians is a
-        concentration of 1 / s^2. `grid` tells what was looked at (default: everything).
+        concentration of 1 / s^2. `grid` tells what was looked at (default: everything); a whole panorama is drawn with
+        cells of 2 degrees, whatever its own.
         """
         points = np.asarray(to_numpy(directions), dtype=np.float64).reshape(-1, 3)
         points = unit(points) if len(points) else points
@@ -213,6 +216,7 @@ class Evidence:
         xp = namespace(self.log_ratio)
         scale = self.calibration.neutral + self.calibration.floor
         found = scale * xp.exp(self.log_ratio / self.calibration.temperature) - self.calibration.floor
+        found = xp.where(found > SILENT, found, xp.zeros_like(found))
         return xp.clip(found, 0.0, 1.0) * self.peak
 
     def with_calibration(self, calibration: Calibration) -> Evidence:

@@ -127,8 +127,7 @@ class RangedBelief(Reading):
     def log_density(self, directions: Array) -> np.ndarray:
         """log p per steradian at unit vectors ``(n..., 3)``: ``(..., n...)``; integrates to 1."""
         f = to_numpy(self._marginal(self.shells, directions))
-        totals = np.asarray(self._each(lambda p: p.log_total))
-        return f - totals.reshape(*self.batch_shape, *([1] * (f.ndim - len(self.batch_shape))))
+        return f - self._log_totals(f.ndim)
 
     def mode(self) -> Array:
         """The direction of highest density ``(..., 3)``, all ranges together, in the belief's own kind of array."""

@@ -56,7 +56,7 @@ class TrackerConfig:
     diffusion: float = 0.0
     history: float = 10.0
     stale_after: float = 5.0
-    found_at: float = 1.0
+    found_at: float = 1.5
     ambiguous_below: float = 0.65
 
     def __post_init__(self) -> None:

@@ -113,6 +113,8 @@ def test_regions_entropy_and_presence_match_a_fine_quadrature(degree, height):
         assert (region.contains(FINEST.directions[::100, ::100]) == inside[::100, ::100]).all()
         cone = angular_distance(FINEST.directions, region.mode) <= region.angle
         assert probability[cone].sum() == pytest.approx(mass, abs=5e-3)
+    assert belief.log_density(np.array([1.0, 0, 0])) == pytest.approx(float(belief.log_density(np.eye(3))[0]))
+    assert belief.credible_region(0.9).contains(belief.mode())
     assert np.sum(np.exp(belief.log_density(FINE.directions)) * FINE.weights) == pytest.approx(1, abs=1e-6)
 
 

@@ -55,8 +55,12 @@ def test_the_published_profile_scales_to_the_maximum_and_only_it_does():
     ours = Evidence.from_response(response, PATCHES)
     assert np.allclose(ours.log_ratio, Calibration().log_ratio(response))
     assert np.allclose(paper.with_calibration(Calibration()).log_ratio, ours.log_ratio, atol=1e-9)
-    empty = Evidence.from_response(np.zeros(PATCHES.shape), PATCHES, Calibration.paper())
-    assert np.allclose(empty.log_ratio, math.log(1e-3))
+    for dtype in (np.float32, np.float64):
+        empty = Evidence.from_response(np.zeros(PATCHES.shape, dtype), PATCHES, Calibration.paper())
+        assert np.allclose(empty.log_ratio, math.log(1e-3))
+        ours = Evidence.from_response(np.zeros(PATCHES.shape, dtype), PATCHES)
+        paper = ours.with_calibration(Calibration.paper())
+        assert np.allclose(paper.log_ratio, math.log(1e-3)), "the rounding of zero is no response"
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64, np.float16, np.uint8, bool])
