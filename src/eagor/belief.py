@@ -124,7 +124,7 @@ class Reading:
         raise NotImplementedError
 
     def _log_totals(self, ndim: int) -> np.ndarray:
-        """log of the integral of exp(f), shaped to be subtracted from values of `ndim` dimensions, the batch's first."""
+        """log of the integral of exp(f), shaped to be subtracted from values of `ndim` dimensions."""
         totals = np.asarray(self._each(lambda p: p.log_total))
         return totals.reshape(self.batch_shape + (1,) * (ndim - len(self.batch_shape)))
 
