@@ -17,6 +17,7 @@ from eagor.harmonics import RealHarmonics
 FLAT = 1e-5  # a field that varies by less, relative to its size, is constant up to the rounding of float32 evidence
 
 
+@lru_cache(maxsize=64)
 def decoding_grid(degree: int) -> ErpGrid:
     """The grid on which a field of this degree is searched for its peak: four rows per degree."""
     rows = max(48, 4 * (degree + 1))
@@ -39,7 +40,8 @@ def peak_on_grid(grid: ErpGrid, values: Array) -> Array:
         flat = values.reshape(-1)
         best = int(flat.argmax())
         top = float(flat[best])
-        if top - float(flat.min()) <= FLAT * max(1.0, abs(top)):
+        rounding = FLAT * max(1.0, abs(top))
+        if top - float(flat[0]) <= rounding and top - float(flat.min()) <= rounding:
             return np.array([1.0, 0.0, 0.0])
         return refine(grid, flat, best)[0]
     xp = namespace(values)
