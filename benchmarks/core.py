@@ -5,7 +5,7 @@
 Times are ratios to one np.log over a 512 x 1024 float32 map, which is the least that any log-domain method pays for a
 full-size response. One thread. The contestants take turns, a few runs each after two that do not count (so that none
 pays for the caches that another left behind), and a change of the machine's speed hits all of them. The table gives the
-ratio of the medians, and the range of that ratio over five parts of the session.
+ratio of the medians, and the range of that ratio over five parts of the run.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from eagor._arrays import Array, namespace, to_numpy
 from eagor.coverage import Region, confine, region, taper
 from eagor.detections import MIN_SPREAD, WHOLE_SPHERE, bump, canvas_of, moments
 from eagor.errors import ResponseError, TimeError
-from eagor.grids import Grid
+from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import unit
 
@@ -200,11 +200,11 @@ class Evidence:
         if self.seen is None:
             return basis.analyse(self.log_ratio, self.grid)
         tapered = self.log_ratio * taper(degree, self.seen, self.log_ratio)
-        if not hasattr(self.grid, "body_R_view"):
+        if not isinstance(self.grid, PerspectiveGrid | FisheyeGrid):
             return confine(degree, basis.analyse(tapered, self.grid), self.seen)
         # The plan that keeps evidence inside a view belongs to its lens: confine there, then turn.
-        ahead = basis.analyse(tapered, replace(self.grid, body_R_view=np.eye(3)))  # type: ignore[type-var]
-        turn = namespace(ahead).asarray(np.array(self.grid.body_R_view), dtype=ahead.dtype)  # type: ignore[attr-defined]
+        ahead = basis.analyse(tapered, replace(self.grid, body_R_view=np.eye(3)))
+        turn = namespace(ahead).asarray(np.array(self.grid.body_R_view), dtype=ahead.dtype)
         return basis.rotate(confine(degree, ahead, self.seen), turn)
 
     @property
