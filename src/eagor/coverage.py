@@ -8,8 +8,8 @@ keep it home, both linear, both fixed by the lens (or the mask) and the degree:
 - among the fields of degree L, the one nearest to the tapered evidence is taken in a least-squares sense in which an
   error beyond pi / (L + 1) outside the border costs `PENALTY` times more than an error inside.
 
-The taper alone needs twice the margin for the same leak and loses most of what is seen near the border (measured in
-``benchmarks/leak.py``).
+``benchmarks/leak.py`` measures both, and a taper alone: even twice as wide it leaks more, and keeps less of what is
+seen near the border.
 """
 
 from __future__ import annotations

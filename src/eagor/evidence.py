@@ -6,8 +6,8 @@ A perception answers with a response l in [0, 1] on a grid. The evidence is
 
 positive where the target is likelier than not, negative (and bounded) where we looked and saw nothing, and exactly
 zero where we did not look. The logarithm is taken on the grid that the response came on; the coefficients integrate
-each cell over its solid angle (upsampling first and taking the logarithm later is wrong by more than 100 % on sparse
-maps).
+each cell over its solid angle. (Upsampling first and taking the logarithm later turns the skirts of isolated cells into
+large areas of evidence.)
 """
 
 from __future__ import annotations

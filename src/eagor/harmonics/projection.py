@@ -85,7 +85,7 @@ def synthesise(degree: int, coefficients: Array, grid: Grid | ErpWindow | Array)
 
 
 def _product(values: Array, table: Array) -> Array:
-    """``values @ table``; a large single map in strips of SMALL multiplications, which BLAS does twice as fast."""
+    """``values @ table``; a large single map in strips of SMALL multiplications, for BLAS's small kernels."""
     if values.ndim != 2 or not isinstance(values, np.ndarray) or values.size * table.shape[1] < 4 * SMALL:
         return values @ table
     rows = max(1, SMALL // table.size)

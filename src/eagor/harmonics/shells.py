@@ -3,8 +3,8 @@
 K fields on spheres of radii r_k describe a quantity around the body. When the body moves by t (given in the axes of
 the fields), what stood at direction omega and range r_k is read from where it stood before: direction
 (r_k omega + t) / |r_k omega + t| and range |r_k omega + t|, between the neighbouring shells, cubic in log range
-(Catmull-Rom), clamped at the first and the last. Linear interpolation would smear a little at every step, which over a
-walk costs twice the error in distance (measured in ``benchmarks/quality.py``).
+(Catmull-Rom), clamped at the first and the last. Linear interpolation would smear a little at every step, which over
+a walk adds up.
 
 With t turned onto the polar axis the azimuth does not change, so every order m moves by itself: the warp is a product
 of small matrices per order (Legendre functions at the warped latitudes, then Gauss quadrature back), and no basis
