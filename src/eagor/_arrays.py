@@ -48,6 +48,17 @@ def to_numpy(values: Array) -> np.ndarray:
     return np.asarray(values)
 
 
+def matched(table: np.ndarray, reference: Array) -> Array:
+    """`table` as an array of the kind of `reference`; floats take its precision, integers stay integers.
+
+    For what is new at every call; `constant` is for what can be kept.
+    """
+    precision = {"dtype": reference.dtype} if table.dtype.kind == "f" else {}
+    if isinstance(reference, np.ndarray):
+        return table.astype(reference.dtype, copy=False) if precision else table
+    return namespace(reference).asarray(table.copy(), device=device(reference), **precision)
+
+
 def constant(plan: Callable[..., np.ndarray], *key: Any, like: Array) -> Array:
     """``plan(*key)``, a pure function of hashable arguments, as an array of the kind of `like` (cached per kind)."""
     if type(like) is np.ndarray:

@@ -25,7 +25,7 @@ from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.grids import Grid
 from eagor.harmonics import RealHarmonics, rotation
-from eagor.peaks import FLAT, decoding_grid, peak
+from eagor.peaks import FLAT, decoding_grid, forward_vector, peak
 from eagor.posterior import CELLS_FOR_REGIONS, MIN_WEIGHT, PROMINENCE, CredibleRegion, Field, Posterior
 from eagor.sphere import check_rotation
 
@@ -238,7 +238,7 @@ class Belief(Reading):
         moment = self._moment()
         xp = namespace(moment)
         length = xp.sqrt(xp.sum(moment * moment, axis=-1, keepdims=True))
-        forward = constant(_forward, like=moment) + xp.zeros_like(moment)
+        forward = constant(forward_vector, like=moment) + xp.zeros_like(moment)
         known = length > FLAT * xp.clip(xp.abs(self.coefficients[..., :1]), 1.0, math.inf)
         return xp.where(known, moment / xp.where(known, length, xp.ones_like(length)), forward)
 
@@ -259,7 +259,3 @@ class Belief(Reading):
     def _field(self, index: tuple[int, ...]) -> Field:
         coefficients = to_numpy(self.coefficients)[index].astype(np.float64)
         return lambda where: self.basis.synthesise(coefficients, where)
-
-
-def _forward() -> np.ndarray:
-    return np.array([1.0, 0.0, 0.0])

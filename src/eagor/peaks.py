@@ -13,6 +13,7 @@ import numpy as np
 from eagor._arrays import Array, constant, namespace
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
+from eagor.sphere import FORWARD
 
 FLAT = 1e-5  # a field that varies by less, relative to its size, is constant up to the rounding of float32 evidence
 
@@ -42,7 +43,7 @@ def peak_on_grid(grid: ErpGrid, values: Array) -> Array:
         top = float(flat[best])
         rounding = FLAT * max(1.0, abs(top))
         if top - float(flat[0]) <= rounding and top - float(flat.min()) <= rounding:
-            return np.array([1.0, 0.0, 0.0])
+            return forward_vector()
         return refine(grid, flat, best)[0]
     xp = namespace(values)
     flat = xp.reshape(values, (*values.shape[:-2], -1))
@@ -68,7 +69,7 @@ def peak_on_grid(grid: ErpGrid, values: Array) -> Array:
     top = xp.max(flat, axis=-1)
     flatland = top - xp.min(flat, axis=-1) <= FLAT * xp.clip(xp.abs(top), 1.0, math.inf)
     forward = xp.zeros_like(moved)
-    forward = forward + constant(_forward, like=values)
+    forward = forward + constant(forward_vector, like=values)
     return xp.where(flatland[..., None], forward, moved)
 
 
@@ -86,8 +87,9 @@ def _dot(a: Array, b: Array) -> Array:
     return namespace(a).sum(a * b, axis=-1)
 
 
-def _forward() -> np.ndarray:
-    return np.array([1.0, 0.0, 0.0])
+def forward_vector() -> np.ndarray:
+    """What is answered where nothing is known ``(3,)``."""
+    return np.array(FORWARD)
 
 
 def refine(grid: ErpGrid, flat: np.ndarray, best: int) -> tuple[np.ndarray, float]:

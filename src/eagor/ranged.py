@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -136,6 +137,10 @@ class RangedBelief(Reading):
 
     def range_probabilities(self) -> np.ndarray:
         """Probability of each shell ``(..., K)``."""
+        return self._range_probabilities
+
+    @cached_property
+    def _range_probabilities(self) -> np.ndarray:
         coefficients = to_numpy(self.shells).astype(np.float64)
         found = np.zeros((*self.batch_shape, len(self.ranges)))
         for index in np.ndindex(*self.batch_shape):
@@ -143,6 +148,7 @@ class RangedBelief(Reading):
             field = self.basis.synthesise(coefficients[index], posterior.window)
             mass = np.sum(np.exp(field - field.max()) * posterior.window.weights, axis=(-2, -1)) * self._prior
             found[index] = mass / mass.sum()
+        found.setflags(write=False)
         return found
 
     def distance(self) -> Any:

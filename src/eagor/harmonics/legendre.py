@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor._arrays import Array, namespace
+from eagor._arrays import Array, matched, namespace
 
 
 @lru_cache(maxsize=64)
@@ -54,7 +54,7 @@ def reduced_legendre(degree: int, z: Array) -> list[Array]:
     one = xp.ones_like(z)[None, ...]
     rows = [start[0] * one]
     for l in range(1, degree + 1):
-        scale_a, scale_b = (xp.reshape(_like(np.array(t[l]), z), column) for t in (a, b))
+        scale_a, scale_b = (xp.reshape(matched(np.array(t[l]), z), column) for t in (a, b))
         below = z * rows[l - 1]
         if l > 1:
             two_below = xp.concat([rows[l - 2], xp.zeros_like(one)])
@@ -119,12 +119,3 @@ def longitude_table(degree: int, azimuths: np.ndarray) -> np.ndarray:
     """The longitude part ``(n, 2 degree + 1)``: sin(|m| azimuth) for m < 0, then cos(m azimuth)."""
     angle = np.outer(azimuths, np.arange(degree + 1))
     return np.concatenate([np.sin(angle[:, :0:-1]), np.cos(angle)], axis=1)
-
-
-def _like(values: np.ndarray, reference: Array) -> Array:
-    """A small table as an array of the kind of `reference`."""
-    if isinstance(reference, np.ndarray):
-        return values.astype(reference.dtype, copy=False)
-    from array_api_compat import device
-
-    return namespace(reference).asarray(values, dtype=reference.dtype, device=device(reference))

@@ -16,7 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor._arrays import Array, constant, namespace
+from eagor._arrays import Array, constant, matched, namespace
 from eagor.grids import (
     ErpGrid,
     ErpWindow,
@@ -64,7 +64,7 @@ def synthesise(degree: int, coefficients: Array, grid: Grid | ErpWindow | Array)
         over_columns = constant(_longitude_values, degree, whole.width, like=coefficients)
         if isinstance(grid, ErpWindow):
             over_rows = over_rows[:, grid.top : grid.top + grid.rows, :]
-            over_columns = xp.take(over_columns, _like(grid.columns, coefficients, whole=True), axis=1)
+            over_columns = xp.take(over_columns, matched(grid.columns, coefficients), axis=1)
         padded = xp.take(coefficients, constant(_pack, degree, like=coefficients), axis=-1)
         padded = xp.reshape(padded, (*coefficients.shape[:-1], 2 * degree + 1, degree + 1, 1))
         rings = xp.reshape(over_rows @ padded, (*coefficients.shape[:-1], 2 * degree + 1, grid.shape[0]))
@@ -155,9 +155,9 @@ def _analyse_view(degree: int, values: Array, grid: Grid) -> Array:
         flat = xp.reshape(means, (*means.shape[:-2], -1))
         found = flat @ constant(_block_plan, lens, degree, like=values)
     else:
-        found = sum(means[..., i, :] @ _like(_block_row(lens, degree, i), values) for i in range(area.shape[0]))
+        found = sum(means[..., i, :] @ matched(_block_row(lens, degree, i), values) for i in range(area.shape[0]))
     turn = np.asarray(grid.body_R_view)
-    return rotate(degree, found, turn if xp is np else _like(turn, values))
+    return rotate(degree, found, turn if xp is np else matched(turn, values))
 
 
 def _lens_weights(lens: Lens) -> np.ndarray:
@@ -215,17 +215,7 @@ def _pool(values: Array, edges: tuple[int, ...], axis: int) -> Array:
     if xp is np:
         return np.add.reduceat(values, np.asarray(edges[:-1]), axis=axis)
     total = xp.cumulative_sum(values, axis=axis)
-    last = xp.take(total, _like(np.asarray(edges[1:]) - 1, values, whole=True), axis=axis)
-    first = xp.zeros_like(xp.take(last, _like(np.asarray([0]), values, whole=True), axis=axis))
-    kept = xp.take(last, _like(np.arange(len(edges) - 2), values, whole=True), axis=axis)
+    last = xp.take(total, matched(np.asarray(edges[1:]) - 1, values), axis=axis)
+    first = xp.zeros_like(xp.take(last, matched(np.asarray([0]), values), axis=axis))
+    kept = xp.take(last, matched(np.arange(len(edges) - 2), values), axis=axis)
     return last - xp.concat([first, kept], axis=axis)
-
-
-def _like(table: np.ndarray, reference: Array, whole: bool = False) -> Array:
-    """A table that is not worth caching, as an array of the kind of `reference` (integers stay `whole`)."""
-    if isinstance(reference, np.ndarray):
-        return table if whole else table.astype(reference.dtype, copy=False)
-    from array_api_compat import device
-
-    xp = namespace(reference)
-    return xp.asarray(table.copy(), device=device(reference), **({} if whole else {"dtype": reference.dtype}))

@@ -18,7 +18,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor._arrays import Array, constant, namespace
+from eagor._arrays import Array, constant, matched, namespace
 from eagor.harmonics.legendre import latitude_functions, latitude_table
 from eagor.harmonics.rotation import rotate
 
@@ -30,10 +30,10 @@ def translate(degree: int, shells: Array, ranges: np.ndarray, new_R_old: np.ndar
     """
     distance = float(np.linalg.norm(displacement))
     if distance == 0.0:
-        return rotate(degree, shells, _as(new_R_old, shells))
+        return rotate(degree, shells, matched(new_R_old, shells))
     pole_R_new = _to_pole(displacement / distance)
-    upright = rotate(degree, shells, _as(pole_R_new @ new_R_old, shells))
-    return rotate(degree, _along_pole(degree, upright, ranges, distance), _as(pole_R_new.T, shells))
+    upright = rotate(degree, shells, matched(pole_R_new @ new_R_old, shells))
+    return rotate(degree, _along_pole(degree, upright, ranges, distance), matched(pole_R_new.T, shells))
 
 
 def _along_pole(degree: int, shells: Array, ranges: np.ndarray, distance: float) -> Array:
@@ -48,7 +48,7 @@ def _along_pole(degree: int, shells: Array, ranges: np.ndarray, distance: float)
     position = np.interp(np.log(before).ravel(), np.log(ranges), np.arange(count))
     nearest, weights = _cubic(position, count)
 
-    table = xp.permute_dims(latitude_functions(degree, _as(sines, shells)), (1, 2, 0))  # (m, points, l)
+    table = xp.permute_dims(latitude_functions(degree, matched(sines, shells)), (1, 2, 0))  # (m, points, l)
     batch = tuple(shells.shape[:-2])
     packed = xp.take(shells, constant(_by_order, degree, like=shells), axis=-1)
     packed = xp.reshape(packed, (*batch, count, degree + 1, 2, degree + 1))
@@ -58,9 +58,9 @@ def _along_pole(degree: int, shells: Array, ranges: np.ndarray, distance: float)
     # Every order: the field of every source shell at every point, in one product; then keep the four that matter.
     seen = table @ xp.reshape(packed, (*batch, degree + 1, degree + 1, 2 * count))
     seen = xp.reshape(seen, (*batch, degree + 1, points * count, 2))
-    where = _as((np.arange(points) * count + nearest).ravel(), shells, whole=True)
+    where = matched((np.arange(points) * count + nearest).ravel(), shells)
     picked = xp.reshape(xp.take(seen, where, axis=-2), (*batch, degree + 1, 4, points, 2))
-    values = xp.sum(picked * _as(weights, shells)[..., None], axis=-3)
+    values = xp.sum(picked * matched(weights, shells)[..., None], axis=-3)
     values = xp.reshape(values, (*batch, degree + 1, count, len(nodes), 2))
     values = xp.matrix_transpose(values)  # (m, k, cos/sin, node)
     found = xp.reshape(values, (*batch, degree + 1, 2 * count, len(nodes))) @ constant(_gauss_plan, degree, like=shells)
@@ -123,13 +123,3 @@ def _to_pole(axis: np.ndarray) -> np.ndarray:
     across = math.hypot(x, y)
     c, s = (x / across, y / across) if across > 0 else (1.0, 0.0)
     return np.array([[z * c, z * s, -across], [-s, c, 0.0], [across * c, across * s, z]])
-
-
-def _as(values: np.ndarray, reference: Array, whole: bool = False) -> Array:
-    """`values` as an array of the kind of `reference` (integers stay `whole`)."""
-    if isinstance(reference, np.ndarray):
-        return values if whole else values.astype(reference.dtype, copy=False)
-    from array_api_compat import device
-
-    xp = namespace(reference)
-    return xp.asarray(values.copy(), device=device(reference), **({} if whole else {"dtype": reference.dtype}))
