@@ -7,7 +7,7 @@ SHELL := bash
 .NOTPARALLEL:
 MAKEFLAGS += --no-builtin-rules
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench build clean
+.PHONY: help demo test lint bench contact-sheet build clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -28,10 +28,11 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 unexport PYTHONPATH PYTHONHOME
 
 help:
-	@echo "make demo    follow a red ball through a painted room, compare with the baselines, leave pictures"
+	@echo "make demo    search a furnished apartment with every method, leave a report with pictures"
 	echo "make test    every check: ruff, pyright, import-linter, pytest"
 	echo "make lint    the checks without the tests"
 	echo "make bench   the measured comparisons (minutes)"
+	echo "make contact-sheet   panoramas of 20 apartments for the docs (minutes)"
 	echo "make build   wheel and source archive in dist/"
 	echo "make clean   remove .venv, caches and what the commands left behind"
 
@@ -86,6 +87,10 @@ bench: $(VENV)/.eagor-test-installed
 	$(BIN)/python benchmarks/core.py
 	echo "==> benchmarks/quality.py"
 	$(BIN)/python benchmarks/quality.py
+
+contact-sheet: $(VENV)/.eagor-installed
+	@echo "==> docs/images/apartments.jpg"
+	$(BIN)/python docs/contact_sheet.py docs/images/apartments.jpg
 
 build: $(VENV)/.eagor-test-installed
 	@echo "==> wheel and source archive"

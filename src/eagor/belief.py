@@ -56,7 +56,7 @@ class Reading:
         """The `Posterior` of each belief of the batch, an object array (kept: beliefs never change)."""
         found = np.empty(self.batch_shape, dtype=object)
         for index in np.ndindex(*self.batch_shape):
-            found[index] = Posterior.resolve(self._field(index), decoding_grid(self.degree).height)
+            found[index] = Posterior(self._field(index), decoding_grid(self.degree).height)
         return found
 
     @property
@@ -91,7 +91,7 @@ class Reading:
     def credible_region(self, mass: float = 0.9) -> CredibleRegion:
         """The smallest region that holds `mass` of the belief (highest density). One belief at a time."""
         rows = decoding_grid(self.degree).height
-        posterior = self.posterior and Posterior.resolve(self._field(()), rows, CELLS_FOR_REGIONS)
+        posterior = self.posterior and Posterior(self._field(()), rows, CELLS_FOR_REGIONS)
         level, area = posterior.level(_checked_mass(mass))
         return CredibleRegion(
             mass=mass,
@@ -101,6 +101,14 @@ class Reading:
             mode=posterior.mode,
             log_density=lambda directions: to_numpy(self.log_density(directions)),
         )
+
+    def mass_above(self, direction: np.ndarray) -> float:
+        """The mass of the smallest highest-density region that reaches `direction` ``(3,)``. One belief at a time.
+
+        A truth for which this is below 0.9 lies in the 90 % region; over many honest beliefs it is uniform in [0, 1].
+        """
+        density = float(to_numpy(self.log_density(np.asarray(direction, dtype=np.float64))))
+        return self.posterior.mass_above(density + self.posterior.log_total)
 
     def entropy(self) -> Any:
         """Differential entropy ``(...)`` in nats: log(4 pi) = 2.53 if nothing is known, negative when sharp."""

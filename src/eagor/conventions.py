@@ -100,6 +100,31 @@ def from_optical(directions: np.ndarray) -> np.ndarray:
     return np.asarray(directions) @ OPTICAL_R_BODY
 
 
+# --- worlds: ours has z up; glTF, and with it a scene in Habitat, has Y up: its x is ours, its Z our -y ---
+
+GLTF_R_WORLD = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+
+
+def to_gltf(points: np.ndarray) -> np.ndarray:
+    """Points ``(..., 3)`` of our world, z up, in a glTF scene or Habitat's world: (x, z, -y)."""
+    return np.asarray(points) @ GLTF_R_WORLD.T.astype(np.asarray(points).dtype)
+
+
+def from_gltf(points: np.ndarray) -> np.ndarray:
+    """Points ``(..., 3)`` of a glTF scene or Habitat's world, Y up, in ours."""
+    return np.asarray(points) @ GLTF_R_WORLD.astype(np.asarray(points).dtype)
+
+
+def pose_to_habitat(world_R_body: np.ndarray) -> np.ndarray:
+    """The rotation ``(..., 3, 3)`` of Habitat's agent (its AgentState's) that stands as our body does."""
+    return GLTF_R_WORLD @ check_rotation(np.asarray(world_R_body, dtype=np.float64), "world_R_body") @ HABITAT_R_BODY.T
+
+
+def pose_from_habitat(rotation: np.ndarray) -> np.ndarray:
+    """Our `world_R_body` ``(..., 3, 3)`` from the rotation of Habitat's agent."""
+    return GLTF_R_WORLD.T @ check_rotation(np.asarray(rotation, dtype=np.float64), "rotation") @ HABITAT_R_BODY
+
+
 # --- coefficient orders. All three use the same orthonormal functions up to sign, order or axes. ---
 
 

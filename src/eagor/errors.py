@@ -43,3 +43,7 @@ class ImageError(EagorError):
 
 class FormatError(EagorError):
     """A text file (CSV, JSONL) does not follow its documented format."""
+
+
+class WorldError(EagorError):
+    """A simulated world cannot be built, read or walked in as asked."""

@@ -48,26 +48,40 @@ class CredibleRegion:
 class Posterior:
     """exp(f) where it matters, as finely as its sharpest peak asks for. One belief, no batch.
 
-    `coarse` ``(H, W)`` is f on a grid that resolves f itself, where peaks and basins are looked for; `field` is f again
-    on a `window` of a finer grid that resolves exp(f), around all cells that are not negligible.
+    `evaluate` gives f on a grid. `coarse` ``(H, W)`` is f on `rows` rows, which resolve f itself: peaks and basins are
+    looked for there. `field` is f again on a `window` of a finer grid that resolves exp(f), around all cells that are
+    not negligible. Each is computed when it is first asked for: a direction alone needs no fine grid.
     """
 
-    coarse: np.ndarray
-    window: ErpWindow
-    field: np.ndarray
+    evaluate: Field
+    rows: int
+    cells_per_sigma: float = CELLS_PER_SIGMA
 
-    @classmethod
-    def resolve(cls, field: Field, rows: int, cells_per_sigma: float = CELLS_PER_SIGMA) -> Posterior:
-        """Evaluate `field` on `rows` rows, and again around its peaks on as many as the sharpest asks for."""
-        grid = ErpGrid(rows, 2 * rows)
-        values = field(grid)
-        _, sigma = refine(grid, values.reshape(-1), int(values.argmax()))
-        times = min(math.ceil(cells_per_sigma * math.pi / sigma / rows), max(1, MAX_ROWS // rows))
+    @property
+    def grid(self) -> ErpGrid:
+        """The grid of `coarse`."""
+        return ErpGrid(self.rows, 2 * self.rows)
+
+    @cached_property
+    def coarse(self) -> np.ndarray:
+        """f on `grid`."""
+        return self.evaluate(self.grid)
+
+    @cached_property
+    def window(self) -> ErpWindow:
+        """The cells that matter, as small as the sharpest peak asks for."""
+        values, rows = self.coarse, self.rows
+        _, sigma = refine(self.grid, values.reshape(-1), int(values.argmax()))
+        times = min(math.ceil(self.cells_per_sigma * math.pi / sigma / rows), max(1, MAX_ROWS // rows))
         if times <= 1:
-            return cls(values, ErpWindow(grid, 0, 0, *grid.shape), values)
+            return ErpWindow(self.grid, 0, 0, *self.grid.shape)
         # Between the coarse cells a sharp peak rises higher than any of them: a little slack for that.
-        window = ErpWindow.around(values > values.max() - NEGLIGIBLE - 4, times)
-        return cls(values, window, field(window))
+        return ErpWindow.around(values > values.max() - NEGLIGIBLE - 4, times)
+
+    @cached_property
+    def field(self) -> np.ndarray:
+        """f on `window`."""
+        return self.coarse if self.window.whole == self.grid else self.evaluate(self.window)
 
     @cached_property
     def log_total(self) -> float:
@@ -88,7 +102,11 @@ class Posterior:
     @cached_property
     def mode(self) -> np.ndarray:
         """The direction of highest density ``(3,)``."""
-        return peak_on_grid(ErpGrid(*self.coarse.shape), self.coarse)
+        return peak_on_grid(self.grid, self.coarse)
+
+    def mass_above(self, value: float) -> float:
+        """The probability of all directions where f exceeds `value`."""
+        return float(self.probability[self.field > value].sum())
 
     def entropy(self) -> float:
         """Differential entropy in nats; log(4 pi) = 2.53 for the uniform belief."""
@@ -131,7 +149,7 @@ class Posterior:
 
     def _median(self) -> float:
         """The value of f that half of the sphere lies above."""
-        values, areas = self.coarse.reshape(-1), ErpGrid(*self.coarse.shape).weights.reshape(-1)
+        values, areas = self.coarse.reshape(-1), self.grid.weights.reshape(-1)
         order = np.argsort(values)
         return float(values[order][np.searchsorted(np.cumsum(areas[order]), areas.sum() / 2)])
 
@@ -162,8 +180,7 @@ class Posterior:
         flat = self.coarse.reshape(-1)
         stands = (flat[peaks] - typical) / (flat.max() - typical)
         order = [i for i in np.argsort(-flat[peaks]) if weight[i] >= min_weight or stands[i] >= RIVAL][:count]
-        grid = ErpGrid(height, width)
-        return np.array([refine(grid, flat, int(peaks[i]))[0] for i in order]), weight[order], stands[order]
+        return np.array([refine(self.grid, flat, int(peaks[i]))[0] for i in order]), weight[order], stands[order]
 
 
 def _over_pole(row: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ import bisect
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -84,25 +85,82 @@ class Mode:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The answer at one time, in the body frame of that time.
+    """The answer at one time, in the body frame of that time. Each part is computed when it is first asked for.
 
-    `direction` ``(3,)``, `azimuth` (positive left) and `elevation` (positive up) in radians; `modes`, strongest first;
-    `credible_angle` (radians): half-angle of the cone about the mode that holds 90 % of the belief; `presence`:
-    probability that the target is around at all; `distance` in metres, None where positions are unknown; `age`:
-    seconds since the newest evidence was captured (infinite before any).
+    `stamp`: the time asked for; `age`: seconds since the newest evidence was captured (infinite before any);
+    `reading`: the belief behind the answer, in the axes of the WORLD; `world_R_body`: the pose that turns it.
     """
 
     stamp: float
-    direction: np.ndarray
-    azimuth: float
-    elevation: float
-    modes: tuple[Mode, ...]
-    credible_angle: float
-    presence: float
-    distance: float | None
-    distance_spread: float | None
-    status: Status
     age: float
+    reading: Belief | RangedBelief
+    world_R_body: np.ndarray
+    config: TrackerConfig
+
+    @cached_property
+    def direction(self) -> np.ndarray:
+        """Where it is ``(3,)``: the mode of the belief, or its published mean; forward while nothing is known."""
+        if self.config.decode == "mean":
+            belief = self.reading if isinstance(self.reading, Belief) else self.reading.direction_belief()
+            return to_numpy(belief.mean_direction()) @ self.world_R_body
+        return self.reading.posterior.mode @ self.world_R_body  # body_R_world @ mode
+
+    @property
+    def azimuth(self) -> float:
+        """Radians, positive left."""
+        return float(azimuth_elevation(self.direction)[0])
+
+    @property
+    def elevation(self) -> float:
+        """Radians, positive up."""
+        return float(azimuth_elevation(self.direction)[1])
+
+    @cached_property
+    def _peaks(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self.reading.posterior.modes(5, PROMINENCE, MIN_WEIGHT)
+
+    @cached_property
+    def modes(self) -> tuple[Mode, ...]:
+        """The candidates, strongest first."""
+        found, weights, _ = self._peaks
+        return tuple(_mode(d @ self.world_R_body, w) for d, w in zip(found, weights, strict=True))
+
+    @cached_property
+    def credible_angle(self) -> float:
+        """Half-angle (radians) of the cone about the mode that holds 90 % of the belief."""
+        return self.reading.credible_angle(0.9)
+
+    def mass_above(self, direction: np.ndarray) -> float:
+        """The mass of the smallest credible region that reaches `direction` ``(3,)``, body frame."""
+        return self.reading.mass_above(self.world_R_body @ direction)
+
+    @cached_property
+    def presence(self) -> float:
+        """Probability that the target is around at all."""
+        return self.reading.presence()
+
+    @cached_property
+    def distance(self) -> float | None:
+        """Metres; None where positions are unknown."""
+        return self.reading.distance() if isinstance(self.reading, RangedBelief) else None
+
+    @cached_property
+    def distance_spread(self) -> float | None:
+        """Standard deviation of the logarithm of the distance; None where positions are unknown."""
+        return self.reading.distance_spread() if isinstance(self.reading, RangedBelief) else None
+
+    @cached_property
+    def status(self) -> Status:
+        """Whether there is an answer: searching, tracking, ambiguous, or stale (nothing new for too long)."""
+        known = not math.isinf(self.age)
+        stale = known and self.age > self.config.stale_after
+        if not known or self.reading.posterior.gain < self.config.found_at:
+            return "stale" if stale else "searching"
+        if stale:
+            return "stale"
+        _, weights, heights = self._peaks
+        rivals = int((heights >= RIVAL).sum())
+        return "ambiguous" if rivals > 1 or float(weights.max()) < self.config.ambiguous_below else "tracking"
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,42 +238,14 @@ class DirectionTracker:
         """
         pose, _ = self._poses.at(now)
         state = self._advanced(target, now)
-        belief, posterior = state.belief, state.belief.posterior
-        if self.config.decode == "mean":
-            world = (belief if isinstance(belief, Belief) else belief.direction_belief()).mean_direction()
-        else:
-            world = posterior.mode
-        found, weights, heights = posterior.modes(5, PROMINENCE, MIN_WEIGHT)
         age = now - self._states[target].stamp if target in self._states else math.inf
-        direction = world @ pose  # pose.T @ world
-        azimuth, elevation = azimuth_elevation(direction)
-        return Estimate(
-            stamp=now,
-            direction=direction,
-            azimuth=float(azimuth),
-            elevation=float(elevation),
-            modes=tuple(_mode(d @ pose, w) for d, w in zip(found, weights, strict=True)),
-            credible_angle=belief.credible_angle(0.9),
-            presence=belief.presence(),
-            distance=belief.distance() if isinstance(belief, RangedBelief) else None,
-            distance_spread=belief.distance_spread() if isinstance(belief, RangedBelief) else None,
-            status=self._status(posterior.gain, weights, heights, age),
-            age=age,
-        )
+        return Estimate(now, age, state.belief, pose, self.config)
 
     def belief(self, now: float, target: str = "target") -> Belief:
         """The belief over directions at time `now`, in the body frame of that time."""
         pose, _ = self._poses.at(now)
         belief = self._advanced(target, now).belief
         return (belief if isinstance(belief, Belief) else belief.direction_belief()).predict(pose.T)
-
-    def _status(self, gain: float, weights: np.ndarray, heights: np.ndarray, age: float) -> Status:
-        if math.isinf(age) or gain < self.config.found_at:
-            return "stale" if age > self.config.stale_after and not math.isinf(age) else "searching"
-        if age > self.config.stale_after:
-            return "stale"
-        rivals = int((heights >= RIVAL).sum())
-        return "ambiguous" if rivals > 1 or float(weights.max()) < self.config.ambiguous_below else "tracking"
 
     def _linear(self, state: _State) -> bool:
         """Whether everything that happens to this belief commutes with adding evidence."""

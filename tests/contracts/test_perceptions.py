@@ -19,6 +19,8 @@ from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.perception import Perception, check_perception, known, load
 from eagor.perception.colour import COLOURS, SYNONYMS, ColourPerception, parse_colour
 from eagor.perception.replay import ReplayPerception, parse_record, read_records, write_record
+from eagor.perception.truth import Noise, TruthPerception
+from eagor.queries import Query
 from eagor.sphere import angular_distance, azimuth_elevation, direction
 from eagor.worlds.painted import BALL_COLOURS, Ball, painted_room
 from eagor.worlds.panorama import read_panorama
@@ -120,7 +122,7 @@ def test_load_makes_installed_ones(monkeypatch):
     assert isinstance(load("upside"), ColourPerception)
     with pytest.raises(EagorError, match=r"'broken'.*cannot be imported"):
         load("broken")
-    with pytest.raises(QueryError, match="broken, colour, replay, upside"):
+    with pytest.raises(QueryError, match="broken, colour, replay, truth, upside"):
         load("nonsense:1")
 
 
@@ -570,3 +572,40 @@ def test_only_our_errors_escape_from_any_bytes(junk, place):
 def test_a_box_around_everything_names_no_direction():
     with pytest.raises(ResponseError, match="whole sphere"):
         parse_record(line(boxes=[{"box": [0, 0, 1024, 512]}])).evidence("x")
+
+
+# --- truth -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def labelled_ids():
+    """The ids of a wall with three things in front of it, one across the seam, and their labels."""
+    ids = np.zeros((72, 144), dtype=np.int32)
+    ids[30:40, 20:28], ids[34:44, 80:100], ids[40:46, -6:], ids[40:46, :6] = 1, 2, 3, 3
+    labels = [Query("wall"), Query("chair", "red"), Query("sofa", "red"), Query("chair", "blue")]
+    return ids, labels
+
+
+@pytest.mark.parametrize("query", ["chair", "the blue chair", "red couch", "wall"])
+@pytest.mark.parametrize("noise", ["", "ideal", "false_alarm=1,confuse_category=1,persistence=0.9"])
+def test_an_episode_of_truth_keeps_the_contract(labelled_ids, noise, query):
+    ids, labels = labelled_ids
+    episode = TruthPerception(noise).episode(labels, seed=4)
+    assert isinstance(episode, Perception)
+    check_perception(episode, ids, query, roll=4 * 11 if noise == "ideal" else None)
+
+
+def test_truth_is_not_told_by_an_image():
+    truth = TruthPerception()
+    assert isinstance(truth, Perception)
+    for image in (painted_room(32, 64), np.zeros((32, 64), dtype=np.int32)):
+        with pytest.raises(ImageError, match=r"only a simulator has: use it with `eagor bench run`"):
+            truth(image, "red chair")
+
+
+def test_load_makes_truth():
+    assert load("truth").noise == load("truth:").noise == Noise.moderate()
+    assert load("truth:ideal", rows=24).grid == PatchGrid(24, 48)
+    assert load("truth:miss=0.5,persistence=0.8").noise.persistence == 0.8
+    with pytest.raises(EagorError, match=r"keys: miss, false_alarm"):
+        load("truth:misses=0.5")

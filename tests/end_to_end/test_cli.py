@@ -1,6 +1,5 @@
 """The commands as people run them: processes with exit codes, one stream for results and one for everything else."""
 
-import ast
 import csv
 import io
 import json
@@ -257,11 +256,11 @@ def test_track_follows_across_the_seam(series, tmp_path):
     assert (np.abs(np.diff(azimuths)) > 180).any()
     assert max(error_deg(entry, t) for entry, t in zip(entries, truth, strict=True)) < 5
     assert entries[-1]["distance_m"] is None
-    assert {"centroid", "published", "particles"} <= set(entries[0]["methods"])
+    assert {"centroid", "eagor_paper", "particle_filter"} <= set(entries[0]["methods"])
     rows = list(csv.DictReader(io.StringIO(out.read_text())))
     assert [float(row["azimuth_deg"]) for row in rows] == [entry["azimuth_deg"] for entry in entries]
-    published = entries[-1]["methods"]["published"]
-    assert float(rows[-1]["published_azimuth_deg"]) == published["azimuth_deg"]
+    published = entries[-1]["methods"]["eagor_paper"]
+    assert float(rows[-1]["eagor_paper_azimuth_deg"]) == published["azimuth_deg"]
 
 
 def test_track_prints_one_line_per_frame(series, tmp_path):
@@ -384,20 +383,32 @@ def test_control_c(tmp_path):
 # --- demo ------------------------------------------------------------------------------------------------------------
 
 
-def test_the_demo_leaves_a_report_and_is_repeatable(tmp_path):
-    found = answer("demo", "--steps", "12", "--seed", "3", "--out", tmp_path)
-    code = "from eagor.cli import demo; print(demo.run_walk(demo.walk(12, 3), 3).table())"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=ENVIRONMENT)
-    again = ast.literal_eval(done.stdout)
-    assert {name: row["all_deg"] for name, row in found["methods"].items()} == {
-        name: round(row["all"], 4) for name, row in again.items()
-    }
+def test_the_demo_leaves_a_report(tmp_path):
+    found = answer("demo", "--seed", "3", "--episode", "1", "--out", tmp_path)
+    assert set(found["methods"]) >= {"centroid", "eagor_paper", "eagor"}
+    for metrics in found["methods"].values():
+        assert 1 <= metrics["steps"] <= 120
+        assert metrics["success"] in (0, 1)
     page = Path(found["report"]).read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 3
     assert "http" not in page
     for name in ("beliefs.png", "errors.png", "map.png"):
         assert picture_width(tmp_path / name) >= 1200
-    assert "12 or more" in refused("demo", "--steps", "5", "--out", tmp_path)
+    assert "0 to 9999" in refused("demo", "--seed", "10000", "--out", tmp_path)
+    assert "0 to 4" in refused("demo", "--episode", "5", "--out", tmp_path)
+
+
+def test_a_bench_run_goes_on_where_it_stopped_and_is_reported(tmp_path):
+    words = ("bench", "run", "tracking", "--episodes", "2", "--seed", "1", "--out", tmp_path / "run")
+    methods = ("--methods", "centroid,eagor_paper", "eagor:degree=7")
+    first = answer(*words, *methods)
+    assert set(first["methods"]) == {"centroid", "eagor_paper", "eagor:degree=7"}
+    assert first["episodes"] == 2
+    assert answer(*words, *methods) == first, "what is recorded is not played again"
+    assert "methods" in refused(*words, "--methods", "eagor")
+    page = Path(answer("bench", "report", tmp_path / "run")["report"])
+    assert page.is_file()
+    assert (tmp_path / "run" / "tables.csv").is_file()
 
 
 # --- words -----------------------------------------------------------------------------------------------------------

@@ -1,176 +1,173 @@
-"""``eagor demo``: a whole path from pixels to a direction, every method on the same evidence, and a report of it."""
+"""``eagor demo``: one search in a furnished apartment, every method on its own way, and a report of it."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from eagor.belief import Belief
 from eagor.cli import terminal
-from eagor.cli.methods import Rivals
 from eagor.cli.options import Demo
-from eagor.cli.walk import QUERY, Moment, walk
-from eagor.perception.colour import ColourPerception
-from eagor.sphere import angular_distance
-from eagor.tracker import DirectionTracker, Estimate, TrackerConfig
+from eagor.tasks.episodes import PER_PLACE, Slot
+from eagor.tasks.methods import DESCRIPTIONS, NAMES, TrackerMethod
+from eagor.tasks.places import APARTMENT, SEEDS
+from eagor.tasks.play import Player
+from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
+from eagor.tracker import Estimate
 
-OURS, TURNING = "ours", "ours, turning only"
-STAGES = ("all", "last third", "covered")
-FEWEST = 12
+OURS, PUBLISHED = "eagor", "eagor_paper"
+SPOKEN = {
+    "centroid": "the plain centroid",
+    "cent_circ": "the circular centroid",
+    "grid": "the published pixel grid",
+    "eagor_paper": "EAGOR as published",
+    "vmf": "the von Mises-Fisher filter",
+    "grid_filter": "the grid filter",
+    "particle_filter": "the particle filter",
+    "eagor": "our tracker",
+}
+PICTURE_ROWS = 320
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
-    """What came of the walk: our estimates and beliefs, and every method's directions ``(steps, 3)``, by moment."""
+class Search:
+    """What came of the episode: its record, each method's part of it, and our estimates step by step."""
 
-    moments: list[Moment]
+    slot: Slot
+    rules: NavigationRules
+    episode: dict[str, Any]
+    methods: dict[str, dict[str, Any]]
     estimates: list[Estimate]
-    beliefs: list[Belief]
-    directions: dict[str, np.ndarray]
 
     @property
-    def errors(self) -> dict[str, np.ndarray]:
-        """Direction error of each method ``(steps,)``, degrees."""
-        truth = np.array([moment.truth for moment in self.moments])
-        return {name: np.degrees(angular_distance(found, truth)) for name, found in self.directions.items()}
-
-    @property
-    def covered(self) -> np.ndarray:
-        """Which moments had no camera ``(steps,)``."""
-        return np.array([moment.covered for moment in self.moments])
-
-    def table(self) -> dict[str, dict[str, float]]:
-        """Mean error (degrees) of each method in each stage."""
-        late = np.arange(len(self.moments)) >= 2 * len(self.moments) // 3
-        parts = zip(STAGES, (np.ones_like(late), late, self.covered), strict=True)
-        masks = dict(parts)
-        return {
-            name: {stage: float(error[mask].mean()) for stage, mask in masks.items()}
-            for name, error in self.errors.items()
-        }
-
-    def distance_error(self) -> float:
-        """Mean relative error of the distance over the last third."""
-        late = range(2 * len(self.moments) // 3, len(self.moments))
-        return float(np.mean([abs((self.estimates[i].distance or 0.0) / self.moments[i].distance - 1) for i in late]))
+    def thing(self) -> str:
+        """What was looked for."""
+        return self.episode["query"]
 
 
 def demo(options: Demo) -> int:
     """Run the command; returns its exit code."""
-    if options.steps < FEWEST:
-        raise terminal.UsageError(f"--steps {options.steps}; wanted {FEWEST} or more, to have something to look at")
-    if options.seed < 0:
-        raise terminal.UsageError(f"--seed {options.seed}; wanted 0 or more")
+    if not 0 <= options.seed < SEEDS:
+        raise terminal.UsageError(f"--seed {options.seed}; wanted an apartment, 0 to {SEEDS - 1}")
+    if not 0 <= options.episode < PER_PLACE:
+        raise terminal.UsageError(f"--episode {options.episode}; wanted 0 to {PER_PLACE - 1}")
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise terminal.UsageError(f"--out {options.out}: cannot be made a folder ({error})") from error
-    moments = walk(options.steps, options.seed)
-    if not options.json:
-        print(
-            f"A camera walks and turns in a painted room, {len(moments)} panoramas, looking for the {QUERY}.",
-            flush=True,
-        )
-    run = run_walk(moments, options.seed)
-    report = _write_report(run, options.out)
+    search = play(options.seed, options.episode, options.perception, say=not options.json)
+    report = _write_report(search, options.out)
     if options.json:
-        terminal.emit(_as_json(run, options, report))
+        terminal.emit(_as_json(search, options, report))
     else:
-        print()
-        print("\n".join(as_text(run)))
-        print()
-        print("\n".join(summary(run)))
+        print("\n" + "\n".join(as_text(search)) + "\n\n" + "\n".join(summary(search)))
         print(f"\nThe report with pictures: {report}")
     return terminal.OK
 
 
-def run_walk(moments: list[Moment], seed: int) -> Run:
-    """Every method through the walk, on the same evidence."""
-    perception, rivals = ColourPerception(), Rivals(seed)
-    trackers = {OURS: DirectionTracker(), TURNING: DirectionTracker(TrackerConfig(ranges=None))}
-    estimates: list[Estimate] = []
-    beliefs: list[Belief] = []
-    found: list[dict[str, np.ndarray]] = []
-    with terminal.progress("walking", len(moments)) as advance:
-        for moment in moments:
-            looks = moment.look(perception)
-            for tracker in trackers.values():
-                tracker.rotate(moment.stamp, moment.world_R_body, moment.position)
-                for evidence in looks:
-                    tracker.observe(evidence)
-            rivals.move(moment.world_R_body, moment.position)
-            rivals.see(looks)
-            answers = {name: tracker.estimate(moment.stamp) for name, tracker in trackers.items()}
-            estimates.append(answers[OURS])
-            beliefs.append(trackers[OURS].belief(moment.stamp))
-            found.append({name: e.direction for name, e in answers.items()} | rivals.directions())
-            advance()
-    return Run(moments, estimates, beliefs, {name: np.array([f[name] for f in found]) for name in found[0]})
-
-
-def as_text(run: Run) -> list[str]:
-    """The table of mean errors; a star marks the best of each column."""
-    table = run.table()
-    best = {stage: min(row[stage] for row in table.values()) for stage in STAGES}
-    covered = int(run.covered.sum())
-    lines = [
-        "mean direction error (degrees)",
-        f"{'':20}{'all steps':>11}{'last third':>12}{f'covered ({covered})':>14}",
-    ]
-    for name, row in table.items():
-        cells = [f"{row[stage]:.1f}{'*' if row[stage] == best[stage] else ' '}" for stage in STAGES]
-        lines.append(f"{name:20}{cells[0]:>11}{cells[1]:>12}{cells[2]:>14}")
-    return lines
-
-
-def summary(run: Run) -> list[str]:
-    """The result in plain words, from the numbers, whoever they favour."""
-    table = run.table()
-    ours, published = table[OURS], table["published"]
-    lines = [
-        f"Our estimate was off by {ours['all']:.1f} degrees on average, the published recursion by "
-        f"{published['all']:.1f}.",
-        f"While the camera was covered, ours was off by {ours['covered']:.1f} degrees; without the belief over "
-        f"distance (turning only) by {table[TURNING]['covered']:.1f}.",
-        f"Nobody told us the distance: over the last third it was wrong by {100 * run.distance_error():.0f} %.",
-    ]
-    for stage, when in zip(STAGES, ("over the whole walk", "over the last third", "while covered"), strict=True):
-        name = min(table, key=lambda n: table[n][stage])
-        if name != OURS:
-            lines.append(f"Best {when}: {name}, {table[name][stage]:.1f} degrees (ours {ours[stage]:.1f}).")
-    return lines
-
-
-def _as_json(run: Run, options: Demo, report: Path) -> dict[str, Any]:
-    methods = {
-        name: {f"{stage.replace(' ', '_')}_deg": round(error, 4) for stage, error in row.items()}
-        for name, row in run.table().items()
+def play(seed: int, index: int, perception: str, say: bool = False) -> Search:
+    """Every method through one episode of navigation."""
+    rules = NavigationRules()
+    config = {
+        "task": "navigation",
+        "perception": perception,
+        "rules": as_dict(rules),
+        "camera": as_dict(Camera()),
+        "disturbances": as_dict(Disturbances()),
+        "rows": 256,
     }
+    slot = Slot("navigation", APARTMENT, seed, index, index)
+    estimates: list[Estimate] = []
+    player = Player(config)
+    if say:
+        print(f"Building {APARTMENT} {seed} and looking for something to search ...", flush=True)
+    episode = player.plan(slot)
+    if say:
+        print(
+            f"A camera stands in {episode.scene}, {episode.shortest:.1f} m of walking from the {episode.query}, with "
+            f"its back to it. Each of {len(NAMES)} methods walks on its own, seeing through the same perception "
+            f"({perception}).",
+            flush=True,
+        )
+    found: dict[str, dict[str, Any]] = {}
+    record: dict[str, Any] = {}
+    with terminal.progress("searching", len(NAMES)) as advance:
+        for name in NAMES:
+            keep = _keeper(estimates) if name == OURS else None
+            record = player.play(slot, [name], keep)
+            found |= record["methods"]
+            advance()
+    return Search(slot, rules, record["episode"], found, estimates)
+
+
+def _keeper(estimates: list[Estimate]):
+    def keep(method: Any) -> None:
+        if isinstance(method, TrackerMethod):
+            estimates.append(method.estimate)
+
+    return keep
+
+
+def as_text(search: Search) -> list[str]:
+    """One line per method."""
+    lines = [f"{'':18}{'found':>7}{'steps':>7}{'walked':>9}{'SPL':>6}{'error':>9}"]
+    for name in sorted(search.methods, key=NAMES.index):
+        m = search.methods[name]["metrics"]
+        lines.append(
+            f"{name:18}{'yes' if m['success'] else 'no':>7}{m['steps']:>7}{m['path_m']:>7.1f} m{100 * m['spl']:>6.0f}"
+            f"{m['mae']:>7.1f} °"
+        )
+    return lines
+
+
+def summary(search: Search) -> list[str]:
+    """The result in plain words, from the numbers, whoever they favour."""
+    metrics = {name: part["metrics"] for name, part in search.methods.items()}
+    lines = [f"{_told(OURS, metrics, search)}; {_told('centroid', metrics, search, short=True)}."]
+    lines[0] = lines[0][0].upper() + lines[0][1:]
+    published = _told(PUBLISHED, metrics, search, short=True)
+    lines.append(f"{published[0].upper()}{published[1:]}, off by {metrics[PUBLISHED]['mae']:.0f} degrees on average; "
+                 f"ours by {metrics[OURS]['mae']:.0f}.")  # fmt: skip
+    faster = [n for n, m in metrics.items() if m["success"] and n != OURS and m["steps"] < metrics[OURS]["steps"]]
+    if metrics[OURS]["success"] and faster:
+        best = min(faster, key=lambda name: metrics[name]["steps"])
+        lines.append(f"The quickest was {SPOKEN[best]}, with {metrics[best]['steps']} steps.")
+    found = sum(bool(m["success"]) for m in metrics.values())
+    lines.append(
+        f"{found} of {len(metrics)} methods found it. One episode shows how it works, not who is better: for that, "
+        "see eagor bench."
+    )
+    return lines
+
+
+def _told(name: str, metrics: dict[str, Any], search: Search, short: bool = False) -> str:
+    m = metrics[name]
+    thing = "it" if short else f"the {search.thing}"
+    if m["success"]:
+        return f"{SPOKEN[name]} found {thing} in {m['steps']} steps"
+    return f"{SPOKEN[name]} gave up on {thing} after {m['steps']} steps" if not short else (
+        f"{SPOKEN[name]} gave up after {m['steps']}"
+    )  # fmt: skip
+
+
+def _as_json(search: Search, options: Demo, report: Path) -> dict[str, Any]:
     return {
-        "query": QUERY,
-        "steps": options.steps,
+        "query": search.thing,
+        "scene": search.episode["scene"],
         "seed": options.seed,
-        "methods": methods,
-        "distance_error": round(run.distance_error(), 4),
-        "summary": summary(run),
+        "episode": options.episode,
+        "perception": options.perception,
+        "methods": {name: part["metrics"] for name, part in search.methods.items()},
+        "what": {name: DESCRIPTIONS[name] for name in search.methods},
+        "summary": summary(search),
         "report": str(report),
     }
 
 
-def _write_report(run: Run, folder: Path) -> Path:
+def _write_report(search: Search, folder: Path) -> Path:
     from eagor.cli.report import write_report
 
     try:
-        return write_report(run, folder)
+        return write_report(search, folder)
     except OSError as error:
         raise terminal.RunError(f"the report cannot be written into {folder} ({error})") from error
-
-
-def stretch(run: Run) -> tuple[float, float]:
-    """When the camera was covered: first and last time, seconds."""
-    stamps = [moment.stamp for moment in run.moments if moment.covered]
-    return (stamps[0], stamps[-1]) if stamps else (math.nan, math.nan)

@@ -19,7 +19,7 @@ from eagor.baselines import (
 from eagor.evidence import Evidence
 
 PARTICLES = 2000
-NAMES = ("centroid", "cent-circ", "grid", "published", "vmf", "histogram", "particles")
+NAMES = ("centroid", "cent_circ", "grid", "eagor_paper", "vmf", "grid_filter", "particle_filter")
 
 
 class Rivals:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg, subcommand
 
@@ -73,16 +73,71 @@ class Track(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(Common):
-    """Follow a red ball through a painted room, every method side by side, and leave a report with pictures."""
+    """Search a furnished apartment for a thing, every method on its own way, and leave a report with pictures."""
 
     runs: ClassVar[str] = "eagor.cli.demo:demo"
 
     out: Annotated[Path, arg(metavar="DIR")] = Path("eagor-demo")
     """Where the report and the pictures go."""
-    steps: Whole = 72
-    """How many panoramas the camera takes, at least 12."""
-    seed: Whole = 0
-    """Of the walk and of the missed detections."""
+    seed: Whole = 2
+    """Of the apartment, 0 to 9999."""
+    episode: Whole = 1
+    """Which search in it, 0 to 4."""
+    perception: Name = "truth"
+    """Who looks: truth (a noisy detector, made from what the simulator knows), or another perception."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchRun(Common):
+    """Play a simulated task with every method, and keep a record of each episode; again, to go on after a stop."""
+
+    task: Annotated[Literal["waypoint", "navigation", "tracking"], Positional]
+    """Name the direction along a route; walk to the thing; follow a moving ball."""
+    perception: Name = "truth"
+    """Who looks. truth: a noisy detector made from what the simulator knows (truth:ideal has no noise,
+    truth:miss=0.5,spread=4 its own)."""
+    methods: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
+    """Which methods (default: all eight); variants as eagor:degree=7,decode=mean; in navigation also oracle."""
+    episodes: Whole = 20
+    """How many; five in each apartment."""
+    seed: Whole = 2000
+    """The first apartment. 0 to 1999 are for choosing parameters, 2000 to 9999 for results."""
+    out: Annotated[Path | None, arg(metavar="RUN")] = None
+    """The folder of the run (default: runs/TASK-PERCEPTION-SEED). What it holds already is not played again."""
+    workers: Whole = 1
+    """Processes."""
+    ablations: bool = False
+    """Variants of ours and of the published method as well: degree, decode, calibration, shells (in navigation: the
+    oracle, which is told the true direction)."""
+    walking: bool = False
+    """The camera bobs and sways, and the odometry drifts."""
+    latency: Whole = 0
+    """Responses arrive so many steps late."""
+    set: Annotated[tuple[str, ...], arg(metavar="RULE=VALUE ...")] = ()
+    """Other rules, such as success_distance=0.5 max_steps=200 stop=call sliding=false."""
+    world: Annotated[str, arg(metavar="WORLD")] = "apartment"
+    """apartment, or a GLB file."""
+    rows: Whole = 256
+    """Rows of the panoramas that the perception sees (truth reads ids instead)."""
+    retry_failed: bool = False
+    """Try episodes again that failed before."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchReport(Common):
+    """Write report.html, tables.md and tables.csv of a run into its folder."""
+
+    run: Annotated[Path, Positional, arg(metavar="RUN")]
+    """The folder of the run."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    """Measured comparisons in simulated apartments: run, report."""
+
+    runs: ClassVar[str] = "eagor.cli.bench:bench"
+
+    action: Annotated[BenchRun, subcommand("run")] | Annotated[BenchReport, subcommand("report")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,5 +151,6 @@ Command = (
     Annotated[Locate, subcommand("locate")]
     | Annotated[Track, subcommand("track")]
     | Annotated[Demo, subcommand("demo")]
+    | Annotated[Bench, subcommand("bench")]
     | Annotated[Doctor, subcommand("doctor")]
 )

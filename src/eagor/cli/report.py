@@ -5,128 +5,129 @@ from __future__ import annotations
 import base64
 import html
 import io
+import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from eagor._version import __version__
-from eagor.cli.demo import OURS, STAGES, Run, stretch, summary
-from eagor.cli.walk import LOOK_ROWS, QUERY, TARGET
+from eagor.belief import Belief
+from eagor.cli.demo import OURS, PICTURE_ROWS, PUBLISHED, Search, summary
+from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import draw_errors, draw_map, draw_strip
+from eagor.sphere import direction
+from eagor.tasks.methods import DESCRIPTIONS, NAMES
+from eagor.tasks.places import Place, load_place
+from eagor.tasks.rules import Camera
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-METHODS = {
-    "ours": "belief over direction and distance, degree 15, read at its mode",
-    "ours, turning only": "the same without distance: the camera's turns count, its steps do not",
-    "centroid": "mean pixel of the response, frame by frame",
-    "cent-circ": "the same, with a circular mean of the azimuth",
-    "grid": "log-responses on a pixel grid, resampled at each turn",
-    "published": "the paper's recursion: degree 7, spherical mean",
-    "vmf": "von Mises-Fisher filter: one direction and one concentration",
-    "histogram": "Bayes filter on a grid of probabilities",
-    "particles": "particle filter",
-}
 STYLE = """
 body{font:16px/1.55 system-ui,sans-serif;color:#1f2430;background:#fff;max-width:1120px;margin:2.5rem auto;padding:0
 1.2rem} h1{font-size:1.7rem;margin-bottom:.2rem}h2{font-size:1.2rem;margin-top:2.2rem}
 img{max-width:100%;height:auto;border-radius:6px}
 table{border-collapse:collapse;width:100%}th,td{padding:.4rem .7rem;border-bottom:1px solid #e3e6ec;text-align:right}
 th:first-child,td:first-child,th:last-child,td:last-child{text-align:left}td:last-child{color:#5b6472;font-size:.92em}
-tr.ours{background:#e8f6f8}td.best{font-weight:700}.note{color:#5b6472;font-size:.92em}
+tr.ours{background:#e8f6f8}.note{color:#5b6472;font-size:.92em}
 """
 
 
-def write_report(run: Run, folder: Path) -> Path:
+def write_report(search: Search, folder: Path) -> Path:
     """Draw the pictures into `folder` and write report.html there; returns its path. Raises OSError."""
-    pictures = {"beliefs": _strip(run), "errors": _errors(run), "map": _map(run)}
+    place = load_place(search.slot.world, search.slot.seed, Camera().radius)
+    pictures = {"beliefs": _strip(search, place), "errors": _errors(search), "map": _map(search, place)}
     for name, picture in pictures.items():
         picture.save(folder / f"{name}.png")
     path = folder / "report.html"
-    path.write_text(_page(run, pictures), encoding="utf-8")
+    path.write_text(_page(search, pictures), encoding="utf-8")
     return path
 
 
-def _strip(run: Run) -> Image:
-    panels = []
-    for index, what in _highlights(run):
-        moment, estimate = run.moments[index], run.estimates[index]
-        panorama = moment.panorama(2 * LOOK_ROWS)
-        others = {name: run.directions[name][index] for name in ("centroid", "published")}
+def _strip(search: Search, place: Place) -> Image:
+    """What our camera saw at six moments, and what we believed."""
+    trace, panels = search.methods[OURS]["trace"], []
+    for index, what in _highlights(trace):
+        pose = trace["pose"][index]
+        turned = rotation_from_wxyz(np.array(pose[3:]))
+        seen = place.renderer.panorama(np.array(pose[:3]), turned, PICTURE_ROWS, range=False, ids=False)
+        estimate = search.estimates[index]
+        reading = estimate.reading
+        belief = reading if isinstance(reading, Belief) else reading.direction_belief()
+        true = direction(*(math.radians(trace[f"true_{part}_deg"][index]) for part in ("azimuth", "elevation")))
+        off, range_m = trace["error_deg"][index], trace["true_range_m"][index]
         panels.append(
             {
-                "panorama": panorama // 4 if moment.covered else panorama,
-                "belief": run.beliefs[index],
+                "panorama": seen.rgb,
+                "belief": belief.predict(estimate.world_R_body.T),
                 "estimate": estimate,
                 "modes": (),
-                "truth": moment.truth,
-                "others": others,
-                "title": f"{moment.stamp:.1f} s  {what}: {estimate.status}, off by {run.errors[OURS][index]:.0f}°",
+                "truth": true,
+                "title": f"step {index}  {what}: {estimate.status}, off by {off:.0f}°, {range_m:.1f} m away",
             }
         )
     return draw_strip(panels)
 
 
-def _highlights(run: Run) -> list[tuple[int, str]]:
-    """Six moments worth a picture, in time."""
-    covered, count = np.flatnonzero(run.covered), len(run.moments)
-    seen = [i for i in range(count) if not run.moments[i].covered]
-    seam = min(seen[8:-1] or seen, key=lambda i: run.moments[i].truth[0])
-    chosen = {seen[0]: "first look", min(count - 1, 5): "a few looks later", seam: "behind the camera"}
-    chosen |= {int(covered[0]) - 1: "before the cover", int(covered[-1]): "end of the cover", count - 1: "last look"}
-    return sorted(chosen.items())
+def _highlights(trace: dict[str, list[Any]]) -> list[tuple[int, str]]:
+    """At most six moments worth a picture, in time."""
+    last = len(trace["error_deg"]) - 1
+    chosen = {0: "first look", min(3, last): "a few looks later", min(last, max(1, last // 3)): "on the way"}
+    hidden = [i for i, seen in enumerate(trace["visible"]) if not seen]
+    if hidden:
+        chosen[hidden[len(hidden) // 2]] = "out of sight"
+    chosen[max(1, 2 * last // 3)] = "on the way"
+    chosen[last] = "last look"
+    return sorted(chosen.items())[:6]
 
 
-def _errors(run: Run) -> Image:
-    stamps = [moment.stamp for moment in run.moments]
-    return draw_errors(stamps, {n: e.tolist() for n, e in run.errors.items()}, [(*stretch(run), "camera covered")])
+def _errors(search: Search) -> Image:
+    names = [OURS, *(name for name in NAMES if name != OURS)]
+    errors = {name: search.methods[name]["trace"]["error_deg"] for name in names}
+    longest = max(len(values) for values in errors.values())
+    return draw_errors([step * Camera().seconds for step in range(longest)], errors)
 
 
-def _map(run: Run) -> Image:
-    found = [
-        moment.position + (estimate.distance or 0.0) * (moment.world_R_body @ estimate.direction)
-        for moment, estimate in zip(run.moments, run.estimates, strict=True)
-    ]
-    return draw_map(
-        np.array([moment.position for moment in run.moments]),
-        np.array([moment.world_R_body[:, 0] for moment in run.moments]),
-        np.array(found),
-        target=np.array(TARGET.position),
-        distractor=np.array([moment.room.balls[1].position for moment in run.moments]),
-        hidden=run.covered,
-        size=run.moments[0].room.size[:2],
-    )
+def _map(search: Search, place: Place) -> Image:
+    ground = place.ground
+    rows, cols = ground.free.shape
+    x0, y0 = ground.origin
+    shown = [OURS, PUBLISHED, *(name for name in NAMES if name not in (OURS, PUBLISHED))]
+    paths = {name: np.array(search.methods[name]["trace"]["pose"])[:, :2] for name in shown}
+    target = place.scene.instances[search.episode["targets"][0]].centre
+    extent = (float(x0), float(x0 + cols * ground.cell), float(y0), float(y0 + rows * ground.cell))
+    return draw_map(ground.structure, ground.free, extent, paths, target)
 
 
-def _page(run: Run, pictures: dict[str, Image]) -> str:
-    table = run.table()
-    best = {stage: min(row[stage] for row in table.values()) for stage in STAGES}
+def _page(search: Search, pictures: dict[str, Image]) -> str:
     rows = []
-    for name, row in table.items():
-        cells = "".join(f"<td{' class=best' if row[s] == best[s] else ''}>{row[s]:.1f}</td>" for s in STAGES)
+    for name in NAMES:
+        m = search.methods[name]["metrics"]
         kind = " class=ours" if name == OURS else ""
-        rows.append(f"<tr{kind}><td>{html.escape(name)}</td>{cells}<td>{html.escape(METHODS[name])}</td></tr>")
-    words = " ".join(html.escape(line) for line in summary(run))
-    count, covered, missed = len(run.moments), int(run.covered.sum()), sum(m.missed for m in run.moments)
+        cells = f"<td>{'yes' if m['success'] else 'no'}</td><td>{m['steps']}</td><td>{m['path_m']:.1f}</td>"
+        cells += f"<td>{100 * m['spl']:.0f}</td><td>{m['mae']:.1f}</td><td>{m['collisions']}</td>"
+        rows.append(f"<tr{kind}><td>{name}</td>{cells}<td>{html.escape(DESCRIPTIONS[name])}</td></tr>")
+    words = " ".join(html.escape(line) for line in summary(search))
+    rules, thing = search.rules, html.escape(search.thing)
+    heads = ("found", "steps", "walked (m)", "SPL", "mean error (°)", "collisions", "what it is")
     return f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>Where is the {QUERY}?</title><style>{STYLE}</style></head><body>
-<h1>Where is the {QUERY}?</h1>
-<p>A camera walks and turns in a painted room and takes {count} panoramas. Another red ball, smaller, rolls about;
-{missed} looks miss everything; during {covered} steps the camera is covered. {words}</p>
-<h2>Mean direction error, degrees</h2>
-<table><tr><th>method</th><th>all steps</th><th>last third</th><th>covered</th><th>what it is</th></tr>
+<title>Where is the {thing}?</title><style>{STYLE}</style></head><body>
+<h1>Where is the {thing}?</h1>
+<p>A camera stands in {html.escape(search.episode["scene"])} with its back to the {thing},
+{search.episode["shortest"]:.1f} m of walking away. {words}</p>
+<table><tr><th>method</th>{"".join(f"<th>{head}</th>" for head in heads)}</tr>
 {"".join(rows)}</table>
-<p class="note">Every method had the same evidence: the colour that the query names, found in the pixels. Bold: the
-best of its column. Per-frame methods keep their last answer while the camera is covered.</p>
-<h2>What the camera saw, and what we believed</h2>
-{_embedded(pictures["beliefs"], "Six panoramas with the belief as heat, its 90 percent region, and the answers")}
+<p class="note">Each step goes {Camera().step} m along the estimate, sliding along walls; the search is over within
+{rules.success_distance} m (of walking) of the target, or after {rules.max_steps} steps. All methods see through the
+same perception, whose mistakes are drawn from the same seed.</p>
+<h2>What our camera saw, and what we believed</h2>
+{_embedded(pictures["beliefs"], "Panoramas along our way with the belief as heat and its 90 percent region")}
+<h2>The ways from above</h2>
+{_embedded(pictures["map"], "Floor plan with the way of each method from the start to where it ended")}
 <h2>Error over time</h2>
 {_embedded(pictures["errors"], "Direction error of each method over time")}
-<h2>From above</h2>
-{_embedded(pictures["map"], "The camera's path, the target, and where we took the target to be")}
 <p class="note">Made by eagor {__version__}.</p>
 </body></html>
 """

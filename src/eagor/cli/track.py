@@ -128,7 +128,7 @@ def _painter(folder: Path, query: str) -> Callable[[int, Result], None]:
         if result.panorama is None:
             return
         title = f"“{query}” at {result.stamp:.2f} s ({result.estimate.status})"
-        shown = {name: result.others[name] for name in ("centroid", "published") if name in result.others}
+        shown = {name: result.others[name] for name in ("centroid", "eagor_paper") if name in result.others}
         picture = draw_belief(result.panorama, result.belief, result.estimate, others=shown, title=title)
         try:
             picture.save(folder / f"{number:04d}.png")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,7 +25,7 @@ def draw_errors(
 ) -> Image:
     """Direction errors (degrees) of several methods over time (seconds); the first method is drawn on top, and thick.
 
-    `shaded` marks stretches: begin, end, and what happened.
+    A method with fewer values than stamps ended earlier. `shaded` marks stretches: begin, end, and what happened.
     """
     sheet = figure(width, round(width * 0.42))
     axes = sheet.add_axes((0.06, 0.13, 0.69, 0.76 if title else 0.83))
@@ -37,7 +37,14 @@ def draw_errors(
     ends = []
     for index, (name, values) in enumerate(errors.items()):
         colour, first = CURVES[index % len(CURVES)], index == 0
-        axes.plot(stamps, values, color=colour, linewidth=3 if first else 1.4, zorder=5 if first else 3, label=name)
+        axes.plot(
+            stamps[: len(values)],
+            values,
+            color=colour,
+            linewidth=3 if first else 1.4,
+            zorder=5 if first else 3,
+            label=name,
+        )
         mean = float(np.mean(np.asarray(values)))
         ends.append((mean, name, colour, first))
     axes.set_xlim(stamps[0], stamps[-1])
@@ -59,59 +66,54 @@ def draw_errors(
 
 
 def draw_map(
-    path: np.ndarray,
-    headings: np.ndarray,
-    found: np.ndarray,
+    walls: np.ndarray,
+    free: np.ndarray,
+    extent: tuple[float, float, float, float],
+    paths: Mapping[str, np.ndarray],
     target: np.ndarray,
-    distractor: np.ndarray,
-    hidden: np.ndarray,
-    size: tuple[float, float],
     width: int = 1200,
 ) -> Image:
-    """A walk from above: x to the right, y (the left of a body at yaw 0) up.
+    """Ways through a floor plan from above: x to the right, y up; the first path is drawn on top, and thick.
 
     Args:
-        path: the camera's positions ``(n, 3)``, metres, world frame.
-        headings: where it faced ``(n, 3)``.
-        found: where the target was taken to be ``(n, 3)``.
-        target: where it was ``(3,)``.
-        distractor: where the other thing was ``(n, 3)``.
-        hidden: when the camera saw nothing ``(n,)``, bool.
-        size: of the room, along x and y, centred on the origin.
+        walls: ``(rows, cols)`` bool, row 0 at the lowest y: where the building stands.
+        free: ``(rows, cols)`` bool: where one can walk; what is neither is furniture, or out of reach.
+        extent: x0, x1, y0, y1 of the two rasters, metres.
+        paths: positions ``(n, 2)`` by name, all from the same start.
+        target: where the target is ``(2,)`` or ``(3,)``.
         width: of the picture in pixels.
     """
-    sheet = figure(width, round(width * 0.6))
-    axes = sheet.add_axes((0.05, 0.09, 0.70, 0.88))
-    axes.set_aspect("equal")
-    axes.set_xlim(-size[0] / 2 - 0.4, size[0] / 2 + 1.2)
-    axes.set_ylim(-size[1] / 2 - 0.5, size[1] / 2 + 0.5)
-    axes.add_patch(_rectangle(size))
-    axes.plot(*distractor[:, :2].T, ":", color="#c98b8b", linewidth=1.6, label="the other red ball")
-    axes.plot(*path[:, :2].T, color="#9aa1ad", linewidth=2, label="camera", zorder=3)
-    dark = np.where(hidden[:, None], path, np.nan)
-    axes.plot(*dark[:, :2].T, color=INK, linewidth=5, label="camera, covered", zorder=4)
-    every = slice(0, None, max(1, len(path) // 24))
-    arrows = {"color": QUIET, "angles": "xy", "scale": 24, "width": 0.0032, "zorder": 5}
-    axes.quiver(*path[every, :2].T, *headings[every, :2].T, **arrows)
-    axes.plot(*path[0, :2], "o", color=INK, markersize=9, zorder=6, linestyle="none", label="start")
-    axes.plot(
-        *target[:2], "o", color="#c8201f", markersize=20, mec="white", mew=2, zorder=6, linestyle="none", label="target"
-    )
-    dots = {"c": np.linspace(0, 1, len(found)), "cmap": "viridis", "s": 34, "edgecolors": "white", "linewidths": 0.6}
-    shade = axes.scatter(*found[:, :2].T, zorder=7, label="target, as we took it to be", **dots)
+    x0, x1, y0, _ = extent
+    used = np.argwhere(walls | free)
+    cell = (x1 - x0) / walls.shape[1]
+    (bottom, left), (top, right) = used.min(axis=0) * cell, (used.max(axis=0) + 1) * cell
+    wide, high = right - left + 0.6, top - bottom + 0.6
+    scale = min(0.68 * width / wide, 0.68 * width / high)
+    height = round(high * scale) + 70
+    sheet = figure(width, height)
+    axes = sheet.add_axes((55 / width, 50 / height, wide * scale / width, high * scale / height))
+    shade = np.full((*walls.shape, 3), 0.93)
+    shade[free], shade[walls] = 1.0, (0.24, 0.27, 0.33)
+    shade[~walls & ~free] = (0.87, 0.85, 0.81)
+    axes.imshow(shade, origin="lower", extent=extent, interpolation="nearest", zorder=0)
+    axes.set_xlim(x0 + left - 0.3, x0 + right + 0.3)
+    axes.set_ylim(y0 + bottom - 0.3, y0 + top + 0.3)
+    for order, (name, path) in reversed(list(enumerate(paths.items()))):
+        first = order == 0
+        style = {"linewidth": 3.4 if first else 1.6, "zorder": 4 if first else 3, "alpha": 1.0 if first else 0.85}
+        axes.plot(*path[:, :2].T, color=CURVES[order % len(CURVES)], label=name, **style)
+        axes.plot(*path[-1, :2], "s", color=CURVES[order % len(CURVES)], markersize=6, zorder=5)
+    start = next(iter(paths.values()))[0]
+    axes.plot(*start[:2], "o", color=INK, markersize=10, zorder=6, linestyle="none", label="start")
+    axes.plot(*target[:2], "*", color="#c8201f", markersize=22, mec="white", mew=1.4, zorder=6, linestyle="none",
+              label="target")  # fmt: skip
     axes.set_xlabel("x (m)", color=INK)
     axes.set_ylabel("y (m)", color=INK)
-    axes.grid(color=GRID_LINE, linewidth=0.6)
-    axes.set_axisbelow(True)
     plain(axes)
-    sheet.legend(loc="upper left", bbox_to_anchor=(0.76, 0.96), frameon=False, fontsize=10, labelspacing=1.0)
-    bar = sheet.colorbar(shade, cax=sheet.add_axes((0.79, 0.14, 0.014, 0.34)), ticks=[0, 1])
-    bar.ax.set_yticklabels(["start", "end"], color=INK, fontsize=9.5)
+    handles, labels = axes.get_legend_handles_labels()
+    order = [labels.index(name) for name in (*paths, "start", "target")]
+    sheet.legend(
+        [handles[i] for i in order], [labels[i] for i in order], loc="upper left",
+        bbox_to_anchor=((75 + wide * scale) / width, 0.97), frameon=False, fontsize=10.5, labelspacing=0.9,
+    )  # fmt: skip
     return image(sheet)
-
-
-def _rectangle(size: tuple[float, float]) -> Any:
-    from matplotlib.patches import Rectangle
-
-    corner = (-size[0] / 2, -size[1] / 2)
-    return Rectangle(corner, size[0], size[1], fill=False, edgecolor=INK, linewidth=2.2, zorder=2)

@@ -22,6 +22,7 @@ GROUP = "eagor.perceptions"
 BUILT_IN = {
     "colour": "eagor.perception.colour:ColourPerception",
     "replay": "eagor.perception.replay:ReplayPerception",
+    "truth": "eagor.perception.truth:TruthPerception",
 }
 
 

@@ -1,0 +1,145 @@
+"""A run of one simulated task: its settings, its units of work, and its folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from eagor._version import __version__
+from eagor.errors import EagorError
+from eagor.evaluation import ledger
+from eagor.evaluation.workers import Outcome, Unit, run_units
+from eagor.tasks.episodes import slots
+from eagor.tasks.methods import NAMES, ORACLE, make_method
+from eagor.tasks.places import APARTMENT, DEVELOPMENT
+from eagor.tasks.play import RULES
+from eagor.tasks.rules import Camera, Disturbances, as_dict
+
+WORK = "eagor.tasks.play:work"
+ROWS = 256  # of the panoramas that perceptions see, unless they read ids
+
+
+@dataclass(frozen=True)
+class Run:
+    """What is run. `settings` override single rules, of the task, the camera or the disturbances, by name."""
+
+    task: str
+    perception: str
+    episodes: int
+    seed: int
+    methods: tuple[str, ...] = NAMES
+    world: str = APARTMENT
+    rows: int = ROWS
+    disturbances: Disturbances = field(default_factory=Disturbances)
+    settings: dict[str, Any] = field(default_factory=dict)
+
+    def config(self) -> dict[str, Any]:
+        """Everything that decides the results, as the JSON of run.json. Raises `EagorError` for what does not exist."""
+        import numpy as np
+
+        from eagor.worlds.apartment import VERSION
+
+        if self.task not in RULES:
+            raise EagorError(f"there is no task {self.task!r}; known are {', '.join(RULES)}")
+        for name in self.methods:
+            if name != ORACLE or self.task != "navigation":
+                make_method(name, np.random.default_rng(0))  # complains about unknown ones
+        if len(set(self.methods)) != len(self.methods) or not self.methods:
+            raise EagorError(f"methods {list(self.methods)}; wanted at least one, each once")
+        parts = {"rules": RULES[self.task](), "camera": Camera(), "disturbances": self.disturbances}
+        values = {name: as_dict(part) for name, part in parts.items()}
+        for key, value in self.settings.items():
+            homes = [name for name in values if key in values[name]]
+            if not homes:
+                known = ", ".join(sorted(key for part in values.values() for key in part))
+                raise EagorError(f"there is no rule {key!r}; known are {known}")
+            values[homes[0]][key] = _like(values[homes[0]][key], value, key)
+        return {
+            "task": self.task,
+            "perception": self.perception,
+            "episodes": self.episodes,
+            "seed": self.seed,
+            "development": self.seed in DEVELOPMENT,
+            "methods": list(self.methods),
+            "world": self.world,
+            "rows": self.rows,
+            **values,
+            "versions": {"eagor": __version__, "apartment": VERSION},
+        }
+
+    def units(self) -> list[Unit]:
+        """One unit per episode; in navigation, one per episode and method: each goes its own way there."""
+        found = []
+        for slot in slots(self.task, self.episodes, self.seed, self.world):
+            name = f"{self.task}/{slot.id}"
+            if self.task == "navigation":
+                keys = [(f"{name}/{method}", [method]) for method in self.methods]
+            else:
+                keys = [(name, list(self.methods))]
+            for key, methods in keys:
+                found.append(Unit(key, str(slot.seed), {"slot": asdict(slot), "methods": methods}))
+        return found
+
+
+def start(
+    run: Run,
+    folder: Path,
+    workers: int = 1,
+    retry_failed: bool = False,
+    on_done: Callable[[dict[str, Any]], object] | None = None,
+) -> Outcome:
+    """Play what `folder` has no record of yet, and record it.
+
+    Raises `EagorError` if the folder holds another run (it says what differs), or for anything that `run` names and
+    does not exist; `StorageError` if the disk does not take the results.
+    """
+    from eagor.perception import load
+
+    config = run.config()
+    units = run.units()
+    load(run.perception)  # a perception that cannot be made is no failure of an episode
+    ledger.begin(folder, config)
+    return run_units(units, WORK, config, folder, workers, on_done=on_done, retry_failed=retry_failed)
+
+
+def variants(task: str) -> tuple[str, ...]:
+    """The ablations of our tracker and of the published one, as methods."""
+    if task == "navigation":
+        return (ORACLE,)
+    degrees = (3, 5, 7, 11, 15, 21, 31)
+    return (
+        *(f"eagor:degree={degree}" for degree in degrees if degree != 15),
+        *(f"eagor_paper:degree={degree}" for degree in (3, 15)),
+        "eagor_paper:decode=mode",
+        "eagor:decode=mean",
+        "eagor:shells=0",
+        "eagor:keep=1",
+        *(f"eagor:floor={floor}" for floor in (0.05, 0.2, 0.8)),
+        *(f"eagor:temperature={beta}" for beta in (1, 2, 6)),
+        *(f"eagor:neutral={neutral}" for neutral in (0.02, 0.1, 0.2)),
+    )
+
+
+def named(words: Sequence[str]) -> tuple[str, ...]:
+    """The methods in `words`, which may also be joined by commas: ``eagor,vmf eagor:degree=7,decode=mean``."""
+    found: list[str] = []
+    for word in ",".join(words).split(","):
+        if "=" in word and ":" not in word and found:
+            found[-1] += f",{word}"  # a further setting of the same method
+        elif word:
+            found.append(word)
+    return tuple(found)
+
+
+def _like(old: Any, value: Any, key: str) -> Any:
+    """`value`, perhaps text, in the type of the rule that it replaces."""
+    if isinstance(old, list):
+        raise EagorError(f"the rule {key} is a list of ranges; change it from Python (eagor.tasks.rules)")
+    try:
+        if isinstance(old, bool):
+            return {"true": True, "false": False, "1": True, "0": False}[str(value).lower()]
+        return type(old)(value)
+    except (KeyError, ValueError):
+        raise EagorError(f"{key} = {value!r}; wanted something like {old!r}") from None

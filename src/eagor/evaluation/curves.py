@@ -1,0 +1,155 @@
+"""Errors against steps: around turns and seam crossings, along an episode; and how honest the regions are.
+
+Per episode first (the mean over its events), then the mean over the episodes, with intervals that resample apartments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from eagor.evaluation.samples import Record, finished, mean_intervals
+from eagor.metrics import seam_crossings
+from eagor.sphere import direction
+
+BEFORE, AFTER = 4, 14  # steps shown about a turn
+ABOUT_SEAM = 6
+LEVELS = tuple(round(0.1 * k, 1) for k in range(1, 10))  # masses of the regions in a reliability curve
+
+Events = Callable[[Record, str], Sequence[int]]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A mean `y` at each `x` with its interval, over `n` episodes; None where too few episodes have a case."""
+
+    x: tuple[float, ...]
+    y: tuple[float | None, ...]
+    low: tuple[float | None, ...]
+    high: tuple[float | None, ...]
+    n: tuple[int, ...]
+
+
+def errors(record: Record, method: str) -> np.ndarray:
+    """Direction error at each step, degrees; NaN where there was nothing to point at."""
+    return _numbers(record["methods"][method]["trace"]["error_deg"])
+
+
+def turns(record: Record, method: str) -> list[int]:
+    """The steps at which a leg but the first begins."""
+    legs = record["truth"]["leg"]
+    return [k for k in range(1, len(legs)) if legs[k] != legs[k - 1]]
+
+
+def crossings(record: Record, method: str) -> list[int]:
+    """The steps at which the true bearing crosses the seam; of the method's own way, where each goes its own."""
+    if "truth" in record:
+        return [int(k) for k in np.flatnonzero(record["truth"]["seam"])]
+    azimuth = np.radians(_numbers(record["methods"][method]["trace"]["true_azimuth_deg"]))
+    return [int(k) for k in np.flatnonzero(seam_crossings(direction(azimuth, 0 * azimuth)))]
+
+
+def around(
+    records: Sequence[Record], method: str, events: Events, before: int, after: int, alone: bool = False
+) -> Curve | None:
+    """Error of `method` from `before` steps before to `after` steps after the events of each episode.
+
+    `alone` leaves out steps that belong to the neighbouring events: before the last one, or from the next one on. None
+    where no episode has an event.
+    """
+    rows, labels = [], []
+    for record in _of(records, method):
+        found, where = errors(record, method), events(record, method)
+        windows = []
+        for index, event in enumerate(where):
+            window = np.full(before + after + 1, np.nan)
+            first = max(event - before, where[index - 1] if alone and index else 0)
+            last = min(event + after, (where[index + 1] if alone and index + 1 < len(where) else len(found)) - 1)
+            window[first - event + before : last - event + before + 1] = found[first : last + 1]
+            windows.append(window)
+        if windows:
+            rows.append(_mean(np.array(windows)))
+            labels.append(_group(record))
+    return _curve(range(-before, after + 1), rows, labels)
+
+
+def by_step(records: Sequence[Record], method: str) -> Curve | None:
+    """Error of `method` at each step. It ends where fewer than half of the episodes go on."""
+    found = [(errors(record, method), _group(record)) for record in _of(records, method)]
+    longest = max((len(values) for values, _ in found), default=0)
+    rows = [np.pad(values, (0, longest - len(values)), constant_values=np.nan) for values, _ in found]
+    return _curve(range(longest), rows, [label for _, label in found])
+
+
+def reliability(records: Sequence[Record], method: str) -> Curve | None:
+    """Share of steps, percent, at which the truth lay in the region of each mass (percent).
+
+    From the records' `mass_above`: the mass of the smallest credible region that reaches the truth. None for methods
+    that state no regions.
+    """
+    rows, labels = [], []
+    for record in _of(records, method):
+        stated = _numbers(record["methods"][method]["trace"].get("mass_above") or [])
+        stated = stated[np.isfinite(stated)]
+        if len(stated):
+            rows.append(np.array([100 * float((stated < level).mean()) for level in LEVELS]))
+            labels.append(_group(record))
+    return _curve([round(100 * level) for level in LEVELS], rows, labels)
+
+
+def coverage(records: Sequence[Record], method: str, visible: bool) -> Curve | None:
+    """Share of steps, percent, with the truth inside the 90 % region while the target is in sight, or out of it.
+
+    A curve of one point, or None where there is no case.
+    """
+    rows, labels = [], []
+    for record in _of(records, method):
+        trace = record["methods"][method]["trace"]
+        inside = _numbers(trace.get("inside") or [])
+        seen = np.array(record.get("truth", trace)["visible"], dtype=bool)
+        if len(inside) and len(here := inside[(seen == visible) & np.isfinite(inside)]):
+            rows.append(np.array([100 * here.mean()]))
+            labels.append(_group(record))
+    return _curve([0], rows, labels)
+
+
+def _of(records: Sequence[Record], method: str) -> list[Record]:
+    return [record for record in finished(records) if method in record["methods"]]
+
+
+def _group(record: Record) -> object:
+    return record["episode"].get("seed", record["episode"]["id"])
+
+
+def _numbers(values: Sequence[float | bool | None]) -> np.ndarray:
+    return np.array([np.nan if value is None else float(value) for value in values])
+
+
+def _mean(rows: np.ndarray) -> np.ndarray:
+    """Mean over the rows, without NaN; NaN where there is nothing else."""
+    there = np.isfinite(rows)
+    count = there.sum(axis=0)
+    return np.where(count > 0, np.where(there, rows, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
+
+
+def _curve(x: Sequence[float], rows: Sequence[np.ndarray], labels: Sequence[object]) -> Curve | None:
+    """The mean of `rows`; it has a value where at least half of them do."""
+    if not rows:
+        return None
+    values = np.array(rows)
+    count = np.isfinite(values).sum(axis=0)
+    kept = count >= max(1, len(rows) / 2)
+    low, high = mean_intervals(values, labels)
+    mean = _mean(values)
+    last = int(np.flatnonzero(kept)[-1]) + 1 if kept.any() else 0
+    if not last:
+        return None
+    return Curve(
+        tuple(x[:last]),
+        tuple(float(m) if k else None for m, k in zip(mean[:last], kept, strict=False)),
+        tuple(v if k else None for v, k in zip(low[:last], kept, strict=False)),
+        tuple(v if k else None for v, k in zip(high[:last], kept, strict=False)),
+        tuple(int(c) for c in count[:last]),
+    )

@@ -1,0 +1,75 @@
+"""Tables as Markdown and as CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from typing import Any
+
+from eagor.evaluation.published import COLUMNS
+from eagor.evaluation.sheets import Box, Sheet
+
+FIELDS = (
+    "task", "stratum", "method", "column", "unit", "value", "low", "high", "n",
+    "reference", "difference", "difference_low", "difference_high", "p", "p_holm",
+)  # fmt: skip
+
+
+def markdown(title: str, facts: Sequence[tuple[str, str]], sheets: Sequence[Sheet]) -> str:
+    """All tables as one Markdown text."""
+    lines = [f"# {title}", "", *(f"- {name}: {value}" for name, value in facts), ""]
+    for sheet in sheets:
+        lines += [f"## {sheet.title}", "", _line(sheet.heads), "|---|" + "---:|" * (len(sheet.heads) - 1)]
+        for row in sheet.rows:
+            head = f"*{row.head}*" if row.kind == "paper" else f"**{row.head}**" if row.kind == "ours" else row.head
+            lines.append(_line([head, *map(_cell, row.boxes)]))
+        lines += ["", *(f"{note}\n" for note in sheet.notes)]
+    return "\n".join(lines)
+
+
+def table_csv(summary: dict[str, Any]) -> str:
+    """One row per stratum ("" for all episodes), method and column, at full precision; empty where there is no case."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, FIELDS, lineterminator="\n")
+    writer.writeheader()
+    parts = {"": summary}
+    for title, labels in summary["strata"].items():
+        parts |= {f"{title}: {label}": part for label, part in labels.items()}
+    for stratum, part in parts.items():
+        for method, values in part["methods"].items():
+            for column in COLUMNS[summary["task"]]:
+                low, high = part["intervals"][method][column.key] or (None, None)
+                row: dict[Any, Any] = {
+                    "task": summary["task"],
+                    "stratum": stratum,
+                    "method": method,
+                    "column": column.key,
+                    "unit": column.unit,
+                    "value": values[column.key],
+                    "low": low,
+                    "high": high,
+                    "n": part["counts"][method][column.key],
+                }
+                if found := part.get("differences", {}).get(method, {}).get(column.key):
+                    row |= {
+                        "reference": summary["reference"] if ":" not in method else method.partition(":")[0],
+                        "difference": found["difference"],
+                        "difference_low": found["low"],
+                        "difference_high": found["high"],
+                        "p": found["p"],
+                        "p_holm": found["p_holm"],
+                    }
+                writer.writerow(row)
+    return text.getvalue()
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _cell(box: Box) -> str:
+    text = f"**{box.text}**" if box.best else box.text
+    interval = f" ({box.small})" if box.small else ""
+    # A dagger stands at the figure, a word at the end.
+    return f"{text}{box.mark}{interval}" if len(box.mark) == 1 else f"{text}{interval} {box.mark}".rstrip()

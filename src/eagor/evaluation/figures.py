@@ -1,0 +1,158 @@
+"""The charts of a report, each with its numbers as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from eagor.evaluation import curves, page, sheets
+from eagor.evaluation.charts import Series, legend, line_chart, look_of
+from eagor.evaluation.curves import Curve
+from eagor.evaluation.kernels import kernel
+from eagor.evaluation.published import OURS, PAPERS, RESOLUTION_DEG, RIVALS, is_rival, ordered
+from eagor.evaluation.samples import Record, method_names
+
+Section = tuple[str, str, str]  # id, heading, content
+
+
+def curve_sections(records: Sequence[Record], task: str) -> list[Section]:
+    """Errors against steps, for the methods of the paper and for the others, each beside ours."""
+    if task == "tracking":
+        parts = []
+        labels = dict.fromkeys(record["episode"].get("stratum", {}).get("scenario") for record in records)
+        for label in labels:
+            some = [r for r in records if r["episode"].get("stratum", {}).get("scenario") == label]
+            parts.append(f"<h3>{page.html.escape(str(label or 'all episodes'))}</h3>")
+            parts.append(
+                _panels(records, lambda name, some=some: curves.by_step(some, name), f"Error by step, {label}")
+            )
+        return [("steps", "Error by step", "".join(parts))] if parts else []
+    seam = _panels(
+        records,
+        lambda method: curves.around(records, method, curves.crossings, curves.ABOUT_SEAM, curves.ABOUT_SEAM),
+        "Error around seam crossings",
+        "steps from the crossing",
+        "seam",
+    )
+    if task == "navigation":
+        steps = _panels(records, partial(curves.by_step, records), "Error by step")
+        note = page.paragraph(
+            "Every method goes its own way. A line ends where fewer than half of its episodes go on: those that arrive "
+            "early leave it, so the right end of a line is about the harder episodes.",
+            "note",
+        )
+        first: Section = ("steps", "Error by step", steps + note)
+    else:
+        turn = _panels(
+            records,
+            lambda method: curves.around(records, method, curves.turns, curves.BEFORE, curves.AFTER, alone=True),
+            "Error after a turn",
+            "steps from the first step of a leg",
+            "turn",
+        )
+        first = ("turns", "Error after a turn", turn)
+    return [section for section in (first, ("seam", "Error around seam crossings", seam)) if section[2]]
+
+
+def _panels(
+    records: Sequence[Record],
+    curve_of: Callable[[str], Curve | None],
+    title: str,
+    x_label: str = "step",
+    event: str = "",
+) -> str:
+    """Two charts with one scale: the paper's methods and ours, the further rivals and ours; "" without any case."""
+    names = [name for name in ordered(method_names(records)) if is_rival(name)]
+    found = {name: curve for name in names if (curve := curve_of(name)) is not None}
+    if not found:
+        return ""
+    top = max(v for curve in found.values() for v in (*curve.y, *curve.high) if v is not None)
+    pictures, lines = [], []
+    paper = (*RIVALS, PAPERS)
+    for label, group in (
+        ("the paper's methods", [name for name in found if name in paper]),
+        ("further methods", [name for name in found if name not in paper and name != OURS]),
+    ):
+        chosen = [*group, *([OURS] if OURS in found else [])]
+        if not group and pictures:
+            continue
+        series = [Series(name, found[name], look_of(name), name == OURS) for name in chosen]
+        if not series:
+            continue
+        whole = f"{title}: {label} and {OURS}" if group and OURS in chosen else title
+        chart = line_chart(series, whole, x_label, "error, degrees", (0.0, 1.03 * top), event)
+        pictures.append(
+            (f"{chart}{legend(series)}", f"{whole}. Means over {_episodes(series)}; bands: 95 % intervals.")
+        )
+        lines += [line for line in series if line not in lines]
+    return page.figures(pictures) + page.details("The numbers", page.table(_numbers(title, x_label, lines)))
+
+
+def _numbers(title: str, x_label: str, series: Sequence[Series]) -> sheets.Sheet:
+    """A chart's numbers as a table."""
+    xs = sorted({x for line in series for x in line.curve.x})
+    rows = []
+    for line in series:
+        known = dict(zip(line.curve.x, zip(line.curve.y, line.curve.low, line.curve.high, strict=True), strict=True))
+        boxes = []
+        for x in xs:
+            y, low, high = known.get(x, (None, None, None))
+            boxes.append(
+                sheets.Box(
+                    "–" if y is None else f"{y:.1f}", "" if low is None or high is None else f"{low:.1f} to {high:.1f}"
+                )
+            )
+        rows.append(sheets.Row(line.name, tuple(boxes)))
+    heads = (x_label, *(f"{x:g}".replace("-", "−") for x in xs))
+    return sheets.Sheet(title, heads, tuple(rows), (f"Means over {_episodes(series)}.",))
+
+
+def _episodes(series: Sequence[Series]) -> str:
+    """How many episodes are behind the lines."""
+    counts = [max(line.curve.n) for line in series]
+    low, high = min(counts), max(counts)
+    return f"{high} episodes" if low == high else f"{low} to {high} episodes, by method"
+
+
+def reliability_chart(records: Sequence[Record]) -> str:
+    """Stated against found, for regions of every mass, where the records say enough."""
+    names = [name for name in ordered(method_names(records)) if is_rival(name)]
+    found = [
+        Series(name, curve, look_of(name), name == OURS)
+        for name in names
+        if (curve := curves.reliability(records, name)) is not None
+    ]
+    if not found:
+        return ""
+    title = "Regions of every mass: stated, and found to hold the truth"
+    chart = line_chart(
+        found, title, "stated mass of the region, %", "steps with the truth inside, %", (0.0, 100.0), diagonal=True
+    )
+    caption = "On the dotted line statements are true; below it they are overconfident, above it too cautious."
+    return page.figures([(f"{chart}{legend(found)}", f"{title}. {caption}")]) + page.details(
+        "The numbers", page.table(_numbers(title, "stated, %", found))
+    )
+
+
+def kernel_chart(summary: dict[str, Any], degrees: dict[str, int]) -> str:
+    """The band-limited point at each degree that was tried."""
+    tried = {sheets.degree_of(name) for name in summary["methods"] if sheets.split(name)[1] == ("degree",)}
+    if not tried:
+        return ""
+    wanted = sorted({degree for degree in tried if degree is not None} | set(degrees.values()))
+    angles = np.arange(0.0, 181.0, 1.0)
+    series = []
+    for index, degree in enumerate(wanted):
+        values = tuple(float(v) for v in kernel(degree, np.radians(angles)))
+        nothing = (None,) * len(values)
+        curve = Curve(tuple(angles.tolist()), values, nothing, nothing, (0,) * len(values))
+        series.append(Series(f"degree {degree}", curve, f"x{index % 8}", degree == degrees.get(OURS)))
+    title = "A point, cut at a degree"
+    chart = line_chart(series, title, "angle from the point, degrees", "of the peak", (-0.3, 1.0))
+    paper = "; ".join(
+        f"the paper states about {width:g}° of resolution at degree {d}" for d, width in RESOLUTION_DEG.items()
+    )
+    return page.figures([(f"{chart}{legend(series)}", f"{title}: width against ripples ({paper}).")])

@@ -1,0 +1,278 @@
+"""The ledger of a run: a folder of text files that survives a kill at any moment.
+
+``run.json`` says what is run; it is written once and never changed. Each process that works on the run appends to a
+``worker-<k>.jsonl`` of its own, one JSON object per line, each line in one unbuffered write that is on the disk
+(fsync) before the next unit begins. A record has at least "key", "attempt" (1, 2, ...) and "status" ("ok", "failed").
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from eagor.errors import EagorError, FormatError
+from eagor.evaluation.lines import as_line
+
+try:
+    import fcntl
+except ImportError:  # not a POSIX system: there is no lock, so numbers are only as good as the caller's
+    fcntl = None
+
+RUN = "run.json"
+WORKER = "worker-{}.jsonl"
+
+
+class StorageError(EagorError):
+    """The disk does not take what a run has to keep; what was kept before is whole."""
+
+
+class Ledger:
+    """Appends records to the first ``worker-<k>.jsonl`` of `folder` that no other process holds, k = `first`, ...
+
+    Cheap to make; the file is taken at the first `append`, or by `open`. `path` is None until then.
+    """
+
+    def __init__(self, folder: Path, first: int = 0) -> None:
+        self.path: Path | None = None
+        self._folder, self._first, self._file = Path(folder), first, -1
+
+    def append(self, record: Mapping[str, Any]) -> None:
+        """Write one record and wait until it is on the disk.
+
+        Raises:
+            EagorError: the record holds a number that is not finite, or something that is no JSON; nothing is written.
+            StorageError: the disk is full or fails; the file ends as it did before.
+        """
+        line = as_line(record)
+        path = self.open()
+        try:
+            end = os.lseek(self._file, 0, os.SEEK_END)
+            try:
+                _write(self._file, line)
+                os.fsync(self._file)
+            except OSError:
+                os.ftruncate(self._file, end)  # half a line would spoil the next one
+                raise
+        except OSError as error:
+            raise StorageError(
+                f"could not keep the record {record.get('key')!r} in {path}: {error.strerror or error}; everything "
+                "recorded before it is safe. Make room, then start the same run again: it goes on where it stopped"
+            ) from error
+
+    def open(self) -> Path:
+        """Take hold of the file, if that has not been done, and return its path. Raises `StorageError`."""
+        if self.path is not None and self._file >= 0:
+            return self.path
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            self._file, self.path = _first_free(self._folder, self._first)
+            try:
+                _mend(self._file)
+                _keep_name(self._folder)
+            except OSError:
+                self.close()
+                raise
+        except OSError as error:
+            raise StorageError(
+                f"cannot write in {self._folder}: {error.strerror or error}; make room there, or choose another folder"
+            ) from error
+        return self.path
+
+    def close(self) -> None:
+        """Let go of the file; the next `append` opens one again."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+    def __enter__(self) -> Ledger:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def begin(folder: Path, config: Mapping[str, Any]) -> None:
+    """Make `folder` the folder of the run that `config` describes, or make sure that it already is.
+
+    `config` is anything that JSON can hold: task, seed, episodes, methods, versions, ...
+
+    Raises:
+        EagorError: the folder holds a run with another description; the text lists what differs.
+        FormatError: its ``run.json`` is no JSON object.
+        StorageError: it cannot be written.
+    """
+    wanted = json.loads(as_line(config))
+    path = Path(folder) / RUN
+    if path.exists():
+        found = description(folder)
+        differences = list(_differences(found, wanted))
+        if differences:
+            shown = "; ".join(differences[:8]) + ("; ..." if len(differences) > 8 else "")
+            raise EagorError(
+                f"{folder} holds another run: {shown}. Ask for what it holds to go on with it, or choose another folder"
+            )
+        return
+    temporary = path.with_name(f"{RUN}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+        try:
+            _write(file, (json.dumps(wanted, indent=1, ensure_ascii=False) + "\n").encode())
+            os.fsync(file)
+        finally:
+            os.close(file)
+        os.replace(temporary, path)
+        _keep_name(path.parent)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise StorageError(f"could not write {path}: {error.strerror or error}; choose another folder") from error
+
+
+def description(folder: Path) -> dict[str, Any]:
+    """What ``run.json`` says. Raises `FormatError` where there is none, or it is no JSON object."""
+    path = Path(folder) / RUN
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise FormatError(f"{folder} has no {RUN}; name the folder of a run") from None
+    except ValueError as error:
+        raise FormatError(f"{path} is no JSON ({error}); restore it, or start the run in another folder") from None
+    if not isinstance(found, dict):
+        raise FormatError(f"{path} holds no JSON object but {type(found).__name__}; name the folder of a run")
+    return found
+
+
+def read(folder: Path) -> list[dict[str, Any]]:
+    """The records of a run, one per key, in the order of their keys.
+
+    Of several records with one key the one with the highest attempt counts, and the last of those. A last line that
+    a kill left half written is left out (whoever wrote it had not been told that it was kept).
+
+    Raises:
+        FormatError: any other line that is no record; names the file and the line.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for path in files(folder):
+        for record in records(path):
+            before = found.get(record["key"])
+            if before is None or record["attempt"] >= before["attempt"]:
+                found[record["key"]] = record
+    return [found[key] for key in sorted(found)]
+
+
+def files(folder: Path) -> list[Path]:
+    """The ``worker-<k>.jsonl`` of a run, by k."""
+    named = [(path.stem.removeprefix("worker-"), path) for path in Path(folder).glob(WORKER.format("*"))]
+    return [path for _, path in sorted((int(number), path) for number, path in named if number.isdecimal())]
+
+
+def records(path: Path) -> Iterator[dict[str, Any]]:
+    """The records of one file, in the order in which they were written; see `read`."""
+    data = path.read_bytes()
+    lines = data.split(b"\n")
+    torn = lines.pop()  # empty, if the last line is whole
+    for number, line in enumerate(lines, start=1):
+        yield _record(line, path, number)
+    if _is_json(torn):  # somebody's editor left out the last newline
+        yield _record(torn, path, len(lines) + 1)
+
+
+def _write(file: int, data: bytes) -> None:
+    """All of `data`; a disk that fills up takes part of it first, and fails at the next call."""
+    while data:
+        data = data[os.write(file, data) :]
+
+
+def _first_free(folder: Path, number: int) -> tuple[int, Path]:
+    """The first worker file from `number` on that nobody holds, open and held."""
+    while True:
+        path = folder / WORKER.format(number)
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+        if _held(file):
+            return file, path
+        os.close(file)
+        number += 1
+
+
+def _held(file: int) -> bool:
+    """Whether this process now holds `file`; False if another one does. Held until closed, or the process ends."""
+    if fcntl is None:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True  # a file system without locks
+    return True
+
+
+def _mend(file: int) -> None:
+    """Bring the end of `file` to the end of a whole line: what comes next must begin on a line of its own."""
+    size = os.lseek(file, 0, os.SEEK_END)
+    tail = b""
+    while len(tail) < size and b"\n" not in tail:
+        begin = max(0, size - len(tail) - (1 << 16))
+        os.lseek(file, begin, os.SEEK_SET)
+        tail = os.read(file, size - len(tail) - begin) + tail
+    torn = tail[tail.rfind(b"\n") + 1 :]
+    if _is_json(torn):
+        _write(file, b"\n")
+    elif torn:
+        os.ftruncate(file, size - len(torn))
+
+
+def _keep_name(folder: Path) -> None:
+    """Have the disk remember which files the folder has."""
+    if os.name != "posix":
+        return
+    place = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(place)
+    finally:
+        os.close(place)
+
+
+def _is_json(line: bytes) -> bool:
+    try:
+        json.loads(line)
+    except ValueError:
+        return False
+    return True
+
+
+def _record(line: bytes, path: Path, number: int) -> dict[str, Any]:
+    try:
+        found = json.loads(line)
+    except ValueError as error:
+        raise FormatError(f"{path}, line {number}: no JSON ({error}); restore the line, or delete it") from None
+    whole = isinstance(found, dict) and isinstance(found.get("key"), str) and isinstance(found.get("attempt"), int)
+    if not whole or found.get("status") not in ("ok", "failed"):
+        raise FormatError(
+            f"{path}, line {number}: no record; wanted an object with key (text), attempt (1, 2, ...) and status "
+            "('ok' or 'failed'). Restore the line, or delete it"
+        )
+    return found
+
+
+def _differences(found: Any, wanted: Any, place: str = "") -> Iterator[str]:
+    """Where two descriptions differ, in words."""
+    if isinstance(found, dict) and isinstance(wanted, dict):
+        for key in dict.fromkeys([*found, *wanted]):
+            inner = f"{place}.{key}" if place else key
+            if key not in wanted:
+                yield f"{inner} is {_short(found[key])} there and nothing was asked for"
+            elif key not in found:
+                yield f"{inner} is not set there and {_short(wanted[key])} was asked for"
+            else:
+                yield from _differences(found[key], wanted[key], inner)
+    elif found != wanted:
+        yield f"{place} is {_short(found)} there and {_short(wanted)} was asked for"
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= 80 else f"{text[:77]}..."

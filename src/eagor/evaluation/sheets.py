@@ -1,0 +1,279 @@
+"""The tables of a report, the same for the page and for Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from typing import Any
+
+from eagor.evaluation import curves
+from eagor.evaluation.kernels import half_width_deg, highest_sidelobe
+from eagor.evaluation.published import (
+    COLUMNS,
+    FIGURES,
+    OURS,
+    PAPERS,
+    RIVALS,
+    TITLES,
+    Column,
+    is_ablation,
+    is_rival,
+)
+from eagor.evaluation.samples import Gap, Record, gap, sample
+from eagor.evaluation.tables import SIGNIFICANT, best, corrected, mark, shown, shown_columns
+
+FEW = 10  # apartments, below which intervals are too narrow to be trusted
+DAGGER = {"-": "†", "+": "‡", "": ""}
+KEYS = {
+    "degree": "degree of the harmonics",
+    "decode": "how the belief is read",
+    "floor": "calibration: floor",
+    "neutral": "calibration: neutral response",
+    "temperature": "calibration: temperature",
+    "shells": "range shells",
+    "keep": "how much is kept per second",
+    "diffusion": "diffusion",
+}
+
+
+@dataclass(frozen=True)
+class Box:
+    """A cell: its text, an interval in small print, a mark, and whether it is the best of its column."""
+
+    text: str
+    small: str = ""
+    mark: str = ""
+    best: bool = False
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row: its head, its cells, and its kind ("ours", "paper", or "")."""
+
+    head: str
+    boxes: tuple[Box, ...]
+    kind: str = ""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table: what it shows, the heads of its columns (the first is that of the row heads), rows and notes."""
+
+    title: str
+    heads: tuple[str, ...]
+    rows: tuple[Row, ...]
+    notes: tuple[str, ...] = field(default=())
+
+
+def main_sheet(summary: dict[str, Any]) -> Sheet:
+    """The table laid out like the paper's, with the published row below each method that has one."""
+    columns = shown_columns(summary)
+    names = [name for name in summary["methods"] if not is_ablation(name)]
+    rivals = [name for name in names if is_rival(name)]
+    published = FIGURES[summary["task"]]
+    rows = []
+    for name in names:
+        rows.append(Row(name, _boxes(summary, name, columns, rivals), "ours" if name == OURS else ""))
+        if name in published:
+            figures = [Box(shown(published[name].get(column.key), column)) for column in columns]
+            rows.append(Row("as published", tuple(figures), "paper"))
+    notes = [
+        _cases(summary, names, columns),
+        f"† worse, ‡ better than {summary['reference']}: p < {SIGNIFICANT} over the episodes that both have, sign "
+        "flips of whole apartments, Holm's correction over all tests of this table. Bold: the best of its column.",
+    ]
+    if summary["apartments"] == 1:
+        notes.append("Only one apartment: nothing can be said about how far the figures carry over to others.")
+    elif summary["apartments"] < FEW:
+        notes.append(
+            f"Only {summary['apartments']} apartments: intervals that resample so few are too narrow, and p cannot be "
+            f"below {2.0 ** (1 - summary['apartments']):.2g}."
+        )
+    if published:
+        notes.append(
+            "As published: the paper's figures, from the paper's own setting (its worlds, perception and rules). They "
+            "cannot be compared with ours one to one."
+        )
+    return Sheet(
+        f"{TITLES[summary['task']]}: {summary['episodes']} episodes", _heads(columns), tuple(rows), tuple(notes)
+    )
+
+
+def strata_sheets(summary: dict[str, Any]) -> list[Sheet]:
+    """One table per stratum and label: the same columns, over some of the episodes."""
+    found = []
+    for title, labels in summary["strata"].items():
+        for label, part in labels.items():
+            view = {**summary, **part, "differences": {}}
+            columns = shown_columns(view)
+            names = [name for name in part["methods"] if not is_ablation(name)]
+            rivals = [name for name in names if is_rival(name)]
+            rows = tuple(
+                Row(name, _boxes(view, name, columns, rivals), "ours" if name == OURS else "") for name in names
+            )
+            notes = (_cases(view, names, columns),)
+            found.append(Sheet(f"{title}: {label} ({part['episodes']} episodes)", _heads(columns), rows, notes))
+    return found
+
+
+def ordering_sheet(records: Sequence[Record], task: str) -> Sheet | None:
+    """How far the paper's ordering carries over: what its method gains over each rival, published and measured."""
+    published = FIGURES[task]
+    columns = [column for column in COLUMNS[task] if published and column.key in published[PAPERS]]
+    samples = {name: {column.key: sample(records, name, column) for column in columns} for name in (PAPERS, *RIVALS)}
+    gaps: dict[tuple[str, ...], Gap | None] = {}
+    for rival in RIVALS:
+        for column in columns:
+            pair = samples[rival][column.key], samples[PAPERS][column.key]
+            gaps[rival, column.key] = gap(*(pair if column.better == "low" else pair[::-1]))
+    if not any(gaps.values()):
+        return None
+    measured = corrected(gaps)
+    rows, verdicts = [], []
+    for rival in RIVALS:
+        claimed = {
+            column.key: (published[rival][column.key] - published[PAPERS][column.key])
+            * (1 if column.better == "low" else -1)
+            for column in columns
+        }
+        ours = measured[rival,]
+        found = [verdict(claimed[column.key], ours[column.key]) for column in columns]
+        verdicts += found
+        rows.append(
+            Row(f"over {rival}: published", tuple(Box(shown(claimed[c.key], c, True)) for c in columns), "paper")
+        )
+        boxes = []
+        for column, said in zip(columns, found, strict=True):
+            value = ours[column.key]
+            low_high = f"{shown(value.low, column, True)} to {shown(value.high, column, True)}" if value else ""
+            boxes.append(Box(shown(value and value.difference, column, True), low_high, said))
+        rows.append(Row(f"over {rival}: measured", tuple(boxes)))
+    counts = {said: verdicts.count(said) for said in ("holds", "open", "reversed")}
+    notes = (
+        f"Margins of {PAPERS} (the method as published) over the paper's rivals; positive: it is better. Of "
+        f"{sum(counts.values())} comparisons {counts['holds']} hold (the 95 % interval lies on the published side of 0 "
+        f"and p < {SIGNIFICANT}), {counts['reversed']} are reversed (on the other side), {counts['open']} are open.",
+        "Measured: paired over the episodes that both have. Published margins are differences of the printed figures.",
+    )
+    return Sheet(f"What {PAPERS} gains over the paper's rivals", _heads(columns, "margin"), tuple(rows), notes)
+
+
+def verdict(published: float, measured: Gap | None) -> str:
+    """Whether a measured margin confirms the published one: "holds", "reversed", "open"; "" where it has no case."""
+    if measured is None:
+        return ""
+    if (measured.low > 0 or measured.high < 0) and measured.p < SIGNIFICANT:
+        return "holds" if (measured.low > 0) == (published > 0) else "reversed"
+    return "open"
+
+
+def coverage_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet | None:
+    """How often the truth lay in the 90 % region: all steps, in sight, out of sight."""
+    column = next(column for column in COLUMNS[summary["task"]] if column.key == "coverage")
+    rows = []
+    for name, row in summary["methods"].items():
+        if is_ablation(name) or row["coverage"] is None:
+            continue
+        boxes = [_box(summary, name, column)]
+        for visible in (True, False):
+            found = curves.coverage(records, name, visible)
+            if found is None:
+                boxes.append(Box("–"))
+            else:
+                boxes.append(Box(shown(found.y[0], column), _interval((found.low[0], found.high[0]), column)))
+        rows.append(Row(name, tuple(boxes), "ours" if name == OURS else ""))
+    if not rows:
+        return None
+    notes = (
+        "Share of steps, percent, at which the true direction lay in the stated 90 % region; 90 is right, less is "
+        "overconfident, more is too cautious. Methods that state no region are left out.",
+    )
+    heads = ("method", "all steps, %", "target in sight, %", "target out of sight, %")
+    return Sheet("Coverage of the 90 % regions", heads, tuple(rows), notes)
+
+
+def ablation_sheets(summary: dict[str, Any], degrees: dict[str, int]) -> list[Sheet]:
+    """One table per varied method and set of settings. `degrees`: those of the methods themselves, where known."""
+    columns = shown_columns(summary)
+    named = [(*split(name), name) for name in summary["methods"] if is_ablation(name)]
+    found = []
+    for (base, keys), group in groupby(sorted(named, key=lambda item: item[:2]), key=lambda item: item[:2]):
+        names = {name for _, _, name in group}
+        rows = [base] if base in summary["methods"] else []
+        rows += [name for name in summary["methods"] if name in names]
+        with_kernel = keys == ("degree",)
+        heads = _heads(columns)
+        if with_kernel:
+            heads = (heads[0], "degree", "half width, °", "highest sidelobe, %", *heads[1:])
+        lines = []
+        for name in rows:
+            extra = _kernel_boxes(degrees.get(name) if name == base else degree_of(name)) if with_kernel else ()
+            boxes = (*extra, *_boxes(summary, name, columns, rows))
+            lines.append(Row(f"{name} (as it is)" if name == base else name, boxes, "ours" if name == base else ""))
+        notes = [
+            _cases(summary, rows, columns),
+            f"† worse, ‡ better than {base}: p < {SIGNIFICANT}, Holm's correction over all tests of all variants.",
+        ]
+        if with_kernel:
+            notes.append(
+                "Half width and highest sidelobe (beyond the first zero, of the peak) are those of a point cut at this "
+                "degree: sum over l of (2 l + 1) / 4π · P_l(cos t)."
+            )
+        what = "; ".join(KEYS.get(key, key) for key in keys)
+        found.append(Sheet(f"Variants of {base}: {what}", heads, tuple(lines), tuple(notes)))
+    return found
+
+
+def split(name: str) -> tuple[str, tuple[str, ...]]:
+    """The varied method, and the names of the settings: "eagor:degree=7" is ("eagor", ("degree",))."""
+    base, _, text = name.partition(":")
+    return base, tuple(item.partition("=")[0] for item in text.split(","))
+
+
+def degree_of(name: str) -> int | None:
+    """The degree that a variant such as "eagor:degree=7" sets; None where it sets none."""
+    value = name.rpartition("=")[2]
+    return int(value) if value.isdecimal() else None
+
+
+def _kernel_boxes(degree: int | None) -> tuple[Box, ...]:
+    if degree is None:
+        return (Box("–"),) * 3
+    width, ripple = half_width_deg(degree), highest_sidelobe(degree)
+    return (
+        Box(str(degree)),
+        Box("–" if width is None else f"{width:.1f}"),
+        Box("–" if ripple is None else f"{100 * ripple:.1f}"),
+    )
+
+
+def _heads(columns: Sequence[Column], first: str = "method") -> tuple[str, ...]:
+    arrows = {"low": " ↓", "high": " ↑", None: ""}
+    return (first, *(f"{c.title}{arrows[c.better]}{f', {c.unit}' if c.unit else ''}" for c in columns))
+
+
+def _boxes(summary: dict[str, Any], name: str, columns: Sequence[Column], rivals: Sequence[str]) -> tuple[Box, ...]:
+    return tuple(_box(summary, name, column, name in best(summary, column, rivals)) for column in columns)
+
+
+def _box(summary: dict[str, Any], name: str, column: Column, winner: bool = False) -> Box:
+    value, interval = summary["methods"][name][column.key], summary["intervals"][name][column.key]
+    low_high = _interval(interval, column) if interval else ""
+    return Box(shown(value, column), low_high, DAGGER[mark(summary, name, column)], winner)
+
+
+def _interval(ends: Sequence[float | None], column: Column) -> str:
+    return "" if None in ends else f"{shown(ends[0], column)} to {shown(ends[1], column)}"
+
+
+def _cases(summary: dict[str, Any], names: Sequence[str], columns: Sequence[Column]) -> str:
+    """How many episodes are behind the figures, column by column, in a few words."""
+    spans: dict[str, list[str]] = {}
+    for column in columns:
+        counts = [n for name in names if (n := summary["counts"][name][column.key])]
+        if counts:
+            low, high = min(counts), max(counts)
+            spans.setdefault(str(high) if low == high else f"{low} to {high}", []).append(column.title)
+    cases = "; ".join(f"{', '.join(titles)}: {span}" for span, titles in spans.items())
+    return f"Small print: 95 % intervals. Episodes behind each figure: {cases}."

@@ -1,0 +1,209 @@
+"""From the records of a run to its table: one row per method, with intervals, counts and differences.
+
+Shares are in percent (0 to 100), angles in degrees. A cell without cases is None. Everything is plain Python, ready for
+JSON.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+from eagor.errors import EagorError
+from eagor.evaluation.published import COLUMNS, OURS, TITLES, Column, compared_with, is_ablation, is_rival, ordered
+from eagor.evaluation.samples import Cell, Gap, Record, Sample, cell, finished, gap, holm, method_names, sample
+
+STRATA = {
+    "navigation": {"visible": "Target in sight at the start", "way": "Way to the target"},
+    "tracking": {"scenario": "Scenario"},
+}
+_WORDS = {True: "yes", False: "no"}
+SIGNIFICANT = 0.05
+
+
+def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any]:
+    """The table of one task.
+
+    Args:
+        records: of one task, such as `eagor.evaluation.ledger.read` returns.
+        reference: the method that all others are compared with.
+
+    Returns:
+        ``{"task", "episodes", "apartments", "failed", "methods": {name: {column: value or None}}, "intervals": {name:
+        {column: [low, high] or None}}, "counts": {name: {column: n}}, "reference", "differences": {name: {column:
+        {difference, low, high, p, p_holm, n, groups} or None}}, "strata": {title: {label: {"episodes", "methods",
+        "intervals", "counts"}}}, "failures": [{"key", "attempt", "error"}]}``.
+
+        - episodes: how many have a result of some method; failed: units that have none.
+        - intervals: 95 %; Wilson's for shares of success, cluster bootstrap by apartment for means.
+        - differences: method minus reference over the episodes that both have; p by sign flips of whole apartments;
+          p_holm is corrected for all tests of the table. Ablations ("eagor:degree=7") make a table of their own, in
+          which each is compared with the method that it varies.
+
+    Raises:
+        EagorError: the records are of several tasks, or of one that has no table.
+    """
+    records = list(records)
+    task = _task(records)
+    columns = COLUMNS[task]
+    good = finished(records)
+    cells, samples = _cells(good, columns)
+    return {
+        "task": task,
+        "episodes": len({record["episode"]["id"] for record in good}),
+        "apartments": len({record["episode"].get("seed", record["episode"]["id"]) for record in good}),
+        "failed": len(records) - len(good),
+        **cells,
+        "reference": reference,
+        "differences": _differences(samples, columns, reference),
+        "strata": {title: _strata(good, columns, name) for name, title in STRATA.get(task, {}).items()},
+        "failures": [
+            {"key": record["key"], "attempt": record["attempt"], "error": record.get("error", "")}
+            for record in records
+            if record["status"] != "ok"
+        ],
+    }
+
+
+def as_text(summary: dict[str, Any]) -> list[str]:
+    """The table for a terminal: a line per method, one with the numbers of cases, and what the marks mean."""
+    columns = shown_columns(summary)
+    if not summary["methods"]:
+        return [f"{TITLES[summary['task']]}: no results; {summary['failed']} failed"]
+    rows = [["", *(f"{column.title} {column.unit}".strip() for column in columns)]]
+    marks = set()
+    for name in summary["methods"]:
+        row = [name]
+        for column in columns:
+            found = mark(summary, name, column)
+            marks.add(found)
+            row.append(f"{shown(summary['methods'][name][column.key], column)}{found or ' '}")
+        rows.append(row)
+    counts = [summary["counts"][name] for name in summary["methods"]]
+    rows.append(["cases", *(f"{_span([count[column.key] for count in counts])} " for column in columns)])
+    wide = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = [
+        "  ".join(text.ljust(wide[k]) if k == 0 else text.rjust(wide[k]) for k, text in enumerate(row)).rstrip()
+        for row in rows
+    ]
+    head = f"{TITLES[summary['task']]}: {summary['episodes']} episodes"
+    if summary["failed"]:
+        head += f"; {summary['failed']} could not be run"
+    notes = [text for sign, text in (("-", "- worse"), ("+", "+ better")) if sign in marks]
+    other = f"{summary['reference']} (a variant: than what it varies)"
+    tail = [f"{', '.join(notes)} than {other}: p < {SIGNIFICANT}, corrected for the number of tests"] if notes else []
+    return [head, *lines, *tail]
+
+
+def mark(summary: dict[str, Any], name: str, column: Column) -> str:
+    """Whether a method differs from its reference beyond chance: "-" it is worse, "+" it is better, "" neither."""
+    found = summary["differences"].get(name, {}).get(column.key)
+    if found is None or column.better is None or found["p_holm"] >= SIGNIFICANT or found["difference"] == 0:
+        return ""
+    return "-" if (found["difference"] > 0) == (column.better == "low") else "+"
+
+
+def best(summary: dict[str, Any], column: Column, names: Sequence[str]) -> set[str]:
+    """Those of `names` with the best figure of a column, as it is shown; nobody where neither side is better."""
+    there = {name: summary["methods"][name][column.key] for name in names}
+    figures = {name: round(value, column.digits) for name, value in there.items() if value is not None}
+    if column.better is None or not figures:
+        return set()
+    winner = (min if column.better == "low" else max)(figures.values())
+    return {name for name, value in figures.items() if value == winner}
+
+
+def shown_columns(summary: dict[str, Any]) -> list[Column]:
+    """The columns in which some method has a case."""
+    rows = summary["methods"].values()
+    return [column for column in COLUMNS[summary["task"]] if any(row[column.key] is not None for row in rows)]
+
+
+def shown(value: float | None, column: Column, sign: bool = False) -> str:
+    """A figure as text; a dash where there is no case."""
+    if value is None:
+        return "–"
+    value = round(value, column.digits) + 0.0  # no negative zero
+    text = f"{value:{'+' if value and (sign or column.key == 'delta') else ''}.{column.digits}f}"
+    return text.replace("-", "−")
+
+
+def compare(records: Sequence[Record], a: str, b: str, columns: Iterable[Column]) -> dict[str, Gap | None]:
+    """Mean of a - b per column; p_holm is corrected for these tests."""
+    found = {column.key: gap(sample(records, a, column), sample(records, b, column)) for column in columns}
+    return corrected({(key,): value for key, value in found.items()})[()]
+
+
+def corrected(gaps: dict[tuple[str, ...], Gap | None]) -> dict[tuple[str, ...], dict[str, Gap | None]]:
+    """`gaps` with p_holm filled in over all of them; nested by all but the last part of their names."""
+    there = [name for name, found in gaps.items() if found is not None]
+    values = dict(zip(there, holm([found.p for found in gaps.values() if found is not None]), strict=True))
+    nested: dict[tuple[str, ...], dict[str, Gap | None]] = {}
+    for name, found in gaps.items():
+        nested.setdefault(name[:-1], {})[name[-1]] = None if found is None else replace(found, p_holm=values[name])
+    return nested
+
+
+def _task(records: Sequence[Record]) -> str:
+    tasks = {record.get("task") for record in records} - {None}
+    if len(tasks) != 1 or (task := str(tasks.pop())) not in COLUMNS:
+        raise EagorError(
+            f"the records are of the tasks {sorted(map(str, tasks)) or 'none'}; wanted one of {', '.join(COLUMNS)}"
+        )
+    return task
+
+
+def _cells(records: Sequence[Record], columns: Sequence[Column]) -> tuple[dict[str, Any], dict[str, dict[str, Sample]]]:
+    """Values, intervals and counts by method and column, and the samples they come from."""
+    samples = {
+        name: {column.key: sample(records, name, column) for column in columns}
+        for name in ordered(method_names(records))
+    }
+    cells: dict[str, dict[str, Cell | None]] = {
+        name: {column.key: cell(row[column.key], column) for column in columns} for name, row in samples.items()
+    }
+    return {
+        "methods": {name: {key: c and c.value for key, c in row.items()} for name, row in cells.items()},
+        "intervals": {
+            name: {key: [c.low, c.high] if c and c.low is not None else None for key, c in row.items()}
+            for name, row in cells.items()
+        },
+        "counts": {name: {key: c.n if c else 0 for key, c in row.items()} for name, row in cells.items()},
+    }, samples
+
+
+def _differences(
+    samples: dict[str, dict[str, Sample]], columns: Sequence[Column], reference: str
+) -> dict[str, dict[str, Any]]:
+    """One family of tests for the methods against the reference, one for the ablations against what they vary."""
+    tested = [column.key for column in columns if column.better is not None]
+    result: dict[str, dict[str, Any]] = {}
+    for kind in (is_rival, is_ablation):
+        gaps = {
+            (name, key): gap(row[key], samples[other][key])
+            for name, row in samples.items()
+            if kind(name) and (other := compared_with(name, reference)) in samples and other != name
+            for key in tested
+        }
+        for (name,), row in corrected(gaps).items():
+            result[name] = {key: found and asdict(found) for key, found in row.items()}
+    return result
+
+
+def _strata(records: Sequence[Record], columns: Sequence[Column], name: str) -> dict[str, Any]:
+    """The cells of each stratum."""
+    parts: dict[str, list[Record]] = {}
+    for record in records:
+        value = record["episode"].get("stratum", {}).get(name)
+        if value is not None:
+            parts.setdefault(_WORDS[value] if isinstance(value, bool) else str(value), []).append(record)
+    return {
+        label: {"episodes": len({record["episode"]["id"] for record in part}), **_cells(part, columns)[0]}
+        for label, part in sorted(parts.items(), reverse="yes" in parts)
+    }
+
+
+def _span(counts: Sequence[int]) -> str:
+    low, high = min(counts), max(counts)
+    return str(high) if low == high else f"{low}–{high}"

@@ -1,0 +1,387 @@
+"""What an ideal or a noisy detector would answer, computed from the instance ids that a simulator renders.
+
+It measures what is done with evidence apart from the quality of a model: `Noise` says in numbers how good the detector
+is. It is privileged, since ids tell what no camera sees, and therefore works in simulation only.
+
+A detector's mistakes are not drawn afresh in every frame. Here they belong to things and last: a lamp taken for the
+chair stays the lamp while the camera turns, and a box that sits too far left stays too far left. Every thing carries a
+state (found or missed, score, displacement) that is kept from one frame to the next with probability `persistence`,
+and otherwise drawn anew from the same distribution; so each frame by itself has the same rates at any persistence.
+
+Each look draws the same amount of randomness, whatever is asked for and in view. Two walks through one scene with the
+same seed therefore meet the same luck step by step, however they move: comparisons between methods are paired.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+
+import numpy as np
+
+from eagor.errors import EagorError, ImageError
+from eagor.evidence import Calibration, Evidence
+from eagor.grids import PatchGrid
+from eagor.queries import Named, matching, parse_query
+from eagor.sphere import check_rotation
+
+WIDEST = 0.7  # radians: root of the sum of the variances over both axes
+_FARTHEST = 3.0  # radians: no displacement reaches the far side of the sphere, where it would have no direction
+
+
+@dataclass(frozen=True)
+class Noise:
+    """How good a detector is. The default of every field is that of an ideal one.
+
+    A thing is *visible* if it covers at least one pixel of the ids. Rates are those of a single frame, for a thing of
+    at least the size `smallest`; they do not depend on `persistence`.
+
+    What is wider than `WIDEST`, such as a floor, is never mistaken for another thing.
+
+    Attributes:
+        miss: probability that a visible, matching thing is not reported.
+        false_alarm: probability of one report where nothing matches: at a visible thing that does not match, each
+            alike likely, for as long as the alarm lasts and the thing is in view; in a random direction of the world
+            where there is none.
+        confuse_category: probability, for each visible thing of the category asked for but of another colour, that
+            it is reported. Only for queries with a colour.
+        confuse_colour: the same for each visible thing of the colour asked for but of another category.
+        spread: standard deviation, radians, per axis of the error of a reported direction. A reported blob is wider
+            by as much: this detector knows its own error.
+        floor: response of cells where nothing is reported.
+        persistence: probability that the state of a thing (or of the false alarm) in the frame before is kept
+            instead of drawn anew. A mistake of rate q then lasts for 1 / ((1 - persistence) (1 - q)) frames on
+            average. At 1 mistakes last for the whole episode.
+        smallest: size of the smallest thing that is seen as well as any, as a fraction of the solid angle of a patch
+            on the horizon. Below it the probabilities of being found or confused fall smoothly, to zero at a quarter.
+        weakest: scores are drawn evenly from `weakest` to 1.
+
+    Raises `EagorError` for numbers out of range.
+    """
+
+    miss: float = 0.0
+    false_alarm: float = 0.0
+    confuse_category: float = 0.0
+    confuse_colour: float = 0.0
+    spread: float = 0.0
+    floor: float = 0.0
+    persistence: float = 0.0
+    smallest: float = 0.0
+    weakest: float = 1.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            highest = {"spread": math.pi / 2, "smallest": math.inf}.get(field.name, 1.0)
+            if not (0 <= value <= highest and math.isfinite(value)):
+                unit = " radians (degrees in the text form)" if field.name == "spread" else ""
+                raise EagorError(f"{field.name} = {value!r}; wanted a number from 0 to {highest:.4g}{unit}")
+
+    @classmethod
+    def ideal(cls) -> Noise:
+        """No mistakes: each matching thing at its place with score 1, response 0 elsewhere."""
+        return cls()
+
+    @classmethod
+    def moderate(cls) -> Noise:
+        """A usable detector: 30 % missed, a false alarm in every fifth frame, 8 degrees of error, some confusion."""
+        return cls(
+            miss=0.3,
+            false_alarm=0.2,
+            confuse_category=0.1,
+            confuse_colour=0.02,
+            spread=math.radians(8),
+            floor=0.02,
+            persistence=0.3,
+            smallest=0.1,
+            weakest=0.6,
+        )
+
+    @classmethod
+    def parse(cls, text: str) -> Noise:
+        """The noise that `text` means: "ideal", "moderate" (also ""), "miss=0.1,spread=4", "ideal,miss=0.3".
+
+        Pairs change the profile named first, or "moderate"; `spread` is in degrees here. Raises `EagorError`, which
+        lists the keys, for other text.
+        """
+        profiles = {"ideal": cls.ideal, "moderate": cls.moderate}
+        first, *rest = [part.strip() for part in text.split(",")]
+        pairs = rest if first in ("", *profiles) else [first, *rest]
+        changes: dict[str, float] = {}
+        for pair in pairs:
+            key, _, value = (part.strip() for part in pair.partition("="))
+            try:
+                if key in changes:
+                    raise KeyError(key)
+                changes[{field.name: field.name for field in fields(cls)}[key]] = float(value)
+            except (KeyError, ValueError):
+                raise EagorError(
+                    f"truth settings {text!r}: cannot read {pair!r}. Wanted 'ideal', 'moderate' or key=number pairs "
+                    "parted by commas, each key once, such as 'miss=0.1,spread=4'; keys: "
+                    f"{', '.join(field.name for field in fields(cls))} (spread in degrees)"
+                ) from None
+        if "spread" in changes:
+            changes["spread"] = math.radians(changes["spread"])
+        return replace(profiles.get(first, cls.moderate)(), **changes)
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """One thing that the detector says it sees, in the body frame.
+
+    - `kind`: "found", "category" or "colour" (what was confused was of that same category or colour), "false alarm".
+    - `thing`: its id, None for a false alarm at no thing.
+    - `direction` ``(3,)``: where it is said to be. `covariance` ``(3, 3)``, square radians: its width in the tangent
+      plane there, so that covariance @ direction = 0. `score` in [0, 1].
+    """
+
+    kind: str
+    thing: int | None
+    direction: np.ndarray
+    covariance: np.ndarray
+    score: float
+
+
+class TruthPerception:
+    """A detector of known quality. Make an `episode` of it for each walk through a simulated scene.
+
+    Args:
+        noise: how good it is, as `Noise` or in the words of `Noise.parse`.
+        calibration: how responses become evidence; None for the default of `Evidence`.
+        rows: rows of its patch map, which has twice as many columns. The default is the map of a model with patches
+            of 28 pixels on a panorama of 504 x 1008.
+
+    Raises `EagorError` for settings that cannot be read, `GridError` for less than one row.
+    """
+
+    def __init__(self, noise: str | Noise = "", calibration: Calibration | None = None, rows: int = 18) -> None:
+        self.noise = noise if isinstance(noise, Noise) else Noise.parse(noise)
+        self.calibration = calibration
+        self.grid = PatchGrid(rows, 2 * rows)
+
+    def episode(self, labels: Sequence[Named], seed: int) -> TruthEpisode:
+        """The detector for one episode, in which ``labels[i]`` names the instance with id i."""
+        return TruthEpisode(self, labels, seed)
+
+    def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
+        """Raises `ImageError`: an image does not tell the truth."""
+        raise ImageError(_WANTED_IDS)
+
+
+class TruthEpisode:
+    """The detector in one episode: it remembers its mistakes from look to look.
+
+    Each look is a new frame, also where the ids are the same, and counts for `Noise.persistence`.
+    The same seed, labels and sequence of looks give the same evidence, bit by bit.
+    """
+
+    def __init__(self, perception: TruthPerception, labels: Sequence[Named], seed: int) -> None:
+        self._noise, self._grid, self._calibration = perception.noise, perception.grid, perception.calibration
+        self._labels = tuple(labels)
+        self._rng = np.random.default_rng(seed)
+        self._relations: dict[str, np.ndarray] = {}
+        # One row for every thing; then one for the false alarm, and one for its direction where it is at no thing.
+        self._luck = np.zeros((len(self._labels) + 2, 2))  # uniform in [0, 1): reported or not, and the score
+        self._error = np.zeros((len(self._labels) + 2, 3))  # standard normal, world frame
+        self._appeal = np.zeros(len(self._labels))  # the order in which things attract the false alarm
+        self._alarm: int | None = None  # the thing that the false alarm is at
+        self._started = False
+
+    def __call__(
+        self,
+        panorama: np.ndarray,
+        query: str,
+        *,
+        stamp: float | None = None,
+        world_R_body: np.ndarray | None = None,
+    ) -> Evidence:
+        """The next look: evidence on the perception's patch grid, body frame.
+
+        Args:
+            panorama: instance ids ``(H, 2 H)``, integers, in the layout of `eagor.sphere`; -1 where nothing was hit.
+            query: "[colour] category", over the categories of the labels (see `eagor.queries`).
+            stamp: when the ids were seen, seconds; the evidence carries it.
+            world_R_body: attitude ``(3, 3)`` of the camera. A mistake that lasts keeps its place in the world while
+                the camera turns; without the attitude, its place in the image.
+
+        Raises `QueryError` if the words name no category of the labels, `ImageError` if the panorama is no such
+        array, `RotationError` if the attitude is no rotation.
+        """
+        reports = self.look(panorama, query, world_R_body)
+        response = _drawn(reports, self._grid, self._noise.floor)
+        return Evidence.from_response(response, self._grid, self._calibration, stamp)
+
+    def look(self, ids: np.ndarray, query: str, world_R_body: np.ndarray | None = None) -> list[Report]:
+        """The next look as the list of what is reported: what a call draws; arguments and errors as there."""
+        relation = self._relation(query)
+        turn = np.eye(3) if world_R_body is None else np.asarray(check_rotation(world_R_body, "world_R_body"))
+        flat, areas = _areas(ids, len(self._labels))
+        self._advance()
+        noise, patch = self._noise, math.pi / self._grid.rows
+        rates = np.array([0.0, 1 - noise.miss, noise.confuse_category, noise.confuse_colour])[relation]
+        seen = _ramp(areas, noise.smallest * patch**2)
+        reports = []
+        for thing in np.flatnonzero(self._luck[:-2, 0] < rates * seen).tolist():
+            centre, covariance = _moments(flat, thing)
+            if relation[thing] == _FOUND or np.trace(covariance) <= WIDEST**2:
+                reports.append(self._report(_KINDS[relation[thing]], thing, centre, covariance, turn))
+        if self._luck[-2, 0] < noise.false_alarm:
+            candidates = np.where((relation != _FOUND) & (seen > 0), self._appeal, -1.0)
+            reports.append(self._false_alarm(candidates, flat, turn))
+        return reports
+
+    def _relation(self, query: str) -> np.ndarray:
+        """What each thing is to the query: a place in `_KINDS`."""
+        if not isinstance(query, str) or query not in self._relations:
+            asked = parse_query(query, [thing.category for thing in self._labels])
+            relation = np.zeros(len(self._labels), dtype=np.intp)
+            if asked.colour is not None:
+                relation[[thing.category == asked.category for thing in self._labels]] = _KINDS.index("category")
+                relation[[thing.colour == asked.colour for thing in self._labels]] = _KINDS.index("colour")
+            relation[matching(asked, self._labels)] = _FOUND
+            self._relations[query] = relation
+        return self._relations[query]
+
+    def _advance(self) -> None:
+        """Go on by one frame: each row is kept or drawn anew."""
+        drawn = self._rng.random((len(self._luck), 4))
+        error = self._rng.standard_normal(self._error.shape)
+        anew = drawn[:, 0] >= self._noise.persistence if self._started else np.ones(len(drawn), dtype=bool)
+        anew[-1] = anew[-2]
+        self._luck[anew] = drawn[anew, 1:3]
+        self._error[anew] = error[anew]
+        if anew[-2]:
+            self._appeal, self._alarm = drawn[:-2, 3], None
+        self._started = True
+
+    def _false_alarm(self, candidates: np.ndarray, flat: np.ndarray, turn: np.ndarray) -> Report:
+        """The report that nothing deserves. `candidates` ``(n,)``: appeal of each thing, negative if it is none."""
+        order = np.argsort(-candidates)[: int((candidates >= 0).sum())].tolist()
+        if self._alarm in order:  # it stays where it is
+            order.insert(0, self._alarm)
+        for thing in order:
+            centre, covariance = _moments(flat, thing)
+            if np.trace(covariance) <= WIDEST**2:
+                self._alarm = thing
+                return self._report("false alarm", thing, centre, covariance, turn)
+        self._alarm = None
+        away = turn.T @ self._error[-1]
+        return self._report("false alarm", None, away / np.linalg.norm(away), np.zeros((3, 3)), turn)
+
+    def _report(
+        self, kind: str, thing: int | None, centre: np.ndarray, covariance: np.ndarray, turn: np.ndarray
+    ) -> Report:
+        """A report of what is at `centre`: displaced by the error of its row, widened, with a score."""
+        row = -2 if kind == "false alarm" else thing
+        error = turn.T @ self._error[row] * self._noise.spread
+        placed, carry = _displaced(centre, error)
+        width = self._noise.spread**2 + (math.pi / self._grid.rows / 2) ** 2
+        covariance = carry @ covariance @ carry.T + width * (np.eye(3) - np.outer(placed, placed))
+        score = self._noise.weakest + (1 - self._noise.weakest) * float(self._luck[row, 1])
+        return Report(kind, thing, placed, covariance, score)
+
+
+_KINDS = ("nothing", "found", "category", "colour")
+_FOUND = 1
+_WANTED_IDS = (
+    "truth reads instance ids (H, 2 H), which only a simulator has: use it with `eagor bench run`, or call "
+    "TruthPerception(...).episode(labels, seed) and give that the ids"
+)
+
+
+@lru_cache(maxsize=8)
+def _pixels(rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """Directions ``(n, 3)`` and solid angles ``(n,)`` of the pixels of a panorama, row by row."""
+    grid = PatchGrid(rows, 2 * rows)
+    return grid.directions.reshape(-1, 3), grid.weights.reshape(-1)
+
+
+def _areas(ids: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The ids in a row, checked, and the solid angle ``(count,)`` that each thing covers."""
+    if not isinstance(ids, np.ndarray) or ids.ndim != 2 or ids.dtype.kind not in "iu" or ids.size == 0:
+        what = f"shape {ids.shape}, {ids.dtype}" if isinstance(ids, np.ndarray) else type(ids).__name__
+        raise ImageError(f"the panorama is no map of ids ({what}): {_WANTED_IDS}")
+    if ids.shape[1] != 2 * ids.shape[0]:
+        raise ImageError(f"the ids have shape {ids.shape}; wanted (H, 2 H), a whole equirectangular panorama")
+    flat = ids.reshape(-1)
+    if flat.min() < -1 or flat.max() >= count:
+        raise ImageError(
+            f"the ids run from {flat.min()} to {flat.max()}; wanted -1 (nothing) to {count - 1}, the places in the "
+            f"{count} labels of this episode. Are the labels those of this scene?"
+        )
+    return flat, np.bincount(flat.astype(np.intp) + 1, _pixels(ids.shape[0])[1], count + 1)[1:]
+
+
+def _ramp(areas: np.ndarray, smallest: float) -> np.ndarray:
+    """How well things of these solid angles are seen: 0 up to a quarter of `smallest`, 1 from it on, smooth between."""
+    if smallest == 0:
+        return (areas > 0).astype(float)
+    t = np.clip((areas / smallest - 0.25) / 0.75, 0.0, 1.0)
+    return t * t * (3 - 2 * t)
+
+
+def _moments(flat: np.ndarray, thing: int) -> tuple[np.ndarray, np.ndarray]:
+    """Mean direction ``(3,)`` of what is visible of a thing, and its covariance ``(3, 3)`` in the tangent plane."""
+    where = np.flatnonzero(flat == thing)
+    directions, weights = _pixels(math.isqrt(len(flat) // 2))
+    points, share = directions[where], weights[where]
+    share = share / share.sum()
+    centre = share @ points
+    length = math.sqrt(centre @ centre)
+    if length < 1e-9:  # it is all around: any direction is as good
+        centre, length = points[0], 1.0
+    centre = centre / length
+    cosine = points @ centre
+    offsets = (points - cosine[:, None] * centre) * np.sqrt(_stretch(cosine))[:, None]
+    return centre, (offsets * share[:, None]).T @ offsets
+
+
+def _stretch(cosine: np.ndarray) -> np.ndarray:
+    """(angle / sin(angle))^2: from squared chords in the tangent plane to squared angles."""
+    cosine = np.clip(cosine, -1.0, 1.0)
+    return np.arccos(cosine) ** 2 / np.maximum(1 - cosine * cosine, 1e-15)
+
+
+def _displaced(centre: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`centre` moved by the part of `error` in its tangent plane, and the turn ``(3, 3)`` that carries it there.
+
+    The part of an isotropic error in a plane is isotropic there, with the same standard deviation per axis.
+    """
+    along = error - (error @ centre) * centre
+    length = math.sqrt(along @ along)
+    if length < 1e-12:
+        return centre, np.eye(3)
+    angle = min(length, _FARTHEST)
+    placed = math.cos(angle) * centre + (math.sin(angle) / length) * along
+    placed = placed / math.sqrt(placed @ placed)
+    middle = centre + placed
+    turn = np.eye(3) - np.outer(middle, middle) / (1 + centre @ placed) + 2 * np.outer(placed, centre)
+    return placed, turn
+
+
+@lru_cache(maxsize=8)
+def _products(grid: PatchGrid) -> tuple[np.ndarray, np.ndarray]:
+    """Directions ``(n, 3)`` of the cells and their outer products ``(n, 9)``."""
+    cells = grid.directions.reshape(-1, 3)
+    return cells, (cells[:, :, None] * cells[:, None, :]).reshape(-1, 9)
+
+
+def _drawn(reports: list[Report], grid: PatchGrid, floor: float) -> np.ndarray:
+    """The response ``(rows, columns)``: a Gaussian for each report, the highest of them where they overlap."""
+    if not reports:
+        return np.full(grid.shape, floor, dtype=np.float32)
+    cells, products = _products(grid)
+    centres = np.stack([report.direction for report in reports])
+    along = centres[:, :, None] * centres[:, None, :]
+    # Inverse within the tangent plane: complete the covariance along the direction, and take that out again.
+    precision = np.linalg.inv(np.stack([report.covariance for report in reports]) + along) - along
+    cosine = cells @ centres.T
+    squared = (products @ precision.reshape(-1, 9).T) * _stretch(cosine)
+    # At the opposite point every way leads there, and the quotient above is noise: take the mean of all ways.
+    opposite = 0.5 * math.pi**2 * np.trace(precision, axis1=1, axis2=2)
+    squared = np.where(cosine > -0.999999, squared, opposite)
+    scores = np.array([report.score for report in reports])
+    response = (scores * np.exp(-0.5 * squared)).max(axis=1)
+    return np.maximum(response, floor).astype(np.float32).reshape(grid.shape)

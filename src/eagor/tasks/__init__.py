@@ -1,0 +1,28 @@
+"""The simulated tasks: Waypoint Following, Map-Free Navigation, Target Direction Estimation.
+
+``import eagor.tasks`` registers them with Gymnasium, so that ``gymnasium.make("Eagor/MapFreeNavigation-v0")`` works.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+ENVIRONMENTS = {
+    "Eagor/WaypointFollowing-v0": "WaypointFollowingEnv",
+    "Eagor/MapFreeNavigation-v0": "MapFreeNavigationEnv",
+    "Eagor/TargetTracking-v0": "TargetTrackingEnv",
+}
+
+
+def register() -> None:
+    """Register the environments with Gymnasium; once is enough, twice does no harm."""
+    if find_spec("gymnasium") is None:
+        return
+    import gymnasium
+
+    for name, kind in ENVIRONMENTS.items():
+        if name not in gymnasium.registry:
+            gymnasium.register(name, entry_point=f"eagor.tasks.environments:{kind}")
+
+
+register()

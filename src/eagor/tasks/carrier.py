@@ -1,0 +1,90 @@
+"""The body that carries the camera: where it really is, and where its odometry believes it is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from eagor.sphere import world_R_body
+from eagor.tasks.rules import Camera, Disturbances
+
+BOBS_PER_SECOND = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Of the camera: `position` ``(3,)`` metres, `world_R_body` ``(3, 3)``."""
+
+    position: np.ndarray
+    world_R_body: np.ndarray
+
+    def towards(self, point: np.ndarray) -> tuple[np.ndarray, float]:
+        """Direction ``(3,)`` in the body frame and distance (metres) of a point of the world."""
+        offset = self.world_R_body.T @ (np.asarray(point) - self.position)
+        distance = float(np.linalg.norm(offset))
+        return (offset / distance if distance > 0 else np.array([1.0, 0.0, 0.0])), distance
+
+
+@dataclass
+class Carrier:
+    """Moves about on the floor. `rng` draws the odometry's drift.
+
+    The body's heading is the direction that it walks in; bobbing and swaying come on top.
+    """
+
+    camera: Camera
+    disturbances: Disturbances
+    rng: np.random.Generator
+    xy: np.ndarray
+    yaw: float
+    steps: int = 0
+    walked: float = 0.0
+    _believed_xy: np.ndarray = field(init=False)
+    _believed_yaw: float = field(init=False)
+    _scale: float = field(init=False)
+    _phase: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._believed_xy, self._believed_yaw = self.xy.copy(), self.yaw
+        self._scale = 1.0 + self.disturbances.scale_drift * float(self.rng.standard_normal())
+        self._phase = float(self.rng.uniform(0, 2 * math.pi))
+
+    @property
+    def stamp(self) -> float:
+        """Seconds since the start."""
+        return self.steps * self.camera.seconds
+
+    def move(self, xy: np.ndarray, yaw: float) -> None:
+        """One step: to where the body stands and faces now."""
+        step, turned = xy - self.xy, math.remainder(yaw - self.yaw, 2 * math.pi)
+        length = float(np.hypot(*step))
+        slip = math.radians(self.disturbances.yaw_drift) * math.sqrt(length) * float(self.rng.standard_normal())
+        # What the wheels or legs measured: the step as seen from the body, a little too long and a little turned.
+        off = self._believed_yaw - self.yaw
+        c, s = math.cos(off), math.sin(off)
+        self._believed_xy = self._believed_xy + self._scale * np.array(
+            [c * step[0] - s * step[1], s * step[0] + c * step[1]]
+        )
+        self._believed_yaw += turned + slip
+        self.xy, self.yaw = np.asarray(xy, dtype=np.float64), yaw
+        self.walked += length
+        self.steps += 1
+
+    @property
+    def pose(self) -> Pose:
+        """Where the camera really is."""
+        return self._pose(self.xy, self.yaw)
+
+    @property
+    def odometry(self) -> Pose:
+        """Where the odometry says that it is."""
+        return self._pose(self._believed_xy, self._believed_yaw)
+
+    def _pose(self, xy: np.ndarray, yaw: float) -> Pose:
+        phase = self._phase + 2 * math.pi * BOBS_PER_SECOND * self.stamp * 0.93  # never in step with the panoramas
+        height = self.camera.height + self.disturbances.bob * math.sin(phase)
+        sway = math.radians(self.disturbances.sway)
+        turned = world_R_body(yaw, sway * math.sin(phase / 2 + 1.0), sway * math.sin(phase / 2))
+        return Pose(np.array([xy[0], xy[1], height]), turned)

@@ -1,0 +1,95 @@
+"""What an episode is, the same for every method that plays it, and how the episodes of a run are numbered.
+
+A run of N episodes with seed S uses the apartments S, S + 1, ..., with `PER_PLACE` episodes in each. Everything random
+about an episode comes from its identity, never from what was played before: any part of a run can be played alone, on
+any number of workers, and gives the same episodes.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from eagor.errors import WorldError
+from eagor.tasks.places import APARTMENT, SEEDS, Place
+
+PER_PLACE = 5
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A place in a run: the `number`-th episode of the run, the `index`-th in the world of this `seed`."""
+
+    task: str
+    world: str
+    seed: int
+    index: int
+    number: int
+
+    @property
+    def id(self) -> str:
+        """Stable name: seed of the apartment, and which of its episodes."""
+        return f"{self.seed}-{self.index}"
+
+    def rng(self, purpose: str) -> np.random.Generator:
+        """A generator of its own for each purpose."""
+        name = f"{self.task}/{self.world}/{self.id}/{purpose}"
+        return np.random.default_rng([zlib.crc32(name.encode()), self.seed, self.index])
+
+
+@dataclass(frozen=True)
+class Episode:
+    """Where it happens, what is looked for, and where the body starts.
+
+    `targets`: ids of the things that the query names; `start`: x, y in metres; `yaw`: radians; `stratum`: what kind of
+    episode it is, for tables; `shortest`: geodesic metres from the start to the nearest target's footprint.
+    """
+
+    slot: Slot
+    scene: str
+    scene_hash: str
+    query: str
+    targets: tuple[int, ...]
+    start: tuple[float, float]
+    yaw: float
+    shortest: float
+    stratum: dict[str, Any] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """For records and reports."""
+        known = {"id": self.slot.id, "seed": self.slot.seed, "world": self.slot.world, "index": self.slot.index}
+        return known | {key: value for key, value in asdict(self).items() if key not in ("slot", "route")}
+
+
+def slots(task: str, count: int, seed: int, world: str = APARTMENT) -> Iterator[Slot]:
+    """The places of a run. Raises `WorldError` where the seeds do not reach."""
+    if count < 1:
+        raise WorldError(f"{count} episodes; wanted 1 or more")
+    places = (count + PER_PLACE - 1) // PER_PLACE
+    if not 0 <= seed <= SEEDS - places:
+        raise WorldError(
+            f"{count} episodes from seed {seed} need apartments {seed} to {seed + places - 1}; "
+            f"there are 0 to {SEEDS - 1}"
+        )
+    for number in range(count):
+        yield Slot(task, world, seed + number // PER_PLACE, number % PER_PLACE, number)
+
+
+def heading_to(start: np.ndarray, goal: np.ndarray) -> float:
+    """Yaw (radians) from one point ``(2,)`` of the floor to another."""
+    return float(np.arctan2(goal[1] - start[1], goal[0] - start[0]))
+
+
+def choose_target(place: Place, rng: np.random.Generator) -> Iterator[tuple[int, str]]:
+    """The nameable things of a place in random order, with their names: every category is as likely as any other."""
+    by_category: dict[str, list[int]] = {}
+    names = place.nameable()
+    for index in names:
+        by_category.setdefault(place.scene.instances[index].category, []).append(index)
+    for category in rng.permutation(sorted(by_category)):
+        for index in rng.permutation(by_category[str(category)]):
+            yield int(index), str(names[int(index)])

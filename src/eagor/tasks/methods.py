@@ -1,0 +1,254 @@
+"""Every method behind one face: told where the odometry believes the camera to be, fed evidence, asked for a direction.
+
+A method is named by a line of text: ``eagor``, ``vmf``, or a variant such as ``eagor:degree=7,decode=mean``. All of
+them take late evidence the same way: it counts for the moment at which its panorama was taken. Our tracker does so by
+itself; the filters, which only know `predict` and `update`, are rewound to that moment and brought forward again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from eagor.baselines import (
+    GRID,
+    Centroid,
+    CircularCentroid,
+    DirectionFilter,
+    GridFilter,
+    HistogramFilter,
+    ParticleFilter,
+    VonMisesFisherFilter,
+)
+from eagor.errors import EagorError, TimeError
+from eagor.evidence import Calibration, Evidence
+from eagor.ranged import log_ranges
+from eagor.tracker import DirectionTracker, Estimate, TrackerConfig
+
+PARTICLES = 2000
+REWIND = 64  # steps that a filter can be rewound by
+
+# What each is, for reports; the order of tables.
+DESCRIPTIONS = {
+    "centroid": "mean pixel of the response, frame by frame",
+    "cent_circ": "the same, with a circular mean of the azimuth",
+    "grid": "log responses on a pixel grid, resampled at each turn, read at the maximum",
+    "eagor_paper": "EAGOR as published: degree 7, log(l + 0.001) scaled per frame, spherical mean",
+    "vmf": "von Mises-Fisher filter: one direction and one concentration",
+    "grid_filter": "Bayes filter on a grid of probabilities",
+    "particle_filter": f"particle filter, {PARTICLES} directions",
+    "eagor": "our tracker: belief over direction and distance, degree 15, read at its mode",
+}
+NAMES = tuple(DESCRIPTIONS)
+ORACLE = "oracle"  # is told the true direction: the ceiling that geometry and policy leave
+
+
+class Method(Protocol):
+    """What estimates the direction of the target."""
+
+    def move(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
+        """The pose at `stamp`, as the odometry has it; every step once, before its evidence."""
+        ...
+
+    def see(self, evidence: Evidence) -> None:
+        """Evidence, stamped with a time at which the method was moved, perhaps some steps ago."""
+        ...
+
+    def direction(self) -> np.ndarray:
+        """The estimate ``(3,)``, in the body frame of the last pose."""
+        ...
+
+    def mass_above(self, direction: np.ndarray) -> float | None:
+        """Mass of the smallest credible region that reaches `direction`; None for methods without a distribution."""
+        ...
+
+    def distance(self) -> float | None:
+        """Metres to the target; None for methods that do not know."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A moment of a filter: its pose, and the filter just before the evidence of that moment, and that evidence."""
+
+    stamp: float
+    world_R_body: np.ndarray
+    position: np.ndarray | None
+    before: DirectionFilter
+    looks: tuple[Evidence, ...] = ()
+
+    def after(self) -> DirectionFilter:
+        """The filter with this moment's evidence."""
+        state = self.before
+        for look in self.looks:
+            state = state.update(look)
+        return state
+
+
+@dataclass
+class FilterMethod:
+    """A filter of `eagor.baselines`, with a bounded memory of its steps so that it can be rewound."""
+
+    filter: DirectionFilter
+    steps: list[_Step] = field(default_factory=list)
+
+    def move(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
+        if self.steps:
+            self.filter = _carried(self.filter, self.steps[-1], world_R_body, position)
+        self.steps.append(_Step(stamp, world_R_body, position, self.filter))
+        del self.steps[:-REWIND]
+
+    def see(self, evidence: Evidence) -> None:
+        place = next((i for i in reversed(range(len(self.steps))) if self.steps[i].stamp == evidence.stamp), None)
+        if place is None:
+            raise TimeError(f"evidence of t = {evidence.stamp} s fits none of the last {len(self.steps)} steps")
+        self.steps[place] = replace(self.steps[place], looks=(*self.steps[place].looks, evidence))
+        if place == len(self.steps) - 1:
+            self.filter = self.filter.update(evidence)
+            return
+        state = self.steps[place].after()
+        for index in range(place + 1, len(self.steps)):
+            step = self.steps[index]
+            self.steps[index] = step = replace(
+                step, before=_carried(state, self.steps[index - 1], step.world_R_body, step.position)
+            )
+            state = step.after()
+        self.filter = state
+
+    def direction(self) -> np.ndarray:
+        return np.asarray(self.filter.direction())
+
+    def mass_above(self, direction: np.ndarray) -> float | None:
+        density = getattr(self.filter, "log_density", None)
+        if density is None:
+            return None
+        values, truth = density(GRID.directions), float(density(np.asarray(direction)[None])[0])
+        return float(np.sum((np.exp(values) * GRID.weights)[values > truth]))
+
+    def distance(self) -> float | None:
+        return None
+
+
+def _carried(state: DirectionFilter, last: _Step, world_R_body: np.ndarray, position: np.ndarray | None) -> Any:
+    """`state` after the motion from `last` to here."""
+    known = position is not None and last.position is not None
+    moved = world_R_body.T @ (position - last.position) if known else None  # type: ignore[operator]
+    return state.predict(world_R_body.T @ last.world_R_body, moved)
+
+
+@dataclass
+class TrackerMethod:
+    """Our tracker, or a variant of it."""
+
+    tracker: DirectionTracker
+    now: float = 0.0
+    _estimate: Estimate | None = None
+
+    def move(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
+        self.tracker.rotate(stamp, world_R_body, position if self.tracker.config.ranges is not None else None)
+        self.now = stamp
+        self._estimate = None
+
+    def see(self, evidence: Evidence) -> None:
+        self.tracker.observe(evidence)
+        self._estimate = None
+
+    @property
+    def estimate(self) -> Estimate:
+        """The tracker's answer at the last pose, computed once."""
+        if self._estimate is None:
+            self._estimate = self.tracker.estimate(self.now)
+        return self._estimate
+
+    def direction(self) -> np.ndarray:
+        return self.estimate.direction
+
+    def mass_above(self, direction: np.ndarray) -> float | None:
+        return self.estimate.mass_above(direction)
+
+    def distance(self) -> float | None:
+        return self.estimate.distance
+
+
+def make_method(name: str, rng: np.random.Generator) -> Method:
+    """The method that `name` says; `rng` is for those that draw. Raises `EagorError` for a name that is none."""
+    base, _, text = name.partition(":")
+    if base not in _MAKERS:
+        raise EagorError(
+            f"there is no method {base!r}; known are {', '.join(NAMES)}, and variants such as eagor:degree=7"
+        )
+    settings = _settings(name, text)
+    try:
+        return _MAKERS[base](settings, rng)
+    except KeyError as error:
+        raise EagorError(f"method {name!r}: there is no setting {error}; known are {', '.join(_SETTINGS)}") from None
+
+
+def _settings(name: str, text: str) -> dict[str, str]:
+    pairs = [item.partition("=") for item in text.split(",") if item]
+    if any(not (key and equals and value) for key, equals, value in pairs):
+        raise EagorError(f"method {name!r}: wanted name:key=value,key=value, such as eagor:degree=7,decode=mean")
+    return {key: value for key, _, value in pairs}
+
+
+_SETTINGS = ("degree", "decode", "floor", "neutral", "temperature", "keep", "shells", "diffusion")
+
+
+def tracker_config(config: TrackerConfig, settings: dict[str, str]) -> TrackerConfig:
+    """`config` with settings from text; raises KeyError for one that there is not.
+
+    degree, decode, keep (per second), shells (0: directions only), diffusion (degrees per root second), and the
+    calibration's floor, neutral and temperature.
+    """
+    if unknown := [key for key in settings if key not in _SETTINGS]:
+        raise KeyError(unknown[0])
+    try:
+        numbers = {key: float(value) for key, value in settings.items() if key != "decode"}
+    except ValueError as error:
+        raise EagorError(f"a setting wants a number: {error}") from None
+    if settings.get("decode", "mode") not in ("mode", "mean"):
+        raise EagorError(f"decode = {settings['decode']!r}; wanted mode or mean")
+    changes: dict[str, Any] = {}
+    if "degree" in numbers:
+        changes["degree"] = int(numbers["degree"])
+    if "decode" in settings:
+        changes["decode"] = settings["decode"]
+    if "keep" in numbers:
+        changes["keep_per_second"] = numbers["keep"]
+    if "diffusion" in numbers:
+        changes["diffusion"] = float(np.radians(numbers["diffusion"]))
+    if "shells" in numbers:
+        count = int(numbers["shells"])
+        changes["ranges"] = tuple(log_ranges(count=count).tolist()) if count else None
+    reading = {key: numbers[key] for key in ("floor", "neutral", "temperature") if key in numbers}
+    if reading:
+        changes["calibration"] = replace(config.calibration or Calibration(), scale_to_max=False, **reading)
+    return replace(config, **changes)
+
+
+def _plain(make: Callable[[np.random.Generator], DirectionFilter]) -> Callable[..., Method]:
+    def made(settings: dict[str, str], rng: np.random.Generator) -> Method:
+        if settings:
+            raise EagorError(f"this method has no settings; got {', '.join(settings)}")
+        return FilterMethod(make(rng))
+
+    return made
+
+
+def _tracking(config: TrackerConfig) -> Callable[..., Method]:
+    return lambda settings, rng: TrackerMethod(DirectionTracker(tracker_config(config, settings)))
+
+
+_MAKERS: dict[str, Callable[..., Method]] = {
+    "centroid": _plain(lambda rng: Centroid()),
+    "cent_circ": _plain(lambda rng: CircularCentroid()),
+    "grid": _plain(lambda rng: GridFilter()),
+    "eagor_paper": _tracking(TrackerConfig.paper()),
+    "vmf": _plain(lambda rng: VonMisesFisherFilter()),
+    "grid_filter": _plain(lambda rng: HistogramFilter()),
+    "particle_filter": _plain(lambda rng: ParticleFilter.uniform(PARTICLES, rng)),
+    "eagor": _tracking(TrackerConfig()),
+}

@@ -1,0 +1,114 @@
+"""Map-Free Navigation: start facing away from the target, and go a fixed step along the estimate until it is reached.
+
+Episodes come in strata: in two thirds of them the target is visible at the start, and in half of them the way is longer
+than the straight line by more than a fifth, so that going straight at it means walls.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from eagor import metrics
+from eagor.errors import WorldError
+from eagor.sphere import world_R_body
+from eagor.tasks.episodes import Episode, Slot, choose_target, heading_to
+from eagor.tasks.places import Place, load_place, pixels_of
+from eagor.tasks.rules import Camera, NavigationRules
+
+# (visible at the start, winding way), over and over: two thirds visible, half winding.
+STRATA = ((True, False), (False, True), (True, True), (True, False), (False, True), (True, False))
+TRIES = 40  # starts looked at per target and stratum
+
+
+def plan(slot: Slot, camera: Camera, rules: NavigationRules) -> Episode:
+    """The episode of this slot. Raises `WorldError` if the world has nothing to walk to under these rules."""
+    place = load_place(slot.world, slot.seed, camera.radius)
+    rng = slot.rng("plan")
+    visible, winding = STRATA[slot.number % len(STRATA)]
+    # What was wanted first, then whatever the apartment can offer: few have every kind of start.
+    for wanted in ((visible, winding), (visible, not winding), (not visible, winding), (not visible, not winding)):
+        for target, query in choose_target(place, rng):
+            start = _start(place, target, wanted, camera, rules, rng)
+            if start is not None:
+                xy, shortest, ratio = start
+                # The bearing to the target, turned so that it lies behind, give or take.
+                away = math.pi + math.radians(rules.facing_away) * float(rng.uniform(-1, 1))
+                yaw = math.remainder(heading_to(xy, place.scene.instances[target].centre[:2]) + away, 2 * math.pi)
+                kind = {
+                    "visible": wanted[0],
+                    "way": "winding" if wanted[1] else "direct",
+                    "ratio": round(ratio, 3),
+                    "category": place.scene.instances[target].category,
+                }
+                return Episode(
+                    slot=slot,
+                    scene=place.scene.source,
+                    scene_hash=place.scene.hash,
+                    query=query,
+                    targets=(target,),
+                    start=(float(xy[0]), float(xy[1])),
+                    yaw=yaw,
+                    shortest=shortest,
+                    stratum=kind,
+                )
+    raise WorldError(
+        f"{place.scene.source} has nothing to walk to that is {rules.nearest} to {rules.farthest} m away; "
+        "widen the rules, or leave this world out"
+    )
+
+
+def _start(
+    place: Place,
+    target: int,
+    wanted: tuple[bool, bool],
+    camera: Camera,
+    rules: NavigationRules,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, float, float] | None:
+    """A start of the wanted kind for this target: its point, its geodesic distance, and that over the straight line."""
+    thing, visible, winding = place.scene.instances[target], *wanted
+    rows, cols = np.nonzero(place.ground.free)
+    points = place.ground.origin + (np.stack([cols, rows], axis=-1) + 0.5) * place.ground.cell
+    geodesic = place.way_to((target,)).metres[rows, cols]
+    straight = distance_to_box(points, thing.low[:2], thing.high[:2])
+    ratio = geodesic / np.maximum(straight, 1e-6)
+    fits = (geodesic >= rules.nearest) & (geodesic <= rules.farthest) & (ratio <= rules.ratio)
+    fits &= (ratio > rules.winding_above) if winding else (ratio <= rules.winding_above)
+    candidates = np.flatnonzero(fits)
+    for choice in rng.permutation(candidates)[:TRIES]:
+        position = np.array([*points[choice], camera.height])
+        seen = pixels_of(place.ids(position, world_R_body(0.0)), (target,)) >= rules.visible_pixels
+        if seen == visible:
+            return points[choice], float(geodesic[choice]), float(ratio[choice])
+    return None
+
+
+def distance_to_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Straight distance (metres) of points ``(n, 2)`` of the floor from a footprint."""
+    return np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=-1)
+
+
+def score(rules: NavigationRules, shortest: float, distance: float, path: float, stopped: bool) -> dict[str, float]:
+    """Habitat's measures of one episode: success, spl, soft_spl (0 to 1)."""
+    won = metrics.success([distance], [stopped], rules.success_distance)
+    return {
+        "success": float(won[0]),
+        "spl": float(metrics.spl(won, [shortest], [path])[0]),
+        "soft_spl": float(metrics.soft_spl([distance], [shortest], [path])[0]),
+    }
+
+
+def measure(trace: dict[str, list[Any]], directions: np.ndarray) -> dict[str, float | int | None]:
+    """What the trace of one episode says about the estimate: mae, seam crossings, coverage.
+
+    `directions` ``(n, 3)`` are the target's true directions, body frame.
+    """
+    inside = [value for value in trace["inside"] if value is not None]
+    return {
+        "mae": metrics.mean_error(trace["error_deg"]),
+        "seam_crossings": int(metrics.seam_crossings(directions).sum()),
+        "coverage": metrics.credible_coverage(inside) if inside else None,
+    }

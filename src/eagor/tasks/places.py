@@ -1,0 +1,84 @@
+"""Places: a scene with its ground plan and its renderer, made once and kept while it is in use."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from eagor.queries import Query
+from eagor.worlds.ground import Field, Ground
+from eagor.worlds.render import Renderer
+from eagor.worlds.scene import STRUCTURE, Scene
+
+APARTMENT = "apartment"
+SEEDS = 10_000  # apartments are numbered from 0 to here;
+DEVELOPMENT = range(SEEDS // 5)  # the first fifth is for choosing parameters, and never for results
+REPORT = range(SEEDS // 5, SEEDS)
+LOOK_ROWS = 64  # of the id panoramas that decide what is visible, and that `truth` reads
+UNTARGETED = (*STRUCTURE, "ceiling lamp", "rug", "painting", "vase", "book", "books", "curtain")  # not worth walking to
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Somewhere to walk and look."""
+
+    scene: Scene
+    ground: Ground
+    renderer: Renderer
+
+    def ids(self, position: np.ndarray, world_R_body: np.ndarray, rows: int = LOOK_ROWS) -> np.ndarray:
+        """Which instance each direction shows: an equirectangular image ``(rows, 2 rows)``, -1 for none."""
+        ids = self.renderer.panorama(position, world_R_body, rows, rgb=False, range=False).ids
+        assert ids is not None
+        return ids
+
+    def nameable(self) -> dict[int, Query]:
+        """The things that one query, "[colour] category", singles out, by their place in the scene."""
+        found: dict[Query, list[int]] = {}
+        for index, thing in enumerate(self.scene.instances):
+            if thing.category not in UNTARGETED:
+                found.setdefault(Query(thing.category, thing.colour), []).append(index)
+        count = Counter(thing.category for thing in self.scene.instances)
+        names = {}
+        for query, members in found.items():
+            if count[query.category] == 1:
+                names[members[0]] = Query(query.category)  # the only sofa is asked for as "sofa",
+            elif len(members) == 1 and query.colour:
+                names[members[0]] = query  # one of several chairs by its colour
+        return names
+
+    def way_to(self, targets: tuple[int, ...]) -> Field:
+        """Geodesic distance to the nearest of the targets' footprints."""
+        return _way_to(self, targets)
+
+
+@lru_cache(maxsize=256)
+def _way_to(place: Place, targets: tuple[int, ...]) -> Field:
+    fields = [place.ground.footprint(place.scene.instances[target]) for target in targets]
+    return fields[0].union(*fields[1:]) if len(fields) > 1 else fields[0]
+
+
+@lru_cache(maxsize=4)
+def load_place(world: str, seed: int, radius: float) -> Place:
+    """The apartment of this seed, or the GLB file that `world` names, with a ground plan for a body of this radius.
+
+    Raises `WorldError` if there is no such world.
+    """
+    if world == APARTMENT:
+        from eagor.worlds.apartment import generate
+
+        scene = generate(seed)
+    else:
+        from eagor.worlds.glb import import_glb
+
+        scene = import_glb(Path(world))
+    return Place(scene, Ground.from_scene(scene, radius=radius), Renderer(scene))
+
+
+def pixels_of(ids: np.ndarray, targets: tuple[int, ...]) -> int:
+    """How many pixels of an id image show one of the targets."""
+    return int(sum(np.count_nonzero(ids == target) for target in targets))

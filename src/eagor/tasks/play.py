@@ -1,0 +1,249 @@
+"""Playing an episode: every method on the same responses, and a record of what came of it.
+
+Waypoint and tracking episodes are open loop: the camera goes its way, and all methods see the same evidence. In
+navigation the estimate decides where the camera goes, so each method plays the episode alone; the perception's mistakes
+are drawn from the same seed for all of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from eagor import metrics
+from eagor.conventions import rotation_from_wxyz, wxyz_from_rotation
+from eagor.errors import EagorError
+from eagor.evidence import Evidence
+from eagor.sphere import azimuth_elevation
+from eagor.tasks import navigation, tracking, waypoint
+from eagor.tasks.environments import MapFreeNavigationEnv, PlaceEnv, TargetTrackingEnv, WaypointFollowingEnv
+from eagor.tasks.episodes import Episode, Slot
+from eagor.tasks.eyes import Eye, is_privileged, open_eye
+from eagor.tasks.methods import ORACLE, Method, make_method
+from eagor.tasks.policy import Policy
+from eagor.tasks.rules import Camera, Disturbances, NavigationRules, TrackingRules, WaypointRules, from_dict
+
+MASS = 0.9  # of the credible regions whose coverage is measured
+RULES = {"waypoint": WaypointRules, "navigation": NavigationRules, "tracking": TrackingRules}
+_ENVIRONMENTS = {"waypoint": WaypointFollowingEnv, "navigation": MapFreeNavigationEnv, "tracking": TargetTrackingEnv}
+_PLANS: dict[str, Callable[..., Episode]] = {
+    "waypoint": waypoint.plan,
+    "navigation": navigation.plan,
+    "tracking": tracking.plan,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """One step of an open-loop episode: the pose as the odometry has it, and the evidence that arrives (if any)."""
+
+    stamp: float
+    world_R_body: np.ndarray
+    position: np.ndarray
+    evidence: Evidence | None
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """An open-loop episode of n steps.
+
+    `truth`: lists for the record; `directions` ``(n, 3)``: the target's, body frame (held while it is away);
+    `rotations` ``(n - 1, 3, 3)`` and `translations` ``(n - 1, 3)``: the camera's true motions.
+    """
+
+    episode: Episode
+    truth: dict[str, list[Any]]
+    moments: tuple[Moment, ...]
+    directions: np.ndarray
+    rotations: np.ndarray
+    translations: np.ndarray
+
+
+class Player:
+    """Plays the episodes of one run.
+
+    `config`: task, perception (as `eagor.perception.load` reads it), rules, camera, disturbances (JSON of
+    `eagor.tasks.rules`), rows (of the panorama; unused where the perception reads ids).
+    """
+
+    def __init__(self, config: dict[str, Any], perception: Any = None) -> None:
+        if perception is None:
+            from eagor.perception import load
+
+            perception = load(config["perception"])
+        self.task: str = config["task"]
+        if self.task not in RULES:
+            raise EagorError(f"there is no task {self.task!r}; known are {', '.join(RULES)}")
+        self.perception = perception
+        self.camera = from_dict(Camera, config["camera"])
+        self.disturbances = from_dict(Disturbances, config["disturbances"])
+        self.rules: Any = from_dict(RULES[self.task], config["rules"])
+        rows = None if is_privileged(perception) else int(config["rows"])
+        self.env: PlaceEnv = _ENVIRONMENTS[self.task](
+            rules=self.rules, camera=self.camera, disturbances=self.disturbances, panorama=rows
+        )
+
+    def plan(self, slot: Slot) -> Episode:
+        """The episode of this slot."""
+        return _PLANS[self.task](slot, self.camera, self.rules)
+
+    def play(
+        self, slot: Slot, names: list[str], watch: Callable[[Method | None], object] | None = None
+    ) -> dict[str, Any]:
+        """The record of one episode: its description, the truth, and each method's metrics and trace.
+
+        `watch`, for navigation, is called with the method after each of its answers.
+        """
+        episode = self.plan(slot)
+        body: dict[str, Any] = {"task": self.task, "episode": episode.as_json()}
+        if self.task == "navigation":
+            return body | {"methods": {name: self._navigate(episode, name, watch) for name in names}}
+        recording = self.record(episode)
+        judged = {name: self.judge(recording, make_method(name, slot.rng("method"))) for name in names}
+        return body | {"truth": recording.truth, "methods": judged}
+
+    def _begin(self, episode: Episode) -> tuple[dict, dict, Eye]:
+        observation, info = self.env.reset(options={"episode": episode})
+        seed = int(episode.slot.rng("perception").integers(1 << 31))
+        return observation, info, open_eye(self.perception, info["instances"]["labels"], seed)
+
+    def _look(self, eye: Eye, observation: dict, info: dict) -> Evidence:
+        """The evidence of this step, stamped with the time of capture."""
+        stamp = info["num_steps"] * self.camera.seconds
+        image = info["instances"]["ids"] if eye.privileged else observation["panorama"]
+        return eye.look(image, info["query"], stamp, info["truth"]["world_R_body"])
+
+    def _navigate(self, episode: Episode, name: str, watch: Callable[[Method | None], object] | None) -> dict[str, Any]:
+        """One method through one episode of navigation, closed loop."""
+        observation, info, eye = self._begin(episode)
+        method = None if name == ORACLE else make_method(name, episode.slot.rng("method"))
+        trace: dict[str, list[Any]] = defaultdict(list)
+        policy = Policy(self.camera.step, self.rules.detour)
+        waiting: list[Evidence] = []
+        directions, over = [], False
+        while not over:
+            waiting.append(self._look(eye, observation, info))
+            due = waiting.pop(0) if len(waiting) > self.disturbances.latency else None
+            direction = (
+                info["truth"]["direction"] if method is None else _told(method, observation, info, due, self.camera)
+            )
+            directions.append(info["truth"]["direction"])
+            _note_truth(trace, info, "true_")
+            _note_answer(trace, method, direction, directions[-1])
+            if watch is not None:
+                watch(method)
+            pose = observation["pose"]
+            ahead = rotation_from_wxyz(pose[3:])[:, 0]
+            azimuth, yaw = float(azimuth_elevation(direction)[0]), math.atan2(ahead[1], ahead[0])
+            heading = policy.heading(azimuth, pose[:2], yaw)
+            observation, _, terminated, truncated, info = self.env.step(np.array([heading, self.camera.step]))
+            over = terminated or truncated
+        found = navigation.measure(trace, np.array(directions))
+        found |= {key: info[key] for key in ("success", "spl", "soft_spl")}
+        found |= {
+            "distance_to_goal": info["distance_to_goal"] if math.isfinite(info["distance_to_goal"]) else None,
+            "steps": info["num_steps"],
+            "path_m": self.env.body.walked,
+            "shortest_m": episode.shortest,
+            "collisions": info["collisions"]["count"],
+        }
+        return {"metrics": _rounded(found), "trace": dict(trace)}
+
+    def record(self, episode: Episode) -> Recording:
+        """An open-loop episode as every method will meet it: poses, responses, and what was true."""
+        observation, info, eye = self._begin(episode)
+        truth: dict[str, list[Any]] = defaultdict(list)
+        moments, directions, poses, places = [], [], [], []
+        waiting: list[Evidence] = []
+        over = False
+        while True:
+            waiting.append(self._look(eye, observation, info))
+            due = waiting.pop(0) if len(waiting) > self.disturbances.latency else None
+            true, pose = info["truth"], observation["pose"]
+            stamp = info["num_steps"] * self.camera.seconds
+            moments.append(Moment(stamp, rotation_from_wxyz(pose[3:]), pose[:3], due))
+            _note_truth(truth, info, "")
+            truth["present"].append(bool(true["present"]))
+            if "waypoint" in info:
+                truth["leg"].append(info["waypoint"]["leg"])
+            directions.append(true["direction"] if true["present"] else directions[-1])
+            poses.append(true["world_R_body"])
+            places.append(true["position"])
+            if over:
+                break
+            observation, _, terminated, truncated, info = self.env.step(directions[-1])
+            over = terminated or truncated
+        true_directions = np.array(directions)
+        truth["seam"] = metrics.seam_crossings(true_directions).tolist()
+        motion = metrics.ego_motion(np.array(poses), np.array(places))
+        return Recording(episode, dict(truth), tuple(moments), true_directions, *motion)
+
+    def judge(self, recording: Recording, method: Method) -> dict[str, Any]:
+        """What a method makes of a recorded episode: metrics and trace."""
+        trace: dict[str, list[Any]] = defaultdict(list)
+        said = []
+        for index, moment in enumerate(recording.moments):
+            method.move(moment.stamp, moment.world_R_body, moment.position)
+            if moment.evidence is not None:
+                method.see(moment.evidence)
+            said.append(method.direction())
+            true = recording.directions[index] if recording.truth["present"][index] else None
+            _note_answer(trace, method, said[-1], true)
+        estimates, truth, motion = np.array(said), recording.truth, (recording.rotations, recording.translations)
+        if self.task == "waypoint":
+            scores = waypoint.measure(truth, trace, recording.directions, estimates, *motion)
+        else:
+            args = (truth, trace, recording.directions, estimates, recording.rotations)
+            scores = tracking.measure(*args, self.rules, self.camera)
+        return {"metrics": _rounded(scores), "trace": dict(trace)}
+
+
+def work(config: dict[str, Any]) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    """For the workers of a run: what plays one unit, ``{"slot": {...}, "methods": [...]}``."""
+    player = Player(config)
+    return lambda unit: player.play(Slot(**unit["slot"]), unit["methods"])
+
+
+def _told(method: Method, observation: dict, info: dict, due: Evidence | None, camera: Camera) -> np.ndarray:
+    """The method's direction after it was told of the pose, and of the response that has arrived."""
+    pose = observation["pose"]
+    method.move(info["num_steps"] * camera.seconds, rotation_from_wxyz(pose[3:]), pose[:3])
+    if due is not None:
+        method.see(due)
+    return method.direction()
+
+
+def _note_truth(trace: dict[str, list[Any]], info: dict, prefix: str) -> None:
+    true = info["truth"]
+    pose = [*true["position"], *wxyz_from_rotation(true["world_R_body"])]
+    trace["pose"].append([round(float(value), 5) for value in pose])
+    azimuth, elevation = azimuth_elevation(true["direction"])
+    trace[f"{prefix}azimuth_deg"].append(round(math.degrees(float(azimuth)), 2))
+    trace[f"{prefix}elevation_deg"].append(round(math.degrees(float(elevation)), 2))
+    trace[f"{prefix}range_m"].append(round(float(true["distance"]), 3))
+    trace["visible"].append(bool(true["visible"]))
+
+
+def _note_answer(
+    trace: dict[str, list[Any]], method: Method | None, direction: np.ndarray, true: np.ndarray | None
+) -> None:
+    """What was said, and how far from the true direction (None while the target is away)."""
+    azimuth, elevation = azimuth_elevation(direction)
+    trace["azimuth_deg"].append(round(math.degrees(float(azimuth)), 2))
+    trace["elevation_deg"].append(round(math.degrees(float(elevation)), 2))
+    error = None if true is None else float(metrics.angular_error_deg(direction, true))
+    mass = None if true is None or method is None else method.mass_above(true)
+    distance = method.distance() if method is not None else None
+    trace["error_deg"].append(None if error is None else round(error, 3))
+    trace["mass_above"].append(None if mass is None else round(mass, 4))
+    trace["inside"].append(None if mass is None else bool(mass < MASS))
+    trace["distance_m"].append(None if distance is None else round(distance, 3))
+
+
+def _rounded(values: dict[str, Any]) -> dict[str, Any]:
+    return {key: round(value, 5) if isinstance(value, float) else value for key, value in values.items()}

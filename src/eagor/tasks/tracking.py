@@ -1,0 +1,183 @@
+"""Target Direction Estimation: a ball in an apartment; it moves, or the camera does, or it is away for a while."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from eagor import metrics
+from eagor.errors import WorldError
+from eagor.sphere import world_R_body
+from eagor.tasks.episodes import Episode, Slot
+from eagor.tasks.places import LOOK_ROWS, Place, load_place
+from eagor.tasks.routes import along, follow_path
+from eagor.tasks.rules import Camera, TrackingRules
+from eagor.worlds.ball import PAINTS, Ball, with_ball
+
+SCENARIOS = ("moving target", "moving camera", "target gone")
+RADIUS = (0.2, 0.32)  # metres, the balls
+TRIES = 60
+SEEN_PIXELS = 6  # of a 64 x 128 panorama: a start at which the ball is in plain view
+
+
+@dataclass(frozen=True)
+class BallLabel:
+    """The ball among the things that have names."""
+
+    category: str
+    colour: str | None
+
+
+@dataclass(frozen=True)
+class TrackingEpisode(Episode):
+    """Where the camera and the ball are at each step.
+
+    `route`: x, y, yaw of the body; `balls`: x, y, z of the ball's centre, None while it is away.
+    """
+
+    route: tuple[tuple[float, float, float], ...] = ()
+    balls: tuple[tuple[float, float, float] | None, ...] = ()
+    radius: float = 0.25
+    colour: str = "red"
+
+
+def plan(slot: Slot, camera: Camera, rules: TrackingRules) -> TrackingEpisode:
+    """The episode of this slot. Raises `WorldError` if the world is too small for it."""
+    place = load_place(slot.world, slot.seed, camera.radius)
+    rng = slot.rng("plan")
+    scenario = SCENARIOS[slot.number % len(SCENARIOS)]
+    radius, colour = float(rng.uniform(*RADIUS)), str(rng.choice(sorted(PAINTS)))
+    for _ in range(TRIES):
+        xy, yaw = place.ground.sample(rng), float(rng.uniform(-math.pi, math.pi))
+        first = _spot(place, xy, radius, camera, rng)
+        if first is None:
+            continue
+        still = np.tile([*xy, yaw], (rules.steps, 1))
+        balls: list[np.ndarray | None] = [first] * rules.steps
+        route: np.ndarray | None = still
+        if scenario == "moving target":
+            balls = _stroll(place, first, rules.speed * camera.seconds, rules.steps, rng)
+        elif scenario == "moving camera":
+            route = _walk(place, xy, yaw, camera, rules.steps, rng)
+        else:
+            second = _spot(place, xy, radius, camera, rng)
+            if second is None or np.linalg.norm(second - first) < 1.0:
+                continue
+            away, back = (round(share * rules.steps) for share in rules.gone)
+            balls = [first] * away + [None] * (back - away) + [second] * (rules.steps - back)
+            # The camera looks about meanwhile: what is remembered has to be turned.
+            still[:, 2] = yaw + 0.8 * np.sin(np.arange(rules.steps) * 0.25)
+        if route is None:
+            continue
+        return TrackingEpisode(
+            slot=slot,
+            scene=place.scene.source,
+            scene_hash=place.scene.hash,
+            query=f"{colour} ball",
+            targets=(len(place.scene.instances),),
+            start=(float(route[0, 0]), float(route[0, 1])),
+            yaw=float(route[0, 2]),
+            shortest=float(place.ground.field(route[0, None, :2]).distance(first[:2])),
+            stratum={"scenario": scenario},
+            route=tuple(tuple(row) for row in route.tolist()),
+            balls=tuple(None if ball is None else tuple(ball.tolist()) for ball in balls),
+            radius=radius,
+            colour=colour,
+        )
+    raise WorldError(f"{place.scene.source} has no room for a ball in view ({scenario})")
+
+
+def _spot(place: Place, xy: np.ndarray, radius: float, camera: Camera, rng: np.random.Generator) -> np.ndarray | None:
+    """A point ``(3,)`` on the floor, 1 to 5 m from `xy`, where the ball is in plain view."""
+    position = np.array([*xy, camera.height])
+    frame = place.renderer.panorama(position, world_R_body(0.0), LOOK_ROWS, rgb=False)
+    for _ in range(10):
+        spot = np.array([*place.ground.sample(rng), radius])
+        if 1.0 <= np.linalg.norm(spot[:2] - xy) <= 5.0:
+            seen = with_ball(frame, position, np.eye(3), Ball(spot, radius, "red"), 1 << 20)
+            if np.count_nonzero(seen.ids == 1 << 20) >= SEEN_PIXELS:
+                return spot
+    return None
+
+
+def _stroll(place: Place, start: np.ndarray, step: float, steps: int, rng: np.random.Generator) -> list:
+    """The ball rolls along paths to one random goal after another; one centre ``(3,)`` per step."""
+    points = start[None, :2]
+    while len(points) < steps:
+        path = place.ground.path(points[-1], place.ground.sample(rng))
+        length = float(np.linalg.norm(np.diff(path, axis=0), axis=-1).sum())
+        points = np.concatenate([points, along(path, np.arange(step, max(length, step) + 1e-9, step))])
+    return [np.array([x, y, start[2]]) for x, y in points[:steps]]
+
+
+def _walk(
+    place: Place, xy: np.ndarray, yaw: float, camera: Camera, steps: int, rng: np.random.Generator
+) -> np.ndarray | None:
+    """The camera walks to one random goal after another ``(steps, 3)``."""
+    rows = np.array([[*xy, yaw]])
+    for _ in range(20):
+        path = place.ground.path(rows[-1, :2], place.ground.sample(rng))
+        rows = np.concatenate([rows, follow_path(path, float(rows[-1, 2]), camera.step, math.radians(camera.turn))])
+        if len(rows) >= steps:
+            return rows[:steps]
+    return None
+
+
+def measure(
+    truth: dict[str, list[Any]], trace: dict[str, list[Any]], directions: np.ndarray, estimates: np.ndarray,
+    rotations: np.ndarray, rules: TrackingRules, camera: Camera,
+) -> dict[str, float | None]:  # fmt: skip
+    """The columns of one episode, over the steps at which the ball is there.
+
+    `error` (degrees), `tc` (mean angle, degrees per step, between the estimate and the one before it, carried along by
+    the camera's true motion and the ball's), `time_lost` (share of steps with more error than the rules allow),
+    `recovery` (seconds from when the ball comes back until the error is small again; all that is left if it never
+    is), `coverage`. None where there is no case. `directions` and `estimates` ``(n, 3)`` are the true and the estimated
+    ones, body frame; `rotations` ``(n - 1, 3, 3)`` the camera's true new_R_old.
+    """
+    present = np.array(truth["present"], dtype=bool)
+    errors = np.array([math.nan if e is None else e for e in trace["error_deg"]])
+    inside = [value for value in trace["inside"] if value is not None]
+    lost = errors[present] > rules.lost_above
+    recovery = None
+    returns = np.flatnonzero(present[1:] & ~present[:-1]) + 1
+    if len(returns):
+        good = np.flatnonzero(errors[returns[0] :] <= rules.lost_above)
+        steps = int(good[0]) if len(good) else len(errors) - int(returns[0])
+        recovery = steps * camera.seconds
+    return {
+        "error": metrics.mean_error(errors[present]),
+        "tc": _consistency(directions, estimates, rotations, present),
+        "time_lost": 100 * float(lost.mean()),
+        "recovery": recovery,
+        "coverage": metrics.credible_coverage(inside) if inside else None,
+    }
+
+
+def _consistency(
+    directions: np.ndarray, estimates: np.ndarray, rotations: np.ndarray, present: np.ndarray
+) -> float | None:
+    """Changes of the estimate that neither the camera's turn nor the change of the true bearing explains (deg/step).
+
+    The previous estimate is carried along by the camera's turn, then by the smallest rotation that takes the true
+    direction carried likewise to the true direction now; a perfect estimator scores 0.
+    """
+    steps = np.flatnonzero(present[1:] & present[:-1])
+    if not len(steps):
+        return None
+    carried = [_turn(rotations[k] @ directions[k], directions[k + 1]) @ rotations[k] @ estimates[k] for k in steps]
+    return float(metrics.angular_error_deg(estimates[steps + 1], np.array(carried)).mean())
+
+
+def _turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """The smallest rotation ``(3, 3)`` that takes unit vector `start` to `end`."""
+    axis, cosine = np.cross(start, end), float(start @ end)
+    if cosine < -1 + 1e-9:  # opposite: half a turn about anything across
+        across = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])
+        across /= np.linalg.norm(across)
+        return 2 * np.outer(across, across) - np.eye(3)
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return np.eye(3) + cross + cross @ cross / (1 + cosine)

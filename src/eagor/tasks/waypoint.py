@@ -1,0 +1,200 @@
+"""Waypoint Following: along a given route of four legs, each beginning with a sharper turn, name the direction.
+
+The route is the same for every method, and so are the responses. Routes are chosen so that the target is hidden for a
+part of the way and crosses the seam of the panorama.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from eagor import metrics
+from eagor.errors import WorldError
+from eagor.sphere import world_R_body
+from eagor.tasks.episodes import Episode, Slot, choose_target
+from eagor.tasks.places import Place, load_place
+from eagor.tasks.routes import follow_path, initial_heading
+from eagor.tasks.rules import Camera, WaypointRules
+
+LEGS = ("L1", "L2", "L3", "L4")
+ATTEMPTS = 200  # to find routes at all: small rooms have few legs of four metres
+SLACK = 30.0  # degrees: where nothing fits, turns may in the end miss their ranges by so much
+ROUTES = 8  # routes looked at until one hides a target and crosses the seam
+GOALS = 6  # ends of a leg looked at
+LONGER = 3.0  # metres by which a leg may be longer than it has to be
+AHEAD = 0.5  # metres over which the heading of a path is taken, as in `initial_heading`
+NEAREST = 0.8  # metres: the camera never comes closer to the target's middle
+
+
+@dataclass(frozen=True)
+class WaypointEpisode(Episode):
+    """A route: rows of x, y, yaw (metres, radians), and the leg of each."""
+
+    route: tuple[tuple[float, float, float], ...] = ()
+    legs: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Route:
+    """A way through a place, and which instances can be seen along it ``(steps, instances)`` bool."""
+
+    poses: np.ndarray
+    legs: list[str]
+    seen: np.ndarray
+
+
+def plan(slot: Slot, camera: Camera, rules: WaypointRules) -> WaypointEpisode:
+    """The episode of this slot. Raises `WorldError` if no route of four legs fits into the world."""
+    place = load_place(slot.world, slot.seed, camera.radius)
+    rng = slot.rng("plan")
+    targets = list(choose_target(place, rng))
+    if not targets:
+        raise WorldError(f"{place.scene.source} has nothing that a query singles out")
+    best: tuple[float, int, str, _Route, float] | None = None
+    looked = 0
+    for attempt in range(ATTEMPTS):
+        if looked == ROUTES or (best is not None and best[0] == 0):
+            break
+        route = _route(place, camera, rules, SLACK * attempt / ATTEMPTS, rng)
+        if route is None:
+            continue
+        looked += 1
+        for target, query in targets:
+            fault, hidden = _fault(place, target, route, camera, rules)
+            if math.isfinite(fault) and (best is None or fault < best[0]):
+                best = (fault, target, query, route, hidden)
+            if fault == 0:
+                break
+    if best is None:
+        raise WorldError(f"{place.scene.source} has no route of four legs of {rules.leg_steps} steps; shorten the legs")
+    fault, target, query, route, hidden = best
+    start = route.poses[0]
+    return WaypointEpisode(
+        slot=slot,
+        scene=place.scene.source,
+        scene_hash=place.scene.hash,
+        query=query,
+        targets=(target,),
+        start=(float(start[0]), float(start[1])),
+        yaw=float(start[2]),
+        shortest=float(place.way_to((target,)).distance(start[:2])),
+        stratum={
+            "category": place.scene.instances[target].category,
+            "occluded": round(hidden, 3),
+            "by design": fault == 0,
+        },
+        route=tuple(tuple(row) for row in route.poses.tolist()),
+        legs=tuple(route.legs),
+    )
+
+
+def _route(place: Place, camera: Camera, rules: WaypointRules, slack: float, rng: np.random.Generator) -> _Route | None:
+    """Four legs through the place; None where there is no room for them from a random start.
+
+    A turn may miss its range by `slack` degrees.
+    """
+    xy, yaw = place.ground.sample(rng), None
+    rows: list[np.ndarray] = []
+    legs: list[str] = []
+    for leg, (least, most) in zip(LEGS, rules.turns, strict=True):
+        least, most = max(0.0, least - slack), min(180.0, most + slack)
+        # Half of what the sharpest turn takes is counted on; what is too short all the same is thrown away.
+        shortest = (rules.leg_steps - most / camera.turn / 2) * camera.step
+        path = _leg_path(place, xy, yaw, math.radians(least), math.radians(most), shortest, rng)
+        if path is None:
+            return None
+        if yaw is None:  # the body stands as the first turn wants it
+            turn = math.radians(float(rng.uniform(least, most))) * float(rng.choice([-1, 1]))
+            yaw = math.remainder(initial_heading(path) - turn, 2 * math.pi)
+        steps = follow_path(path, yaw, camera.step, math.radians(camera.turn))
+        if len(steps) < rules.leg_steps:
+            return None
+        rows.append(steps)
+        legs += [leg] * len(steps)
+        xy, yaw = steps[-1, :2], float(steps[-1, 2])
+    poses = np.concatenate(rows)
+    seen = np.zeros((len(poses), len(place.scene.instances)), dtype=bool)
+    for row, (x, y, turned) in zip(seen, poses, strict=True):
+        ids = place.ids(np.array([x, y, camera.height]), world_R_body(turned))
+        row[:] = np.bincount(ids[ids >= 0], minlength=len(row)) >= rules.visible_pixels
+    return _Route(poses, legs, seen)
+
+
+def _leg_path(
+    place: Place,
+    xy: np.ndarray,
+    yaw: float | None,
+    least: float,
+    most: float,
+    shortest: float,
+    rng: np.random.Generator,
+) -> np.ndarray | None:
+    """A path ``(n, 2)`` from here that begins with a turn in the range (any, if `yaw` is None); None if none does."""
+    ground = place.ground
+    field = ground.field(xy)
+    fits = ground.free & (field.metres >= shortest) & (field.metres <= shortest + LONGER)
+    if yaw is not None:
+        # The ways that begin with such a turn are those that lead over these cells, half a metre from here.
+        rows, cols = np.nonzero(ground.free & (np.abs(field.metres - AHEAD) < ground.cell))
+        ring = ground.centres(np.stack([rows, cols], axis=-1))
+        headings = np.arctan2(ring[:, 1] - xy[1], ring[:, 0] - xy[0])
+        turns = np.abs((headings - yaw + math.pi) % (2 * math.pi) - math.pi)
+        gates = (turns >= least) & (turns <= most)
+        if not gates.any():
+            return None
+        through = ground.field(ring[gates], field.metres[rows[gates], cols[gates]])
+        fits &= through.metres <= field.metres + ground.cell / 2
+    rows, cols = np.nonzero(fits)
+    for choice in rng.permutation(len(rows))[:GOALS]:
+        goal = ground.centres(np.array([rows[choice], cols[choice]]))
+        path = np.concatenate([xy[None], ground.path(goal, field)[-2::-1]])
+        if yaw is None or least <= abs(math.remainder(initial_heading(path) - yaw, 2 * math.pi)) <= most:
+            return path
+    return None
+
+
+def _fault(place: Place, target: int, route: _Route, camera: Camera, rules: WaypointRules) -> tuple[float, float]:
+    """How far a route is from what is wanted for this target, and the share of it at which the target is hidden.
+
+    0: the target is hidden for a while, and crosses the seam; inf: the route comes too near.
+    """
+    centre, seen = place.scene.instances[target].centre, route.seen[:, target]
+    offset = centre[:2] - route.poses[:, :2]
+    if np.hypot(*offset.T).min() < NEAREST:
+        return math.inf, 1.0
+    bearing = np.arctan2(offset[:, 1], offset[:, 0]) - route.poses[:, 2]
+    directions = np.stack([np.cos(bearing), np.sin(bearing), np.zeros_like(bearing)], axis=-1)
+    hidden = 1 - float(seen.mean())
+    least, most = rules.occluded
+    # A target that is not seen early has to be found first: that would be another task.
+    late = 0.0 if seen[: rules.leg_steps].any() else 0.5
+    crossings = int(metrics.seam_crossings(directions).sum())
+    return max(least - hidden, hidden - most, 0.0) + late + (0.0 if crossings else 1.0), hidden
+
+
+def measure(
+    truth: dict[str, list[Any]], trace: dict[str, list[Any]], directions: np.ndarray, estimates: np.ndarray,
+    rotations: np.ndarray, translations: np.ndarray,
+) -> dict[str, float | None]:  # fmt: skip
+    """The paper's columns for one episode: L1..L4, delta, occ, seam, tc (degrees); None where there is no case.
+
+    `directions` and `estimates` ``(n, 3)``: true and estimated, body frame; `rotations` and `translations`: the true
+    motions of the camera, as `eagor.metrics.ego_motion` gives them.
+    """
+    errors = np.array(trace["error_deg"])
+    legs = metrics.mae_by_segment(errors, truth["leg"], LEGS)
+    inside = [value for value in trace["inside"] if value is not None]
+    return {
+        **{str(leg): value for leg, value in legs.items()},
+        "delta": metrics.leg_delta(legs),
+        "occ": metrics.occlusion_error(errors, ~np.array(truth["visible"], dtype=bool)),
+        "seam": metrics.seam_error(errors, directions),
+        "tc": metrics.temporal_consistency(estimates, rotations, translations, np.array(truth["range_m"])),
+        "tc_rotation": metrics.tc_rotation(estimates, rotations),
+        "mae": metrics.mean_error(errors),
+        "coverage": metrics.credible_coverage(inside) if inside else None,
+    }

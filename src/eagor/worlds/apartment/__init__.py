@@ -1,0 +1,27 @@
+"""Apartments from a seed: floor plans of several families, furnished, painted and lit.
+
+`generate(seed)` is the way in. The same seed and `VERSION` give the same scene, byte for byte.
+"""
+
+from __future__ import annotations
+
+from eagor.worlds.apartment.designing import design, scene_of
+from eagor.worlds.apartment.furnish import REQUIRED
+from eagor.worlds.apartment.furniture import KINDS
+from eagor.worlds.scene import STRUCTURE, Scene
+
+__all__ = ["CATEGORIES", "REQUIRED", "VERSION", "generate"]
+
+VERSION = "1"
+CATEGORIES = (*STRUCTURE, *sorted(KINDS))  # all that an apartment can have; it always has those in REQUIRED
+
+
+def generate(seed: int) -> Scene:
+    """A furnished apartment of 45 to 110 square metres with three to seven rooms, metres, z = 0 the floor.
+
+    The outer walls are along x and y. Everything in `REQUIRED` is there, and one can walk up to it: ways are at least
+    0.5 m wide. At least three solid pieces have a name (colour and category) of their own though there are others of
+    their category, and at least one name belongs to several pieces. `facts["family"]` names the kind of floor plan.
+    Raises `WorldError` for a negative seed, or if nothing can be built from it.
+    """
+    return scene_of(design(seed), f"apartment {VERSION} seed {seed}")

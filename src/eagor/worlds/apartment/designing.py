@@ -1,0 +1,84 @@
+"""From a seed to a furnished plan, and from that to a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from eagor.errors import WorldError
+from eagor.worlds.apartment.cells import Cells, carve, rooms_of
+from eagor.worlds.apartment.doors import Style, doors_and_windows, draw_style
+from eagor.worlds.apartment.finishes import Finish, draw_finishes
+from eagor.worlds.apartment.fixtures import splashback
+from eagor.worlds.apartment.furnish import furnish
+from eagor.worlds.apartment.furnisher import NoRoom, Piece
+from eagor.worlds.apartment.placement import empty_floor
+from eagor.worlds.apartment.plans import Plan, draw_plan
+from eagor.worlds.apartment.shell import shell, structure
+from eagor.worlds.apartment.things import Thing, make_scene, placed, turned_about_z
+from eagor.worlds.scene import Lamp, Room, Scene
+
+_ATTEMPTS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Apartment:
+    """An apartment before it becomes triangles; `rooms` and `finishes` are in the order of `plan.spaces`."""
+
+    plan: Plan
+    cells: Cells
+    rooms: tuple[Room, ...]
+    finishes: tuple[Finish, ...]
+    style: Style
+    pieces: tuple[Piece, ...]
+
+
+def design(seed: int) -> Apartment:
+    """The apartment of a seed: new plans are drawn until one takes all that has to be in it.
+
+    Raises `WorldError` for a negative seed, or if nothing can be built from it.
+    """
+    if seed < 0:
+        raise WorldError(f"seed = {seed}; wanted 0 or a positive whole number")
+    reason = ""
+    for attempt in range(_ATTEMPTS):
+        rng = np.random.default_rng([seed, attempt])
+        plan = draw_plan(rng)
+        finishes, style = draw_finishes(plan, rng), draw_style(rng)
+        cells = carve(plan, tuple(level for finish in finishes for level in finish.tiled))
+        rooms = rooms_of(plan, cells)
+        try:
+            pieces = furnish(empty_floor(plan, cells, rooms), rng)
+        except NoRoom as failure:
+            reason = str(failure)
+            continue
+        return Apartment(plan, cells, rooms, finishes, style, tuple(pieces))
+    raise WorldError(f"seed {seed} gave no apartment in {_ATTEMPTS} attempts, at last: {reason}; use another seed")
+
+
+def scene_of(apartment: Apartment, source: str) -> Scene:
+    """The triangles of an apartment: walls, floors and ceilings first, then doors and windows, then the furniture."""
+    plan = apartment.plan
+    parts = shell(plan, apartment.cells, apartment.finishes)
+    doors, trim = doors_and_windows(plan, apartment.style)
+    for place, more in trim.items():
+        parts[place]["wall"].extend(more)
+    for piece in apartment.pieces:
+        tiles = apartment.finishes[piece.room].tiles
+        back = splashback(piece, plan, tiles) if tiles else None
+        if back is not None:
+            parts[piece.room]["wall"].append(back)
+    things = [*structure(plan, parts), *doors, *(_thing(piece, plan) for piece in apartment.pieces)]
+    return make_scene(things, apartment.rooms, source, {"family": plan.family})
+
+
+def _thing(piece: Piece, plan: Plan) -> Thing:
+    """A piece in the world frame."""
+    angle, model = float(piece.box[4]), piece.model
+    lamps = tuple(
+        Lamp(turned_about_z(angle) @ np.asarray(lamp.position, dtype=np.float64) + piece.position, lamp.power)
+        for lamp in model.lamps
+    )
+    parts = placed(model.parts, angle, piece.position)
+    return Thing(piece.category, model.colour, plan.spaces[piece.room].name, parts, lamps)

@@ -1,0 +1,73 @@
+"""How the rooms of an apartment are painted, tiled and floored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eagor.worlds.apartment.palette import to_coded, to_linear
+from eagor.worlds.apartment.plans import Plan
+from eagor.worlds.apartment.textures import material
+from eagor.worlds.scene import Material
+
+Look = tuple[str, Material]  # kind of material (its repeat), and the material
+
+# sRGB of wall paint: warm whites first, then pastel tints.
+_WHITES = ((240, 234, 222), (238, 236, 230), (236, 228, 214))
+_TINTS = ((222, 230, 216), (214, 224, 232), (238, 222, 204), (232, 216, 214), (226, 220, 236), (240, 230, 196))
+
+
+@dataclass(frozen=True, eq=False)
+class Finish:
+    """The surfaces of a room; `tiled`: from which to which height all of its walls have `tiles`."""
+
+    wall: Look
+    tiles: Look | None
+    tiled: tuple[float, float]
+    floor: Look
+    ceiling: Look
+    reveal: Look
+    facade: Look
+    skirting: Look | None
+
+
+def draw_finishes(plan: Plan, rng: np.random.Generator) -> tuple[Finish, ...]:
+    """One finish for each room; rooms that are open to each other share their wall paint and mostly their floor."""
+    facade = ("plaster", material("plaster", None, rng))
+    white = ("paint", material("paint", "white", rng))
+    ceiling = ("paint", _tinted(material("paint", "white", rng), (244, 243, 240), rng))
+    parquet = ("parquet", material("parquet", None, rng))
+    skirting = white if rng.random() < 0.6 else ("wood", material("wood", None, rng))
+    wall_kind = "plaster" if rng.random() < 0.5 else "paint"
+    finishes: list[Finish] = []
+    for place, space in enumerate(plan.spaces):
+        joined = [a for a, b in plan.open_to if b == place] + [b for a, b in plan.open_to if a == place and b < place]
+        tone = _WHITES[rng.integers(len(_WHITES))] if rng.random() < 0.5 else _TINTS[rng.integers(len(_TINTS))]
+        if joined:
+            wall = finishes[joined[0]].wall
+        else:
+            wall = (wall_kind, _tinted(material(wall_kind, "white", rng), tone, rng))
+        tiles, tiled, floor, boards = None, (0.0, 0.0), parquet, skirting
+        if space.kind == "bathroom":
+            tiles, floor, boards = ("tile", material("tile", None, rng)), ("tile", material("tile", None, rng)), None
+            tiled = (0.0, plan.height) if rng.random() < 0.5 else (0.0, float(rng.choice([1.4, 2.0])))
+        elif space.kind == "kitchen":
+            tiles = ("tile", material("tile", None, rng))  # above the worktop
+            if not joined or rng.random() < 0.5:
+                floor = ("tile", material("tile", None, rng))
+        elif space.kind == "bedroom" and rng.random() < 0.5 and not joined:
+            floor = ("carpet", material("carpet", None, rng))
+        elif space.kind == "hall" and rng.random() < 0.3:
+            floor = ("tile", material("tile", None, rng))
+        finishes.append(Finish(wall, tiles, tiled, floor, ceiling, white, facade, boards))
+    return tuple(finishes)
+
+
+def _tinted(look: Material, tone: tuple[int, int, int], rng: np.random.Generator) -> Material:
+    """`look` in a tone (sRGB, 0 to 255) of its own, moved a little."""
+    linear = to_linear(np.array(tone) / 255 * rng.uniform(0.98, 1.02))
+    if look.texture is not None:
+        linear = linear / to_linear(look.texture[::4, ::4] / 255).mean(axis=(0, 1))
+    r, g, b = np.minimum(to_coded(np.minimum(linear, 1.0)), 1.0)
+    return replace(look, name=f"wall {look.name}", colour=(float(r), float(g), float(b)))

@@ -1,0 +1,118 @@
+"""Kitchen rows and bathrooms: pieces that stand side by side at walls."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from eagor.worlds.apartment.finishes import Look
+from eagor.worlds.apartment.furnisher import Furnisher, Piece
+from eagor.worlds.apartment.furniture import Model
+from eagor.worlds.apartment.mesh import Part, part
+from eagor.worlds.apartment.placement import from_rectangle, overlaps
+from eagor.worlds.apartment.plans import Plan
+from eagor.worlds.apartment.sites import GAP, along_walls, before, on_face
+from eagor.worlds.apartment.solids import box
+from eagor.worlds.apartment.textures import REPEAT
+from eagor.worlds.apartment.things import placed
+
+Made = tuple[Model, int]
+_ROWS = (
+    ("refrigerator", "cabinet", "sink", "cabinet", "stove"),
+    ("refrigerator", "cabinet", "sink", "stove"),
+    ("cabinet", "sink", "cabinet", "stove"),
+    ("cabinet", "sink", "stove"),
+    ("sink", "stove"),
+    ("sink",),
+)
+
+
+def kitchen(f: Furnisher, room: int) -> bool:
+    """A row of units along one wall, as many as it takes; what is not in the row stands elsewhere, if it can."""
+    start = f.mark()
+    sinks = sorted((f.make("sink", "grey") for _ in range(2)), key=lambda made: float(made[0].size[1]))
+    units = {"sink": sinks[0], "stove": f.make("stove"), "refrigerator": f.make("refrigerator")}
+    first = f.make("cabinet")
+    others = [f.make("cabinet", first[0].colour) for _ in range(2)]
+    cabinets = sorted([first, *others], key=lambda made: float(made[0].size[1]))
+    for row in _ROWS:
+        if row.count("cabinet") == 2:
+            choices = [[made, made] for made in (cabinets[1], cabinets[0])]  # under one kind of worktop
+        else:
+            choices = [cabinets[i : i + 1] for i in (2, 1, 0)] if "cabinet" in row else [[]]
+        for choice in choices:
+            bases = iter(choice)
+            if not _row(f, room, [units[c] if c in units else next(bases) for c in row]):
+                continue
+            rest = [units[c] for c in units if c not in row] + ([] if "cabinet" in row else cabinets[:1])
+            if all([_at_wall(f, room, made, 0.6) for made in rest]):
+                return True
+            f.back_to(start)
+    return False
+
+
+def bathroom(f: Furnisher, room: int) -> bool:
+    """Toilet, sink and, where it fits, a bathtub."""
+    start = f.mark()
+    fixtures = [f.make("toilet"), f.make("sink", "white")]
+    for bathtub in (True, True, True, False, False):
+        bathtub = bathtub and _at_wall(f, room, f.make("bathtub"), 0.45, side=GAP)
+        if all(_at_wall(f, room, made, 0.5, side=0.15) for made in fixtures):
+            return True
+        f.back_to(start)
+    return False
+
+
+def splashback(piece: Piece, plan: Plan, tiles: Look) -> Part | None:
+    """Tiles on the wall above a kitchen unit, up to a window if there is one; None where no unit stands at a wall."""
+    if piece.category not in ("cabinet", "sink", "stove") or plan.spaces[piece.room].kind != "kitchen":
+        return None
+    sills = [w.sill for w in plan.windows if overlaps(piece.box, from_rectangle(w.approach(0.4, 0.05)))[0, 0]]
+    top = min([1.45, *(sill - 0.02 for sill in sills)])
+    depth, width = piece.box[2:4]
+    mesh = box((-depth - GAP + 1e-3, -width - 2e-3, 0.86), (-depth - GAP + 0.013, width + 2e-3, top))
+    (made,) = placed([part(mesh, tiles[1], REPEAT[tiles[0]])], float(piece.box[4]), (*piece.box[:2], 0.0))
+    return made
+
+
+def _at_wall(f: Furnisher, room: int, made: Made, front: float, side: float = 0.03) -> bool:
+    sites = along_walls(f.floor, room, made[0].size, f.rng, corner=0.6, side=side)
+    return f.settle(made, room, sites, front=front) is not None
+
+
+def _row(f: Furnisher, room: int, units: list[Made]) -> bool:
+    """Set units down side by side, flush with each other, at the longest wall that takes them."""
+    widths = np.array([float(model.size[1]) for model, _ in units]) + 0.004
+    heights = [float(model.size[2]) for model, _ in units]
+    sills = [1.0 if model.category == "sink" else float(model.size[2]) for model, _ in units]  # a tap may stand there
+    starts = np.cumsum([0.0, *widths])
+    faces = [face for face in f.floor.faces if face.room == room]
+    for face in sorted(faces, key=lambda face: face.start - face.end):
+        free = face.end - face.start - 2 * GAP - starts[-1]
+        if free < 0:
+            continue
+        for turned in f.rng.permutation(2):
+            for offset in (0.0, free, float(f.rng.uniform(0, free))):
+                middle = face.start + GAP + offset + starts[:-1] + widths / 2
+                if turned:  # the row read from its other end
+                    middle = face.start + face.end - middle
+                boxes = np.concatenate(
+                    [
+                        on_face(face, middle[i : i + 1], GAP, float(model.size[0]), float(model.size[1]))
+                        for i, (model, _) in enumerate(units)
+                    ]
+                )
+                zone = before(boxes, 0.7)
+                if not (
+                    all(
+                        f.floor.fits(room, unit[None], (0.0, height), 0.004)[0]
+                        and f.floor.beside_windows(unit[None], sill)[0]
+                        for unit, height, sill in zip(boxes, heights, sills, strict=True)
+                    )
+                    and f.floor.clear(zone).all()
+                    and f.floor.open_inside(room, zone).all()
+                ):
+                    continue
+                if f.set_down(list(zip(units, boxes, strict=True)), room):
+                    f.floor.kept.extend(zone)
+                    return True
+    return False

@@ -1,0 +1,125 @@
+"""Pieces of furniture that have found their place, and the one who sets them down."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from eagor.worlds.apartment.furniture import KINDS, Model, build
+from eagor.worlds.apartment.placement import Floor
+from eagor.worlds.apartment.sites import Sites, before
+
+
+class NoRoom(Exception):
+    """A piece that every apartment has found no place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A model in its place.
+
+    `box`: its footprint ``(5,)``; `position` ``(3,)`` of the model's origin; `room`: its place in the plan; `seed`:
+    what it was built from; `solid`: it stands in the way.
+    """
+
+    category: str
+    room: int
+    model: Model
+    seed: int
+    box: np.ndarray
+    position: np.ndarray
+    solid: bool = True
+
+    @property
+    def bottom(self) -> float:
+        """Height of its lowest point."""
+        return float(self.position[2] + min(part.vertices[:, 2].min() for part in self.model.parts))
+
+    @property
+    def top(self) -> float:
+        """Height of its highest point."""
+        return self.bottom + float(self.model.size[2])
+
+
+@dataclass
+class Furnisher:
+    """Builds pieces and sets them down (mutable): `pieces` are those that stand."""
+
+    floor: Floor
+    rng: np.random.Generator
+    habits: dict[str, str] = field(default_factory=dict)
+    pieces: list[Piece] = field(default_factory=list)
+
+    def make(self, category: str, colour: str | None = None, seed: int | None = None) -> tuple[Model, int]:
+        """A new model and its seed. Without a colour, it has most often the one that its kind has in this home."""
+        seed = int(self.rng.integers(2**31)) if seed is None else seed
+        if colour is None:
+            colours = KINDS[category].colours
+            habit = self.habits.setdefault(category, str(self.rng.choice(colours)))
+            colour = habit if self.rng.random() < 0.45 else str(self.rng.choice(colours))
+        return build(category, colour, np.random.default_rng(seed)), seed
+
+    def record(self, made: tuple[Model, int], room: int, box: np.ndarray, z: float = 0.0, solid: bool = True) -> Piece:
+        """Note a piece whose place has been checked."""
+        model, seed = made
+        piece = Piece(model.category, room, model, seed, box, np.array([box[0], box[1], z]), solid)
+        self.pieces.append(piece)
+        return piece
+
+    def set_down(self, group: list[tuple[tuple[Model, int], np.ndarray]], room: int) -> list[Piece] | None:
+        """Set models down together on the floor, if one can still walk everywhere; else None."""
+        heights = [(0.0, float(made[0].size[2])) for made, _ in group]
+        if not self.floor.put([box for _, box in group], heights):
+            return None
+        return [self.record(made, room, box) for made, box in group]
+
+    def settle(
+        self,
+        made: tuple[Model, int],
+        room: int,
+        sites: Sites,
+        *,
+        front: float = 0.5,
+        wider: float = 0.0,
+        reserve: bool = True,
+        tries: int = 10,
+        also: Callable[[np.ndarray], np.ndarray] | None = None,
+    ) -> Piece | None:
+        """Set a model down on the best site with `front` metres of free floor before it; None if there is none.
+
+        `reserve` keeps that floor free from then on; `also` says of sites ``(n, 5)`` which it accepts.
+        """
+        if not len(sites.boxes):
+            return None
+        height = float(made[0].size[2])
+        good = self.floor.fits(room, sites.boxes, (0.0, height)) & self.floor.beside_windows(sites.boxes, height)
+        if front > 0:
+            zone = before(sites.boxes, front, wider)
+            good &= self.floor.clear(zone) & self.floor.open_inside(room, zone)
+        if also is not None:
+            good &= also(sites.boxes)
+        for place in sites.best(good, tries):
+            done = self.set_down([(made, sites.boxes[place])], room)
+            if done:
+                if front > 0 and reserve:
+                    self.floor.kept.append(before(sites.boxes[place], front)[0])
+                return done[0]
+        return None
+
+    def mark(self) -> tuple[np.ndarray, int, int, int, int]:
+        """The state to which `back_to` returns."""
+        floor = self.floor
+        return floor.near.copy(), len(floor.solid), len(floor.kept), len(floor.around), len(self.pieces)
+
+    def back_to(self, mark: tuple[np.ndarray, int, int, int, int]) -> None:
+        """Take away everything that was set down since `mark`."""
+        floor = self.floor
+        floor.near = mark[0].copy()
+        for things, count in zip((floor.solid, floor.kept, floor.around, self.pieces), mark[1:], strict=True):
+            del things[count:]
+
+    def of(self, category: str, room: int | None = None) -> list[Piece]:
+        """The pieces of a category, in a room or anywhere."""
+        return [p for p in self.pieces if p.category == category and room in (None, p.room)]

@@ -1,0 +1,228 @@
+"""What stands where, while an apartment is furnished: overlaps, floor to keep clear, and whether one can still walk.
+
+A footprint is a turned rectangle ``(5,)``: centre x, y, half depth, half width, and the angle of its front (radians,
+counter-clockwise from +x); metres.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import ndimage
+
+from eagor.worlds.apartment.cells import Cells, WallFace, wall_faces
+from eagor.worlds.apartment.openings import OUTSIDE, Doorway
+from eagor.worlds.apartment.plans import Plan
+from eagor.worlds.scene import Room
+
+CELL = 0.05
+BODY = 0.25  # half of the width that ways are kept free for
+REACH = 0.55  # the middle of a body has to come this near to every piece
+
+
+def footprint(x: float, y: float, depth: float, width: float, angle: float) -> np.ndarray:
+    """A footprint ``(5,)`` from full sizes."""
+    return np.array([x, y, depth / 2, width / 2, angle])
+
+
+def from_rectangle(rectangle: tuple[float, float, float, float]) -> np.ndarray:
+    """The footprint of an upright rectangle x0, y0, x1, y1."""
+    x0, y0, x1, y1 = rectangle
+    return np.array([(x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 2, (y1 - y0) / 2, 0.0])
+
+
+def overlaps(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Whether footprints `a` ``(n, 5)`` and `b` ``(m, 5)`` overlap: ``(n, m)`` bool.
+
+    Separating axes: two rectangles are apart exactly if they are so along a side of one of them.
+    """
+    a, b = np.atleast_2d(a), np.atleast_2d(b)
+    between = b[None, :, :2] - a[:, None, :2]
+    turn = b[None, :, 4] - a[:, None, 4]
+    c, s = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    apart = np.zeros(turn.shape, dtype=bool)
+    for own, other, angle in ((a[:, None], b[None], a[:, None, 4]), (b[None], a[:, None], b[None, :, 4])):
+        forward = between[..., 0] * np.cos(angle) + between[..., 1] * np.sin(angle)
+        sideways = between[..., 1] * np.cos(angle) - between[..., 0] * np.sin(angle)
+        apart |= np.abs(forward) >= own[..., 2] + other[..., 2] * c + other[..., 3] * s
+        apart |= np.abs(sideways) >= own[..., 3] + other[..., 2] * s + other[..., 3] * c
+    return ~apart
+
+
+def corners(boxes: np.ndarray, steps: int = 1) -> np.ndarray:
+    """Points ``(n, 4 * steps, 2)`` round the edge of footprints ``(n, 5)``; the corners are among them."""
+    boxes = np.atleast_2d(boxes)
+    along = np.linspace(-1, 1, steps, endpoint=False)
+    one = np.ones(steps)
+    unit = np.concatenate([np.stack(p, -1) for p in ((along, -one), (one, along), (-along, one), (-one, -along))])
+    local = unit[None] * boxes[:, None, 2:4]
+    c, s = np.cos(boxes[:, 4])[:, None], np.sin(boxes[:, 4])[:, None]
+    x, y = local[..., 0] * c - local[..., 1] * s, local[..., 0] * s + local[..., 1] * c
+    return np.stack([x + boxes[:, None, 0], y + boxes[:, None, 1]], axis=-1)
+
+
+def distances(box: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Distance in metres from points ``(..., 2)`` to a footprint ``(5,)``, 0 inside."""
+    offset = points - box[:2]
+    c, s = math.cos(box[4]), math.sin(box[4])
+    forward = np.abs(offset[..., 0] * c + offset[..., 1] * s) - box[2]
+    sideways = np.abs(offset[..., 1] * c - offset[..., 0] * s) - box[3]
+    return np.hypot(np.maximum(forward, 0), np.maximum(sideways, 0))
+
+
+def _within(rectangles: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+    """Whether footprints ``(n, 5)`` lie in the union of upright rectangles ``(m, 4)``: ``(n,)`` bool."""
+    points = corners(boxes, 6)
+    x0, y0, x1, y1 = (rectangles.T + np.array([[-1e-3], [-1e-3], [1e-3], [1e-3]]))[..., None, None]
+    hit = (points[..., 0] >= x0) & (points[..., 0] <= x1) & (points[..., 1] >= y0) & (points[..., 1] <= y1)
+    return np.asarray(hit.any(axis=0).all(axis=-1))
+
+
+def _untouched(boxes: np.ndarray, others: list[np.ndarray]) -> np.ndarray:
+    """Which footprints ``(n, 5)`` overlap none of the others: ``(n,)`` bool."""
+    if not others:
+        return np.ones(len(boxes), dtype=bool)
+    return ~np.asarray(overlaps(boxes, np.array(others)).any(axis=1))
+
+
+@dataclass
+class Floor:
+    """The floor of an apartment while it is being furnished (mutable).
+
+    `solid` lists footprints with their lowest and highest z ``(7,)``; `kept` footprints that stay free of solids;
+    `near` ``(rows, columns)``: where the middle of a body cannot be; `owner`, the room of each of those cells; `space`:
+    for each room those that are open to it, itself among them.
+    """
+
+    plan: Plan
+    rooms: tuple[Room, ...]
+    faces: tuple[WallFace, ...]
+    origin: np.ndarray
+    near: np.ndarray
+    owner: np.ndarray
+    anchors: np.ndarray
+    space: tuple[tuple[int, ...], ...]
+    solid: list[np.ndarray] = field(default_factory=list)
+    kept: list[np.ndarray] = field(default_factory=list)
+    around: list[np.ndarray] = field(default_factory=list)
+    least: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def inside(self, room: int, boxes: np.ndarray) -> np.ndarray:
+        """Whether footprints ``(n, 5)`` lie in a room: ``(n,)`` bool."""
+        return _within(self.rooms[room].rectangles, boxes)
+
+    def open_inside(self, room: int, boxes: np.ndarray) -> np.ndarray:
+        """Whether footprints ``(n, 5)`` lie in a room or in those that are open to it."""
+        return _within(np.concatenate([self.rooms[place].rectangles for place in self.space[room]]), boxes)
+
+    def beside_windows(self, boxes: np.ndarray, height: float) -> np.ndarray:
+        """Which footprints ``(n, 5)`` do not stand before a window whose sill is lower than `height`."""
+        low = [from_rectangle(w.approach(0.4)) for w in self.plan.windows if w.sill < height + 0.03]
+        return _untouched(boxes, low)
+
+    def fits(
+        self, room: int, boxes: np.ndarray, z: tuple[float, float], margin: float = 0.02, kept: bool = True
+    ) -> np.ndarray:
+        """Which footprints ``(n, 5)`` from z[0] to z[1] are in the room, hit nothing and leave free what is kept."""
+        grown = boxes + np.array([0.0, 0.0, margin, margin, 0.0])
+        solid = [other[:5] for other in self.solid if other[5] < z[1] and other[6] > z[0]]
+        good = self.inside(room, boxes) & _untouched(grown, solid)
+        return good & _untouched(boxes, self.kept) if kept else good
+
+    def clear(self, boxes: np.ndarray) -> np.ndarray:
+        """Which footprints ``(n, 5)`` no solid that stands on the floor reaches into: ``(n,)`` bool."""
+        return _untouched(np.atleast_2d(boxes), [solid[:5] for solid in self.solid if solid[5] < 1.0])
+
+    def put(self, boxes: list[np.ndarray], heights: list[tuple[float, float]]) -> bool:
+        """Set solids down together, if all rooms and all pieces can then still be reached; else leave all as it is."""
+        before, count = self.near.copy(), len(self.around)
+        for box, (low, _) in zip(boxes, heights, strict=True):
+            if low < 1.5:
+                self._block(box)
+        self.around += [self._ring(box) for box, (low, _) in zip(boxes, heights, strict=True) if low < 1.0]
+        if not self.walkable():
+            self.near = before
+            del self.around[count:]
+            return False
+        self.solid += [np.concatenate([box, z]) for box, z in zip(boxes, heights, strict=True)]
+        return True
+
+    def walkable(self) -> bool:
+        """Whether one walk leads through all doorways, into all rooms and near to all pieces."""
+        free = np.empty(self.near.shape, dtype=np.int32)
+        ndimage.label(~self.near, output=free)
+        marks = free[tuple(self.anchors.T)]
+        if marks[0] == 0 or (marks != marks[0]).any():
+            return False
+        main = free == marks[0]
+        area = np.bincount(self.owner[main] + 1, minlength=len(self.rooms) + 1)[1:] * CELL**2
+        if (area < self.least).any():
+            return False
+        flat = main.ravel()
+        return all(flat[ring].any() for ring in self.around)
+
+    def _window(self, box: np.ndarray, reach: float) -> tuple[slice, slice, np.ndarray]:
+        points = corners(box)[0]
+        low = np.floor((points.min(axis=0) - reach - self.origin) / CELL).astype(int)
+        high = np.ceil((points.max(axis=0) + reach - self.origin) / CELL).astype(int)
+        low, high = np.maximum(low, 0), np.minimum(high, self.near.shape)
+        x = self.origin[0] + (np.arange(low[0], high[0]) + 0.5) * CELL
+        y = self.origin[1] + (np.arange(low[1], high[1]) + 0.5) * CELL
+        centres = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+        return slice(low[0], high[0]), slice(low[1], high[1]), distances(box, centres)
+
+    def _block(self, box: np.ndarray) -> None:
+        rows, columns, away = self._window(box, BODY)
+        self.near[rows, columns] |= away < BODY
+
+    def _ring(self, box: np.ndarray) -> np.ndarray:
+        """Flat places of the cells round a footprint from which it counts as reached."""
+        rows, columns, away = self._window(box, REACH)
+        i, j = np.nonzero((away < REACH) & (away >= BODY))
+        return (i + rows.start) * self.near.shape[1] + j + columns.start
+
+
+def empty_floor(plan: Plan, cells: Cells, rooms: tuple[Room, ...]) -> Floor:
+    """The floor before anything stands on it: walls and open doors are in place, ways through the doors kept clear."""
+    width, depth = plan.extent
+    origin = np.array([-0.3, -0.3])
+    x, y = (origin[0] + (np.arange(math.ceil((end + 0.6) / CELL)) + 0.5) * CELL for end in (width, depth))
+    xs, ys, _ = cells.lines
+    i = np.clip(np.searchsorted(xs, x) - 1, 0, len(xs) - 2)
+    j = np.clip(np.searchsorted(ys, y) - 1, 0, len(ys) - 2)
+    owner = np.maximum(cells.air[:, :, 0], OUTSIDE)[np.ix_(i, j)]
+    near = np.asarray(ndimage.distance_transform_edt(owner >= 0, sampling=CELL)) < BODY
+    anchors = []
+    for doorway in plan.doorways:
+        for place, side in zip(doorway.boundary.rooms, (-1, 1), strict=True):
+            if place != OUTSIDE:
+                x0, y0, x1, y1 = doorway.boundary.box(doorway.start, doorway.end, side * 0.45, side * 0.45)
+                anchors.append((((x0 + x1) / 2, (y0 + y1) / 2) - origin) / CELL)
+    floor = Floor(plan, rooms, wall_faces(cells), origin, near, owner, np.floor(anchors).astype(int), _spaces(plan))
+    for doorway in plan.doorways:
+        floor.kept.append(from_rectangle(doorway.approach(0.8, 0.06)))
+        if doorway.leaf:
+            leaf = leaf_footprint(doorway)
+            floor._block(leaf)
+            floor.solid.append(np.concatenate([leaf, (0.0, doorway.head)]))
+    free = np.bincount(owner[~floor.near] + 1, minlength=len(rooms) + 1)[1:] * CELL**2
+    floor.least = np.minimum(0.8, 0.3 * free)
+    return floor
+
+
+def leaf_footprint(doorway: Doorway) -> np.ndarray:
+    """The open leaf with its handles."""
+    length = doorway.end - doorway.start
+    middle = doorway.at(length / 2, 0.02)
+    along = doorway.at(1.0, 0.0) - doorway.at(0.0, 0.0)
+    return footprint(float(middle[0]), float(middle[1]), length, 0.14, math.atan2(along[1], along[0]))
+
+
+def _spaces(plan: Plan) -> tuple[tuple[int, ...], ...]:
+    """For each room all rooms that are open to it, directly or through others."""
+    group = list(range(len(plan.spaces)))
+    for a, b in sorted(plan.open_to):
+        group = [group[a] if g == group[b] else g for g in group]
+    return tuple(tuple(i for i, g in enumerate(group) if g == own) for own in group)

@@ -1,0 +1,124 @@
+"""Where a piece of furniture might go: candidate footprints, each with a score, before anything is checked."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from eagor.worlds.apartment.cells import WallFace
+from eagor.worlds.apartment.placement import Floor
+
+GAP = 0.02  # between the back of a piece and the wall: more than a skirting board
+
+
+@dataclass(frozen=True, eq=False)
+class Sites:
+    """Candidates: footprints ``(n, 5)`` and scores ``(n,)``, more is better."""
+
+    boxes: np.ndarray
+    scores: np.ndarray
+
+    def best(self, good: np.ndarray, most: int) -> np.ndarray:
+        """Places of the `most` best ones among those that are `good` ``(n,)``, best first."""
+        places = np.flatnonzero(good)
+        return places[np.argsort(-self.scores[places], kind="stable")][:most]
+
+
+def no_sites() -> Sites:
+    """No candidates."""
+    return Sites(np.zeros((0, 5)), np.zeros(0))
+
+
+def joined(*several: Sites) -> Sites:
+    """All candidates together."""
+    if not several:
+        return no_sites()
+    return Sites(np.concatenate([s.boxes for s in several]), np.concatenate([s.scores for s in several]))
+
+
+def facing(face: WallFace) -> float:
+    """The angle of what stands with its back to a wall."""
+    if face.axis == 0:
+        return math.copysign(math.pi / 2, face.side)
+    return 0.0 if face.side > 0 else math.pi
+
+
+def on_face(face: WallFace, along: np.ndarray, away: float, depth: float, width: float) -> np.ndarray:
+    """Footprints ``(n, 5)`` with their middles `along` ``(n,)`` a wall and their backs `away` metres from it."""
+    boxes = np.zeros((len(along), 5))
+    boxes[:, face.axis] = along
+    boxes[:, 1 - face.axis] = face.line + face.side * (away + depth / 2)
+    boxes[:, 2:] = depth / 2, width / 2, facing(face)
+    return boxes
+
+
+def along_walls(
+    floor: Floor,
+    room: int,
+    size: np.ndarray,
+    rng: np.random.Generator,
+    *,
+    corner: float = 0.0,
+    middle: float = 0.0,
+    gap: float = GAP,
+    side: float = 0.04,
+    extra: float = 0.0,
+) -> Sites:
+    """Backs to the walls of a room: at both ends of each wall (score `corner`), in its middle, and between.
+
+    `side` is left free at the ends of a wall; `extra` metres on either side of the piece have to fit as well.
+    """
+    found = []
+    for face in floor.faces:
+        room_for = face.end - face.start - size[1] - 2 * side - 2 * extra
+        if face.room != room or room_for < 0:
+            continue
+        first, last = face.start + side + extra + size[1] / 2, face.end - side - extra - size[1] / 2
+        along = np.concatenate([[first, last, (first + last) / 2], rng.uniform(first, last, 5)])
+        scores = rng.uniform(0, 0.5, len(along)) + np.array([corner, corner, middle, 0, 0, 0, 0, 0])
+        found.append(Sites(on_face(face, along, gap, float(size[0]), float(size[1])), scores))
+    return joined(*found)
+
+
+def in_room(floor: Floor, room: int, size: np.ndarray, rng: np.random.Generator, count: int = 60) -> Sites:
+    """Anywhere in a room, upright or turned by a quarter, better near to its middle."""
+    rectangles = floor.rooms[room].rectangles
+    area = (rectangles[:, 2] - rectangles[:, 0]) * (rectangles[:, 3] - rectangles[:, 1])
+    picked = rectangles[rng.choice(len(rectangles), count, p=area / area.sum())]
+    spot = rng.random((count, 2))
+    middle = (rectangles[area.argmax(), :2] + rectangles[area.argmax(), 2:]) / 2
+    boxes = np.zeros((count, 5))
+    boxes[:, :2] = picked[:, :2] + spot * (picked[:, 2:] - picked[:, :2])
+    boxes[:, 2:4] = size[:2] / 2
+    boxes[:, 4] = rng.integers(0, 2, count) * (math.pi / 2)
+    off = np.linalg.norm(boxes[:, :2] - middle, axis=1)
+    return Sites(boxes, rng.uniform(0, 0.3, count) - 0.3 * off)
+
+
+def relative(box: np.ndarray, forward: float, left: float, depth: float, width: float, turn: float) -> np.ndarray:
+    """The footprint of something `forward` of and to the `left` of another's middle, turned against it (radians)."""
+    c, s = math.cos(box[4]), math.sin(box[4])
+    x, y = box[0] + forward * c - left * s, box[1] + forward * s + left * c
+    angle = math.remainder(box[4] + turn, 2 * math.pi)
+    return np.array([x, y, depth / 2, width / 2, angle])
+
+
+def before(boxes: np.ndarray, depth: float, wider: float = 0.0) -> np.ndarray:
+    """The floor ``(n, 5)`` in front of footprints, `depth` metres deep."""
+    boxes = np.atleast_2d(boxes)
+    zone = boxes.copy()
+    reach = boxes[:, 2] + depth / 2
+    zone[:, 0] += reach * np.cos(boxes[:, 4])
+    zone[:, 1] += reach * np.sin(boxes[:, 4])
+    zone[:, 2] = depth / 2 - 1e-3
+    zone[:, 3] += wider
+    return zone
+
+
+def reversed_(boxes: np.ndarray) -> np.ndarray:
+    """Footprints ``(n, 5)`` that look the other way."""
+    back = boxes.copy()
+    back[:, 4] = np.remainder(boxes[:, 4] + 2 * math.pi, 2 * math.pi) - math.pi
+    return back

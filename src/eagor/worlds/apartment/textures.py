@@ -1,0 +1,267 @@
+"""Materials of a home: cloth, wood, tiles, plaster and the rest, drawn by rule and repeating without a seam.
+
+`material` is all that furniture and walls need. Textures are grey where one drawing serves every colour (the colour
+of the `Material` tints them) and coloured where the drawing is the point: rugs, paintings, books, screens. Each is
+drawn once per process, from a generator of its own, so that it depends on its name alone.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+
+from eagor.errors import WorldError
+from eagor.worlds.apartment.canvas import noise
+from eagor.worlds.apartment.palette import sRGB, to_coded, to_linear
+from eagor.worlds.apartment.pictures import PICTURES
+from eagor.worlds.scene import Material
+
+# Metres that one repeat covers, u and v alike. What is drawn `WHOLE` is one thing from edge to edge, and its builders
+# set uv from 0 to 1.
+WHOLE = frozenset({"leaf", "rug", "art", "screen", "books", "lampshade", "view"})
+REPEAT: dict[str, float] = {
+    "fabric": 0.4, "leather": 0.6, "wood": 1.0, "metal": 0.5, "plastic": 1.0, "ceramic": 1.0, "paint": 1.0,
+    "wicker": 0.16, "glass": 1.0, "marble": 1.2, "tile": 0.6, "parquet": 1.6, "carpet": 0.6, "plaster": 2.0,
+    "wallpaper": 0.8, "earth": 0.3, "leaf": 1.0, "rug": 1.0, "art": 1.0, "screen": 1.0, "books": 1.0,
+    "lampshade": 1.0, "view": 1.0,
+}  # fmt: skip
+
+# What a kind is made of where no colour is asked for: a named colour, or sRGB tones (0 to 255).
+_NATURAL: dict[str, tuple[str | tuple[int, int, int], ...]] = {
+    "fabric": ("grey", "beige", "blue"),
+    "leather": ("brown", "black"),
+    "wood": ((150, 104, 66), (122, 80, 50), (176, 134, 92), (92, 60, 40)),
+    "metal": ((176, 178, 182), (150, 152, 156)),
+    "plastic": ("white", "black"),
+    "ceramic": ("white",),
+    "paint": ("white",),
+    "wicker": ((176, 140, 96), (150, 112, 72)),
+    "glass": ((186, 204, 212),),
+    "marble": ((232, 230, 226), (222, 214, 202)),
+    "tile": ((232, 230, 224), (206, 212, 214), (214, 204, 188), (186, 196, 196)),
+    "parquet": ((178, 138, 96), (150, 110, 74), (196, 164, 124), (122, 86, 58)),
+    "carpet": ((178, 170, 158), (150, 150, 150), (140, 128, 116), (126, 134, 142)),
+    "plaster": ((240, 236, 226), (238, 232, 216), (226, 230, 226), (222, 228, 232), (236, 224, 212), (230, 230, 214)),
+    "wallpaper": ((232, 226, 212), (214, 222, 216), (210, 216, 226), (232, 214, 206)),
+    "earth": ((72, 54, 42),),
+    "leaf": ("green",),
+    "lampshade": ((255, 240, 214),),
+}
+
+
+def material(kind: str, colour: str | None = None, rng: np.random.Generator | None = None) -> Material:
+    """A material of a kind of `REPEAT`, in a tone of a named colour; None leaves the colour to the kind.
+
+    The texture is shared between all materials that drew the same variant; it is not to be written to. Raises
+    `WorldError` for an unknown kind or colour.
+    """
+    if kind not in REPEAT:
+        raise WorldError(f"there is no material {kind!r}; wanted one of {', '.join(sorted(REPEAT))}")
+    rng = np.random.default_rng(0) if rng is None else rng
+    name = f"{colour} {kind}" if colour else kind
+    if kind in PICTURES:
+        picture = PICTURES[kind]
+        if colour is None and picture.colours:
+            colour = picture.colours[rng.integers(len(picture.colours))]
+        if colour is not None and colour not in picture.colours:
+            raise WorldError(
+                f"{kind} does not come in {colour!r}; wanted one of {', '.join(picture.colours) or 'none'}"
+            )
+        texture, _ = _picture(kind, colour, int(rng.integers(picture.variants)))
+        return Material(name, (1.0, 1.0, 1.0), texture, picture.emission)
+    tone = np.array(_tone(kind, colour, rng))
+    # A coloured shade at full strength would bleach to a primary.
+    emission = 0.0 if kind != "lampshade" else 1.5 if colour in (None, "white", "beige") else 0.9
+    if kind not in SURFACES:
+        return Material(name, (float(tone[0]), float(tone[1]), float(tone[2])), None, emission)
+    variants, _ = SURFACES[kind]
+    texture, mean = _surface(kind, int(rng.integers(variants)))
+    r, g, b = np.minimum(to_coded(to_linear(tone) / mean), 1.0)  # so that the mean of both together is the tone
+    return Material(name, (float(r), float(g), float(b)), texture, emission)
+
+
+def _tone(kind: str, colour: str | None, rng: np.random.Generator) -> tuple[float, float, float]:
+    if colour is not None:
+        return sRGB(colour, rng)
+    choices = _NATURAL[kind]
+    choice = choices[rng.integers(len(choices))]
+    if isinstance(choice, str):
+        return sRGB(choice, rng)
+    r, g, b = np.minimum(np.array(choice) / 255 * rng.uniform(0.97, 1.03), 1.0)
+    return float(r), float(g), float(b)
+
+
+@cache
+def _surface(kind: str, variant: int) -> tuple[np.ndarray, np.ndarray]:
+    """A tintable texture ``(h, w, 3)`` uint8 and its mean ``(3,)`` in linear light."""
+    _, draw = SURFACES[kind]
+    return _finished(draw(_generator(kind, variant), variant))
+
+
+@cache
+def _picture(kind: str, colour: str | None, variant: int) -> tuple[np.ndarray, np.ndarray]:
+    """A coloured texture, brightness as drawn."""
+    drawn = PICTURES[kind].draw(_generator(f"{kind} {colour}", variant), colour, variant)
+    return _coded(drawn)
+
+
+def _generator(name: str, variant: int) -> np.random.Generator:
+    return np.random.default_rng([zlib.crc32(name.encode()), variant])
+
+
+def _finished(relative: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`relative` linear reflectance ``(h, w)`` or ``(h, w, 3)``, any scale, made as bright as 8 bits allow."""
+    if relative.ndim == 2:
+        relative = relative[..., None] * np.ones(3)
+    return _coded(relative / np.percentile(relative, 99))
+
+
+def _coded(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    texture = np.rint(255 * to_coded(np.clip(linear, 0, 1))).astype(np.uint8)
+    texture.setflags(write=False)
+    mean = to_linear(texture / 255).mean(axis=(0, 1))
+    mean.setflags(write=False)
+    return texture, mean
+
+
+def _fabric(rng: np.random.Generator, variant: int) -> np.ndarray:
+    """Plain weave, twill, melange, corduroy: fine, with soft large variation."""
+    size = 256
+    v, u = np.mgrid[:size, :size]
+    turns = 2 * np.pi / size
+    if variant == 0:
+        weave = np.where((u // 2 + v // 2) % 2 == 0, np.sin(turns * 64 * v), np.sin(turns * 64 * u))
+    elif variant == 1:
+        weave = np.sin(turns * 48 * (u + v))
+    elif variant == 2:
+        weave = 1.5 * noise(rng, (size, size), 0.3, 8) + 1.5 * noise(rng, (size, size), 0.3, 1 / 8)
+    else:
+        weave = 1.6 * np.abs(np.sin(turns * 16 * u)) ** 0.5
+    threads = 0.35 * noise(rng, (size, size), 0.2, 6) + 0.35 * noise(rng, (size, size), 0.2, 1 / 6)
+    return np.exp(0.045 * weave + 0.05 * threads + 0.035 * noise(rng, (size, size), 1.6))
+
+
+def _leather(rng: np.random.Generator, variant: int) -> np.ndarray:
+    grain = np.abs(noise(rng, (256, 256), 0.8)) ** 0.5
+    return np.exp(0.12 * grain + 0.06 * noise(rng, (256, 256), 2.0))
+
+
+def _wood(rng: np.random.Generator, variant: int) -> np.ndarray:
+    """Grain along u: growth rings cut at a slant, pores, and slow changes of tone."""
+    shape = (256, 256)
+    v = np.arange(256)[:, None] / 256
+    bend = noise(rng, shape, 2.2, 6) * (0.16, 0.3, 0.5)[variant]
+    rings = np.sin(2 * np.pi * (v * (10, 6, 4)[variant] + bend))
+    grain = 0.5 * rings + 0.5 * noise(rng, shape, 0.9, 30) + 0.4 * noise(rng, shape, 0.2, 60)
+    return np.exp(0.11 * grain[..., None] * np.array([0.8, 1.0, 1.25]))
+
+
+def _brushed(rng: np.random.Generator, variant: int) -> np.ndarray:
+    return np.exp(0.06 * noise(rng, (128, 128), 0.3, 60) + 0.04 * noise(rng, (128, 128), 1.5))
+
+
+def _speckled(rng: np.random.Generator, variant: int) -> np.ndarray:
+    return np.exp(0.025 * noise(rng, (128, 128), 0.6) + 0.02 * noise(rng, (128, 128), 2))
+
+
+def _wicker(rng: np.random.Generator, variant: int) -> np.ndarray:
+    v, u = np.mgrid[:128, :128] / 128
+    over = (np.floor(u * 4) + np.floor(v * 8)) % 2
+    strand = np.abs(np.sin(np.pi * 8 * v)) * (0.55 + 0.45 * np.abs(np.sin(np.pi * (4 * u + 0.5 * over))))
+    return 0.35 + 0.65 * strand**0.6 * np.exp(0.1 * noise(rng, (128, 128), 0.8, 8))
+
+
+def _marble(rng: np.random.Generator, variant: int) -> np.ndarray:
+    veins = np.abs(noise(rng, (256, 256), 2.1) + 0.03 * noise(rng, (256, 256), 1.0))
+    return np.exp(-0.35 * np.exp(-12 * veins) + 0.05 * noise(rng, (256, 256), 1.8))
+
+
+def _tile(rng: np.random.Generator, variant: int) -> np.ndarray:
+    """Tiles with grout: square, brick bond, small squares, or large slabs."""
+    rows, columns, shift = ((2, 2, 0.0), (6, 3, 0.5), (6, 6, 0.0), (2, 1, 0.5))[variant]
+    v, u = (np.mgrid[:256, :256] + 0.5) / 256
+    row = np.floor(v * rows)
+    along = (u * columns + shift * (row % 2)) % columns
+    edge_u = np.abs(along - np.round(along)) / columns
+    edge_v = np.abs(v * rows - np.round(v * rows)) / rows
+    edge = np.minimum(edge_u, edge_v) * 256
+    tones = np.exp(0.035 * rng.standard_normal((rows, columns)))[row.astype(int), np.floor(along).astype(int)]
+    body = tones * np.exp(0.02 * noise(rng, (256, 256), 1.5)) * (0.93 + 0.07 * np.clip((edge - 1) / 3, 0, 1))
+    return np.where(edge < 1.4, 0.62, body)
+
+
+def _parquet(rng: np.random.Generator, variant: int) -> np.ndarray:
+    """Boards along u with shifted ends, each with its own tone and piece of grain."""
+    rows, pieces = ((12, 2), (8, 1), (16, 3))[variant]
+    v, u = (np.mgrid[:256, :256] + 0.5) / 256
+    row = np.floor(v * rows).astype(int)
+    along = (u * pieces + rng.random(rows)[row]) % pieces
+    board = np.floor(along).astype(int)
+    tone = rng.normal(0, 0.12, (rows, pieces))[row, board]
+    offset = rng.integers(0, 256, (rows, pieces))[row, board]
+    column, line = np.arange(256)[None, :], np.arange(256)[:, None]
+    grain = (0.6 * noise(rng, (256, 256), 1.0, 30) + 0.5 * noise(rng, (256, 256), 0.3, 40))[
+        (line + offset) % 256, (column + 7 * offset) % 256
+    ]
+    gap_v = np.abs(v * rows - np.round(v * rows)) / rows * 256
+    gap_u = np.abs(along - np.round(along)) / pieces * 256
+    joint = np.where(np.minimum(gap_v, gap_u) < 0.6, 0.55, 1.0)
+    return joint[..., None] * np.exp((tone + 0.09 * grain)[..., None] * np.array([0.85, 1.0, 1.2]))
+
+
+def _carpet(rng: np.random.Generator, variant: int) -> np.ndarray:
+    return np.exp(0.1 * noise(rng, (256, 256), 0.1 + 0.3 * variant) + 0.05 * noise(rng, (256, 256), 1.5))
+
+
+def _plaster(rng: np.random.Generator, variant: int) -> np.ndarray:
+    return np.exp(0.012 * noise(rng, (256, 256), 0.5) + 0.015 * noise(rng, (256, 256), 2.0))
+
+
+def _wallpaper(rng: np.random.Generator, variant: int) -> np.ndarray:
+    """Stripes broad and fine, dots, or a trellis."""
+    v, u = (np.mgrid[:256, :256] + 0.5) / 256
+    if variant == 0:
+        pattern = np.where((u * 4) % 1 < 0.5, 1.0, 0.86)
+    elif variant == 1:
+        pattern = np.where((u * 8) % 1 < 0.12, 0.78, 1.0) * np.where((u * 4) % 1 < 0.5, 1.0, 0.95)
+    elif variant == 2:
+        x, y = (u * 6) % 1 - 0.5, (v * 6 + 0.5 * np.floor(u * 6)) % 1 - 0.5
+        pattern = np.where(np.hypot(x, y) < 0.16, 0.8, 1.0)
+    else:
+        p, q = (u * 3 + v * 3) % 1, (u * 3 - v * 3) % 1
+        pattern = np.where((np.minimum(p, 1 - p) < 0.04) | (np.minimum(q, 1 - q) < 0.04), 0.84, 1.0)
+    return pattern * np.exp(0.012 * noise(rng, (256, 256), 0.5))
+
+
+def _earth(rng: np.random.Generator, variant: int) -> np.ndarray:
+    return np.exp(0.35 * noise(rng, (128, 128), 0.5))
+
+
+def _leaf(rng: np.random.Generator, variant: int) -> np.ndarray:
+    """A midrib along u at the middle of v, side veins, and mottling; u from stalk to tip."""
+    v, u = (np.mgrid[:128, :128] + 0.5) / 128
+    across = np.abs(v - 0.5) * 2
+    rib = np.exp(-((across / 0.06) ** 2))
+    veins = np.exp(-((((u * 8 - across * 2.5) % 1) - 0.5) ** 2) / 0.012)
+    light = 0.3 * rib + 0.14 * veins + 0.08 * noise(rng, (128, 128), 1.2)
+    return np.exp(light[..., None] * np.array([1.15, 1.0, 0.9]))
+
+
+def _lampshade(rng: np.random.Generator, variant: int) -> np.ndarray:
+    """Cloth lit from inside: brightest a little below its middle; u round it, v from bottom to top."""
+    v = 1 - (np.arange(64)[:, None] + 0.5) / 64
+    glow = 0.6 + 0.4 * np.exp(-(((v - 0.42) / 0.35) ** 2))
+    weave = np.exp(0.03 * noise(rng, (64, 64), 0.2, 8) + 0.03 * noise(rng, (64, 64), 0.2, 1 / 8))
+    return (glow * weave)[..., None] * (glow[..., None] ** np.array([0.0, 0.12, 0.35]))
+
+
+SURFACES: dict[str, tuple[int, Callable[[np.random.Generator, int], np.ndarray]]] = {
+    "fabric": (4, _fabric), "leather": (2, _leather), "wood": (3, _wood), "metal": (1, _brushed),
+    "wicker": (1, _wicker), "marble": (2, _marble), "tile": (4, _tile), "parquet": (3, _parquet),
+    "carpet": (2, _carpet), "plaster": (2, _plaster), "wallpaper": (4, _wallpaper), "earth": (1, _earth),
+    "leaf": (2, _leaf), "lampshade": (1, _lampshade), "paint": (1, _speckled),
+}  # fmt: skip
+"""Kinds that are tinted: how many variants there are, and what draws one. The other kinds are plain."""

@@ -1,0 +1,218 @@
+"""Shortest ways over a grid of free cells: a graph, distance fields, straight views, pulled paths.
+
+Every cell is joined to 32 neighbours (the steps of up to three cells that are no multiple of a shorter one) where all
+cells that the straight step touches are free. Directions lie at most 18.4 degrees apart, so that a way over the graph
+is at most 1.3 % longer than the straight one, 0.6 % on average. Cells are (row, col); row along y, col along x.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+_REACH = 3
+
+
+def _steps() -> dict[tuple[int, int], list[tuple[int, int]]]:
+    """One of each opposite pair of steps (rows, cols), and the cells that its straight line touches on the way."""
+    span = range(-_REACH, _REACH + 1)
+    steps = [(r, c) for r in span for c in span if (r, c) > (0, 0) and math.gcd(r, c) == 1]
+
+    def touches(step: tuple[int, int], cell: tuple[int, int]) -> bool:
+        (r, c), (a, b) = step, cell
+        within = min(0, r) <= a <= max(0, r) and min(0, c) <= b <= max(0, c)
+        return within and 2 * abs(r * b - c * a) <= abs(r) + abs(c) and cell not in ((0, 0), step)
+
+    return {step: [(a, b) for a in span for b in span if touches(step, (a, b))] for step in steps}
+
+
+_STEPS = _steps()
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """Shortest distances over the ground to one goal or set of goals.
+
+    `metres` ``(rows, cols)``: from the centre of each cell, inf where there is no way. Cell (0, 0) has its low corner
+    at `origin` ``(2,)``; cells are squares of side `cell` metres.
+    """
+
+    origin: np.ndarray
+    cell: float
+    metres: np.ndarray
+
+    def distance(self, xy: np.ndarray) -> np.ndarray:
+        """Metres ``(...)`` from points ``(..., 2)``; inf where there is no way, off the ground and for NaN.
+
+        Bilinear between those of the four cell centres about a point that can be reached, and by no way much longer
+        than that from the point's own cell: others lie behind a thin wall.
+        """
+        place = (np.asarray(xy, dtype=np.float64) - self.origin) / self.cell
+        rows, cols = self.metres.shape
+        known = np.all((place >= 0) & (place < (cols, rows)), axis=-1)
+        place = np.where(np.expand_dims(known, -1), place, 0.0)
+        own = np.floor(place).astype(np.intp)
+        here = np.where(known, self.metres[own[..., 1], own[..., 0]], np.inf)
+        near = np.where(np.isfinite(here), here, 0.0)
+        first = np.floor(place - 0.5).astype(np.intp)
+        share = place - 0.5 - first
+        total, weights = np.zeros(here.shape), np.zeros(here.shape)
+        for right in (0, 1):
+            for up in (0, 1):
+                col = np.clip(first[..., 0] + right, 0, cols - 1)
+                row = np.clip(first[..., 1] + up, 0, rows - 1)
+                value = self.metres[row, col]
+                weight = (share[..., 0] if right else 1 - share[..., 0]) * (share[..., 1] if up else 1 - share[..., 1])
+                usable = np.abs(np.where(np.isfinite(value), value, 1e9) - near) < 2.1 * self.cell
+                total = total + weight * np.where(usable, value, 0.0)
+                weights = weights + np.where(usable, weight, 0.0)
+        return np.where(np.isfinite(here), total / np.maximum(weights, 1e-12), np.inf)
+
+    def union(self, *others: Field) -> Field:
+        """The distance to the nearest goal of this field and the others, which lie on the same ground."""
+        return Field(self.origin, self.cell, np.minimum.reduce([self.metres, *(other.metres for other in others)]))
+
+
+@dataclass(frozen=True, eq=False)
+class CellGraph:
+    """The graph of the free cells ``(rows, cols)``; lengths in cells."""
+
+    free: np.ndarray
+
+    @cached_property
+    def nodes(self) -> np.ndarray:
+        """Rows and columns ``(n, 2)`` of the free cells, in reading order."""
+        return np.argwhere(self.free)
+
+    @cached_property
+    def index(self) -> np.ndarray:
+        """Place of each cell in `nodes` ``(rows, cols)``, -1 for those that are not free."""
+        index = np.full(self.free.shape, -1, dtype=np.int32)
+        index[self.free] = np.arange(len(self.nodes), dtype=np.int32)
+        return index
+
+    @cached_property
+    def edges(self) -> csr_array:
+        """Lengths ``(n, n)`` of the steps between free cells."""
+        reach = _REACH
+        free, index = np.pad(self.free, reach), np.pad(self.index, reach, constant_values=-1)
+        rows, cols = self.free.shape
+        starts, ends, lengths = [], [], []
+
+        def shifted(grid: np.ndarray, step: tuple[int, int]) -> np.ndarray:
+            return grid[reach + step[0] : reach + step[0] + rows, reach + step[1] : reach + step[1] + cols]
+
+        for step, between in _STEPS.items():
+            open_ = self.free & shifted(free, step)
+            for cell in between:
+                open_ &= shifted(free, cell)
+            here, there = self.index[open_], shifted(index, step)[open_]
+            starts += [here, there]
+            ends += [there, here]
+            lengths.append(np.full(2 * len(here), math.hypot(*step)))
+        entries = np.concatenate(lengths), (np.concatenate(starts), np.concatenate(ends))
+        return csr_array(entries, shape=(len(self.nodes), len(self.nodes)))
+
+    def spread(self, seeds: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+        """Distances in cells ``(rows, cols)`` from seeds, places in `nodes` ``(k,)`` that start at `offsets` ``(k,)``.
+
+        A virtual node joined to every seed by an edge of its offset stands for the goal.
+        """
+        found = np.full(self.free.shape, np.inf)
+        if len(seeds) == 0:
+            return found
+        edges, count = self.edges, len(self.nodes)
+        joined = csr_array(
+            (
+                np.concatenate([edges.data, np.maximum(offsets, 1e-9)]),
+                np.concatenate([edges.indices, np.asarray(seeds, dtype=edges.indices.dtype)]),
+                np.concatenate([edges.indptr, [edges.nnz + len(seeds)]]).astype(edges.indptr.dtype),
+            ),
+            shape=(count + 1, count + 1),
+        )
+        found[self.free] = dijkstra(joined, indices=count)[:count]
+        return found
+
+    def descend(self, distances: np.ndarray, row: int, col: int) -> list[tuple[int, int]]:
+        """Cells from (row, col) down to the seed that its way leads to; `distances` is an answer of `spread`."""
+        values, edges = distances[self.free], self.edges
+        here = int(self.index[row, col])
+        way = [here]
+        while True:
+            part = slice(edges.indptr[here], edges.indptr[here + 1])
+            through = values[edges.indices[part]] + edges.data[part]
+            # A seed starts below every way through a neighbour, up to rounding.
+            if len(through) == 0 or through.min() > values[here] + 1e-7:
+                return [(int(r), int(c)) for r, c in self.nodes[way]]
+            here = int(edges.indices[part][through.argmin()])
+            way.append(here)
+
+
+def line_is_free(free: bytes, cols: int, start: tuple[float, float], end: tuple[float, float]) -> bool:
+    """Whether all cells that a straight line touches are free (Amanatides and Woo's walk, both cells at a corner).
+
+    `free`: one byte a cell in reading order, with nothing free at the border; points (x, y) in cells, within it.
+    """
+    (x, y), (x_end, y_end) = start, end
+    col, row, last_col, last_row = math.floor(x), math.floor(y), math.floor(x_end), math.floor(y_end)
+    dx, dy = x_end - x, y_end - y
+    right, up = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
+    per_col = abs(1 / dx) if dx else math.inf
+    per_row = abs(1 / dy) if dy else math.inf
+    to_col = (col + 1 - x if dx > 0 else x - col) * per_col if dx else math.inf
+    to_row = (row + 1 - y if dy > 0 else y - row) * per_row if dy else math.inf
+    for _ in range(abs(last_col - col) + abs(last_row - row) + 1):
+        if not free[row * cols + col]:
+            return False
+        if col == last_col and row == last_row:
+            return True
+        if abs(to_col - to_row) < 1e-9:
+            if not (free[row * cols + col + right] and free[(row + up) * cols + col]):
+                return False
+            col, row, to_col, to_row = col + right, row + up, to_col + per_col, to_row + per_row
+        elif to_col < to_row:
+            col, to_col = col + right, to_col + per_col
+        else:
+            row, to_row = row + up, to_row + per_row
+    return bool(free[last_row * cols + last_col])
+
+
+def pulled(points: list[tuple[float, float]], sees: Callable[[tuple, tuple], bool]) -> list[tuple[float, float]]:
+    """The polyline drawn taut: corners are left out where the straight line between others is free.
+
+    Runs from both ends until it gets no shorter, with new corners half-way along the legs, so that a corner that the
+    cells put too far out moves in.
+    """
+    best = _shortcut(points, sees)
+    for _ in range(4):
+        halved = [best[0]]
+        for a, b in itertools.pairwise(best):
+            halved += [((a[0] + b[0]) / 2, (a[1] + b[1]) / 2), b]
+        shorter = _shortcut(_shortcut(halved, sees)[::-1], sees)[::-1]
+        if length(shorter) > length(best) - 1e-3:
+            break
+        best = shorter
+    return best
+
+
+def _shortcut(points: list[tuple[float, float]], sees: Callable[[tuple, tuple], bool]) -> list[tuple[float, float]]:
+    kept, at = [points[0]], 0
+    while at < len(points) - 1:
+        following = at + 1
+        while following + 1 < len(points) and sees(points[at], points[following + 1]):
+            following += 1
+        kept.append(points[following])
+        at = following
+    return kept
+
+
+def length(points: list[tuple[float, float]]) -> float:
+    """Length of a polyline."""
+    return sum(math.dist(a, b) for a, b in itertools.pairwise(points))

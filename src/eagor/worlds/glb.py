@@ -1,0 +1,130 @@
+"""Scenes to and from GLB (binary glTF 2.0), so that other simulators and viewers can show ours, and theirs run here.
+
+glTF has Y up: our (x, y, z) is its (x, z, -y), see `eagor.conventions.to_gltf`. Beside `<name>.glb` an export writes
+
+- `<name>.semantic.json`: what the triangles belong to, and all else that GLB has no place for;
+- `<name>.stage_config.json`: for Habitat, which would otherwise take any bare GLB for one with Z up;
+- `<name>.navmesh.json`: Habitat's NavMeshSettings for the same body as `eagor.worlds.ground`.
+
+Textures in KTX2 and geometry in Draco need decoders that are not here: they come in as plain colour, or not at all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+
+from eagor.conventions import to_gltf
+from eagor.worlds.glb_reader import import_glb
+from eagor.worlds.gltf import FORMAT, material_name, node_name, split_at_seams, to_pbr, write_exactly
+from eagor.worlds.scene import Scene
+
+__all__ = ["export_glb", "import_glb"]
+
+FRAME = (
+    "metres, z up, floor along x and y: low, high, rectangles, positions. A point (x, y, z) here is (x, z, -y) in the "
+    "GLB, which has Y up"
+)
+
+
+def export_glb(
+    scene: Scene,
+    target: Path | str,
+    *,
+    cell: float = 0.05,
+    radius: float = 0.18,
+    height: float = 1.5,
+    climb: float = 0.12,
+) -> Path:
+    """Write a scene and its three companions; returns the path of the GLB.
+
+    `target`: a file name that ends in .glb, or a folder, in which the file is named after `scene.source`. Each material
+    of each instance is a node, `<category>_<id>`, or `<category>_<id>_m<material>` where the instance has several.
+    `cell`, `radius`, `height` and `climb` (metres, as in `Ground.from_scene`) go into `<name>.navmesh.json`. Existing
+    files are overwritten.
+    """
+    import trimesh
+    from trimesh.exchange.gltf import export_glb as to_bytes
+    from trimesh.visual.texture import TextureVisuals
+
+    target = Path(target)
+    if target.suffix.lower() != ".glb":
+        target = target / (re.sub(r"\W+", "_", scene.source).strip("_").lower() + ".glb")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    looks = [to_pbr(index, material) for index, material in enumerate(scene.materials)]
+    parts = np.unique(np.stack([scene.instance, scene.material], axis=1), axis=0)
+    several = np.bincount(parts[:, 0], minlength=len(scene.instances)) > 1
+    model = trimesh.Scene()
+    nodes: list[list[str]] = [[] for _ in scene.instances]
+    for owner, look in parts.tolist():
+        chosen = (scene.instance == owner) & (scene.material == look)
+        vertices, triangles, uv = split_at_seams(scene.vertices, scene.triangles[chosen], scene.uv[chosen])
+        visual = TextureVisuals(uv=uv, material=looks[look])
+        mesh = trimesh.Trimesh(to_gltf(vertices), triangles, visual=visual, process=False)
+        name = node_name(scene.instances[owner].category, owner, look if several[owner] else None)
+        nodes[owner].append(name)
+        model.add_geometry(mesh, node_name=name, geom_name=name)
+    blob = to_bytes(model, include_normals=False, tree_postprocessor=lambda tree: write_exactly(tree, scene.materials))
+    target.write_bytes(blob)
+    stage = {
+        "render_asset": target.name,
+        "collision_asset": target.name,
+        "up": [0, 1, 0],
+        "front": [0, 0, -1],
+        "units_to_meters": 1.0,
+        "is_collidable": True,
+        "shader_type": "flat",
+    }
+    navmesh = {
+        "cell_size": cell,
+        "cell_height": 0.05,
+        "agent_height": height,
+        "agent_radius": radius,
+        "agent_max_climb": climb,
+        "agent_max_slope": 45.0,
+    }
+    semantic = {
+        "format": FORMAT,
+        "frame": FRAME,
+        "glb": target.name,
+        "glb_sha256": hashlib.sha256(blob).hexdigest(),
+        "scene_hash": scene.hash,
+        "source": scene.source,
+        "instances": [
+            {
+                "id": index,
+                "category": thing.category,
+                "colour": thing.colour,
+                "room": thing.room,
+                "low": np.asarray(thing.low, dtype=np.float64).tolist(),
+                "high": np.asarray(thing.high, dtype=np.float64).tolist(),
+                "nodes": nodes[index],
+            }
+            for index, thing in enumerate(scene.instances)
+        ],
+        "materials": [
+            {
+                "gltf": material_name(index, material),
+                "name": material.name,
+                "colour": [float(value) for value in material.colour],
+                "emission": float(material.emission),
+            }
+            for index, material in enumerate(scene.materials)
+        ],
+        "rooms": [
+            {"name": r.name, "kind": r.kind, "rectangles": np.asarray(r.rectangles).tolist()} for r in scene.rooms
+        ],
+        "lamps": [
+            {"position": np.asarray(lamp.position).tolist(), "power": np.asarray(lamp.power).tolist()}
+            for lamp in scene.lamps
+        ],
+        "daylight": list(scene.daylight),
+        "facts": scene.facts,
+    }
+    for kind, content in (("semantic", semantic), ("stage_config", stage), ("navmesh", navmesh)):
+        target.with_suffix(f".{kind}.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    return target

@@ -1,0 +1,200 @@
+"""GLB files as scenes; `eagor.worlds.glb` is the way in."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor.conventions import from_gltf
+from eagor.errors import WorldError
+from eagor.worlds.gltf import FORMAT, from_pbr, name_from_nodes
+from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
+
+
+def import_glb(path: Path | str) -> Scene:
+    """The scene in a GLB (or .gltf) file, turned from Y up to z up and otherwise left where it is.
+
+    With the semantic JSON that `export_glb` wrote beside it, instances, rooms, lamps and materials come back exactly;
+    `facts["exported hash"]` is the hash of the scene that was exported, if the GLB was not changed since. Without it
+    every node with triangles is an instance, with the category (and colour, if it says one) that the words of its name,
+    or of a parent's, give. Normals, vertex colours and all textures but the base colour's are ignored; what has no
+    texture coordinates gets (0, 0), what has no material is white.
+
+    Raises `WorldError` if the file is missing, empty, corrupt or without triangles, or does not fit the JSON.
+    """
+    path = Path(path)
+    blob = _read(path)
+    parts, materials = _load(path, blob)
+    companion = path.with_suffix(".semantic.json")
+    if companion.is_file():
+        try:
+            return _annotated(path, parts, materials, json.loads(companion.read_text(encoding="utf-8")), blob)
+        except (ValueError, KeyError, TypeError, IndexError) as error:
+            if isinstance(error, WorldError):
+                raise
+            raise WorldError(
+                f"{companion} cannot be read ({type(error).__name__}: {error}); wanted what export_glb writes; export "
+                "again, or remove it to import the GLB by itself"
+            ) from error
+    corners = [part.vertices[part.triangles].reshape(-1, 3) for part in parts]
+    instances = [
+        Instance(*name_from_nodes(part.names), None, where.min(axis=0), where.max(axis=0))
+        for part, where in zip(parts, corners, strict=True)
+    ]
+    looks = np.array([part.material for part in parts])
+    return _joined(path, parts, np.arange(len(parts)), looks, instances, materials)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """The triangles of a node, in our frame. `names`: its own, those of its parents, that of its mesh."""
+
+    names: tuple[str, ...]
+    vertices: np.ndarray
+    triangles: np.ndarray
+    uv: np.ndarray
+    material: int
+
+
+def _read(path: Path) -> bytes:
+    try:
+        blob = path.read_bytes()
+    except OSError as error:
+        raise WorldError(f"{path} cannot be read: {error.strerror}; wanted a GLB file") from error
+    if not blob:
+        raise WorldError(f"{path} is empty; wanted a GLB file. Was the download or the export cut off?")
+    if path.suffix.lower() != ".gltf" and not blob.startswith(b"glTF"):
+        pointer = (
+            " This is a Git LFS pointer: run `git lfs pull`." if blob.startswith(b"version https://git-lfs") else ""
+        )
+        raise WorldError(f"{path} starts with {blob[:8]!r}, wanted a GLB file, which starts with b'glTF'.{pointer}")
+    return blob
+
+
+def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
+    """The parts of a file, and its materials."""
+    import trimesh
+
+    try:
+        if path.suffix.lower() == ".gltf":
+            model, entries = trimesh.load_scene(path), json.loads(blob).get("materials", [])
+        else:
+            model = trimesh.load_scene(io.BytesIO(blob), file_type="glb")
+            entries = json.loads(blob[20 : 20 + int.from_bytes(blob[12:16], "little")]).get("materials", [])
+        parts, materials, known = [], [], {}
+        for node in model.graph.nodes_geometry:
+            transform, geometry = model.graph[node]
+            mesh: Any = model.geometry[geometry]
+            if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+                continue
+            pbr = getattr(mesh.visual, "material", None)
+            if id(pbr) not in known:
+                known[id(pbr)] = len(materials)
+                materials.append(from_pbr(pbr, entries))
+            names = (*_lineage(model, node), str(geometry))
+            parts.append(_part(mesh, np.asarray(transform), names, known[id(pbr)]))
+    except Exception as error:  # trimesh raises whatever its parsing runs into
+        if isinstance(error, WorldError):
+            raise
+        raise WorldError(
+            f"{path} cannot be read as glTF 2.0 ({type(error).__name__}: {error}); is it complete? Export it again"
+        ) from error
+    if not parts:
+        raise WorldError(f"{path} holds no triangles; wanted a GLB with at least one mesh")
+    return parts, materials
+
+
+def _lineage(model: Any, node: str) -> list[str]:
+    """The name of a node and those of its parents, without the root's."""
+    parents, names = model.graph.transforms.parents, []
+    while node in parents:
+        names.append(str(node))
+        node = parents[node]
+    return names
+
+
+def _part(mesh: Any, transform: np.ndarray, names: tuple[str, ...], material: int) -> _Part:
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    triangles = np.asarray(mesh.faces, dtype=np.int64)
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise WorldError(
+            f"triangles of node {names[0]!r} point outside its {len(vertices)} vertices; the GLB is corrupt"
+        )
+    if not np.array_equal(transform, np.eye(4)):
+        vertices = vertices @ transform[:3, :3].T + transform[:3, 3]
+        if np.linalg.det(transform[:3, :3]) < 0:
+            triangles = triangles[:, ::-1]
+    uv = getattr(mesh.visual, "uv", None)
+    uv = np.zeros((len(vertices), 2)) if uv is None or np.shape(uv) != (len(vertices), 2) else np.asarray(uv)
+    return _Part(names, from_gltf(vertices).astype(np.float32), triangles, uv[triangles].astype(np.float32), material)
+
+
+def _annotated(path: Path, parts: list[_Part], materials: list[Material], known: dict[str, Any], blob: bytes) -> Scene:
+    """The scene that was exported, from its parts and the semantic JSON."""
+    if known["format"] != FORMAT:
+        raise WorldError(f"the semantic JSON of {path.name} has format {known['format']!r}; wanted {FORMAT!r}")
+    owner = {name: index for index, thing in enumerate(known["instances"]) for name in thing["nodes"]}
+    by_name = {part.names[0]: part for part in parts}
+    if set(owner) != set(by_name):
+        strange = sorted(set(owner) ^ set(by_name))
+        raise WorldError(
+            f"{path.name} and its semantic JSON do not have the same nodes: {', '.join(strange[:3])} only in one "
+            "of them; export again, or remove the JSON to import the GLB by itself"
+        )
+    parts = [by_name[name] for name in owner]
+    place = {entry["gltf"]: index for index, entry in enumerate(known["materials"])}
+    textures = {material.name: material.texture for material in materials}
+    exact = [
+        Material(entry["name"], tuple(entry["colour"]), textures.get(entry["gltf"]), entry["emission"])
+        for entry in known["materials"]
+    ]
+    looks = np.array([place[materials[part.material].name] for part in parts])
+    instances = [
+        Instance(thing["category"], thing["colour"], thing["room"], np.array(thing["low"]), np.array(thing["high"]))
+        for thing in known["instances"]
+    ]
+    facts = dict(known["facts"])
+    if known["glb_sha256"] == hashlib.sha256(blob).hexdigest():
+        facts["exported hash"] = known["scene_hash"]
+    return _joined(
+        path,
+        parts,
+        np.array([owner[part.names[0]] for part in parts]),
+        looks,
+        instances,
+        exact,
+        rooms=tuple(Room(r["name"], r["kind"], np.array(r["rectangles"], dtype=np.float64)) for r in known["rooms"]),
+        lamps=tuple(Lamp(np.array(lamp["position"]), np.array(lamp["power"])) for lamp in known["lamps"]),
+        daylight=tuple(known["daylight"]),
+        facts=facts,
+    )
+
+
+def _joined(
+    path: Path,
+    parts: list[_Part],
+    owners: np.ndarray,
+    looks: np.ndarray,
+    instances: list[Instance],
+    materials: list[Material],
+    **more: Any,
+) -> Scene:
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    counts = [len(part.triangles) for part in parts]
+    return Scene(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=False)]).astype(np.int32),
+        np.repeat(owners, counts).astype(np.int32),
+        np.repeat(looks, counts).astype(np.int32),
+        np.concatenate([part.uv for part in parts]),
+        tuple(instances),
+        tuple(materials),
+        source=f"glb {path.name}",
+        **more,
+    )

@@ -1,0 +1,125 @@
+"""What glTF and `eagor.worlds.scene` say differently: names, materials, texture seams."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from eagor.queries import COLOURS, SYNONYMS
+from eagor.worlds.scene import Material
+from eagor.worlds.srgb import to_coded, to_linear
+
+FORMAT = "eagor semantic 1"  # of the JSON beside an exported GLB
+
+# Words of node names that say nothing about the thing: of modelling programs, and where it is.
+_EMPTY_WORDS = {
+    "mesh", "node", "object", "obj", "geometry", "geom", "primitive", "default", "group", "root", "scene", "world",
+    "model", "material", "instance", "sm", "lod", "polysurface", "gltf", "armature", "collection", "untitled", "north",
+    "south", "east", "west", "left", "right", "front", "back", "upper", "lower", "top", "bottom", "inner", "outer",
+    "interior", "exterior",
+}  # fmt: skip
+_DARK = 0.02  # linear: a colour below it cannot carry the light of a lamp
+
+
+def node_name(category: str, owner: int, material: int | None) -> str:
+    """`<category>_<id>`, and `_m<material>` where an instance has several."""
+    words = re.sub(r"\W+", "_", category)
+    return f"{words}_{owner}" if material is None else f"{words}_{owner}_m{material}"
+
+
+def name_from_nodes(names: Iterable[str]) -> tuple[str, str | None]:
+    """Category and colour in the first of the names that has words for them: "RedChair.001" is a chair, red.
+
+    Names like "mesh_3" say nothing; where all are like that, the category is "object".
+    """
+    for name in names:
+        apart = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
+        words = [word for word in re.findall(r"[a-z]+", apart.lower()) if len(word) > 1 and word not in _EMPTY_WORDS]
+        first = SYNONYMS.get(words[0], words[0]) if words else None  # "gray" is "grey"
+        colour = first if len(words) > 1 and first in COLOURS else None
+        words = words[1:] if colour else words
+        if words:
+            return _singular(" ".join(words)), colour
+    return "object", None
+
+
+def _singular(words: str) -> str:
+    if words in SYNONYMS:
+        return SYNONYMS[words]
+    if words.endswith("s") and not words.endswith("ss"):
+        return SYNONYMS.get(words[:-1], words[:-1])
+    return words
+
+
+def material_name(index: int, material: Material) -> str:
+    """The name of a material in the file, which names its place too."""
+    return f"{index} {material.name}"
+
+
+def to_pbr(index: int, material: Material) -> Any:
+    """trimesh's material for one of ours; `write_exactly` adds what it would round."""
+    from PIL import Image
+    from trimesh.visual.material import PBRMaterial
+
+    image = None if material.texture is None else Image.fromarray(np.ascontiguousarray(material.texture[..., :3]))
+    return PBRMaterial(
+        name=material_name(index, material),
+        baseColorTexture=image,
+        emissiveTexture=image if material.emission > 0 else None,
+        metallicFactor=0.0,
+        roughnessFactor=1.0,
+        doubleSided=True,
+    )
+
+
+def write_exactly(tree: dict[str, Any], materials: tuple[Material, ...]) -> None:
+    """Put colours and emission into the JSON part of a glTF as linear numbers, which trimesh rounds to 8 bits."""
+    ours = {material_name(index, material): material for index, material in enumerate(materials)}
+    for entry in tree.get("materials", []):
+        material = ours[entry["name"]]
+        linear = to_linear(np.asarray(material.colour, dtype=np.float64))
+        entry["pbrMetallicRoughness"]["baseColorFactor"] = [*linear.tolist(), 1.0]
+        if material.emission > 0:
+            light = linear * material.emission
+            strength = max(1.0, float(light.max()))
+            entry["emissiveFactor"] = (light / strength).tolist()
+            if strength > 1:
+                entry["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": strength}}
+                tree["extensionsUsed"] = sorted({*tree.get("extensionsUsed", []), "KHR_materials_emissive_strength"})
+
+
+def from_pbr(pbr: Any, entries: list[dict[str, Any]]) -> Material:
+    """Our material for one of trimesh's, or None; `entries`: the materials in the JSON part of the file."""
+    if pbr is None:
+        return Material("default")
+    name = str(getattr(pbr, "name", None) or "material")
+    same = [entry for entry in entries if entry.get("name") == name]
+    entry = same[0] if len(same) == 1 else {}
+    rounded = getattr(pbr, "baseColorFactor", None)
+    linear = np.ones(3) if rounded is None else np.asarray(rounded, dtype=np.float64)[:3] / 255
+    linear = np.asarray(entry.get("pbrMetallicRoughness", {}).get("baseColorFactor", linear), dtype=np.float64)[:3]
+    image = getattr(pbr, "baseColorTexture", None)
+    texture = None if image is None else np.asarray(image.convert("RGB"))
+    light = getattr(pbr, "emissiveFactor", None)
+    light = np.zeros(3) if light is None else np.asarray(light, dtype=np.float64)
+    extension = entry.get("extensions", {}).get("KHR_materials_emissive_strength", {})
+    light = light * float(extension.get("emissiveStrength", 1.0))
+    emission = 0.0
+    if light.max() > 0 and linear.max() < _DARK:  # a lamp that is black by itself: its light is its colour
+        linear, emission = light / light.max(), float(light.max())
+    elif light.max() > 0:
+        emission = float(light.max() / linear.max())
+    red, green, blue = to_coded(np.clip(linear, 0, 1)).tolist()
+    return Material(name, (red, green, blue), texture, emission)
+
+
+def split_at_seams(
+    vertices: np.ndarray, triangles: np.ndarray, uv: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, triangles and texture coordinates of vertices: one vertex for each pair of place and coordinates."""
+    corners = np.column_stack([vertices[triangles].reshape(-1, 3), uv.reshape(-1, 2)]).astype(np.float32)
+    distinct, index = np.unique(corners, axis=0, return_inverse=True)
+    return distinct[:, :3], index.reshape(-1, 3), distinct[:, 3:]

@@ -1,0 +1,279 @@
+"""The ground plan of a scene: where a round body can stand, how far it is to walk, and what a step comes to.
+
+A grid of square cells in the world frame (x along columns, y along rows, metres). A cell is *free* if it has a floor
+and nothing stands within `radius` of its centre, to the accuracy of a cell; only the largest connected area counts.
+All distances are of ways over free cells.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import ndimage
+
+from eagor.errors import WorldError
+from eagor.worlds.footprints import beside
+from eagor.worlds.geodesics import CellGraph, Field, line_is_free, pulled
+from eagor.worlds.occupancy import floor_height, level_triangles, touched
+from eagor.worlds.scene import STRUCTURE, Instance, Room, Scene
+from eagor.worlds.sliding import Walls
+
+_LARGEST = 4_000_000  # cells; 100 m x 100 m at 5 cm
+_CRACK = 0.2  # metres: gaps in the floor up to this width (a missing sill, a hole in a scan) are no gaps
+_AROUND = np.array([(c, r) for r in (-1, 0, 1) for c in (-1, 0, 1)])
+_BESIDE_CORNER = {0: (1, 3), 2: (1, 5), 6: (3, 7), 8: (5, 7)}  # places in _AROUND: no way leads through a closed corner
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """Free cells ``(rows, cols)`` bool and `clearance` ``(rows, cols)``: metres to the nearest obstacle or edge.
+
+    `structure` ``(rows, cols)`` bool: cells in which a wall, door or window stands. `floor`: height of the floor in
+    metres. `radius`: of the body. Cell (0, 0) has its low corner at `origin` ``(2,)``. The cells at the border are
+    never free.
+    """
+
+    origin: np.ndarray
+    cell: float
+    radius: float
+    floor: float
+    free: np.ndarray
+    clearance: np.ndarray
+    structure: np.ndarray
+    rooms: tuple[Room, ...] = ()
+
+    @classmethod
+    def from_scene(
+        cls,
+        scene: Scene,
+        *,
+        cell: float = 0.05,
+        radius: float = 0.18,
+        height: float = 1.5,
+        climb: float = 0.12,
+        floor: float | None = None,
+    ) -> Ground:
+        """The ground of a scene, for a body of `radius` and `height` that walks over what is lower than `climb`.
+
+        Obstacle: every triangle between `climb` and `height` above the floor. Floor: level surfaces within `climb` of
+        its height, which is `floor`, or found: 0 where the scene has a floor there, else its lowest large level
+        surface. Raises `WorldError` if there is no floor, no free cell, or too large a floor for such cells.
+        """
+        if not (0 < cell <= 1 and radius >= 0 and 0 <= climb < height):
+            raise WorldError(
+                f"cell = {cell}, radius = {radius}, climb = {climb}, height = {height}; wanted a cell above 0 and at "
+                "most 1 m, no negative radius, and 0 <= climb < height"
+            )
+        corners = scene.vertices[scene.triangles].astype(np.float64)
+        level, upward, area = level_triangles(corners)
+        floor = floor_height(corners, level, upward, area) if floor is None else float(floor)
+        slab = floor - max(climb, 0.1), floor + max(climb, 0.1)
+        z = corners[:, :, 2]
+        floors = corners[level & (z.max(axis=1) > slab[0]) & (z.min(axis=1) < slab[1])]
+        if len(floors) == 0:
+            raise WorldError(
+                f"{scene.source} has no level surface near z = {floor:g} m; pass floor=, the height of its floor"
+            )
+        low, high = floors[:, :, :2].min(axis=(0, 1)), floors[:, :, :2].max(axis=(0, 1))
+        origin = low - 2 * cell
+        cols, rows = (int(n) for n in np.ceil((high - origin) / cell) + 2)
+        if rows * cols > _LARGEST:
+            raise WorldError(
+                f"the floor of {scene.source} is {high[0] - low[0]:.0f} m x {high[1] - low[1]:.0f} m: {rows * cols} "
+                f"cells of {cell} m, wanted at most {_LARGEST}; raise cell, or leave the terrain out of the scene"
+            )
+        grid = origin, cell, (rows, cols)
+        crack = math.ceil(_CRACK / cell / 2)
+        covered = np.pad(touched(floors, *slab, *grid), crack)
+        has_floor = np.asarray(ndimage.binary_closing(covered, iterations=crack), dtype=bool)
+        has_floor = has_floor[crack:-crack, crack:-crack]
+        structural = np.array([thing.category in STRUCTURE for thing in scene.instances])[scene.instance]
+        body = floor + climb, floor + height
+        structure = touched(corners[structural], *body, *grid)
+        blocked = structure | touched(corners[~structural], *body, *grid) | ~has_floor
+        blocked[[0, -1]] = blocked[:, [0, -1]] = True
+        clearance = np.asarray(ndimage.distance_transform_edt(~blocked)) * cell
+        free = _largest_area((clearance >= radius) & ~blocked)
+        if not free.any():
+            raise WorldError(
+                f"nowhere in {scene.source} can a body of radius {radius:g} m stand; wanted some floor at z = "
+                f"{floor:g} m with nothing above it up to {height:g} m. Lower radius, or pass floor="
+            )
+        return cls(origin, cell, radius, floor, free, clearance, structure, scene.rooms)
+
+    # --- points ---
+
+    def is_free(self, xy: np.ndarray) -> np.ndarray:
+        """Whether the body can stand at points ``(..., 2)``; False off the plan and for NaN."""
+        place = (np.asarray(xy, dtype=np.float64) - self.origin) / self.cell
+        rows, cols = self.free.shape
+        known = np.all((place >= 0) & (place < (cols, rows)), axis=-1)
+        index = np.where(np.expand_dims(known, -1), place, 0.0).astype(np.intp)
+        return known & self.free[index[..., 1], index[..., 0]]
+
+    def centres(self, cells: np.ndarray) -> np.ndarray:
+        """Points ``(..., 2)`` at the centres of cells ``(..., 2)``, which are rows and columns."""
+        return self.origin + (np.asarray(cells)[..., ::-1] + 0.5) * self.cell
+
+    def snap(self, xy: np.ndarray, within: float = math.inf) -> np.ndarray | None:
+        """The free point ``(2,)`` nearest to a point; None where there is none `within` so many metres, and for NaN."""
+        xy = np.asarray(xy, dtype=np.float64)
+        if not np.isfinite(xy).all():
+            return None
+        if self.is_free(xy):
+            return xy.copy()
+        low = self.origin + self._graph.nodes[:, ::-1] * self.cell
+        margin = 1e-6 * self.cell  # off the edge of the cell, which is its neighbour's
+        nearest = np.clip(xy, low + margin, low + self.cell - margin)
+        away = np.hypot(*(nearest - xy).T)
+        best = int(away.argmin())
+        return nearest[best] if away[best] <= within else None
+
+    def sample(self, rng: np.random.Generator, clearance: float = 0.0) -> np.ndarray:
+        """A free point ``(2,)``, uniform over the cells of at least this `clearance` (m). `WorldError` if none."""
+        cells = np.argwhere(self.free & (self.clearance >= clearance))
+        if len(cells) == 0:
+            raise WorldError(
+                f"no free cell has a clearance of {clearance:g} m; the most is {self.clearance[self.free].max():.2f} m"
+            )
+        place = cells[rng.integers(len(cells))][::-1] + rng.uniform(0.001, 0.999, size=2)
+        return self.origin + place * self.cell
+
+    # --- distances ---
+
+    def field(self, points: np.ndarray, offsets: np.ndarray | None = None) -> Field:
+        """Distances to the nearest of points ``(n, 2)`` or ``(2,)``, metres; each starts at its offset ``(n,)`` or 0.
+
+        Points that are not free count for nothing: if none is, every distance is inf.
+        """
+        points = np.atleast_2d(np.asarray(points, dtype=np.float64))
+        starts = np.zeros(len(points)) if offsets is None else np.broadcast_to(offsets, len(points))
+        if points.shape != (len(points), 2) or not (np.isfinite(starts) & (starts >= 0)).all():
+            raise WorldError(
+                f"points have shape {points.shape}, offsets {starts.tolist()}; wanted (n, 2) and finite metres >= 0"
+            )
+        stand = self.is_free(points)
+        points, starts = points[stand], starts[stand]
+        # The cells about each point start at their own distance from it.
+        place = (points - self.origin) / self.cell
+        around = np.floor(place).astype(np.intp)[:, None] + _AROUND
+        away = np.hypot(*np.moveaxis(around + 0.5 - place[:, None], -1, 0)) + starts[:, None] / self.cell
+        index = self._graph.index[around[..., 1], around[..., 0]]
+        usable = index >= 0
+        for corner, (one, other) in _BESIDE_CORNER.items():
+            usable[:, corner] &= usable[:, one] & usable[:, other]
+        return self._spread(index[usable], away[usable])
+
+    def footprint(self, instance: Instance) -> Field:
+        """Distances to the footprint of an instance: its bounds seen from above. Metres.
+
+        Nobody walks into furniture, so the last bit of the way is a straight line to the nearest point of the
+        footprint, at most 0.75 m, that crosses no wall, door or window. Where no free cell has one, the
+        nearest free cells of the same room start with their straight distances, however long; inf everywhere where
+        there is none either.
+        """
+        seeds, away = beside(instance, self._centres, self.rooms, self._crossings)
+        return self._spread(seeds, away / self.cell)
+
+    def beside(self, instance: Instance) -> tuple[np.ndarray, np.ndarray]:
+        """The free points ``(k, 2)`` from which `footprint` starts, and their straight distances ``(k,)``, metres."""
+        places, away = beside(instance, self._centres, self.rooms, self._crossings)
+        return self._centres[places], away
+
+    def _crossings(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Whether lines ``(n, 2)`` cross structure: anywhere, and farther than a cell and a half from their ends."""
+        gap = np.hypot(*(ends - starts).T)
+        count = max(2, math.ceil(float(gap.max(initial=0.0)) / self.cell * 4) + 1)
+        share = np.linspace(0.0, 1.0, count)
+        line = starts[:, None] + share[:, None] * (ends - starts)[:, None]
+        rows, cols = self.structure.shape
+        col, row = np.moveaxis(np.floor((line - self.origin) / self.cell).astype(np.intp), -1, 0)
+        hit = np.asarray(self.structure)[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
+        early = (1 - share) * gap[:, None] > 1.5 * self.cell
+        return np.any(hit, axis=1), np.any(hit & early, axis=1)
+
+    def _spread(self, seeds: np.ndarray, offsets: np.ndarray) -> Field:
+        return Field(self.origin, self.cell, self._graph.spread(seeds, offsets) * self.cell)
+
+    @cached_property
+    def _graph(self) -> CellGraph:
+        return CellGraph(self.free)
+
+    @cached_property
+    def _centres(self) -> np.ndarray:
+        return self.centres(self._graph.nodes)
+
+    @cached_property
+    def _bytes(self) -> bytes:
+        return self.free.astype(np.uint8).tobytes()
+
+    def path(self, start: np.ndarray, goal: np.ndarray | Field) -> np.ndarray:
+        """The shortest way ``(n, 2)`` from a free point to another, or down a field to where its goal begins.
+
+        Taut, over free cells only. With the field of a footprint it ends at the free cell beside it. Raises
+        `WorldError` if the start is not free or there is no way.
+        """
+        field = goal if isinstance(goal, Field) else self.field(goal)
+        x, y = (float(value) for value in start)
+        row, col = self._cell_of(x, y)
+        if not math.isfinite(field.metres[row, col]):
+            raise WorldError(
+                f"there is no way from ({x:.2f}, {y:.2f}) to the goal; is it free ground? snap() finds some"
+            )
+        cells = self._graph.descend(field.metres / self.cell, row, col)
+        ox, oy = float(self.origin[0]), float(self.origin[1])
+        points = [((x - ox) / self.cell, (y - oy) / self.cell), *((c + 0.5, r + 0.5) for r, c in cells)]
+        if not isinstance(goal, Field):
+            points.append(((float(goal[0]) - ox) / self.cell, (float(goal[1]) - oy) / self.cell))
+        cols = self.free.shape[1]
+        taut = pulled(points, lambda a, b: line_is_free(self._bytes, cols, a, b))
+        return self.origin + np.array(taut) * self.cell
+
+    # --- steps ---
+
+    def move(self, xy: np.ndarray, step: np.ndarray, slide: bool = True) -> tuple[np.ndarray, bool]:
+        """Where a step ``(2,)`` from a free point ``(2,)`` ends, and whether it ran into something. Metres.
+
+        Where the way is blocked, the part of the step into the wall is removed (`slide`), or the body stops. The end is
+        always free, and never farther away than the step is long. Raises `WorldError` if the start is not free or the
+        step not finite.
+        """
+        x, y, dx, dy = float(xy[0]), float(xy[1]), float(step[0]), float(step[1])
+        if not math.isfinite(dx + dy):
+            raise WorldError(f"step = ({dx}, {dy}); wanted two finite numbers, metres")
+        self._cell_of(x, y)
+        ox, oy, cell = self._frame
+        x, y, collided = self._walls.move((x - ox) / cell, (y - oy) / cell, dx / cell, dy / cell, slide)
+        # Off the edges of the cell, which rounding would make those of its neighbours.
+        x, y = (min(max(value, int(value) + 1e-9), int(value) + 1 - 1e-9) for value in (x, y))
+        return np.array((ox + x * cell, oy + y * cell)), collided
+
+    def _cell_of(self, x: float, y: float) -> tuple[int, int]:
+        """Row and column of a free point; raises `WorldError` for any other."""
+        rows, cols = self.free.shape
+        col, row = (x - self.origin[0]) / self.cell, (y - self.origin[1]) / self.cell
+        if not (0 <= col < cols and 0 <= row < rows and self.free[int(row), int(col)]):
+            raise WorldError(f"({x:.3f}, {y:.3f}) is not free ground; start from a free point, such as snap() gives")
+        return int(row), int(col)
+
+    @cached_property
+    def _frame(self) -> tuple[float, float, float]:
+        return float(self.origin[0]), float(self.origin[1]), float(self.cell)
+
+    @cached_property
+    def _walls(self) -> Walls:
+        return Walls(self._bytes, self.clearance.ravel().tolist(), self.free.shape[1])
+
+
+def _largest_area(free: np.ndarray) -> np.ndarray:
+    """The largest set of cells that hang together along edges."""
+    labels = np.zeros(free.shape, dtype=np.int32)
+    ndimage.label(free, output=labels)
+    sizes = np.bincount(labels.ravel())
+    if len(sizes) == 1:
+        return free
+    sizes[0] = 0
+    return labels == sizes.argmax()

@@ -1,0 +1,226 @@
+"""Object-goal episodes in the files of Habitat's ObjectNav (HM3D): read and written, so that both sides can run them.
+
+    <folder>/<split>/<split>.json.gz              categories, no episodes
+    <folder>/<split>/content/<scene>.json.gz      the episodes of a scene, and its goals by category
+
+Here positions are at the feet, in our world (z up), and rotations are `world_R_body`; in the files they are Habitat's
+(Y up, the axes of an exported GLB; quaternions x, y, z, w). Which scene, in which version, and for which body an
+episode was made stands under `info["eagor"]`, which Habitat ignores: an episode is never run in another scene
+unnoticed. Words: our "tv" is its "tv_monitor", and blanks are underscores there.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import zlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any, NoReturn
+
+import numpy as np
+
+from eagor.errors import EagorError, WorldError
+from eagor.worlds.ground import Ground
+from eagor.worlds.objectnav_json import (
+    Episode,
+    Goal,
+    Origin,
+    episode_from_json,
+    episode_to_json,
+    goal_from_json,
+    goal_to_json,
+    spelt,
+)
+from eagor.worlds.scene import Scene
+
+__all__ = [
+    "Episode",
+    "Goal",
+    "Origin",
+    "SceneEpisodes",
+    "check_scene",
+    "goal_of",
+    "origin_of",
+    "read_episodes",
+    "write_episodes",
+]
+
+HM3D_CATEGORIES = ("chair", "bed", "plant", "toilet", "tv_monitor", "sofa")  # in the order of their ids
+
+
+@dataclass(frozen=True, eq=False)
+class SceneEpisodes:
+    """The episodes of one scene, and its goals by category."""
+
+    episodes: tuple[Episode, ...]
+    goals: dict[str, tuple[Goal, ...]]
+
+
+def origin_of(scene: Scene, ground: Ground) -> Origin:
+    """What an episode in this scene, for a body of this ground plan, is marked with."""
+    return Origin(scene.facts.get("exported hash", scene.hash), scene.source, ground.radius, ground.cell)
+
+
+def goal_of(scene: Scene, ground: Ground, index: int, spacing: float = 0.25) -> Goal:
+    """An instance of the scene as a goal: its view points are free points beside it, `spacing` metres apart, facing it.
+
+    Beside is what `Ground.beside` finds. How well it fills the view from there is not worked out: `view_overlap` is 0.
+    """
+    thing = scene.instances[index]
+    points, _ = ground.beside(thing)
+    _, first = np.unique(np.floor(points / spacing), axis=0, return_index=True)
+    points = points[np.sort(first)]
+    across, along = (thing.centre[:2] - points).T
+    azimuth = np.arctan2(along, across)
+    turns = np.zeros((len(points), 3, 3))
+    turns[:, 0, 0] = turns[:, 1, 1] = np.cos(azimuth)
+    turns[:, 1, 0], turns[:, 0, 1], turns[:, 2, 2] = np.sin(azimuth), -np.sin(azimuth), 1.0
+    places = np.column_stack([points, np.full(len(points), ground.floor)])
+    return Goal(
+        thing.category,
+        index,
+        thing.centre,
+        room=thing.room,
+        view_positions=places,
+        view_rotations=turns,
+        view_overlap=np.zeros(len(points)),
+    )
+
+
+def check_scene(episodes: Iterable[Episode], scene: Scene, ground: Ground | None = None) -> None:
+    """Raise `WorldError` if one of the episodes was made for another scene than this one or an import of its export.
+
+    With `ground`, also if it was made for a body of another radius, which other ways lead.
+    """
+    known = {scene.hash, scene.facts.get("exported hash")}
+    for episode in episodes:
+        origin = episode.origin
+        if origin is not None and origin.scene_hash not in known:
+            raise WorldError(
+                f"episode {episode.identifier!r} was made for the scene {origin.scene_hash} ({origin.version}), this "
+                f"one is {scene.hash} ({scene.source}); use the version that it was made with, or make episodes anew"
+            )
+        if origin is not None and ground is not None and abs(origin.radius - ground.radius) > 1e-6:
+            raise WorldError(
+                f"episode {episode.identifier!r} was made for a body of radius {origin.radius:g} m, the ground plan is "
+                f"for {ground.radius:g} m; its starts and goals may be out of reach: use the same radius"
+            )
+
+
+# --- writing ---
+
+
+def write_episodes(folder: Path | str, split: str, scenes: Sequence[SceneEpisodes]) -> Path:
+    """Write the files of a split; returns the path of `<split>.json.gz`. The same episodes give the same bytes.
+
+    Raises `WorldError` for a scene without episodes, two scenes with files of one name, an episode whose category has
+    no goal, or numbers that are not finite.
+    """
+    folder = Path(folder) / split
+    categories = sorted({spelt(category) for scene in scenes for category in scene.goals})
+    categories = [c for c in HM3D_CATEGORIES if c in categories] + [c for c in categories if c not in HM3D_CATEGORIES]
+    # The six of HM3D keep their numbers, also where not all of them occur.
+    others = (c for c in categories if c not in HM3D_CATEGORIES)
+    numbers = {c: HM3D_CATEGORIES.index(c) for c in categories if c in HM3D_CATEGORIES}
+    numbers |= {c: len(HM3D_CATEGORIES) + index for index, c in enumerate(others)}
+    head = {"category_to_task_category_id": numbers, "category_to_scene_annotation_category_id": numbers}
+    contents: dict[str, dict[str, Any]] = {}
+    for scene in scenes:
+        names = {episode.scene for episode in scene.episodes}
+        if len(names) != 1:
+            raise WorldError(f"the episodes of one scene name the scenes {sorted(names)}; wanted one of them")
+        (file,) = names
+        stem = PurePosixPath(file).name.split(".")[0]
+        if stem in contents:
+            raise WorldError(f"two scenes have files of the name {stem!r}; one would replace the other: rename one")
+        contents[stem] = {
+            "episodes": [episode_to_json(episode, scene.goals) for episode in scene.episodes],
+            "goals_by_category": {
+                f"{PurePosixPath(file).name}_{spelt(category)}": [goal_to_json(goal) for goal in goals]
+                for category, goals in scene.goals.items()
+            },
+            **head,
+        }
+    (folder / "content").mkdir(parents=True, exist_ok=True)
+    for stem, content in contents.items():
+        _write(folder / "content" / f"{stem}.json.gz", content)
+    return _write(folder / f"{split}.json.gz", {"episodes": [], **head})
+
+
+def _write(path: Path, content: dict[str, Any]) -> Path:
+    try:
+        text = json.dumps(content, allow_nan=False)
+    except ValueError as error:
+        raise WorldError(
+            f"{path.name} would hold numbers that are not finite (no way to the goal?): {error}"
+        ) from error
+    path.write_bytes(gzip.compress(text.encode(), mtime=0))
+    return path
+
+
+# --- reading ---
+
+
+def read_episodes(
+    path: Path | str, scene: Scene | None = None, ground: Ground | None = None
+) -> tuple[SceneEpisodes, ...]:
+    """The episodes in `<split>.json.gz` and its content files, by scene, or in a content file alone.
+
+    With `scene` (and `ground`), all of them have to be made for it: see `check_scene`. Raises `WorldError` if a file is
+    missing, cut off, no JSON, lacks a key, or holds numbers that are not finite.
+    """
+    path = Path(path)
+    files = sorted((path.parent / "content").glob("*.json.gz"))
+    found = [_scene_from_json(path, _read(path))]
+    if not found[0].episodes:
+        found = [_scene_from_json(file, _read(file)) for file in files]
+    found = [each for each in found if each.episodes]
+    if not found:
+        raise WorldError(f"{path} has no episodes, nor has any file in {path.parent / 'content'}; wanted at least one")
+    if scene is not None:
+        for each in found:
+            check_scene(each.episodes, scene, ground)
+    return tuple(found)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    def refuse(word: str) -> NoReturn:
+        raise ValueError(f"{word} is no number")
+
+    try:
+        content = json.loads(gzip.decompress(path.read_bytes()), parse_constant=refuse)
+    except OSError as error:  # also what gzip raises where there is no gzip
+        raise WorldError(f"{path} cannot be read: {error}; wanted gzipped JSON") from error
+    except (EOFError, zlib.error) as error:
+        raise WorldError(f"{path} is cut off or corrupt ({error}); copy or write it again") from error
+    except ValueError as error:
+        raise WorldError(f"{path} holds no valid JSON ({error}); wanted ObjectNav episodes") from error
+    if not isinstance(content, dict):
+        raise WorldError(f"{path} holds a {type(content).__name__}; wanted an object with episodes")
+    return content
+
+
+def _scene_from_json(path: Path, content: dict[str, Any]) -> SceneEpisodes:
+    where = str(path)
+    try:
+        goals: dict[str, tuple[Goal, ...]] = {}
+        by_key: dict[str, str] = {}
+        for key, entries in content.get("goals_by_category", {}).items():
+            where = f"{path}, goals {key!r}"
+            read = tuple(goal_from_json(entry) for entry in entries)
+            if read:
+                goals[read[0].category] = goals.get(read[0].category, ()) + read
+                by_key[key] = read[0].category
+        episodes = []
+        for index, entry in enumerate(content["episodes"]):
+            where = f"{path}, episode {index}"
+            episodes.append(episode_from_json(entry, index))
+            if episodes[-1].category not in goals:
+                raise WorldError("its category has no goals")
+    except KeyError as error:
+        raise WorldError(f"{where} lacks the key {error}; wanted the layout of HM3D ObjectNav v1 or v2") from error
+    except (EagorError, TypeError, ValueError, AttributeError) as error:
+        raise WorldError(f"{where}: {error}; wanted the layout of HM3D ObjectNav v1 or v2") from error
+    return SceneEpisodes(tuple(episodes), goals)

@@ -1,0 +1,201 @@
+"""Colour, range and instance ids of a scene, seen from any pose through any grid: one ray per pixel.
+
+Frames: positions and rotations are poses in the world frame; images are in the layout of `eagor.sphere`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from eagor.errors import GridError, PoseError
+from eagor.grids import ErpGrid, Grid
+from eagor.sphere import check_rotation
+from eagor.worlds.lattice import Lattice
+from eagor.worlds.light import light_of
+from eagor.worlds.raycast import Raycaster, make_raycaster
+from eagor.worlds.scene import Scene
+from eagor.worlds.shading import Shader
+
+_QUANTA = 1 << 20  # steps of yaw in one column: 1e-8 rad in a panorama of 512 columns, less than float32 resolves
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What a camera sees; what was not asked for is None.
+
+    `rgb` ``(H, W, 3)`` uint8 sRGB; `range` ``(H, W)`` float32, metres from the camera along the ray, inf where nothing
+    is; `ids` ``(H, W)`` int32, places in `Scene.instances`, -1 where nothing is.
+    """
+
+    rgb: np.ndarray | None
+    range: np.ndarray | None
+    ids: np.ndarray | None
+
+
+class Renderer:
+    """Pictures of `scene`.
+
+    Making one costs nothing: the tree of triangles is built at the first picture, the light (seconds, unless it is in
+    the cache) at the first one in colour. `engine`: see `eagor.worlds.raycast`; `cache`: the folder for the light, by
+    default `eagor.worlds.light.cache_folder`. Use one renderer per thread.
+    """
+
+    def __init__(self, scene: Scene, *, engine: str = "auto", cache: Path | None = None) -> None:
+        self.scene = scene
+        self.engine = engine
+        self.cache = cache
+
+    @cached_property
+    def raycaster(self) -> Raycaster:
+        """The scene's triangles, corners turned as in the lattice of light. Raises `WorldError`."""
+        return make_raycaster(self.scene.vertices, self._lattice.triangles, self.engine)
+
+    @cached_property
+    def _lattice(self) -> Lattice:
+        return Lattice.of(self.scene)
+
+    @cached_property
+    def _shader(self) -> Shader:
+        return Shader(self.scene, self._lattice, light_of(self.scene, self._lattice, self.engine, self.cache))
+
+    @cached_property
+    def _owners(self) -> np.ndarray:
+        """Instance of each triangle, and -1 in the last place, which index -1 means."""
+        return np.append(self.scene.instance, -1).astype(np.int32)
+
+    def panorama(
+        self,
+        position: np.ndarray | tuple[float, float, float],
+        world_R_body: np.ndarray,
+        height: int,
+        *,
+        rgb: bool = True,
+        range: bool = True,
+        ids: bool = True,
+    ) -> Frame:
+        """The panorama ``(height, 2 height)`` from `position` ``(3,)``, metres, in the pose `world_R_body`.
+
+        A pose that only turns about the vertical is taken as a whole number of columns and a remainder, so that
+        turning on by whole columns rolls the image exactly. Raises `PoseError`, `RotationError`, `GridError`,
+        `WorldError`.
+        """
+        if height < 1:
+            raise GridError(f"a panorama of height {height}; wanted at least one row")
+        rotation = _rotation(world_R_body, "world_R_body")
+        yaw = _pure_yaw(rotation)
+        if yaw is None:
+            directions = _erp_directions(height) @ rotation.T.astype(np.float32)
+        else:
+            directions = _turned_directions(height, yaw)
+        return self._seen(position, directions, (height, 2 * height), math.pi / height, rgb, range, ids)
+
+    def view(
+        self,
+        position: np.ndarray | tuple[float, float, float],
+        world_R_view: np.ndarray,
+        grid: Grid,
+        *,
+        rgb: bool = True,
+        range: bool = True,
+        ids: bool = True,
+    ) -> Frame:
+        """What `grid` sees from `position` ``(3,)``, metres; its body frame has the pose `world_R_view`.
+
+        Cells in which the grid sees nothing (the corners of a fisheye) are black, at range inf, id -1. Errors as in
+        `panorama`.
+        """
+        rotation = _rotation(world_R_view, "world_R_view")
+        weights = np.asarray(grid.weights)
+        seen = weights.ravel() > 0
+        directions = (grid.directions.reshape(-1, 3)[seen] @ rotation.T).astype(np.float32)
+        pixel = math.sqrt(float(np.median(weights[weights > 0])))
+        frame = self._seen(position, directions, (len(directions),), pixel, rgb, range, ids)
+        if seen.all():
+            return Frame(*(None if a is None else a.reshape(*grid.shape, *a.shape[1:]) for a in _parts(frame)))
+        whole = []
+        for part, nothing in zip(_parts(frame), (0, np.inf, -1), strict=True):
+            if part is not None:
+                spread = np.full((len(seen), *part.shape[1:]), nothing, dtype=part.dtype)
+                spread[seen] = part
+                part = spread.reshape(*grid.shape, *part.shape[1:])
+            whole.append(part)
+        return Frame(*whole)
+
+    def _seen(
+        self,
+        position: np.ndarray | tuple[float, float, float],
+        directions: np.ndarray,
+        shape: tuple[int, ...],
+        pixel: float,
+        rgb: bool,
+        range: bool,
+        ids: bool,
+    ) -> Frame:
+        """The frame of these rays ``(n, 3)``; `pixel`: the angle between neighbours, radians."""
+        origin = np.asarray(position, dtype=np.float32)
+        if origin.shape != (3,) or not np.isfinite(origin).all():
+            raise PoseError(f"the camera stands at {position}; wanted a position (x, y, z), finite, in metres")
+        hits = self.raycaster.cast(np.broadcast_to(origin, directions.shape), directions)
+        return Frame(
+            self._shader.shade(hits, directions, pixel).reshape(*shape, 3) if rgb else None,
+            hits.distance.reshape(shape) if range else None,
+            self._owners.take(hits.triangle).reshape(shape) if ids else None,
+        )
+
+
+def _parts(frame: Frame) -> tuple[np.ndarray | None, ...]:
+    return frame.rgb, frame.range, frame.ids
+
+
+def _rotation(matrix: np.ndarray, name: str) -> np.ndarray:
+    return np.asarray(check_rotation(np.asarray(matrix, dtype=np.float64), name))
+
+
+def _pure_yaw(rotation: np.ndarray) -> float | None:
+    """The yaw (radians, left) of a turn about the vertical; None for any other rotation."""
+    tilt = max(abs(rotation[0, 2]), abs(rotation[1, 2]), abs(rotation[2, 0]), abs(rotation[2, 1]))
+    return math.atan2(rotation[1, 0], rotation[0, 0]) if tilt < 1e-9 and rotation[2, 2] > 0 else None
+
+
+@lru_cache(maxsize=4)
+def _erp_directions(height: int) -> np.ndarray:
+    """Directions of a panorama's pixels, body frame, ``(n, 3)`` float32."""
+    return _frozen(ErpGrid(height, 2 * height).directions.reshape(-1, 3).astype(np.float32))
+
+
+def _turned_directions(height: int, yaw: float) -> np.ndarray:
+    """The same, turned by `yaw`: the columns of a table that depends on the remainder alone, rolled."""
+    width = 2 * height
+    # The offset keeps yaws that people write (0, halves and quarters of a column) off the edge of a step, where
+    # the last digit of atan2 would decide.
+    steps = math.floor(yaw * width / (2 * math.pi) * _QUANTA + 0.37)
+    columns, remainder = divmod(steps, _QUANTA)
+    azimuth, cosine, sine = _columns(height, remainder)
+    directions = np.empty((height, width, 3), dtype=np.float32)
+    # Column j looks at azimuth a[j] + yaw = a[j - columns] + remainder.
+    around = np.roll(azimuth, columns, axis=1)
+    np.multiply(cosine, around[0], out=directions[..., 0])
+    np.multiply(cosine, around[1], out=directions[..., 1])
+    directions[..., 2] = sine
+    return directions.reshape(-1, 3)
+
+
+@lru_cache(maxsize=64)
+def _columns(height: int, remainder: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cosine and sine of the azimuths ``(2, W)``, cosine and sine of the elevations ``(H, 1)``, float32."""
+    grid = ErpGrid(height, 2 * height)
+    azimuth = grid.longitudes + remainder / _QUANTA * (math.pi / height)
+    latitude = grid.latitudes[:, None]
+    found = np.stack([np.cos(azimuth), np.sin(azimuth)]), np.cos(latitude), np.sin(latitude)
+    first, second, third = (_frozen(array.astype(np.float32)) for array in found)
+    return first, second, third
+
+
+def _frozen(array: np.ndarray) -> np.ndarray:
+    array.setflags(write=False)
+    return array

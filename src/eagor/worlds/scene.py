@@ -1,0 +1,162 @@
+"""A scene: triangles, what they belong to, what they look like, and where the light comes from.
+
+World frame: x and y horizontal, z up, right-handed, metres; the floor is at z = 0. The built-in apartments and any
+imported GLB become the same `Scene`, which the renderer (`eagor.worlds.render`), the ground plan
+(`eagor.worlds.ground`) and the exporters read. Nothing in a scene is changed after it has been made.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from eagor.errors import WorldError
+
+STRUCTURE = ("wall", "floor", "ceiling", "door", "window")  # categories that are part of the building
+
+
+@dataclass(frozen=True, eq=False)
+class Instance:
+    """A thing with a name. Its place in `Scene.instances` is its id in id images.
+
+    `category` in lower-case words ("coffee table"); `colour`, its main colour as a plain word, or None; `room`, the
+    name of the room it is in, or None; `low` and `high` ``(3,)``, its axis-aligned bounds in metres.
+    """
+
+    category: str
+    colour: str | None
+    room: str | None
+    low: np.ndarray
+    high: np.ndarray
+
+    @property
+    def centre(self) -> np.ndarray:
+        """Middle of the bounds ``(3,)``."""
+        return (self.low + self.high) / 2
+
+    @property
+    def name(self) -> str:
+        """Colour and category in plain words: "red chair"."""
+        return f"{self.colour} {self.category}" if self.colour else self.category
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What a surface looks like.
+
+    `colour`: sRGB in [0, 1], multiplies the texture; `texture`: ``(h, w, 3)`` uint8 sRGB that repeats, or None;
+    `emission`: light that it gives by itself, 1 being a white surface in full light (lamp shades, screens).
+    """
+
+    name: str
+    colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    texture: np.ndarray | None = None
+    emission: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Lamp:
+    """A point light for the baked illumination: `position` ``(3,)`` metres, `power` ``(3,)`` linear RGB.
+
+    A white surface facing it from 1 m away has a radiance of `power`, 1 being full white.
+    """
+
+    position: np.ndarray
+    power: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """A room: `name` ("bedroom 1"), `kind` ("bedroom"), and the rectangles ``(n, 4)`` x0, y0, x1, y1 it consists of."""
+
+    name: str
+    kind: str
+    rectangles: np.ndarray
+
+    @property
+    def area(self) -> float:
+        """Square metres (the rectangles do not overlap)."""
+        x0, y0, x1, y1 = self.rectangles.T
+        return float(((x1 - x0) * (y1 - y0)).sum())
+
+    def contains(self, x: float, y: float) -> bool:
+        """Whether the point lies in the room."""
+        x0, y0, x1, y1 = self.rectangles.T
+        return bool(((x0 <= x) & (x <= x1) & (y0 <= y) & (y <= y1)).any())
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Triangles and their meaning.
+
+    - `vertices` ``(V, 3)`` float32; `triangles` ``(T, 3)`` int32, counter-clockwise seen from outside; surfaces are
+      lit on the side that is looked at.
+    - `instance` and `material` ``(T,)`` int32: whose triangle it is, and its look, as places in the two tuples.
+    - `uv` ``(T, 3, 2)`` float32: texture coordinates of the corners, in repeats of the texture; u to the right, v up.
+    - `lamps`: empty where only daylight and emission light the scene. `daylight`: linear RGB of the sky.
+    - `source`: what made it and in which version ("apartment 1 seed 17", "glb kitchen.glb").
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    instance: np.ndarray
+    material: np.ndarray
+    uv: np.ndarray
+    instances: tuple[Instance, ...]
+    materials: tuple[Material, ...]
+    rooms: tuple[Room, ...] = ()
+    lamps: tuple[Lamp, ...] = ()
+    daylight: tuple[float, float, float] = (1.0, 1.05, 1.15)
+    source: str = "scene"
+    facts: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        count = len(self.triangles)
+        fits = (
+            self.vertices.shape == (len(self.vertices), 3)
+            and self.triangles.shape == (count, 3)
+            and self.instance.shape == self.material.shape == (count,)
+            and self.uv.shape == (count, 3, 2)
+        )
+        if not fits or count == 0 or not np.isfinite(self.vertices).all():
+            raise WorldError(
+                "a scene needs finite vertices (V, 3), triangles (T, 3), instance and material (T,), uv (T, 3, 2); got "
+                f"{self.vertices.shape}, {self.triangles.shape}, {self.instance.shape}, {self.material.shape}, "
+                f"{self.uv.shape}"
+            )
+        for name, values, end in (
+            ("triangles", self.triangles, len(self.vertices)),
+            ("instance", self.instance, len(self.instances)),
+            ("material", self.material, len(self.materials)),
+        ):
+            if values.min() < 0 or values.max() >= end:
+                raise WorldError(f"{name} of the scene point outside 0..{end - 1}")
+
+    @cached_property
+    def hash(self) -> str:
+        """Sixteen hexadecimal digits that change with anything that can be hit, seen or named."""
+        digest = hashlib.sha256()
+        for array in (self.vertices, self.triangles, self.instance, self.material, self.uv):
+            digest.update(np.ascontiguousarray(array).tobytes())
+        for thing in self.instances:
+            digest.update(f"{thing.category}|{thing.colour}|{thing.room};".encode())
+        for material in self.materials:
+            digest.update(f"{material.colour}|{material.emission};".encode())
+            if material.texture is not None:
+                digest.update(np.ascontiguousarray(material.texture).tobytes())
+        for lamp in self.lamps:
+            digest.update(np.concatenate([lamp.position, lamp.power]).astype(np.float32).tobytes())
+        digest.update(str(self.daylight).encode())
+        return digest.hexdigest()[:16]
+
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest corner ``(3,)`` of everything."""
+        return self.vertices.min(axis=0), self.vertices.max(axis=0)
+
+    def room_at(self, x: float, y: float) -> Room | None:
+        """The room at a point, or None."""
+        return next((room for room in self.rooms if room.contains(x, y)), None)

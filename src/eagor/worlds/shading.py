@@ -1,0 +1,140 @@
+"""From hits to pixels: texture, light and tone, by table look-up and integer arithmetic.
+
+Reflectance stays sRGB-coded in 8 bits, light is coded in 512 levels as its square root. A table of all pairs holds the
+tone-mapped product, so that no power is taken per pixel. The light of a pixel is interpolated between three slots of
+the lattice; the three colours of a slot share one 64-bit number, 21 bits each, of which 11 are light and 10 are room
+for the weights.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from eagor.worlds.lattice import Lattice, unseen
+from eagor.worlds.raycast import Hits
+from eagor.worlds.scene import Scene
+from eagor.worlds.sky import look_up, painted
+from eagor.worlds.srgb import to_coded, to_linear
+from eagor.worlds.texels import LEVELS, Texels
+
+BRIGHTEST = 5.0  # light beyond it is cut; 1 shows a white surface at the edge of the shoulder's reach
+_KNEE = 0.4  # display values up to here are linear
+_CONTRAST = 1.08
+_MEDIAN = 0.48  # what a white surface in the scene's median light shows, before the shoulder
+_OUTDOORS = 1.6  # exposure of the view out of the windows
+_LANE = 21
+_BLOCK = 1 << 14  # pixels at a time: what they need stays in the cache
+
+
+def exposure(scene: Scene, lattice: Lattice, light: np.ndarray) -> float:
+    """The factor that brings `light` ``(S, 3)`` to display values: fixed by the median light in the rooms."""
+    brightness = light.mean(axis=1)
+    weight = np.where(unseen(scene)[lattice.slots[0]], 0.0, lattice.areas)
+    order = np.argsort(brightness)
+    total = np.cumsum(weight[order])
+    median = brightness[order[min(np.searchsorted(total, total[-1] / 2), len(order) - 1)]]
+    return _MEDIAN / max(float(median), 1e-6)
+
+
+def tone(linear: np.ndarray) -> np.ndarray:
+    """Display values in [0, 1], linear, of scene values: straight up to the knee, then a shoulder that never clips."""
+    room = 1 - _KNEE
+    excess = (np.maximum(linear, _KNEE) - _KNEE) / room
+    return np.where(linear <= _KNEE, linear, _KNEE + room * excess / (1 + excess)) ** _CONTRAST
+
+
+class Shader:
+    """The look of a scene, in tables; the buffers are used again at each call, so one thread at a time."""
+
+    def __init__(self, scene: Scene, lattice: Lattice, light: np.ndarray) -> None:
+        self._texels = Texels.of(scene.materials)
+        emission = np.array([m.emission for m in scene.materials])[scene.material][lattice.slots[0]]
+        self._slots = _packed(light * exposure(scene, lattice, light) + emission[:, None], int(lattice.cells.max()) + 3)
+        self._tone = _tone_table()
+        view = tone(_OUTDOORS * painted(int(scene.hash[:8], 16)))
+        self._outdoors = np.rint(255 * to_coded(view)).astype(np.uint8)
+        self._prepare(scene, lattice)
+
+    def _prepare(self, scene: Scene, lattice: Lattice) -> None:
+        """The tables of the triangles; a last row, of no triangle, serves rays that hit nothing."""
+        _, e1, e2, _ = lattice.frame
+        side = (1 << self._texels.log_side[scene.material * LEVELS].astype(np.int64))[:, None].astype(np.float64)
+        uv = np.take_along_axis(scene.uv, ((lattice.turned[:, None] + np.arange(3)) % 3)[..., None], axis=1)
+        uv = uv.astype(np.float64)
+        uv -= np.floor(uv.min(axis=1, keepdims=True))  # repeats do not matter; no place is negative
+        a, b = (uv[:, 1] - uv[:, 0]) * side, (uv[:, 2] - uv[:, 0]) * side
+        # Texels per metre: from the areas of the triangle on the texture and in the world.
+        texture_area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+        density = np.sqrt(texture_area / np.maximum(np.linalg.norm(np.cross(e1, e2), axis=1), 1e-12))
+        columns = (*(uv[:, 0] * side).T, *a.T, *b.T, *lattice.cells.T.astype(np.float64), density)
+        self._rows = [np.append(column, 1.0).astype(np.float32) for column in columns]
+        self._light_base = np.append(lattice.base, 0).astype(np.int32)
+        self._pyramid = np.append(scene.material * LEVELS, 0).astype(np.int32)
+
+    def shade(self, hits: Hits, directions: np.ndarray, pixel: float) -> np.ndarray:
+        """Colours ``(n, 3)`` uint8 sRGB of what rays along `directions` ``(n, 3)`` hit; `pixel`: its angle, radians."""
+        count = len(directions)
+        colours = np.empty((count, 3), dtype=np.uint8)
+        for first in range(0, count, _BLOCK):
+            part = slice(first, min(first + _BLOCK, count))
+            self._block(hits.triangle[part], hits.distance[part], hits.u[part], hits.v[part], pixel, colours[part])
+        missed = np.flatnonzero(hits.triangle < 0)
+        if len(missed):
+            colours[missed] = np.rint(look_up(self._outdoors, directions[missed]))
+        return colours
+
+    def _block(
+        self, triangle: np.ndarray, distance: np.ndarray, u: np.ndarray, v: np.ndarray, pixel: float, out: np.ndarray
+    ) -> None:
+        row = triangle.astype(np.intp)
+        x0, y0, ax, ay, bx, by, nu, nv, density = (column[row] for column in self._rows)
+        texel = self._texel(row, u, v, x0, y0, ax, ay, bx, by, distance * density * np.float32(pixel))
+        light = self._light(row, u, v, nu, nv)
+        for k in range(3):
+            level = (light >> (_LANE * k + 12)).astype(np.int32) & 511
+            level <<= 8
+            level |= (texel >> (8 * k)) & 255
+            out[:, k] = self._tone[level]
+
+    def _texel(self, row, u, v, x0, y0, ax, ay, bx, by, footprint) -> np.ndarray:
+        """The texel at each pixel, from the level whose texels are about as large as the pixel."""
+        # The exponent of a float is the whole part of its logarithm; times sqrt(2), to round instead of cutting.
+        level = (footprint * np.float32(1.4142135)).view(np.int32) >> 23
+        level -= 127
+        np.clip(level, 0, LEVELS - 1, out=level)
+        place = self._pyramid[row]
+        place += level
+        log_side = self._texels.log_side[place]
+        mask = (np.int32(1) << log_side) - np.int32(1)
+        x = (x0 + u * ax + v * bx).astype(np.int32) >> level
+        y = (y0 + u * ay + v * by).astype(np.int32) >> level
+        return self._texels.texels[self._texels.base[place] + ((y & mask) << log_side) + (x & mask)]
+
+    def _light(self, row, u, v, nu, nv) -> np.ndarray:
+        """The light at each pixel, three lanes in one number: linear on each half of a lattice cell."""
+        x, y = u * nu, v * nv
+        i, j = x.astype(np.int32), y.astype(np.int32)
+        along, across = ((x - i) * 1024).astype(np.int32), ((y - j) * 1024).astype(np.int32)
+        stride = nu.astype(np.int32) + 1
+        start = self._light_base[row] + i + j * stride
+        rest = 1024 - along - across  # negative in the upper half, beyond the diagonal of the cell
+        excess = np.minimum(rest, 0)
+        slots = self._slots
+        total = slots[start - (rest >> 31) * (stride + 1)] * np.abs(rest)
+        total += slots[start + 1] * (along + excess)
+        total += slots[start + stride] * (across + excess)
+        return total
+
+
+def _packed(light: np.ndarray, spare: int) -> np.ndarray:
+    """Display light ``(S, 3)`` as one number per slot, followed by `spare` zeros (a weight of 0 may point there)."""
+    levels = np.rint(2047 * np.sqrt(np.clip(light / BRIGHTEST, 0, 1))).astype(np.int64)
+    packed = levels[:, 0] | levels[:, 1] << _LANE | levels[:, 2] << 2 * _LANE
+    return np.append(packed, np.zeros(spare, dtype=np.int64))
+
+
+def _tone_table() -> np.ndarray:
+    """sRGB of light level and coded reflectance, ``(512 * 256,)`` uint8, reflectance running fastest."""
+    light = BRIGHTEST * ((np.arange(512) + 0.5) / 512) ** 2
+    reflectance = to_linear(np.arange(256) / 255)
+    return np.rint(255 * to_coded(tone(light[:, None] * reflectance))).astype(np.uint8).ravel()

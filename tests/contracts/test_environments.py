@@ -1,0 +1,266 @@
+"""The Gymnasium environments keep Gymnasium's contract, and Habitat's definitions."""
+
+from __future__ import annotations
+
+import json
+import math
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from rooms import two_rooms
+
+import eagor.tasks
+from eagor.errors import EagorError, WorldError
+from eagor.sphere import angular_distance
+from eagor.tasks import environments, navigation, places, tracking, waypoint
+from eagor.tasks.episodes import Slot
+from eagor.tasks.play import Player
+from eagor.tasks.rules import Camera, Disturbances, NavigationRules, WaypointRules, as_dict, from_dict
+from eagor.worlds.ground import Ground
+from eagor.worlds.render import Renderer
+
+SHORT_LEGS = WaypointRules(leg_steps=6)
+SETTINGS = {"waypoint": {"rules": SHORT_LEGS}}
+
+
+@pytest.fixture(scope="module")
+def flat():
+    scene = two_rooms()
+    return places.Place(scene, Ground.from_scene(scene), Renderer(scene))
+
+
+@pytest.fixture(autouse=True)
+def _in_the_flat(flat, monkeypatch):
+    """Every world is the little flat of boxes: the environments, not the apartments, are looked at here."""
+    for module in (places, navigation, waypoint, tracking, environments):
+        monkeypatch.setattr(module, "load_place", lambda *_: flat)
+
+
+def make(task, **settings):
+    name = {"waypoint": "WaypointFollowing", "navigation": "MapFreeNavigation", "tracking": "TargetTracking"}[task]
+    return gymnasium.make(f"Eagor/{name}-v0", disable_env_checker=True, **(SETTINGS.get(task, {}) | settings))
+
+
+def test_the_environments_are_registered():
+    assert set(eagor.tasks.ENVIRONMENTS) <= set(gymnasium.registry)
+    eagor.tasks.register()  # twice does no harm
+
+
+@pytest.mark.parametrize(
+    ("task", "settings"),
+    [
+        ("navigation", {"panorama": 16, "with_range": True}),
+        ("navigation", {"panorama": 16, "actions": "discrete"}),
+        ("navigation", {"panorama": None}),
+        ("waypoint", {"panorama": 16}),
+        ("waypoint", {"panorama": 16, "actions": "continuous"}),
+        ("waypoint", {"panorama": 16, "actions": "discrete", "with_range": True}),
+        ("tracking", {"panorama": 16, "with_range": True}),
+    ],
+)
+def test_gymnasiums_checker_passes(task, settings):
+    with warnings.catch_warnings():
+        # A pose has no bounds, and headings and metres are not scaled to [-1, 1]: Gymnasium wonders about both.
+        warnings.filterwarnings("ignore", message=".*(minimum|maximum) value is .*infinity.*")
+        warnings.filterwarnings("ignore", message=".*symmetric and normalized space.*")
+        check_env(make(task, **settings, render_mode="rgb_array").unwrapped, skip_render_check=False)
+
+
+@pytest.mark.parametrize("task", ["navigation", "waypoint", "tracking"])
+def test_vectorised_environments_work(task):
+    name = {"waypoint": "WaypointFollowing", "navigation": "MapFreeNavigation", "tracking": "TargetTracking"}[task]
+    envs = gymnasium.make_vec(
+        f"Eagor/{name}-v0", num_envs=2, vectorization_mode="sync", panorama=16, **SETTINGS.get(task, {})
+    )
+    observation, info = envs.reset(seed=3)
+    assert observation["panorama"].shape == (2, 16, 32, 3)
+    assert info["instances"]["ids"].shape == (2, 64, 128)
+    for _ in range(3):
+        observation, reward, *_, info = envs.step(envs.action_space.sample())
+    assert reward.shape == (2,)
+    assert info["truth"]["direction"].shape == (2, 3)
+    envs.close()
+
+
+def test_navigation_starts_facing_away_and_scores_as_habitat_does():
+    env = make("navigation", panorama=None)
+    for seed in range(6):
+        _, info = env.reset(seed=seed)
+        episode = env.unwrapped.episode
+        azimuth = math.atan2(*info["truth"]["direction"][1::-1])
+        assert abs(math.remainder(azimuth - math.pi, 2 * math.pi)) <= math.radians(20) + 1e-9
+        rules = NavigationRules()
+        assert rules.nearest <= episode.shortest <= rules.farthest
+        assert episode.stratum["ratio"] <= rules.ratio
+        assert info["distance_to_goal"] == pytest.approx(episode.shortest)
+        walked, place = 0.0, env.unwrapped.body.xy.copy()
+        over = False
+        while not over:
+            target = info["truth"]["direction"]
+            _, _, terminated, truncated, info = env.step(np.array([math.atan2(target[1], target[0]), 0.25]))
+            walked += float(np.hypot(*(env.unwrapped.body.xy - place)))
+            place = env.unwrapped.body.xy.copy()
+            over = terminated or truncated
+        left = info["distance_to_goal"]
+        assert info["success"] == float(terminated) == float(left < 1.0)
+        assert info["spl"] == pytest.approx(info["success"] * episode.shortest / max(episode.shortest, walked))
+        gained = max(0.0, 1 - left / episode.shortest)
+        assert info["soft_spl"] == pytest.approx(gained * episode.shortest / max(episode.shortest, walked))
+        assert info["num_steps"] <= 120
+
+
+def test_stop_ends_the_episode_where_it_has_to_be_called():
+    env = make("navigation", panorama=None, actions="discrete", rules=NavigationRules(stop="call"))
+    env.reset(seed=1)
+    _, _, terminated, truncated, info = env.step(0)
+    assert terminated
+    assert not truncated
+    assert info["success"] == 0.0, "stopped far from the target"
+    env = make("navigation", panorama=None, actions="discrete")
+    env.reset(seed=1)
+    assert not env.step(0)[2], "under the rule `reach`, stop is only a step on the spot"
+
+
+def test_discrete_actions_are_habitats():
+    env = make("navigation", panorama=None, actions="discrete")
+    env.reset(seed=2)
+    body = env.unwrapped.body
+    yaw, xy = body.yaw, body.xy.copy()
+    observation, *_ = env.step(2)
+    assert math.remainder(body.yaw - yaw, 2 * math.pi) == pytest.approx(math.radians(30))
+    # The camera turned left: what was ahead is now to the right.
+    ahead = observation["rotation"] @ np.array([1.0, 0, 0])
+    assert math.atan2(ahead[1], ahead[0]) == pytest.approx(-math.radians(30))
+    env.step(3)
+    assert math.remainder(body.yaw - yaw, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
+    env.step(1)
+    step = body.xy - xy
+    assert np.hypot(*step) <= 0.25 + 1e-9
+
+
+def test_a_wall_stops_a_step_without_sliding_and_bends_it_with():
+    ends = {}
+    for sliding in (False, True):
+        env = make("navigation", panorama=None, rules=NavigationRules(sliding=sliding, max_steps=200))
+        env.reset(seed=4)
+        body = env.unwrapped.body
+        for _ in range(60):  # always north-east in the world
+            _, _, terminated, truncated, info = env.step(np.array([math.remainder(0.7 - body.yaw, 2 * math.pi), 0.25]))
+            if terminated or truncated:
+                break
+        ends[sliding] = body.xy.copy()
+        assert env.unwrapped.place.ground.is_free(body.xy)
+        assert info["collisions"]["count"] > 0
+    assert not np.allclose(ends[False], ends[True])
+
+
+def test_the_observation_is_of_the_camera_and_the_truth_of_the_world():
+    env = make("waypoint", panorama=16)
+    observation, info = env.reset(seed=5)
+    rotations, poses = [], [info["truth"]]
+    over = False
+    while not over:
+        observation, reward, over, _, info = env.step(info["truth"]["direction"].astype(np.float32))
+        rotations.append(observation["rotation"])
+        poses.append(info["truth"])
+        assert reward == pytest.approx(0.0, abs=2e-3)
+    for rotation, before, after in zip(rotations, poses[:-1], poses[1:], strict=True):
+        assert np.allclose(rotation, after["world_R_body"].T @ before["world_R_body"], atol=1e-12)
+    centre = env.unwrapped.place.scene.instances[env.unwrapped.episode.targets[0]].centre
+    for pose in poses:
+        offset = pose["world_R_body"].T @ (centre - pose["position"])
+        assert angular_distance(offset, pose["direction"]) < 1e-9
+        assert pose["distance"] == pytest.approx(np.linalg.norm(offset))
+
+
+def test_an_agent_can_walk_the_waypoints_by_itself():
+    env = make("waypoint", panorama=None, actions="continuous")
+    _, info = env.reset(seed=6)
+    legs, over = [], False
+    while not over:
+        ahead = info["waypoint"]
+        move = np.array([ahead["heading"], min(0.25, ahead["distance"])], dtype=np.float32)
+        _, _, terminated, truncated, info = env.step({"answer": info["truth"]["direction"], "move": move})
+        legs.append(info["waypoint"]["leg"])
+        over = terminated or truncated
+    assert legs[-1] == "L4" or truncated
+    assert info["error_deg"] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_waypoint_routes_have_four_legs_of_growing_turns():
+    for seed in range(3):
+        slot = Slot("waypoint", "apartment", seed, 0, 0)
+        episode = waypoint.plan(slot, Camera(), SHORT_LEGS)
+        route, legs = np.array(episode.route), np.array(episode.legs)
+        assert list(dict.fromkeys(legs)) == ["L1", "L2", "L3", "L4"]
+        for leg in ("L1", "L2", "L3", "L4"):
+            assert (legs == leg).sum() >= SHORT_LEGS.leg_steps
+        steps = np.linalg.norm(np.diff(route[:, :2], axis=0), axis=-1)
+        assert steps.max() <= 0.25 + 1e-6
+        turns = np.abs([math.remainder(b - a, 2 * math.pi) for a, b in zip(route[:-1, 2], route[1:, 2], strict=True)])
+        assert np.degrees(turns.max()) <= 30 + 1e-6
+        assert episode == waypoint.plan(slot, Camera(), SHORT_LEGS), "the same slot is the same episode"
+
+
+def test_the_ball_goes_where_the_scenario_says():
+    seen = {}
+    for number in range(3):
+        env = make("tracking", panorama=None)
+        episode = tracking.plan(Slot("tracking", "apartment", 7, number, number), Camera(), env.unwrapped.rules)
+        _, info = env.reset(options={"episode": episode})
+        present, over = [info["truth"]["present"]], False
+        while not over:
+            _, _, over, _, info = env.step(np.array([1.0, 0, 0], np.float32))
+            present.append(info["truth"]["present"])
+        seen[episode.stratum["scenario"]] = (np.array(present), episode)
+    gone, episode = seen["target gone"]
+    assert 0.1 < 1 - gone.mean() < 0.3
+    assert gone[0]
+    assert gone[-1]
+    balls = [ball for ball in seen["moving target"][1].balls if ball is not None]
+    assert np.linalg.norm(np.diff(balls, axis=0), axis=-1).max() <= 0.2 + 1e-9
+    assert len({tuple(row) for row in seen["moving target"][1].route}) == 1
+    assert len(set(seen["moving camera"][1].balls)) == 1
+    assert len({tuple(row) for row in seen["moving camera"][1].route}) > 30
+
+
+@pytest.mark.parametrize("task", ["navigation", "waypoint", "tracking"])
+def test_playing_the_same_slot_twice_gives_the_same_record(task):
+    rules = as_dict(SHORT_LEGS) if task == "waypoint" else {}
+    config = {"task": task, "perception": "truth", "camera": {}, "rules": rules, "rows": 32}
+    config["disturbances"] = as_dict(Disturbances.walking(latency=2))
+    names = ["centroid", "eagor_paper", "particle_filter", "eagor"][: 2 if task == "navigation" else 4]
+    slot = Slot(task, "apartment", 11, 1, 1)
+    first, second = (Player(config).play(slot, names) for _ in range(2))
+    assert json.dumps(first, sort_keys=True, allow_nan=False) == json.dumps(second, sort_keys=True, allow_nan=False)
+    alone = Player(config).play(slot, names[-1:])
+    assert alone["methods"][names[-1]] == first["methods"][names[-1]], "a method is not disturbed by others"
+
+
+def test_the_oracle_walks_straight_and_errs_nowhere():
+    config = {"task": "navigation", "perception": "truth:ideal", "camera": {}, "rules": {}, "disturbances": {}}
+    record = Player(config | {"rows": 32}).play(Slot("navigation", "apartment", 2, 0, 0), ["oracle"])
+    assert record["methods"]["oracle"]["metrics"]["mae"] == pytest.approx(0.0, abs=1e-6)
+    assert record["methods"]["oracle"]["metrics"]["success"] == 1.0
+
+
+def test_bad_input_says_what_was_wanted():
+    with pytest.raises(WorldError, match="render_mode"):
+        environments.MapFreeNavigationEnv(render_mode="human")
+    with pytest.raises(WorldError, match="actions"):
+        make("navigation", actions="flying")
+    env = make("navigation", panorama=None)
+    env.reset(seed=0)
+    with pytest.raises(WorldError, match="finite heading"):
+        env.step(np.array([np.nan, 0.25]))
+    with pytest.raises(WorldError, match="has no"):
+        from_dict(Camera, {"height_of": 2})
+    with pytest.raises(EagorError, match="no task"):
+        Player({"task": "swimming", "perception": "truth"})
+    episode = env.unwrapped.episode
+    other = episode.__class__(**{**episode.__dict__, "scene_hash": "0" * 16})
+    with pytest.raises(WorldError, match="plan the episode again"):
+        env.reset(options={"episode": other})

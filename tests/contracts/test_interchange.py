@@ -1,0 +1,561 @@
+"""Files of others: GLB scenes, and episodes of Habitat's ObjectNav."""
+
+import gzip
+import json
+import math
+
+import numpy as np
+import pytest
+import trimesh
+from box_scenes import scene_of, shell, thing
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import rotations
+
+from eagor import conventions as conv
+from eagor.errors import WorldError
+from eagor.sphere import rotation
+from eagor.worlds.glb import export_glb, import_glb
+from eagor.worlds.gltf import name_from_nodes
+from eagor.worlds.ground import Ground
+from eagor.worlds.objectnav import (
+    Episode,
+    Goal,
+    SceneEpisodes,
+    check_scene,
+    goal_of,
+    origin_of,
+    read_episodes,
+    write_episodes,
+)
+from eagor.worlds.scene import Lamp, Material, Room, Scene
+
+
+def furnished():
+    """A room with things of several materials, textures, a lamp, and texture seams."""
+    rng = np.random.default_rng(3)
+    materials = (
+        Material("oak", (0.8, 0.61, 0.37), rng.integers(0, 256, size=(8, 16, 3), dtype=np.uint8)),
+        Material("shade", (1.0, 0.93, 0.8), None, 1.7),
+        Material("screen", (0.01, 0.02, 0.3), rng.integers(0, 256, size=(4, 4, 3), dtype=np.uint8), 0.4),
+        Material("plain"),
+        Material("oak", (0.3, 0.3, 0.3)),  # two of one name
+    )
+    things = [
+        *shell(5.0, 4.0, "living room 1"),
+        thing("coffee table", (1, 1, 0.4), (2, 1.6, 0.45), "living room 1", "brown"),
+        thing("chair", (3, 1, 0), (3.4, 1.4, 0.9), "living room 1", "red"),
+        thing("chair", (3, 2.5, 0), (3.4, 2.9, 0.9), "living room 1"),
+        thing("tv", (0.02, 1.5, 0.9), (0.1, 2.5, 1.5), "living room 1", "black"),
+    ]
+    plain = scene_of(things)
+    look = rng.integers(0, 5, size=len(plain.triangles)).astype(np.int32)
+    return Scene(
+        plain.vertices,
+        plain.triangles,
+        plain.instance,
+        look,
+        rng.uniform(-2, 9, size=(len(look), 3, 2)).astype(np.float32),
+        plain.instances,
+        materials,
+        (Room("living room 1", "living room", np.array([[0, 0, 5, 4.0]])),),
+        (Lamp(np.array([2.5, 2, 2.3]), np.array([1, 0.9, 0.7])),),
+        (0.9, 1.0, 1.1),
+        "apartment 1 seed 17",
+        {"family": "corridor"},
+    )
+
+
+def canonical(scene):
+    """Everything of the triangles, in an order that does not depend on that of the file."""
+    order = np.lexsort((scene.material, scene.instance))
+    corners = scene.vertices[scene.triangles][order]
+    return corners, scene.uv[order], scene.instance[order], scene.material[order]
+
+
+# --- GLB: ours ---
+
+
+def test_a_scene_comes_back_from_its_export(tmp_path):
+    scene = furnished()
+    path = export_glb(scene, tmp_path)
+    assert path == tmp_path / "apartment_1_seed_17.glb"
+    back = import_glb(path)
+    for ours, theirs in zip(canonical(scene), canonical(back), strict=True):
+        assert np.allclose(ours, theirs, atol=2e-6)
+    assert np.array_equal(canonical(scene)[0], canonical(back)[0])
+    for ours, theirs in zip(scene.instances, back.instances, strict=True):
+        assert (ours.category, ours.colour, ours.room) == (theirs.category, theirs.colour, theirs.room)
+        assert np.array_equal(ours.low, theirs.low)
+        assert np.array_equal(ours.high, theirs.high)
+    for ours, theirs in zip(scene.materials, back.materials, strict=True):
+        assert (ours.name, ours.colour, ours.emission) == (theirs.name, theirs.colour, theirs.emission)
+        assert (ours.texture is None) == (theirs.texture is None)
+        assert ours.texture is None or np.array_equal(ours.texture, theirs.texture)
+    assert back.rooms[0].name == "living room 1"
+    assert np.array_equal(back.rooms[0].rectangles, scene.rooms[0].rectangles)
+    assert np.array_equal(back.lamps[0].position, scene.lamps[0].position)
+    assert back.daylight == scene.daylight
+    assert back.facts == {"family": "corridor", "exported hash": scene.hash}
+    assert back.source == "glb apartment_1_seed_17.glb"
+    assert np.array_equal(Ground.from_scene(back).free, Ground.from_scene(scene).free)
+
+
+def test_the_same_scene_gives_the_same_bytes(tmp_path):
+    first, second = (export_glb(furnished(), tmp_path / name / "room.glb") for name in "ab")
+    assert first.read_bytes() == second.read_bytes()
+    for kind in ("semantic", "stage_config", "navmesh"):
+        one, two = (path.with_suffix(f".{kind}.json").read_bytes() for path in (first, second))
+        assert one == two
+
+
+def test_others_find_named_nodes_with_y_up_beside_a_stage_and_the_settings_of_the_navmesh(tmp_path):
+    scene = furnished()
+    path = export_glb(scene, tmp_path / "room.glb", radius=0.2, height=0.9)
+    model = trimesh.load_scene(path)
+    nodes = set(model.graph.nodes_geometry)
+    assert {node.split("_m")[0] for node in nodes} >= {"coffee_table_5", "chair_6", "chair_7", "tv_8", "wall_1"}
+    low, high = model.bounds
+    ours_low, ours_high = scene.bounds
+    assert np.allclose(low, [ours_low[0], ours_low[2], -ours_high[1]], atol=1e-6)
+    assert np.allclose(high, [ours_high[0], ours_high[2], -ours_low[1]], atol=1e-6)
+    blob = path.read_bytes()
+    entries = json.loads(blob[20 : 20 + int.from_bytes(blob[12:16], "little")])["materials"]
+    emissive = [entry["emissiveFactor"] for entry in entries if "emissiveFactor" in entry]
+    assert len(emissive) == 2
+    assert np.max(emissive) <= 1  # as glTF demands; what shines brighter says so in an extension
+    stage = json.loads(path.with_suffix(".stage_config.json").read_text())
+    assert (stage["render_asset"], stage["up"], stage["front"]) == ("room.glb", [0, 1, 0], [0, 0, -1])
+    assert stage["shader_type"] == "flat"
+    navmesh = json.loads(path.with_suffix(".navmesh.json").read_text())
+    assert (navmesh["agent_radius"], navmesh["agent_height"], navmesh["cell_size"]) == (0.2, 0.9, 0.05)
+    semantic = json.loads(path.with_suffix(".semantic.json").read_text())
+    assert semantic["scene_hash"] == scene.hash
+    assert semantic["source"] == "apartment 1 seed 17"
+    assert "z up" in semantic["frame"]
+    assert {name for entry in semantic["instances"] for name in entry["nodes"]} == nodes
+
+
+def test_without_the_json_names_say_what_things_are_and_materials_are_close(tmp_path):
+    scene = furnished()
+    path = export_glb(scene, tmp_path / "room.glb")
+    path.with_suffix(".semantic.json").unlink()
+    back = import_glb(path)
+    parts = len(np.unique(np.stack([scene.instance, scene.material]), axis=1).T)
+    assert len(back.instances) == parts
+    assert {each.category for each in back.instances} == {"floor", "wall", "coffee table", "chair", "tv"}
+    assert all(each.colour is None and each.room is None for each in back.instances)
+    assert back.facts == {}
+    by_name = {material.name: material for material in back.materials}
+    for index, material in enumerate(scene.materials):
+        theirs = by_name[f"{index} {material.name}"]
+        assert np.allclose(theirs.colour, material.colour, atol=1e-6)
+        assert theirs.emission == pytest.approx(material.emission, abs=1e-6)
+    seen = {each.category: each for each in back.instances}
+    assert seen["tv"].high[2] == pytest.approx(1.5)
+
+
+def test_a_changed_file_is_no_longer_the_exported_scene(tmp_path):
+    path = export_glb(furnished(), tmp_path / "room.glb")
+    other = export_glb(scene_of(shell(3, 3)), tmp_path / "other.glb")
+    path.write_bytes(other.read_bytes())
+    with pytest.raises(WorldError, match="not have the same nodes"):
+        import_glb(path)
+    path = export_glb(furnished(), tmp_path / "room.glb")
+    companion = path.with_suffix(".semantic.json")
+    companion.write_text(companion.read_text().replace('"glb_sha256": "', '"glb_sha256": "0'))
+    assert "exported hash" not in import_glb(path).facts
+    for text in ("{", "[]", "{}", companion.read_text().replace("eagor semantic 1", "eagor semantic 99")):
+        companion.write_text(text)
+        with pytest.raises(WorldError, match="room"):
+            import_glb(path)
+
+
+# --- GLB: those of others ---
+
+
+def foreign(tmp_path):
+    """A room with Y up, its floor 1.3 above the origin, made with trimesh alone."""
+    model = trimesh.Scene()
+
+    def add(mesh, name, centre, parent=None, geometry=None):
+        transform = np.eye(4)
+        transform[:3, 3] = centre
+        model.add_geometry(mesh, node_name=name, geom_name=geometry, transform=transform, parent_node_name=parent)
+
+    add(trimesh.creation.box((6, 0.2, 4)), "Floor", (0, 1.2, 0))
+    for k, (size, centre) in enumerate(
+        [
+            ((6, 2.6, 0.1), (0, 2.5, 2)),
+            ((6, 2.6, 0.1), (0, 2.5, -2)),
+            ((0.1, 2.6, 4), (3, 2.5, 0)),
+            ((0.1, 2.6, 4), (-3, 2.5, 0)),
+        ]
+    ):
+        add(trimesh.creation.box(size), f"Wall_North.00{k}", centre)
+    pbr = trimesh.visual.material.PBRMaterial(name="velvet", baseColorFactor=[0.5, 0.02, 0.01, 1.0])
+    chair = trimesh.creation.box((0.4, 0.8, 0.4))
+    chair.visual = trimesh.visual.TextureVisuals(uv=None, material=pbr)
+    add(chair, "SM_ArmChair_03", (2, 1.7, 1))
+    painted = trimesh.creation.icosphere(radius=0.2)
+    painted.visual.vertex_colors = [0, 255, 0, 255]
+    mirror = np.diag([-1.0, 1, 1, 1])
+    mirror[:3, 3] = (-2, 1.5, 1)
+    model.graph.update("RedCouch", "world", matrix=mirror)
+    model.add_geometry(painted, node_name="mesh_7", geom_name="mesh_7", parent_node_name="RedCouch")
+    model.add_geometry(trimesh.load_path([[[0, 0, 0], [1, 1, 1]]]), node_name="line", geom_name="line")
+    path = tmp_path / "foreign.glb"
+    path.write_bytes(trimesh.exchange.gltf.export_glb(model))
+    return path
+
+
+def test_a_glb_of_others_becomes_a_scene(tmp_path):
+    scene = import_glb(foreign(tmp_path))
+    names = [(each.category, each.colour) for each in scene.instances]
+    assert sorted(map(str, names)) == sorted(
+        map(str, [("floor", None), *[("wall", None)] * 4, ("arm chair", None), ("sofa", "red")])
+    )
+    chair = next(each for each in scene.instances if each.category == "arm chair")
+    assert np.allclose(chair.centre, [2, -1, 1.7])  # Y up at (2, 1.7, 1)
+    assert scene.bounds[0][2] == pytest.approx(1.1)
+    velvet = next(material for material in scene.materials if material.name == "velvet")
+    assert velvet.colour == pytest.approx((0.735, 0.151, 0.1), abs=0.02)
+    assert (scene.uv[scene.instance == scene.instances.index(chair)] == 0).all()
+    # Outward normals stay outward, also in the mirrored node.
+    ball = next(index for index, each in enumerate(scene.instances) if each.category == "sofa")
+    corners = scene.vertices[scene.triangles[scene.instance == ball]].astype(np.float64)
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((corners.mean(axis=1) - scene.instances[ball].centre) * outward).sum(axis=1).min() > 0
+    assert np.allclose(scene.instances[ball].centre, [-2, -1, 1.5], atol=1e-6)
+    ground = Ground.from_scene(scene)
+    assert ground.floor == pytest.approx(1.3)
+    assert ground.is_free([0.0, 0.0])
+    assert not ground.is_free([2.0, -1.0])
+    assert ground.footprint(chair).distance([0.0, -1.0]) == pytest.approx(1.8, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["CoffeeTable_01"], ("coffee table", None)),
+        (["gray couch.003"], ("sofa", "grey")),
+        (["Walls"], ("wall", None)),
+        (["mesh_3", "Node 12", "dining_table_b"], ("table", None)),
+        (["Object_4", "17", ""], ("object", None)),
+        (["black"], ("black", None)),
+        (["floor_lamp_left"], ("lamp", None)),
+        (["glass"], ("glass", None)),
+    ],
+)
+def test_names_of_nodes(names, said):
+    assert name_from_nodes(names) == said
+
+
+def test_what_is_no_glb_is_refused_by_name(tmp_path):
+    good = export_glb(scene_of(shell(3, 3)), tmp_path / "good.glb").read_bytes()
+    cloud = trimesh.Scene(trimesh.load_path([[[0, 0, 0], [1, 1, 1]]])).export(file_type="glb")
+    outside = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 7]], process=False, validate=False)
+    bad = tmp_path / "bad.glb"
+    for content, reason in (
+        (b"", "empty"),
+        (b"hello, world", "starts with"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
+        (good[:900], "complete"),
+        (good[:13], "complete"),
+        (good[:300] + b"\x00" * 50 + good[350:], "complete"),
+        (cloud, "no triangles"),
+        (trimesh.exchange.gltf.export_glb(trimesh.Scene(outside), include_normals=False), "corrupt"),
+    ):
+        bad.write_bytes(content)
+        with pytest.raises(WorldError, match=reason):
+            import_glb(bad)
+    with pytest.raises(WorldError, match=r"nowhere\.glb cannot be read"):
+        import_glb(tmp_path / "nowhere.glb")
+    with pytest.raises(WorldError, match="cannot be read"):
+        import_glb(tmp_path)
+
+
+# --- axes ---
+
+
+def test_in_gltf_up_is_y_and_our_y_is_away():
+    assert np.allclose(conv.to_gltf([1.0, 2.0, 3.0]), [1, 3, -2])
+    assert np.linalg.det(conv.GLTF_R_WORLD) == pytest.approx(1.0)
+    assert np.allclose(conv.from_gltf(conv.to_gltf([[1.0, 2.0, 3.0]])), [[1, 2, 3]])
+
+
+@given(rotations(), st.floats(-3, 3))
+def test_an_agent_in_habitat_looks_where_our_body_does(world_R_body, turn):
+    """Habitat's agent looks along its -z, its x is to the right, and a turn to the left is positive about y."""
+    agent = conv.pose_to_habitat(world_R_body)
+    assert np.allclose(agent @ [0, 0, -1], conv.to_gltf(world_R_body @ [1, 0, 0]))
+    assert np.allclose(agent @ [-1, 0, 0], conv.to_gltf(world_R_body @ [0, 1, 0]))
+    assert np.allclose(conv.pose_from_habitat(agent), world_R_body)
+    left = conv.pose_to_habitat(world_R_body @ rotation((0, 0, 1), turn))
+    assert np.allclose(left, agent @ rotation((0, 1, 0), turn))
+
+
+# --- episodes ---
+
+
+def search(scene, **more):
+    """Two searches in the room."""
+    ground = Ground.from_scene(scene)
+    goals = {
+        "chair": (goal_of(scene, ground, 6), goal_of(scene, ground, 7)),
+        "tv": (goal_of(scene, ground, 8),),
+        "coffee table": (goal_of(scene, ground, 5),),
+    }
+    start = np.array([0.6, 0.6, 0.0])
+    episodes = tuple(
+        Episode(
+            "room.stage_config.json",
+            category,
+            start,
+            rotation((0, 0, 1), 0.7),
+            identifier=str(number),
+            geodesic=float(ground.footprint(scene.instances[nearest]).distance(start[:2])),
+            euclidean=1.5,
+            nearest=nearest,
+            room="living room 1",
+            origin=origin_of(scene, ground),
+            info={"query": f"the {category}"},
+        )
+        for number, (category, nearest) in enumerate([("chair", 6), ("tv", 8)])
+    )
+    return SceneEpisodes(episodes, goals)
+
+
+def test_episodes_come_back(tmp_path):
+    scene = furnished()
+    written = search(scene)
+    path = write_episodes(tmp_path, "val", [written])
+    assert path == tmp_path / "val" / "val.json.gz"
+    for file in (path, tmp_path / "val" / "content" / "room.json.gz"):
+        (back,) = read_episodes(file, scene, Ground.from_scene(scene))
+        assert set(back.goals) == {"chair", "tv", "coffee table"}
+        for ours, theirs in zip(written.episodes, back.episodes, strict=True):
+            mine, yours = dict(vars(ours)), dict(vars(theirs))
+            assert np.array_equal(mine.pop("position"), yours.pop("position"))
+            assert np.allclose(mine.pop("world_R_body"), yours.pop("world_R_body"), atol=1e-12)
+            assert vars(mine.pop("origin")) == vars(yours.pop("origin"))
+            assert mine == yours
+        for category, goals in written.goals.items():
+            for ours, theirs in zip(goals, back.goals[category], strict=True):
+                assert (ours.category, ours.instance, ours.room) == (theirs.category, theirs.instance, theirs.room)
+                assert np.array_equal(ours.position, theirs.position)
+                assert np.array_equal(ours.view_positions, theirs.view_positions)
+                assert np.allclose(ours.view_rotations, theirs.view_rotations, atol=1e-12)
+    again = write_episodes(tmp_path / "again", "val", [written])
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_the_files_say_what_habitat_reads(tmp_path):
+    """Keys, order of quaternions, axes and names of `ObjectNavDatasetV1`, spelt out."""
+    path = write_episodes(tmp_path, "val", [search(furnished())])
+    head = json.loads(gzip.decompress(path.read_bytes()))
+    content = json.loads(gzip.decompress((path.parent / "content" / "room.json.gz").read_bytes()))
+    assert head["episodes"] == []
+    for part in (head, content):
+        ids = part["category_to_task_category_id"]
+        assert ids == {"chair": 0, "tv_monitor": 4, "coffee_table": 6}
+        assert part["category_to_scene_annotation_category_id"] == ids
+    assert set(content["goals_by_category"]) == {
+        f"room.stage_config.json_{category}" for category in ("chair", "tv_monitor", "coffee_table")
+    }
+    episode = content["episodes"][1]
+    # The arguments of ObjectGoalNavEpisode; any other would stop Habitat.
+    assert set(episode) == {
+        "episode_id", "scene_id", "scene_dataset_config", "additional_obj_config_paths", "start_position",
+        "start_rotation", "info", "goals", "start_room", "shortest_paths", "object_category",
+    }  # fmt: skip
+    assert episode["object_category"] == "tv_monitor"
+    assert np.allclose(episode["start_position"], [0.6, 0.0, -0.6])
+    # Body along our x is a quarter turn to the right of Habitat's -z; 0.7 rad to the left of that.
+    half = (0.7 - math.pi / 2) / 2
+    found = np.array(episode["start_rotation"])
+    assert np.allclose(found * np.sign(found[3]), [0, math.sin(half), 0, math.cos(half)])
+    assert episode["info"]["closest_goal_object_id"] == 8
+    assert episode["info"]["eagor"].keys() == {"scene_hash", "version", "radius", "cell"}
+    goal = content["goals_by_category"]["room.stage_config.json_tv_monitor"][0]
+    assert set(goal) == {
+        "position", "radius", "object_id", "object_name", "object_name_id", "object_category", "room_id", "room_name",
+        "view_points",
+    }  # fmt: skip
+    assert goal["object_name"] == "tv_monitor_8"
+    assert goal["view_points"][0].keys() == {"agent_state", "iou"}
+    assert goal["view_points"][0]["agent_state"].keys() == {"position", "rotation"}
+
+
+def test_view_points_are_free_points_beside_the_goal_that_face_it():
+    scene = furnished()
+    ground = Ground.from_scene(scene)
+    goal = goal_of(scene, ground, 6)
+    assert len(goal.view_positions) > 8
+    assert ground.is_free(goal.view_positions[:, :2]).all()
+    assert (ground.footprint(scene.instances[6]).distance(goal.view_positions[:, :2]) < 0.78).all()
+    ahead = goal.view_rotations[:, :, 0]
+    to_goal = goal.position[:2] - goal.view_positions[:, :2]
+    assert np.allclose(ahead[:, :2] * np.hypot(*to_goal.T)[:, None], to_goal)
+
+
+def test_an_episode_of_another_scene_or_body_is_caught(tmp_path):
+    scene = furnished()
+    path = write_episodes(tmp_path, "val", [search(scene)])
+    moved = scene.vertices.copy()
+    moved[-1] += 0.01
+    other = Scene(moved, scene.triangles, scene.instance, scene.material, scene.uv, scene.instances, scene.materials)
+    with pytest.raises(WorldError, match="made for the scene"):
+        read_episodes(path, other)
+    with pytest.raises(WorldError, match=r"radius 0\.18"):
+        read_episodes(path, scene, Ground.from_scene(scene, radius=0.1))
+    imported = import_glb(export_glb(scene, tmp_path / "room.glb"))
+    assert imported.hash != scene.hash
+    (back,) = read_episodes(path, imported)
+    check_scene([Episode("x.glb", "chair", np.zeros(3), np.eye(3))], other)  # those of others are not marked
+    assert back.episodes[0].origin.version == "apartment 1 seed 17"
+
+
+def test_what_cannot_be_written_is_refused(tmp_path):
+    scene = furnished()
+    made = search(scene)
+    lost = Episode("room.glb", "chair", np.zeros(3), np.eye(3), geodesic=math.inf)
+    for wrong, reason in (
+        ([SceneEpisodes((lost,), made.goals)], "not finite"),
+        ([SceneEpisodes((Episode("room.glb", "bed", np.zeros(3), np.eye(3)),), made.goals)], "no such goal"),
+        ([SceneEpisodes((), made.goals)], "wanted one"),
+        ([made, made], "two scenes"),
+    ):
+        with pytest.raises(WorldError, match=reason):
+            write_episodes(tmp_path, "val", wrong)
+
+
+def hm3d():
+    """An entry each as the files of HM3D have them, shortened."""
+    view = {"agent_state": {"position": [1.0, 0.1, -2.0], "rotation": [0, 1.0, 0, 0]}, "iou": 0.3}
+    return {
+        "goals_by_category": {
+            "TEEsavR23oF.basis.glb_tv_monitor": [
+                {
+                    "position": [1.0, 1.5, -4.0],
+                    "radius": None,
+                    "object_id": 240,
+                    "object_name": "tv_240",
+                    "object_name_id": None,
+                    "object_category": "tv_monitor",
+                    "room_id": None,
+                    "room_name": None,
+                    "view_points": [view],
+                }
+            ]
+        },
+        "episodes": [
+            {
+                "episode_id": "0",
+                "scene_id": "hm3d/val/00800-TEEsavR23oF/TEEsavR23oF.basis.glb",
+                "scene_dataset_config": "./data/scene_datasets/hm3d/hm3d_annotated_basis.scene_dataset_config.json",
+                "additional_obj_config_paths": [],
+                "start_position": [-1.0, 0.1, 2.0],
+                "start_rotation": [0, 0, 0, 1.0],
+                "info": {"geodesic_distance": 6.1, "euclidean_distance": 5.0, "closest_goal_object_id": 240},
+                "goals": [],
+                "start_room": None,
+                "shortest_paths": None,
+                "object_category": "tv_monitor",
+            }
+        ],
+        "category_to_task_category_id": {"tv_monitor": 4},
+        "category_to_scene_annotation_category_id": {"tv_monitor": 4},
+    }
+
+
+def test_files_of_hm3d_are_read(tmp_path):
+    path = tmp_path / "TEEsavR23oF.json.gz"
+    path.write_bytes(gzip.compress(json.dumps(hm3d()).encode()))
+    (scene,) = read_episodes(path)
+    (episode,) = scene.episodes
+    (goal,) = scene.goals["tv"]
+    assert (episode.category, episode.geodesic, episode.nearest, episode.origin) == ("tv", 6.1, 240, None)
+    assert np.allclose(episode.position, [-1.0, -2.0, 0.1])
+    # Unturned, Habitat looks along -Z, which is our y; its view point here is turned half round.
+    assert np.allclose(episode.world_R_body @ [1, 0, 0], [0, 1, 0])
+    assert np.allclose(goal.view_rotations[0] @ [1, 0, 0], [0, -1, 0])
+    assert np.allclose(goal.position, [1.0, 4.0, 1.5])
+    assert goal.view_overlap == pytest.approx([0.3])
+    back = read_episodes(write_episodes(tmp_path, "val", [scene]))[0]
+    assert back.episodes[0].dataset_config == episode.dataset_config
+
+
+def without(*keys):
+    content = hm3d()
+    place = content
+    for key in keys[:-1]:
+        place = place[key]
+    del place[keys[-1]]
+    return content
+
+
+def replaced(value, *keys):
+    content = hm3d()
+    place = content
+    for key in keys[:-1]:
+        place = place[key]
+    place[keys[-1]] = value
+    return content
+
+
+GOAL = ("goals_by_category", "TEEsavR23oF.basis.glb_tv_monitor", 0)
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (without("episodes"), "lacks the key 'episodes'"),
+        (without("episodes", 0, "start_rotation"), "episode 0 lacks the key 'start_rotation'"),
+        (without(*GOAL, "view_points"), "goals 'TEE.* lacks the key 'view_points'"),
+        (without(*GOAL, "view_points", 0, "agent_state"), "lacks the key 'agent_state'"),
+        (without("goals_by_category"), "no goals"),
+        (replaced(math.nan, "episodes", 0, "start_position", 1), "NaN"),
+        (replaced(math.inf, "episodes", 0, "info", "geodesic_distance"), "Infinity"),
+        (replaced([0, 1], "episodes", 0, "start_position"), "3 finite numbers"),
+        (replaced(None, "episodes", 0, "start_position"), "3 finite numbers"),
+        (replaced([0, 0, 0, 0], "episodes", 0, "start_rotation"), "length zero"),
+        (replaced("near", "episodes", 0, "info", "geodesic_distance"), "episode 0"),
+        (replaced(7, "episodes"), "wanted the layout"),
+        (replaced([7], "episodes"), "wanted the layout"),
+        (replaced([], "episodes"), "no episodes"),
+        ([1, 2], "wanted an object"),
+    ],
+)
+def test_malformed_episodes_are_refused_with_the_place(tmp_path, content, reason):
+    path = tmp_path / "scene.json.gz"
+    path.write_bytes(gzip.compress(json.dumps(content).encode()))
+    with pytest.raises(WorldError, match=reason):
+        read_episodes(path)
+
+
+def test_files_that_are_cut_off_or_missing_are_refused(tmp_path):
+    path = tmp_path / "scene.json.gz"
+    whole = gzip.compress(json.dumps(hm3d()).encode())
+    for content, reason in (
+        (whole[:-20], "cut off"),
+        (whole[:30] + b"\x00" * 20 + whole[50:], "cut off or corrupt|cannot be read"),
+        (b"", "cut off|valid JSON"),
+        (b"{}", "cannot be read"),
+        (gzip.compress(b"{not json"), "no valid JSON"),
+        (gzip.compress(b"\xff\xfe\xfa"), "no valid JSON"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(WorldError, match=reason):
+            read_episodes(path)
+    with pytest.raises(WorldError, match="cannot be read"):
+        read_episodes(tmp_path / "nowhere.json.gz")
+
+
+def test_goals_without_view_points_can_be_written(tmp_path):
+    goal = Goal("chair", 3, np.array([1.0, 2.0, 0.5]))
+    episode = Episode("data/room.glb", "chair", np.zeros(3), np.eye(3))
+    path = write_episodes(tmp_path, "train", [SceneEpisodes((episode,), {"chair": (goal,)})])
+    (back,) = read_episodes(path)
+    assert back.goals["chair"][0].view_positions.shape == (0, 3)
+    assert back.goals["chair"][0].view_rotations.shape == (0, 3, 3)

@@ -1,0 +1,368 @@
+"""Runs that are killed, torn, starved of disk, or poisoned keep what they had, and go on."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from eagor.errors import EagorError, FormatError
+from eagor.evaluation import ledger
+from eagor.evaluation.ledger import Ledger, StorageError, begin, description, files, read
+from eagor.evaluation.units import Book
+from eagor.evaluation.workers import Outcome, Unit, WorkError, run_units
+
+WORK = "units_of_work:squares"
+
+
+def record(key, attempt=1, status="ok", **more):
+    return {"key": key, "attempt": attempt, "status": status, **more}
+
+
+def units(count, trouble=None, groups=3):
+    return [Unit(f"square/{n}", f"house {n % groups}", (n, (trouble or {}).get(n))) for n in range(count)]
+
+
+@pytest.fixture
+def config(tmp_path):
+    notes = tmp_path / "notes"
+    notes.mkdir()
+    return {"task": "square", "notes": str(notes)}
+
+
+def results(folder):
+    return {r["key"]: r["methods"] for r in read(folder) if r["status"] == "ok"}
+
+
+# The ledger
+
+
+def test_what_is_appended_is_read(tmp_path):
+    with Ledger(tmp_path) as book:
+        book.append(record("b", x=np.float32(0.5), n=np.int64(3), flags=np.array([True, False]), none=None))
+        book.append(record("a", words="größer 30°", trace=[(1.5, 2), [3]]))
+    assert read(tmp_path) == [
+        record("a", words="größer 30°", trace=[[1.5, 2], [3]]),
+        record("b", x=0.5, n=3, flags=[True, False], none=None),
+    ]
+
+
+def test_the_last_record_of_a_key_counts_and_the_highest_attempt_whoever_wrote_it(tmp_path):
+    with Ledger(tmp_path) as first, Ledger(tmp_path) as second:
+        first.append(record("a", 2, x=1))
+        second.append(record("a", 1, "failed"))
+        first.append(record("b", x=1))
+        first.append(record("b", x=2))
+    assert [(r["attempt"], r["x"]) for r in read(tmp_path)] == [(2, 1), (1, 2)]
+
+
+def test_two_ledgers_never_share_a_file_and_a_closed_one_is_taken_up_again(tmp_path):
+    with Ledger(tmp_path) as first, Ledger(tmp_path) as second, Ledger(tmp_path, first=5) as third:
+        names = [book.open().name for book in (first, second, third)]
+    assert names == ["worker-0.jsonl", "worker-1.jsonl", "worker-5.jsonl"]
+    with Ledger(tmp_path) as again:
+        assert again.open().name == "worker-0.jsonl"
+    assert [path.name for path in files(tmp_path)] == names
+
+
+def test_a_torn_last_line_is_left_out_and_the_next_record_begins_a_line(tmp_path):
+    with Ledger(tmp_path) as book:
+        for key in "abc":
+            book.append(record(key, filler="é" * 50_000))  # longer than what is read at once when the end is mended
+    path = files(tmp_path)[0]
+    whole = path.read_bytes()
+    for cut in (1, 7, 60_003):  # the newline alone, a bracket, the middle of a letter of two bytes
+        path.write_bytes(whole[:-cut])
+        kept = ["a", "b", "c"] if cut == 1 else ["a", "b"]
+        assert [r["key"] for r in read(tmp_path)] == kept
+        with Ledger(tmp_path) as book:
+            book.append(record("d"))
+        assert [r["key"] for r in read(tmp_path)] == [*kept, "d"]
+
+
+@pytest.mark.parametrize(
+    "line", [b'{"key": "b", "att', b"", b"[1]", b'{"key": "b"}', b'{"key":"b","attempt":1,"status":"?"}']
+)
+def test_any_other_broken_line_is_an_error_that_names_it(tmp_path, line):
+    good = json.dumps(record("a")).encode()
+    (tmp_path / "worker-3.jsonl").write_bytes(good + b"\n" + line + b"\n" + good + b"\n")
+    with pytest.raises(FormatError, match=r"worker-3\.jsonl, line 2"):
+        read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("value", "said"), [(float("nan"), "nan"), (np.array([1.0, np.inf]), "inf"), ({3}, "set"), ({1: 2}, "key 1")]
+)
+def test_what_json_cannot_hold_is_refused_by_name_and_nothing_is_written(tmp_path, value, said):
+    with Ledger(tmp_path) as book:
+        book.append(record("a"))
+        with pytest.raises(EagorError, match=f"(?s)b: metrics: mae.*{said}"):
+            book.append(record("b", metrics={"mae": value}))
+        book.append(record("c"))
+    assert [r["key"] for r in read(tmp_path)] == ["a", "c"]
+
+
+def test_a_full_disk_stops_the_run_and_takes_nothing_with_it(tmp_path, monkeypatch):
+    room = 150
+    write = os.write
+
+    def limited(file, data):
+        nonlocal room
+        if room == 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        taken = write(file, data[:room])
+        room -= taken
+        return taken
+
+    monkeypatch.setattr(ledger.os, "write", limited)
+    kept = []
+    book = Ledger(tmp_path)
+
+    def fill():
+        for key in "abcdefgh":
+            book.append(record(key))
+            kept.append(key)
+
+    with pytest.raises(StorageError, match="No space left"):
+        fill()
+    assert kept
+    assert files(tmp_path)[0].read_bytes().endswith(b"}\n")
+    room = 10_000
+    book.append(record("z"))
+    book.close()
+    assert [r["key"] for r in read(tmp_path)] == [*kept, "z"]
+
+
+def test_a_run_out_of_disk_says_so_and_goes_on_later(tmp_path, config, monkeypatch):
+    folder, write, count = tmp_path / "run", os.write, 0
+
+    def third_fails(file, data):
+        nonlocal count
+        count += 1
+        if count == 3:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(file, data)
+
+    monkeypatch.setattr(ledger.os, "write", third_fails)
+    with pytest.raises(StorageError, match="No space left"):
+        run_units(units(6), WORK, config, folder)
+    assert len(read(folder)) == 2
+    assert run_units(units(6), WORK, config, folder) == Outcome(done=4, failed=0, skipped=2)
+
+
+def test_run_json_is_written_once_and_held_against_later_runs(tmp_path):
+    config = {"task": "waypoint", "seed": 3, "rules": {"step": 0.25}, "methods": ("eagor", "grid")}
+    begin(tmp_path / "run", config)
+    before = (tmp_path / "run" / "run.json").stat().st_mtime_ns
+    begin(tmp_path / "run", config)
+    assert (tmp_path / "run" / "run.json").stat().st_mtime_ns == before
+    assert description(tmp_path / "run") == {**config, "methods": ["eagor", "grid"]}
+    other = {"task": "waypoint", "seed": 4, "rules": {"step": 0.5, "slide": True}, "methods": ("eagor", "grid")}
+    with pytest.raises(
+        EagorError, match=r"seed is 3 .*4 was.*rules\.step is 0\.25.*rules\.slide is not set.*another folder"
+    ):
+        begin(tmp_path / "run", other)
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["run.json"]
+
+
+def test_a_folder_without_a_run_or_with_a_broken_one_is_named(tmp_path):
+    with pytest.raises(FormatError, match=r"no run\.json"):
+        description(tmp_path)
+    (tmp_path / "run.json").write_text("{")
+    with pytest.raises(FormatError, match=r"run\.json is no JSON"):
+        begin(tmp_path, {"task": "waypoint"})
+    (tmp_path / "run.json").write_text("[]")
+    with pytest.raises(FormatError, match="list"):
+        description(tmp_path)
+
+
+# Workers
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_every_unit_is_done_once_and_told_of(tmp_path, config, workers):
+    told = []
+    outcome = run_units(units(8), WORK, config, tmp_path / "run", workers, on_done=told.append)
+    assert outcome == Outcome(done=8, failed=0, skipped=0)
+    assert results(tmp_path / "run") == {f"square/{n}": {"ours": {"metrics": {"square": n * n}}} for n in range(8)}
+    assert sorted(head["key"] for head in told) == [f"square/{n}" for n in range(8)]
+    assert all(head["status"] == "ok" and head["task"] == "square" and "methods" not in head for head in told)
+    processes = {r["process"] for r in read(tmp_path / "run")}
+    assert (processes == {os.getpid()}) == (workers == 1)
+    if workers == 2:
+        assert os.getpid() not in processes
+        assert {r["threads"] for r in read(tmp_path / "run")} == {"1"}
+    again = run_units(units(9), WORK, config, tmp_path / "run", workers=1)
+    assert again == Outcome(done=1, failed=0, skipped=8)
+
+
+def test_alone_units_go_group_by_group(tmp_path, config):
+    run_units(units(6, groups=2), WORK, config, tmp_path / "run")
+    written = [json.loads(line)["key"] for line in files(tmp_path / "run")[0].read_bytes().splitlines()]
+    assert written == [f"square/{n}" for n in (0, 2, 4, 1, 3, 5)]
+
+
+def test_a_worker_keeps_its_group_while_there_are_others_and_nobody_idles(tmp_path):
+    book = Book(units(7, groups=2), tmp_path, None, attempts=1)
+    mine, _ = book.next(None, set())
+    theirs, _ = book.next(None, {mine.group})
+    assert mine.group != theirs.group
+    for _ in range(3):
+        assert book.next(mine.group, {theirs.group})[0].group == mine.group
+    assert book.next(mine.group, {theirs.group})[0].group == theirs.group  # mine is done: help
+    assert book.left == 1
+
+
+def test_a_unit_that_raises_is_tried_again_and_then_left_alone(tmp_path, config):
+    trouble = {1: "raise", 2: "raise once", 3: "nan"}
+    told = []
+    outcome = run_units(units(5, trouble), WORK, config, tmp_path / "run", on_done=told.append)
+    assert outcome == Outcome(done=3, failed=2, skipped=0)
+    found = {r["key"]: r for r in read(tmp_path / "run")}
+    assert [found[f"square/{n}"]["attempt"] for n in range(5)] == [1, 2, 2, 2, 1]
+    assert found["square/1"]["error"] == "ValueError: cannot square 1"
+    assert "square is nan" in found["square/3"]["error"]
+    assert Counter(head["status"] for head in told) == {"ok": 3, "failed": 2}
+    assert run_units(units(5, trouble), WORK, config, tmp_path / "run") == Outcome(done=0, failed=2, skipped=3)
+    assert len(list((tmp_path / "notes").glob("1-*"))) == 2
+    cured = run_units(units(5, {1: "raise"}), WORK, config, tmp_path / "run", retry_failed=True)
+    assert cured == Outcome(done=1, failed=1, skipped=3)
+    assert [r["attempt"] for r in read(tmp_path / "run") if r["key"] in ("square/1", "square/3")] == [4, 3]
+
+
+def test_attempts_are_counted_across_runs(tmp_path, config):
+    with Ledger(tmp_path / "run") as book:
+        book.append(record("square/0", 1, "failed", error="the first run"))
+    outcome = run_units(units(1, {0: "raise"}), WORK, config, tmp_path / "run", attempts=2)
+    assert outcome == Outcome(done=0, failed=1, skipped=0)
+    assert len(list((tmp_path / "notes").iterdir())) == 1
+
+
+def test_units_that_kill_their_workers_are_counted_and_the_rest_is_done(tmp_path, config):
+    trouble = {0: "die", 2: "kill", 4: "die once"}
+    outcome = run_units(units(8, trouble), WORK, config, tmp_path / "run", workers=2)
+    assert outcome == Outcome(done=6, failed=2, skipped=0)
+    found = {r["key"]: r for r in read(tmp_path / "run")}
+    assert "exit code 7" in found["square/0"]["error"]
+    assert "signal 9" in found["square/2"]["error"]
+    assert (found["square/4"]["status"], found["square/4"]["attempt"]) == ("ok", 2)
+    assert len(list((tmp_path / "notes").glob("0-*"))) == 2
+
+
+def test_a_unit_that_cannot_be_sent_fails_alone(tmp_path, config):
+    bad = Unit("square/bad", "house 0", lambda: None)
+    assert run_units([bad, *units(2)], WORK, config, tmp_path / "run", workers=2) == Outcome(2, 1, 0)
+
+
+RUN = """
+import sys
+from pathlib import Path
+from eagor.evaluation.workers import Unit, run_units
+
+if __name__ == "__main__":
+    folder, notes, workers, sleep = sys.argv[1:]
+    units = [Unit(f"square/{n}", f"house {n % 3}", (n, None)) for n in range(24)]
+    config = {"task": "square", "notes": notes, "sleep": float(sleep)}
+    run_units(units, "units_of_work:squares", config, Path(folder), workers=int(workers))
+"""
+
+
+def launch(tmp_path, config, workers, sleep):
+    script = tmp_path / "run.py"
+    script.write_text(RUN)
+    path = os.pathsep.join(entry for entry in sys.path if entry)
+    arguments = [sys.executable, str(script), str(tmp_path / "run"), config["notes"], str(workers), str(sleep)]
+    return subprocess.Popen(arguments, env={**os.environ, "PYTHONPATH": path})
+
+
+def wait_for(what):
+    for _ in range(1200):
+        if what():
+            return
+        time.sleep(0.05)
+    raise AssertionError("waited for a minute in vain")
+
+
+def kept(folder):
+    return sum(path.read_bytes().count(b"\n") for path in files(folder)) if folder.exists() else 0
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_run_killed_in_the_middle_goes_on_to_what_it_would_have_been(tmp_path, config, workers):
+    run = launch(tmp_path, config, workers, sleep=0.1)
+    wait_for(lambda: kept(tmp_path / "run") >= 3)
+    run.send_signal(signal.SIGKILL)
+    run.wait()
+    before = kept(tmp_path / "run")
+    assert before < 24
+    wanted = [Unit(f"square/{n}", f"house {n % 3}", (n, None)) for n in range(24)]
+    outcome = run_units(wanted, WORK, config, tmp_path / "run")
+    assert outcome.skipped >= before
+    assert outcome.done == 24 - outcome.skipped
+    (tmp_path / "other").mkdir()
+    assert run_units(wanted, WORK, {**config, "notes": str(tmp_path / "other")}, tmp_path / "whole").done == 24
+    assert results(tmp_path / "run") == results(tmp_path / "whole")
+    assert {r["attempt"] for r in read(tmp_path / "run")} == {1}
+
+
+def test_workers_leave_when_their_parent_is_killed(tmp_path, config):
+    run = launch(tmp_path, config, workers=2, sleep=60)
+    wait_for(lambda: len(list((tmp_path / "notes").iterdir())) == 2)
+    processes = [int(path.name.split("-")[2]) for path in (tmp_path / "notes").iterdir()]
+    run.send_signal(signal.SIGKILL)
+    run.wait()
+    wait_for(lambda: not any(alive(process) for process in processes))
+
+
+def test_ctrl_c_stops_the_workers_and_keeps_what_was_done(tmp_path, config):
+    run = launch(tmp_path, config, workers=2, sleep=0.2)
+    wait_for(lambda: kept(tmp_path / "run") >= 2)
+    run.send_signal(signal.SIGINT)
+    assert run.wait(30) == -signal.SIGINT  # Python's way to end after an unhandled KeyboardInterrupt
+    processes = {int(path.name.split("-")[2]) for path in (tmp_path / "notes").iterdir()}
+    assert not any(alive(process) for process in processes)
+    found = read(tmp_path / "run")
+    assert 2 <= len(found) < 24
+    assert {r["status"] for r in found} == {"ok"}
+
+
+def alive(process):
+    try:
+        with open(f"/proc/{process}/stat") as stat:
+            return stat.read().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("work", ["units_of_work:nothing", "no_such_module:squares", "units_of_work"])
+def test_work_that_cannot_be_found_is_named(tmp_path, config, work, workers):
+    with pytest.raises(WorkError, match=work):
+        run_units(units(2), work, config, tmp_path / "run", workers)
+    assert read(tmp_path / "run") == []
+
+
+def test_work_that_cannot_be_set_up_ends_the_run(tmp_path, config):
+    with pytest.raises(WorkError, match="no such world"):
+        run_units(units(2), "units_of_work:hopeless", config, tmp_path / "run", workers=2)
+    with pytest.raises(WorkError, match="exit code 3"):
+        run_units(units(2), "units_of_work:stillborn", config, tmp_path / "run", workers=2)
+
+
+def test_a_worker_out_of_disk_stops_the_run(tmp_path, config):
+    (tmp_path / "run").write_text("a file where the folder should be")
+    with pytest.raises((StorageError, NotADirectoryError)):
+        run_units(units(4), WORK, config, tmp_path / "run", workers=2)
+
+
+def test_impossible_numbers_and_double_keys_are_refused(tmp_path, config):
+    with pytest.raises(EagorError, match="0 workers"):
+        run_units(units(1), WORK, config, tmp_path, workers=0)
+    with pytest.raises(EagorError, match="square/0"):
+        run_units([*units(2), *units(1)], WORK, config, tmp_path)

@@ -1,0 +1,235 @@
+"""What every generated apartment has to be, whatever its seed."""
+
+from collections import Counter
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from eagor.errors import WorldError
+from eagor.worlds.apartment import CATEGORIES, REQUIRED, VERSION, generate
+from eagor.worlds.apartment.cells import carve, rooms_of
+from eagor.worlds.apartment.colours import name
+from eagor.worlds.apartment.designing import design
+from eagor.worlds.apartment.families import FAMILIES
+from eagor.worlds.apartment.openings import LINING, OUTSIDE
+from eagor.worlds.apartment.placement import corners, distances, footprint, from_rectangle, leaf_footprint, overlaps
+from eagor.worlds.apartment.plans import draw_plan
+from eagor.worlds.ground import Ground
+from eagor.worlds.raycast import make_raycaster
+from eagor.worlds.scene import STRUCTURE
+
+SEEDS = (0, 3, 5, 11, 21, 1007)
+seeds = pytest.mark.parametrize("seed", SEEDS)
+scene = cache(generate)
+apartment = cache(design)
+
+
+def boxes_of(pieces):
+    """Footprints, and lowest and highest z."""
+    return np.array([piece.box for piece in pieces]), np.array([(piece.bottom, piece.top) for piece in pieces])
+
+
+def standing(seed):
+    """What takes up space: everything but rugs and what stands on other pieces."""
+    return [piece for piece in apartment(seed).pieces if piece.solid or piece.category in ("painting", "ceiling lamp")]
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=40)
+def test_a_plan_divides_a_rectangle_into_rooms_that_doors_join(seed):
+    plan = draw_plan(np.random.default_rng(seed))
+    kinds = {space.kind for space in plan.spaces}
+    assert {"living room", "bedroom", "bathroom", "kitchen"} <= kinds
+    assert 3 <= len(plan.spaces) <= 7
+    parts = np.array([part for space in plan.spaces for part in space.rectangles])
+    area = (parts[:, 2] - parts[:, 0]) * (parts[:, 3] - parts[:, 1])
+    width, depth = plan.extent
+    assert area.sum() == pytest.approx(width * depth, rel=1e-9)
+    hit = overlaps(np.array([from_rectangle(part) for part in parts]) - [0, 0, 1e-6, 1e-6, 0], parts_as_boxes(parts))
+    assert (hit == np.eye(len(parts), dtype=bool)).all()
+    joined = [*plan.open_to, *(tuple(d.boundary.rooms) for d in plan.doorways if OUTSIDE not in d.boundary.rooms)]
+    reached = {0}
+    for _ in plan.spaces:
+        reached |= {other for pair in joined if reached & set(pair) for other in pair}
+    assert reached == set(range(len(plan.spaces)))
+    assert sum(OUTSIDE in d.boundary.rooms for d in plan.doorways) == 1
+    for doorway in plan.doorways:
+        assert 0.8 - 1e-6 <= doorway.end - doorway.start - 2 * LINING <= 1.0 + 1e-6
+    rooms = rooms_of(plan, carve(plan))
+    assert 45 - 1e-6 <= sum(room.area for room in rooms) <= 111
+    for window in plan.windows:
+        assert sum(room == OUTSIDE for room in window.boundary.rooms) == 1
+
+
+def parts_as_boxes(parts):
+    return np.array([from_rectangle(part) for part in parts]) - [0, 0, 1e-6, 1e-6, 0]
+
+
+def test_all_families_come_up():
+    drawn = Counter(draw_plan(np.random.default_rng(seed)).family for seed in range(60))
+    assert set(drawn) == set(FAMILIES)
+    assert len(FAMILIES) >= 3
+    assert min(drawn.values()) >= 3
+
+
+@given(
+    st.lists(st.tuples(*[st.floats(-2, 2)] * 2, *[st.floats(0.05, 1)] * 2, st.floats(-4, 4)), min_size=2, max_size=2)
+)
+def test_footprints_overlap_exactly_where_they_share_a_point(two):
+    a, b = (np.array(box) for box in two)
+    line = np.linspace(-1, 1, 81)
+    local = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2) * a[2:4]
+    turn = np.array([[np.cos(a[4]), np.sin(a[4])], [-np.sin(a[4]), np.cos(a[4])]])
+    nearest = distances(b, local @ turn + a[:2]).min()
+    if overlaps(a, b)[0, 0]:
+        assert nearest <= 0.04  # the grid of points may miss a sliver
+    else:
+        assert nearest > -1e-9
+        assert distances(b, corners(a, 20)[0]).min() >= -1e-9
+        assert not (distances(b - [0, 0, 1e-6, 1e-6, 0], corners(a, 20)[0]) == 0).any()
+
+
+@pytest.mark.parametrize("seed", SEEDS[:3])
+def test_the_same_seed_gives_the_same_scene(seed):
+    again = generate(seed)
+    assert again.hash == scene(seed).hash
+    assert again.source == f"apartment {VERSION} seed {seed}"
+    assert again.facts["family"] in FAMILIES
+    assert again.hash != scene(SEEDS[3]).hash
+
+
+def test_a_negative_seed_is_refused():
+    with pytest.raises(WorldError, match="-1"):
+        generate(-1)
+
+
+@seeds
+def test_required_categories_and_structure(seed):
+    made = scene(seed)
+    count = Counter(thing.category for thing in made.instances)
+    assert set(REQUIRED) <= set(count)
+    assert set(count) <= set(CATEGORIES)
+    for category in ("wall", "floor", "ceiling"):
+        owners = Counter(thing.room for thing in made.instances if thing.category == category)
+        assert owners == Counter(room.name for room in made.rooms)
+    assert count["window"] >= 2
+    assert count["chair"] >= 3
+    assert len(made.triangles) < 60_000
+    assert set(np.unique(made.instance)) == set(range(len(made.instances)))
+    for room in made.rooms:  # a lamp in each, below the ceiling
+        lit = [lamp for lamp in made.lamps if room.contains(*lamp.position[:2])]
+        assert lit
+        assert all(0 < lamp.position[2] < made.bounds[1][2] for lamp in lit)
+
+
+@seeds
+def test_names_can_be_told_apart_and_confused(seed):
+    things = [piece for piece in apartment(seed).pieces if piece.solid]
+    names, categories = Counter(map(name, things)), Counter(piece.category for piece in things)
+    assert sum(names[name(p)] == 1 and categories[p.category] > 1 for p in things) >= 3
+    assert any(count > 1 for count in names.values())
+    seen = Counter(thing.name for thing in scene(seed).instances if thing.category not in STRUCTURE)
+    assert all(seen[each] == count for each, count in names.items())
+
+
+@seeds
+def test_no_two_solid_pieces_share_space(seed):
+    pieces = standing(seed)
+    boxes, heights = boxes_of(pieces)
+    hit = overlaps(boxes, boxes)
+    hit &= (heights[:, None, 0] < heights[None, :, 1] - 1e-3) & (heights[None, :, 0] < heights[:, None, 1] - 1e-3)
+    np.fill_diagonal(hit, False)
+    assert [(pieces[i].category, pieces[j].category) for i, j in np.argwhere(hit)] == []
+
+
+@seeds
+def test_pieces_keep_to_their_footprints_rooms_and_heights(seed):
+    made, plan = scene(seed), apartment(seed)
+    first = len(made.instances) - len(plan.pieces)
+    for place, piece in enumerate(plan.pieces):
+        thing = made.instances[first + place]
+        assert (thing.category, thing.colour) == (piece.category, piece.model.colour)
+        room = plan.rooms[piece.room]
+        assert thing.room == room.name
+        points = made.vertices[np.unique(made.triangles[made.instance == first + place])]
+        assert distances(piece.box, points[:, :2].astype(float)).max() < 2e-3
+        assert points[:, 2].min() == pytest.approx(piece.bottom, abs=1e-3)
+        assert points[:, 2].min() >= -1e-4
+        assert points[:, 2].max() <= plan.plan.height + 1e-3
+        grown = room.rectangles + np.array([-2e-3, -2e-3, 2e-3, 2e-3])
+        x, y = corners(piece.box, 4)[0].T[:, :, None]
+        inside = (grown[:, 0] <= x) & (x <= grown[:, 2]) & (grown[:, 1] <= y) & (y <= grown[:, 3])
+        assert inside.any(axis=1).all(), (piece.category, room.name)
+
+
+@seeds
+def test_doorways_and_open_leaves_stay_clear(seed):
+    pieces = [piece for piece in apartment(seed).pieces if piece.solid]
+    boxes, _ = boxes_of(pieces)
+    for doorway in apartment(seed).plan.doorways:
+        way = from_rectangle(doorway.approach(0.6))
+        assert [pieces[i].category for i in np.flatnonzero(overlaps(way, boxes)[0])] == []
+        if doorway.leaf:
+            leaf = leaf_footprint(doorway)
+            assert [pieces[i].category for i in np.flatnonzero(overlaps(leaf, boxes)[0])] == []
+
+
+@seeds
+def test_one_can_walk_into_every_room_and_up_to_every_piece(seed):
+    ground = Ground.from_scene(scene(seed))
+    cells = np.argwhere(ground.free)[:, ::-1]  # rows are along y
+    points = ground.origin + (cells + 0.5) * ground.cell
+    for room in scene(seed).rooms:
+        x, y = points.T[:, :, None]
+        x0, y0, x1, y1 = room.rectangles.T
+        assert ((x0 <= x) & (x <= x1) & (y0 <= y) & (y <= y1)).any(axis=1).sum() * ground.cell**2 > 0.3, room.name
+    for piece in apartment(seed).pieces:
+        if piece.solid:
+            assert distances(piece.box, points).min() < 0.6, piece.category
+
+
+@seeds
+def test_the_shell_is_closed_but_for_its_windows(seed):
+    made, rng = scene(seed), np.random.default_rng(0)
+    caster = make_raycaster(made.vertices, made.triangles)
+    ways = rng.normal(size=(4000, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    holes = [window for window in apartment(seed).plan.windows]
+    seen_out = 0
+    for room in made.rooms:
+        x0, y0, x1, y1 = room.rectangles[0]
+        eye = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 1.4])
+        hits = caster.cast(np.repeat(eye[None], len(ways), axis=0).astype(np.float32), ways.astype(np.float32))
+        out = ways[hits.triangle < 0]
+        through = np.zeros(len(out), dtype=bool)
+        for hole in holes:
+            hx0, hy0, hx1, hy1 = hole.hole
+            with np.errstate(divide="ignore"):
+                one = (np.array([hx0, hy0, hole.sill]) - 1e-3 - eye) / out
+                two = (np.array([hx1, hy1, hole.head]) + 1e-3 - eye) / out
+            through |= np.minimum(one, two).max(axis=1) <= np.maximum(one, two).min(axis=1)
+        assert through.all(), room.name
+        seen_out += len(out)
+        front = made.vertices[made.triangles[hits.triangle[hits.triangle >= 0]]].astype(float)
+        normal = np.cross(front[:, 1] - front[:, 0], front[:, 2] - front[:, 0])
+        owner = made.instance[hits.triangle[hits.triangle >= 0]]
+        shell = np.array([thing.category in STRUCTURE for thing in made.instances])[owner]
+        assert ((normal * ways[hits.triangle >= 0]).sum(axis=1)[shell] < 0).all()  # outsides look into the rooms
+    assert seen_out > 0
+
+
+@seeds
+def test_the_sofa_looks_at_the_television(seed):
+    tv = next(piece for piece in apartment(seed).pieces if piece.category == "tv")
+    aims = []
+    for sofa in (piece for piece in apartment(seed).pieces if piece.category == "sofa"):
+        to_tv = tv.box[:2] - sofa.box[:2]
+        aims.append(np.cos(np.arctan2(to_tv[1], to_tv[0]) - sofa.box[4]))
+    assert max(aims) > np.cos(np.radians(20))
+
+
+def test_a_footprint_is_made_of_full_sizes():
+    assert footprint(1.0, 2.0, 0.4, 0.8, 0.0).tolist() == [1.0, 2.0, 0.2, 0.4, 0.0]

@@ -1,0 +1,461 @@
+"""The ground plan: where a body can stand, how far it is to walk, what a step comes to."""
+
+import math
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from box_scenes import scene_of, shell, thing
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from eagor.errors import WorldError
+from eagor.worlds.geodesics import line_is_free
+from eagor.worlds.ground import Ground
+from eagor.worlds.occupancy import touched
+from eagor.worlds.scene import Room
+
+CELL, RADIUS = 0.05, 0.18
+seeds = st.integers(0, 2**32 - 1)
+
+
+def plan(*things, width=8.0, depth=6.0, rooms=(), **options):
+    return Ground.from_scene(scene_of([*shell(width, depth), *things], rooms), **options)
+
+
+@lru_cache
+def cluttered(number):
+    """A room with furniture of any size anywhere, some of it turned."""
+    rng = np.random.default_rng(number)
+    things = []
+    for _ in range(12):
+        low, size = rng.uniform(0, 5.5, size=2), rng.uniform(0.02, 1.2, size=2)
+        things.append(thing("cabinet", (*low, 0), (*(low + size), rng.uniform(0.2, 2.0))))
+    scene = scene_of([*shell(6.0, 6.0), *things])
+    vertices = scene.vertices.copy()
+    for i in range(6):  # the first six of them, about their own centres
+        part = slice(8 * (5 + i), 8 * (6 + i))
+        angle = rng.uniform(0, np.pi)
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        middle = vertices[part, :2].mean(axis=0)
+        vertices[part, :2] = (vertices[part, :2] - middle) @ turn.T + middle
+    turned = scene_of([*shell(6.0, 6.0), *things])
+    turned.vertices[:] = vertices
+    return Ground.from_scene(turned)
+
+
+worlds = st.integers(0, 7).map(cluttered)
+
+
+def length(path):
+    return float(np.hypot(*np.diff(path, axis=0).T).sum())
+
+
+# --- occupancy ---
+
+
+@settings(max_examples=40)
+@given(seeds, st.sampled_from([0.05, 0.4, 3.0]))
+def test_all_that_lies_in_the_slab_is_marked_and_nothing_else(seed, size):
+    rng = np.random.default_rng(seed)
+    triangle = rng.uniform(0.3, 0.7, size=3) * (4, 4, 2) + rng.uniform(-size, size, size=(3, 3))
+    if rng.random() < 0.3:
+        triangle[2, :2] = triangle[0, :2]  # upright
+    mask = touched(triangle[None], 0.5, 1.0, np.zeros(2), 0.1, (40, 40))
+    weights = rng.dirichlet((0.7, 0.7, 0.7), size=4000)
+    points = weights @ triangle
+    points = points[(points[:, 2] > 0.5) & (points[:, 2] < 1.0)]
+    cells = np.floor(points[:, :2] / 0.1)
+    within = (points[:, :2] / 0.1 - cells > 0.01) & (points[:, :2] / 0.1 - cells < 0.99)
+    cells = cells[(within & (cells >= 0) & (cells < 40)).all(axis=1)].astype(int)
+    assert mask[cells[:, 1], cells[:, 0]].all()
+    # Every marked cell lies near a point of the clipped triangle, which is sampled densely.
+    steps = np.linspace(0, 1, 120)
+    a, b = (grid.ravel() for grid in np.meshgrid(steps, steps))
+    dense = triangle[0] + (a * (1 - b))[:, None] * (triangle[1] - triangle[0])
+    dense = dense + b[:, None] * (triangle[2] - triangle[0])
+    dense = dense[(dense[:, 2] >= 0.48) & (dense[:, 2] <= 1.02)]
+    marked = np.argwhere(mask)[:, ::-1] * 0.1 + 0.05
+    for centre in marked:
+        assert len(dense)
+        assert np.abs(dense[:, :2] - centre).max(axis=1).min() < 0.05 + 0.025 * max(1.0, size)
+
+
+def test_walls_on_round_numbers_cost_no_cell_on_either_side():
+    ground = plan(width=2.0, depth=1.0)
+    rows, cols = np.nonzero(ground.free)
+    # The wall ends in the cell behind its face: the nearest centre at or beyond the radius is 0.175 m from the face.
+    assert np.allclose(ground.centres(np.array([rows.min(), cols.min()])), [0.175, 0.175])
+    assert np.allclose(ground.centres(np.array([rows.max(), cols.max()])), [1.825, 0.825])
+
+
+def test_what_is_low_or_high_is_no_obstacle_and_the_rest_is():
+    ground = plan(
+        thing("rug", (1, 1, 0), (2, 2, 0.02)),
+        thing("door", (3, 1, 0), (4, 1.1, 0.03)),  # a threshold
+        thing("ceiling lamp", (5, 1, 1.8), (6, 2, 2.4)),
+        thing("table", (1, 4, 0.7), (2, 5, 0.75)),
+        thing("door", (4, 4, 0), (4.04, 4.8, 2.0)),  # an open leaf
+    )
+    assert ground.is_free(np.array([[1.5, 1.5], [3.5, 1.05], [5.5, 1.5]])).all()
+    blocked = np.array([[1.5, 4.5], [0.9, 4.5], [4.02, 4.4], [4.12, 4.4], [0.1, 3.0], [-0.5, 3.0], [np.nan, 1.0]])
+    assert not ground.is_free(blocked).any()
+    assert ground.is_free([0.75, 4.5])
+    assert ground.is_free([4.3, 4.4])
+    walls = ground.centres(np.argwhere(ground.structure))
+    assert np.hypot(*(walls - (4.02, 4.4)).T).min() < CELL
+    assert np.hypot(*(walls - (1.5, 4.5)).T).min() > 1.0
+
+
+def test_only_the_main_island_counts():
+    ground = plan(thing("wall", (2, 0, 0), (2.1, 6, 2.5)))
+    assert ground.is_free([5, 3])
+    assert not ground.is_free([1, 3])
+    assert np.isinf(ground.field([5.0, 3.0]).distance([1, 3]))
+    assert np.isinf(ground.field([1.0, 3.0]).metres).all()
+
+
+@given(worlds)
+def test_free_cells_have_clearance_and_a_clearance_is_no_more_than_the_way_to_the_next_obstacle(ground):
+    assert (ground.clearance[ground.free] >= RADIUS).all()
+    blocked = ground.centres(np.argwhere(ground.clearance == 0))
+    for cell in np.argwhere(ground.free)[::997]:
+        away = np.hypot(*(blocked - ground.centres(cell)).T).min()
+        assert ground.clearance[tuple(cell)] == pytest.approx(away, abs=1e-6)
+
+
+def test_a_floor_is_found_at_any_height_and_holes_are_no_floor():
+    boxes = shell(4.0, 4.0)
+    table = thing("table", (1, 1, 0.6), (2, 2, 0.7))
+    up = np.array([0, 0, 3.3])
+    lifted = [
+        thing(t.category, t.low + up, t.high + up) for t in [*boxes, table, thing("ceiling", (0, 0, 2.5), (4, 4, 2.6))]
+    ]
+    level, raised = Ground.from_scene(scene_of([*boxes, table])), Ground.from_scene(scene_of(lifted))
+    assert (level.floor, raised.floor) == (0.0, pytest.approx(3.3))
+    assert np.array_equal(level.free, raised.free)
+    parts = [thing("floor", (0, 0, -0.1), (2, 4, 0)), thing("floor", (2.1, 0, -0.1), (4, 4, 0))]
+    crack = Ground.from_scene(scene_of([*parts, *boxes[1:]]))  # a missing sill
+    assert crack.is_free([2.05, 2.0])
+    parts[1] = thing("floor", (2.5, 0, -0.1), (4, 4, 0))
+    pit = Ground.from_scene(scene_of([*parts, *boxes[1:]]))
+    assert not pit.is_free([2.25, 2.0])
+    assert not pit.is_free([3.0, 2.0])  # the larger side is the island
+
+
+def test_scenes_without_ground_are_refused():
+    with pytest.raises(WorldError, match="no level surface near z = 2"):
+        Ground.from_scene(scene_of(shell(2, 2)), floor=2.0)
+    with pytest.raises(WorldError, match="nowhere"):
+        Ground.from_scene(scene_of(shell(0.3, 0.3)))
+    with pytest.raises(WorldError, match="raise cell"):
+        Ground.from_scene(scene_of([thing("floor", (0, 0, -1), (500, 500, 0))]))
+    with pytest.raises(WorldError, match="wanted a cell above 0"):
+        Ground.from_scene(scene_of(shell(2, 2)), climb=2.0)
+
+
+# --- distances ---
+
+
+@settings(max_examples=25)
+@given(st.floats(0, 2 * math.pi), st.floats(0.3, 6.0), seeds)
+def test_across_an_open_room_it_is_the_straight_line(angle, away, seed):
+    ground = open_room()
+    a = np.random.default_rng(seed).uniform(6.3, 6.7, size=2)
+    b = a + away * np.array([math.cos(angle), math.sin(angle)])
+    found = ground.field(a).distance(b)
+    assert away - 0.02 * CELL <= found <= 1.01 * away + CELL
+    assert length(ground.path(b, a)) == pytest.approx(away, abs=1e-9)
+
+
+@lru_cache
+def open_room():
+    return plan(width=13.0, depth=13.0)
+
+
+def closed_corner():
+    """Two yards that meet at a corner closed from both sides, and are joined by a way round."""
+    free = np.zeros((24, 24), dtype=bool)
+    free[2:12, 2:12] = free[12:22, 12:22] = True
+    free[2:4, 12:22] = free[4:12, 20:22] = True
+    return Ground(np.zeros(2), 0.05, 0.0, 0.0, free, np.where(free, 0.05, 0.0), np.zeros_like(free))
+
+
+def test_no_way_leads_through_a_closed_corner():
+    ground = closed_corner()
+    inner, outer = np.array([0.585, 0.585]), np.array([0.615, 0.615])  # on either side of the corner (0.6, 0.6)
+    assert ground.is_free([inner, outer]).all()
+    around = float(ground.field(outer).distance(inner))
+    assert around > 1.0
+    assert length(ground.path(inner, outer)) == pytest.approx(around, abs=0.05)
+    # Nor does the distance of one side bleed into that of the other.
+    assert ground.field(inner).distance(inner) < 0.03
+    assert ground.field(inner).distance(outer) > 1.0
+    for slide in (True, False):
+        end, collided = ground.move([0.56, 0.56], [0.08, 0.08], slide)
+        assert collided
+        assert (end < 0.6).all()
+    cells = ground.free.astype(np.uint8).tobytes()
+    assert not line_is_free(cells, 24, (11.5, 11.5), (12.5, 12.5))
+    assert line_is_free(cells, 24, (2.5, 2.5), (11.5, 11.5))
+    # Open from one side, it is a way.
+    ground.free[12, 11] = True
+    opened = Ground(np.zeros(2), 0.05, 0.0, 0.0, ground.free, ground.clearance, ground.structure)
+    assert opened.field(outer).distance(inner) < 0.2
+    assert (opened.move([0.585, 0.585], [0.03, 0.03])[0] > 0.6).all()
+
+
+@settings(max_examples=40)
+@given(seeds)
+def test_round_the_end_of_a_wall_it_is_two_tangents_and_an_arc(seed):
+    ground = divided()
+    rng = np.random.default_rng(seed)
+    a, b = rng.uniform((0.3, 0.3), (3.7, 4.2)), rng.uniform((4.3, 0.3), (7.7, 4.2))
+    legs, arcs = 0.1, 0.0  # over the end of the wall, which is 0.1 m thick
+    for point, corner, side in ((a, (3.95, 4.5), -1), (b, (4.05, 4.5), 1)):
+        across, down = side * (point[0] - corner[0]), corner[1] - point[1]
+        reach = math.hypot(across, down)
+        legs += math.sqrt(reach**2 - RADIUS**2)
+        # From straight above the corner round to where the tangent to the point touches.
+        arcs += max(0.0, math.pi / 2 + math.atan2(down, across) - math.acos(RADIUS / reach)) * RADIUS
+    truth = legs + arcs
+    found = ground.field(b).distance(a)
+    assert truth - CELL <= found <= 1.01 * truth + CELL
+    assert truth - CELL <= length(ground.path(a, b)) <= found + 0.02
+
+
+@lru_cache
+def divided():
+    return plan(thing("wall", (3.95, 0, 0), (4.05, 4.5, 2.5)))
+
+
+@settings(max_examples=40)
+@given(worlds, seeds)
+def test_distances_are_a_metric(ground, seed):
+    rng = np.random.default_rng(seed)
+    a, b, c = (ground.sample(rng) for _ in range(3))
+    to_a, to_b = ground.field(a), ground.field(b)
+    assert to_a.distance(b) == pytest.approx(float(to_b.distance(a)), abs=CELL)
+    assert to_a.distance(c) <= to_a.distance(b) + to_b.distance(c) + CELL
+    assert to_a.distance(b) >= math.dist(a, b) - 0.6 * CELL
+    assert to_a.distance(a) <= CELL
+    finite = np.isfinite(to_a.metres)
+    assert np.array_equal(finite, ground.free)
+    points = rng.uniform(-1, 7, size=(200, 2))
+    assert np.array_equal(np.isfinite(to_a.distance(points)), ground.is_free(points))
+
+
+@given(worlds, seeds)
+def test_a_distance_changes_no_faster_than_one_walks(ground, seed):
+    rng = np.random.default_rng(seed)
+    field = ground.field(ground.sample(rng))
+    cells = np.argwhere(ground.free)
+    points = ground.centres(cells[rng.integers(len(cells), size=300)]) + rng.uniform(-0.5, 0.5, size=(300, 2)) * CELL
+    moved = points + rng.uniform(-0.3, 0.3, size=(300, 2)) * CELL
+    both = ground.is_free(points) & ground.is_free(moved)
+    change = np.abs(field.distance(points[both]) - field.distance(moved[both]))
+    assert (change <= 1.2 * np.hypot(*(points - moved)[both].T) + 0.3 * CELL).all()
+
+
+def test_several_goals_with_offsets_and_the_union_of_fields():
+    ground = open_room()
+    near, far = np.array([2.0, 2.0]), np.array([9.0, 2.0])
+    both = ground.field([near, far], offsets=np.array([3.0, 0.0]))
+    assert both.distance([3.0, 2.0]) == pytest.approx(4.0, abs=0.01)
+    assert both.distance([2.0, 2.0]) == pytest.approx(3.0, abs=CELL)
+    assert both.distance([5.0, 2.0]) == pytest.approx(4.0, abs=0.02)
+    union = ground.field(near).union(ground.field(far))
+    assert union.distance([3.0, 2.0]) == pytest.approx(1.0, abs=0.02)
+    assert union.distance([8.0, 2.0]) == pytest.approx(1.0, abs=0.02)
+    with pytest.raises(WorldError, match="finite metres"):
+        ground.field(near, offsets=np.array([np.nan]))
+
+
+# --- footprints ---
+
+
+def test_a_footprint_is_measured_to_its_edge_also_under_the_table():
+    table = thing("table", (5, 2, 0.7), (6, 3, 0.75))
+    ground = plan(table)
+    field = ground.footprint(table)
+    assert field.distance([4.0, 2.5]) == pytest.approx(1.0, abs=0.01)
+    assert field.distance([7.0, 4.0]) == pytest.approx(math.hypot(1, 1), abs=0.03)
+    assert field.distance([4.5, 2.5]) == pytest.approx(0.5, abs=0.01)
+    rug = thing("rug", (1, 1, 0), (2, 2, 0.02))
+    field = plan(rug).footprint(rug)
+    assert field.distance([1.5, 1.5]) == pytest.approx(0.0, abs=1e-6)
+    assert field.distance([3.0, 1.5]) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("thick", [0.1, 0.02])
+def test_a_wall_is_no_way_to_what_stands_or_hangs_behind_it(thick):
+    wall = thing("wall", (4 - thick, 0, 0), (4, 4.5, 2.5), "right")
+    painting = thing("painting", (4, 2, 1.2), (4.03, 2.8, 1.8), "right")
+    cabinet = thing("cabinet", (4, 0.5, 0), (4.5, 1.5, 0.9), "right")
+    rooms = (
+        Room("left", "study", np.array([[0, 0, 4 - thick / 2, 6.0]])),
+        Room("right", "study", np.array([[4 - thick / 2, 0, 8, 6.0]])),
+    )
+    # Without rooms, it takes a wall that is thicker than a cell and a half to tell its sides apart.
+    plans = [plan(wall, painting, cabinet, rooms=known) for known in ([rooms, ()] if thick > 0.08 else [rooms])]
+    for ground, goal in [(ground, goal) for ground in plans for goal in (painting, cabinet)]:
+        field = ground.footprint(goal)
+        y = goal.centre[1]
+        front = goal.high[0] + 0.5
+        assert field.distance([front, y]) == pytest.approx(0.5, abs=0.02)
+        behind = math.hypot(1.0, 4.7 - y) + math.hypot(0.5, 4.7 - goal.high[1])
+        assert field.distance([3.0, y]) == pytest.approx(behind, abs=0.35)
+
+
+def test_without_a_free_cell_beside_it_the_nearest_of_the_room_counts_and_none_is_no_way():
+    # A vase in the middle of a table two metres deep; and one in a closed room.
+    table, vase = thing("table", (4, 2, 0), (6, 4, 0.8)), thing("vase", (4.95, 2.95, 0.8), (5.05, 3.05, 1.0))
+    wall = thing("wall", (2, 0, 0), (2.1, 6, 2.5))
+    shut = thing("chair", (1, 3, 0), (1.4, 3.4, 0.9), "shut")
+    rooms = (
+        Room("shut", "study", np.array([[0, 0, 2, 6.0]])),
+        Room("open", "study", np.array([[2, 0, 8, 6.0]])),
+    )
+    for known in ((), rooms):
+        ground = plan(table, vase, wall, shut, rooms=known)
+        field = ground.footprint(vase)
+        assert field.distance([3.5, 3.0]) == pytest.approx(1.45, abs=0.06)
+        assert np.isinf(ground.footprint(shut).metres).all()
+        assert not np.isnan(field.metres).any()
+        assert np.isinf(field.union(ground.footprint(shut)).distance([1.0, 1.0]))
+
+
+@given(worlds, seeds)
+def test_no_footprint_is_ever_nan_and_its_field_is_finite_where_any_way_leads(ground, seed):
+    rng = np.random.default_rng(seed)
+    low = rng.uniform(-1, 6, size=3)
+    field = ground.footprint(thing("box", low, low + rng.uniform(0, 2, size=3)))
+    assert not np.isnan(field.metres).any()
+    assert np.isfinite(field.metres[ground.free]).all() or np.isinf(field.metres).all()
+    assert np.isinf(field.metres[~ground.free]).all()
+
+
+# --- paths and steps ---
+
+
+@settings(max_examples=40)
+@given(worlds, seeds)
+def test_a_path_is_as_long_as_the_field_says_and_can_be_walked_without_touching_anything(ground, seed):
+    rng = np.random.default_rng(seed)
+    a, b = ground.sample(rng), ground.sample(rng)
+    path = ground.path(a, b)
+    assert np.allclose(path[0], a)
+    assert np.allclose(path[-1], b)
+    told = float(ground.field(b).distance(a))
+    assert 0.97 * told - CELL <= length(path) <= told + CELL
+    here = path[0]
+    for corner in path[1:]:
+        while math.dist(here, corner) > 1e-6:
+            step = corner - here
+            here, collided = ground.move(here, step * min(1.0, 0.25 / math.hypot(*step)), slide=False)
+            assert not collided
+
+
+def test_a_path_down_the_field_of_a_footprint_ends_beside_it():
+    table = thing("table", (5, 2, 0.7), (6, 3, 0.75))
+    ground = plan(table)
+    field = ground.footprint(table)
+    path = ground.path([1.0, 5.0], field)
+    last = math.hypot(*np.maximum(0, np.maximum([5, 2] - path[-1], path[-1] - [6, 3])))
+    assert RADIUS - CELL <= last <= 0.75
+    assert length(path) + last == pytest.approx(float(field.distance(path[0])), abs=CELL)
+    with pytest.raises(WorldError, match="not free"):
+        ground.path([5.5, 2.5], [1.0, 1.0])
+    with pytest.raises(WorldError, match="no way"):
+        ground.path([1.0, 1.0], [5.5, 2.5])
+
+
+@settings(max_examples=30)
+@given(worlds, seeds, st.booleans(), st.sampled_from([0.05, 0.25, 1.0]))
+def test_no_walk_goes_through_anything_or_farther_than_its_steps(ground, seed, slide, stride):
+    rng = np.random.default_rng(seed)
+    here, heading = ground.sample(rng), 0.0
+    for _ in range(60):
+        heading += rng.normal() * 0.5
+        step = stride * np.array([math.cos(heading), math.sin(heading)])
+        there, collided = ground.move(here, step, slide)
+        assert ground.is_free(there)
+        assert math.dist(here, there) <= stride + 1e-9
+        # Sliding does not go back: the way has no part against the step beyond that of going round corners.
+        assert (there - here) @ step >= -1e-9
+        if not collided:
+            assert np.allclose(there, here + step)
+        if not slide:
+            assert abs(np.cross(np.append(there - here, 0), np.append(step, 0))[2]) < 1e-9
+        here = there
+
+
+@given(st.floats(0.3, 2.8))
+def test_along_a_wall_what_is_left_is_the_part_along_it(angle):
+    ground = open_room()
+    start = np.array([6.0, 0.21])  # the wall is y = 0
+    step = 0.5 * np.array([math.cos(angle), -math.sin(angle)])
+    end, collided = ground.move(start, step)
+    assert collided
+    assert end[0] - start[0] == pytest.approx(step[0], abs=0.011)
+    assert RADIUS - CELL <= end[1] <= start[1]
+    stopped, collided = ground.move(start, step, slide=False)
+    assert collided
+    assert 0.15 <= stopped[1] <= 0.15 + CELL / 2  # up to the last free cell, and no farther
+
+
+def test_head_on_there_is_nothing_left():
+    ground = open_room()
+    end, collided = ground.move([6.0, 0.5], [0.0, -1.0])
+    assert collided
+    assert end[0] == pytest.approx(6.0, abs=1e-9)
+    assert 0.15 - 1e-9 <= end[1] <= 0.2
+    assert ground.move(end, [0.0, -0.25])[1]
+    same, collided = ground.move([6.0, 0.5], [0.0, 0.0])
+    assert np.allclose(same, [6.0, 0.5])
+    assert not collided
+
+
+def test_what_is_no_step_is_refused():
+    ground = open_room()
+    with pytest.raises(WorldError, match="not free ground"):
+        ground.move([-3.0, 0.5], [0.1, 0.0])
+    with pytest.raises(WorldError, match="not free ground"):
+        ground.move([np.nan, 0.5], [0.1, 0.0])
+    with pytest.raises(WorldError, match="finite"):
+        ground.move([6.0, 0.5], [np.inf, 0.0])
+
+
+# --- points ---
+
+
+@given(worlds, seeds)
+def test_snapping_finds_the_nearest_free_point(ground, seed):
+    rng = np.random.default_rng(seed)
+    point = rng.uniform(-1, 7, size=2)
+    found = ground.snap(point)
+    assert ground.is_free(found)
+    away = math.dist(point, found)
+    centres = ground.centres(np.argwhere(ground.free))
+    assert away <= np.hypot(*(centres - point).T).min() + 1e-6
+    assert away >= np.hypot(*(centres - point).T).min() - CELL
+    assert ground.snap(point, within=away * 0.99 - 1e-9) is None or away == 0
+    assert np.array_equal(ground.snap(found), found)
+
+
+def test_nothing_is_near_to_nan():
+    assert open_room().snap([np.nan, 1.0]) is None
+
+
+@given(worlds, seeds, st.floats(0, 0.4))
+def test_samples_are_free_and_keep_their_distance(ground, seed, clearance):
+    point = ground.sample(np.random.default_rng(seed), clearance)
+    assert ground.is_free(point)
+    row, col = np.floor((point - ground.origin) / CELL).astype(int)[::-1]
+    assert ground.clearance[row, col] >= clearance
+    assert np.array_equal(point, ground.sample(np.random.default_rng(seed), clearance))
+
+
+def test_more_clearance_than_there_is():
+    with pytest.raises(WorldError, match="the most is"):
+        open_room().sample(np.random.default_rng(0), 20.0)

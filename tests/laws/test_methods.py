@@ -1,0 +1,114 @@
+"""Laws of the methods that play the tasks: late evidence, names, and what they do not know."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from eagor import Evidence, PatchGrid, angular_distance
+from eagor.errors import EagorError, TimeError
+from eagor.sphere import world_R_body
+from eagor.tasks.methods import NAMES, FilterMethod, TrackerMethod, make_method, tracker_config
+from eagor.tracker import TrackerConfig
+
+GRID = PatchGrid(18, 36)
+TARGET = np.array([3.0, 1.0, 0.5])
+FILTERS = [name for name in NAMES if name not in ("eagor", "eagor_paper")]
+
+
+def pose(step):
+    return world_R_body(0.3 * step), np.array([0.15 * step, -0.05 * step, 0.0])
+
+
+def look(step, rng):
+    turned, place = pose(step)
+    direction = turned.T @ (TARGET - place) + 0.2 * rng.standard_normal(3)
+    direction /= np.linalg.norm(direction)
+    response = np.exp(-(angular_distance(GRID.directions, direction) ** 2) / (2 * 0.15**2)) * (rng.random() > 0.2)
+    return Evidence.from_response(response.astype(np.float32), GRID, stamp=step * 0.5)
+
+
+def run(name, steps, latency, seed=0, filled=True):
+    """The method after so many steps; responses come late, and what is still under way at the end comes then."""
+    method, rng = make_method(name, np.random.default_rng(seed)), np.random.default_rng(seed)
+    waiting = []
+    for step in range(steps):
+        method.move(step * 0.5, *pose(step))
+        waiting.append(look(step, rng))
+        if len(waiting) > latency:
+            method.see(waiting.pop(0))
+    for evidence in waiting if filled else ():
+        method.see(evidence)
+    return method
+
+
+@pytest.mark.parametrize("name", NAMES)
+@settings(max_examples=5)
+@given(st.integers(1, 6), st.integers(0, 1000))
+def test_late_evidence_ends_where_timely_evidence_does(name, latency, seed):
+    timely, late = run(name, 9, 0, seed), run(name, 9, latency, seed)
+    assert angular_distance(timely.direction(), late.direction()) < 1e-6
+    if timely.mass_above(np.array([1.0, 0, 0])) is not None:
+        somewhere = np.array([0.6, 0.0, 0.8])
+        assert late.mass_above(somewhere) == pytest.approx(timely.mass_above(somewhere), abs=1e-6)
+
+
+@pytest.mark.parametrize("name", [*FILTERS[3:], "eagor"])
+def test_late_is_not_the_same_as_never(name):
+    late, never = run(name, 8, 3), run(name, 8, 3, filled=False)
+    assert late.mass_above(TARGET / np.linalg.norm(TARGET)) != never.mass_above(TARGET / np.linalg.norm(TARGET))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_mass_above_the_answer_is_small_and_behind_it_is_large(name):
+    method = run(name, 12, 0)
+    answer = method.direction()
+    mass = method.mass_above(answer)
+    if name in ("centroid", "cent_circ"):
+        assert mass is None
+    elif name != "eagor_paper":  # whose answer is not the maximum of its field
+        assert mass < 0.5
+        assert method.mass_above(-answer) > 0.7
+
+
+def test_evidence_of_no_known_step_is_refused():
+    method = run("vmf", 3, 0)
+    with pytest.raises(TimeError, match="fits none"):
+        method.see(Evidence.from_response(np.zeros(GRID.shape, np.float32), GRID, stamp=17.25))
+
+
+def test_names_with_settings():
+    config = tracker_config(TrackerConfig(), {"degree": "7", "decode": "mean", "shells": "0", "keep": "0.5"})
+    assert (config.degree, config.decode, config.ranges, config.keep_per_second) == (7, "mean", None, 0.5)
+    assert config.calibration is None
+    read = tracker_config(TrackerConfig.paper(), {"floor": "0.2"}).calibration
+    assert read is not None
+    assert (read.floor, read.scale_to_max) == (0.2, False)
+    method = make_method("eagor:degree=7", np.random.default_rng(0))
+    assert isinstance(method, TrackerMethod)
+    assert method.tracker.config.degree == 7
+    assert isinstance(make_method("grid", np.random.default_rng(0)), FilterMethod)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("wat", "no method 'wat'"),
+        ("eagor:degre=7", "no setting 'degre'"),
+        ("eagor:degree", "key=value"),
+        ("eagor:degree=many", "wants a number"),
+        ("eagor:decode=best", "mode or mean"),
+        ("vmf:degree=7", "no settings"),
+    ],
+)
+def test_names_that_are_none(name, message):
+    with pytest.raises(EagorError, match=message):
+        make_method(name, np.random.default_rng(0))
+
+
+def test_only_ours_knows_a_distance():
+    distances = {name: run(name, 12, 0).distance() for name in NAMES}
+    assert 0.5 < distances.pop("eagor") < 12
+    assert set(distances.values()) == {None}

@@ -1,0 +1,411 @@
+"""What pictures of a scene must obey, whatever the scene, the pose and the grid."""
+
+import math
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import rotations
+
+from eagor.errors import GridError, PoseError, RotationError, WorldError
+from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
+from eagor.sphere import rotation, world_R_body
+from eagor.worlds import light as light_module
+from eagor.worlds.lattice import Lattice
+from eagor.worlds.light import bake, hemisphere, light_of
+from eagor.worlds.render import Renderer
+from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
+from eagor.worlds.sky import radiance
+from eagor.worlds.sources import SKY_GAIN
+
+SIZE = np.array([5.0, 4.0, 2.6])
+EYE = (2.2, 1.7, 1.4)
+LAMP = np.array([2.5, 2.0, 2.1])
+WINDOW = np.array([[1.5, 4.02, 0.9], [3.0, 4.06, 2.1]])
+
+
+def quad(corner, along, up):
+    """A rectangle of two triangles, counter-clockwise from the side that along x up points to; uv 0 to 1."""
+    corner, along, up = (np.array(a, dtype=float) for a in (corner, along, up))
+    vertices = np.stack([corner, corner + along, corner + along + up, corner + up])
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
+    places = np.array([[0, 1, 2], [0, 2, 3]])
+    return vertices, places, uv[places]
+
+
+def box(low, high):
+    """The six faces of a box, seen from outside."""
+    (x0, y0, z0), size = low, np.subtract(high, low)
+    x, y, z = np.diag(size)
+    corner, far = np.array([x0, y0, z0]), np.array(high)
+    sides = [(corner, y, x), (corner, x, z), (corner, z, y), (far, -x, -y), (far, -z, -x), (far, -y, -z)]
+    return [quad(*side) for side in sides]
+
+
+def build(things, materials, rooms=(), lamps=()):
+    """A scene of `things`: (category, colour, faces, material); a face is (vertices, triangles, uv)."""
+    parts, instances, owner, look, count = [], [], [], [], 0
+    for place, (category, colour, faces, material) in enumerate(things):
+        points = np.concatenate([face[0] for face in faces])
+        instances.append(Instance(category, colour, None, points.min(axis=0), points.max(axis=0)))
+        for vertices, triangles, uv in faces:
+            parts.append((vertices, triangles + count, uv))
+            count += len(vertices)
+            owner += [place] * len(triangles)
+            look += [material] * len(triangles)
+    vertices, triangles, uv = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    return Scene(
+        vertices.astype(np.float32), triangles.astype(np.int32), np.array(owner, np.int32), np.array(look, np.int32),
+        uv.astype(np.float32), tuple(instances), tuple(materials), tuple(rooms), tuple(lamps),
+    )  # fmt: skip
+
+
+def furnished():
+    """A white room with a window, a lamp, a red box and a table with a chequered top."""
+    x, y, z = np.diag(SIZE)
+    left, right = (WINDOW[0, 0], WINDOW[1, 0]), (WINDOW[0, 2], WINDOW[1, 2])
+    wall = [quad(0 * x, z, x), quad(0 * x, y, z), quad(x, z, y)]
+    for a, b, low, high in (
+        (0, left[0], 0, SIZE[2]),
+        (left[1], SIZE[0], 0, SIZE[2]),
+        (*left, 0, right[0]),
+        (*left, right[1], SIZE[2]),
+    ):
+        wall.append(quad([a, SIZE[1], low], [b - a, 0, 0], [0, 0, high - low]))
+    chequer = np.kron(np.indices((8, 8)).sum(axis=0) % 2, np.ones((8, 8)))[..., None] * [90, 60, 30] + 60
+    materials = (
+        Material("white", (0.9, 0.9, 0.88)),
+        Material("boards", (0.75, 0.6, 0.45)),
+        Material("red", (0.7, 0.1, 0.1)),
+        Material("chequer", texture=chequer.astype(np.uint8)),
+        Material("frame", (0.8, 0.8, 0.8)),
+    )
+    sill = box(WINDOW[0], [WINDOW[1, 0], WINDOW[1, 1], WINDOW[0, 2] + 0.04])
+    head = box([WINDOW[0, 0], WINDOW[0, 1], WINDOW[1, 2] - 0.04], WINDOW[1])
+    things = [
+        ("floor", None, [quad(0 * x, x, y)], 1),
+        ("ceiling", None, [quad(z, y, x)], 0),
+        ("wall", None, wall, 0),
+        ("window", None, [*sill, *head], 4),
+        ("box", "red", box([3.6, 0.4, 0.0], [4.6, 1.2, 0.9]), 2),
+        ("table", None, box([0.4, 2.6, 0.7], [1.6, 3.4, 0.76]), 3),
+    ]
+    room = Room("room", "living room", np.array([[0, 0, SIZE[0], SIZE[1]]]))
+    return build(things, materials, [room], [Lamp(LAMP, np.array([1.2, 1.1, 0.9]))])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("light")
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(folder, monkeypatch):
+    monkeypatch.setenv("EAGOR_CACHE", str(folder))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return furnished()
+
+
+@pytest.fixture(scope="module")
+def renderer(scene, folder):
+    return Renderer(scene, cache=folder)
+
+
+def bare(size=SIZE):
+    """An empty white room without a source of light."""
+    x, y, z = np.diag(size)
+    faces = [quad(0 * x, x, y), quad(z, y, x), quad(0 * x, z, x), quad(0 * x, y, z), quad(x, z, y), quad(y, x, z)]
+    return build([("wall", None, faces, 0)], [Material("white", (0.8, 0.8, 0.8))])
+
+
+@given(st.floats(-math.pi, math.pi), st.integers(-70, 70), st.sampled_from([16, 33]))
+@settings(max_examples=40)
+def test_turning_by_whole_columns_rolls_the_panorama_bit_for_bit(renderer, start, columns, height):
+    turn = columns * 2 * math.pi / (2 * height)
+    before = renderer.panorama(EYE, world_R_body(start), height)
+    after = renderer.panorama(EYE, world_R_body(start + turn), height)
+    for name in ("rgb", "range", "ids"):
+        # Turning left moves what is seen to the right.
+        assert np.array_equal(np.roll(getattr(before, name), columns, axis=1), getattr(after, name))
+
+
+@given(rotations())
+@settings(max_examples=25)
+def test_range_in_an_empty_room_is_the_closed_form_in_any_pose(pose):
+    frame = Renderer(bare()).panorama(EYE, pose, 16, rgb=False)
+    ways = ErpGrid(16, 32).directions @ pose.T
+    with np.errstate(divide="ignore"):
+        expected = np.min(np.where(ways > 0, (SIZE - EYE) / ways, -np.array(EYE) / ways), axis=-1)
+    assert np.allclose(frame.range, expected, rtol=1e-4)
+    assert (frame.range.dtype, frame.ids.dtype) == (np.float32, np.int32)
+    assert not frame.ids.any()
+
+
+@given(rotations())
+@settings(max_examples=15)
+def test_a_turned_body_sees_the_same_world(renderer, pose):
+    level = renderer.panorama(EYE, np.eye(3), 64)
+    turned = renderer.panorama(EYE, pose, 32)
+    x, y, _ = ErpGrid(64, 128).project(ErpGrid(32, 64).directions @ pose.T)
+    row, column = np.clip(y.astype(int), 0, 63), x.astype(int) % 128
+    assert (level.ids[row, column] == turned.ids).mean() > 0.93
+    same = level.ids[row, column] == turned.ids
+    near = np.isclose(level.range[row, column], turned.range, rtol=0.2) | ~np.isfinite(turned.range)
+    assert near[same].mean() > 0.95
+
+
+GRIDS = {
+    "perspective": PerspectiveGrid(40, 60, math.radians(80), rotation((0, 0, 1), 0.4)),
+    "patches": PatchGrid(9, 20),
+    "fisheye": FisheyeGrid(40, math.radians(190)),
+    "erp": ErpGrid(32, 64),
+}
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_a_view_agrees_with_the_panorama(renderer, name):
+    grid, pose = GRIDS[name], world_R_body(0.7, 0.2, -0.3)
+    view = renderer.view(EYE, pose, grid)
+    panorama = renderer.panorama(EYE, pose, 180)
+    x, y, _ = ErpGrid(180, 360).project(grid.directions)
+    row, column = np.clip(y.astype(int), 0, 179), x.astype(int) % 360
+    seen = grid.weights > 0
+    same = (panorama.ids[row, column] == view.ids) & seen
+    assert view.rgb.shape == (*grid.shape, 3)
+    assert same[seen].mean() > 0.96
+    finite = same & np.isfinite(view.range)
+    assert np.median(np.abs(panorama.range[row, column] / np.where(finite, view.range, 1) - 1)[finite]) < 0.01
+    plain = same & (view.ids != 5) & finite  # not the chequered table: one pixel aside is another square
+    apart = np.abs(panorama.rgb[row, column].astype(int) - view.rgb)[plain]
+    assert np.quantile(apart, 0.95) <= 6
+
+
+def test_what_a_grid_does_not_see_is_black_endless_and_nothing(renderer):
+    grid = FisheyeGrid(24, math.pi)
+    frame = renderer.view(EYE, np.eye(3), grid)
+    blind = grid.weights == 0
+    assert blind.any()
+    assert not frame.rgb[blind].any()
+    assert np.isinf(frame.range[blind]).all()
+    assert (frame.ids[blind] == -1).all()
+    assert frame.rgb[~blind].any(axis=-1).all()
+
+
+def test_a_frame_holds_what_was_asked_for_and_the_rest_does_not_change_it(renderer):
+    whole = renderer.panorama(EYE, world_R_body(0.3), 32)
+    for names in (("rgb",), ("range",), ("ids",), ("range", "ids")):
+        part = renderer.panorama(EYE, world_R_body(0.3), 32, **{n: n in names for n in ("rgb", "range", "ids")})
+        for name in ("rgb", "range", "ids"):
+            if name in names:
+                assert np.array_equal(getattr(part, name), getattr(whole, name))
+            else:
+                assert getattr(part, name) is None
+
+
+def test_out_of_the_window_there_is_nothing_to_hit_but_something_to_see(renderer):
+    frame = renderer.panorama((2.25, 3.0, 1.5), world_R_body(math.pi / 2), 64)
+    outside = frame.ids == -1
+    assert 0.02 < outside.mean() < 0.3
+    assert np.array_equal(outside, np.isinf(frame.range))
+    upper, lower = frame.rgb[:32][outside[:32]].mean(axis=0), frame.rgb[32:][outside[32:]].mean(axis=0)
+    assert upper[2] > 180  # sky above
+    assert lower[1] > lower[2]  # grass below
+
+
+def test_ids_and_range_need_no_light(scene, monkeypatch):
+    monkeypatch.setattr("eagor.worlds.render.light_of", lambda *_: pytest.fail("light was asked for"))
+    Renderer(scene).panorama(EYE, np.eye(3), 8, rgb=False)
+
+
+def test_a_texture_is_the_right_way_up_and_round():
+    colours = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 0]]], dtype=np.uint8)  # rows from the top
+    wall = quad([2, 1, 0], [0, -2, 0], [0, 0, 2])  # seen from the origin: u to the right, v up
+    scene = build(
+        [("wall", None, [wall], 0)], [Material("four", texture=np.kron(colours, np.ones((8, 8, 1), np.uint8)))]
+    )
+    rgb = Renderer(scene).view((0, 0, 1), np.eye(3), PerspectiveGrid(32, 32, math.radians(50))).rgb
+    found = rgb[8:24:15, 8:24:15].astype(int)  # one pixel in each quarter
+    expected = np.array([[[1, 0, 0], [0, 1, 0]], [[0, 0, 1], [1, 1, 0]]], dtype=bool)
+    assert np.array_equal(found > 60, expected)
+
+
+def test_a_fine_texture_fades_to_its_mean_far_away():
+    noise = np.random.default_rng(0).integers(0, 2, (64, 64, 1)).repeat(3, axis=2).astype(np.uint8) * 255
+    floor = quad([-20, -20, 0], [40, 0, 0], [0, 40, 0])
+    floor = (floor[0], floor[1], 40 * floor[2])
+    scene = build([("floor", None, [floor], 0)], [Material("noise", texture=noise)])
+    renderer = Renderer(scene)
+    near = renderer.view((0, 0, 0.3), world_R_body(0, math.pi / 2), PerspectiveGrid(32, 32, 0.5)).rgb
+    far = renderer.view((0, 0, 12), world_R_body(0, math.pi / 2), PerspectiveGrid(32, 32, 0.5)).rgb
+    assert near.std(axis=(0, 1)).min() > 50
+    assert far.std(axis=(0, 1)).max() < 12
+
+
+def test_a_place_has_one_colour_from_wherever_it_is_seen(renderer):
+    target = np.array([4.1, 0.8, 0.9])  # on the red box
+    colours = []
+    for eye in ([2.2, 1.7, 1.4], [3.0, 3.5, 2.2], [4.0, 2.5, 1.7]):
+        way = target - eye
+        yaw, pitch = math.atan2(way[1], way[0]), math.atan2(-way[2], math.hypot(way[0], way[1]))
+        colours.append(renderer.view(eye, world_R_body(yaw, pitch), PerspectiveGrid(3, 3, 0.02)).rgb[1, 1].astype(int))
+    assert np.ptp(colours, axis=0).max() <= 2
+    assert colours[0][0] > 2 * colours[0][1]
+
+
+def test_a_room_is_neither_blown_out_nor_black(renderer):
+    rgb = renderer.panorama(EYE, np.eye(3), 128).rgb
+    assert (rgb.min(axis=-1) >= 252).mean() < 0.02
+    assert (rgb.max(axis=-1) < 20).mean() < 0.01
+    assert 90 < rgb.mean() < 210
+
+
+def test_light_of_one_lamp_is_the_inverse_square_law():
+    floor = quad([-4, -4, 0], [8, 0, 0], [0, 8, 0])
+    power = np.array([3.0, 2.0, 1.0])
+    scene = build(
+        [("floor", None, [floor], 0)], [Material("black", (0, 0, 0))], lamps=[Lamp(np.array([0, 0, 2.0]), power)]
+    )
+    scene = replace(scene, daylight=(0.0, 0.0, 0.0))
+    lattice = Lattice.of(scene)
+    found = bake(scene, lattice)
+    place = lattice.points.position[lattice.points.of_slot]
+    square = (place**2)[:, :2].sum(axis=1) + 4
+    expected = 2 / square[:, None] ** 1.5 * power
+    inner = square < 13
+    assert np.allclose(found[inner], expected[inner], rtol=0.03)
+
+
+def test_a_plane_under_the_open_sky_has_the_light_of_half_a_sphere():
+    floor = quad([0, 0, 0], [1, 0, 0], [0, 1, 0])
+    scene = build([("floor", None, [floor], 0)], [Material("grey", (0.5, 0.5, 0.5))])
+    found = bake(scene, Lattice.of(scene)).mean(axis=0)
+    ways = hemisphere(4000)
+    expected = SKY_GAIN * radiance(ways).mean(axis=0) * scene.daylight
+    assert np.allclose(found, expected, rtol=0.02)
+
+
+def test_directions_are_as_dense_as_the_cosine():
+    ways = hemisphere(512)
+    assert np.allclose(np.linalg.norm(ways, axis=1), 1)
+    assert np.allclose(ways.mean(axis=0), [0, 0, 2 / 3], atol=0.01)
+    assert np.allclose((ways[:, :, None] * ways[:, None]).mean(axis=0), np.diag([1, 1, 2]) / 4, atol=0.01)
+
+
+def test_shadow_under_the_table_and_red_light_beside_the_box(scene):
+    lattice = Lattice.of(scene)
+    found = bake(scene, lattice)
+    place = lattice.points.position[lattice.points.of_slot]
+    floor = scene.instance[lattice.slots[0]] == 0
+
+    def at(x, y):
+        return found[floor][np.linalg.norm(place[floor][:, :2] - [x, y], axis=1) < 0.25].mean(axis=0)
+
+    assert at(1.0, 3.0).sum() < 0.6 * at(2.0, 2.0).sum()
+    beside, away = at(3.45, 0.8), at(1.0, 0.8)
+    assert beside[0] / beside[1] > 1.03 * away[0] / away[1]
+
+
+def test_a_room_without_any_source_is_still_seen():
+    rgb = Renderer(bare()).panorama(EYE, np.eye(3), 16).rgb
+    assert rgb.min() > 40
+
+
+def test_the_lattice_lies_on_the_triangles_and_two_halves_of_a_wall_share_it(scene):
+    lattice = Lattice.of(scene)
+    triangle, i, j = lattice.slots
+    assert lattice.size == len(triangle) == len(lattice.points.of_slot)
+    corners = scene.vertices[lattice.triangles]
+    assert np.array_equal(np.sort(lattice.triangles, axis=1), np.sort(scene.triangles, axis=1))
+    longest = np.linalg.norm(corners[:, 1] - corners[:, 2], axis=1)
+    assert (longest >= np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1) - 1e-6).all()
+    assert (longest >= np.linalg.norm(corners[:, 0] - corners[:, 2], axis=1) - 1e-6).all()
+    # Each corner's slot is at the corner, but for the inset.
+    nu, nv = lattice.cells.T
+    for k, slot in enumerate((lattice.base, lattice.base + nu, lattice.base + nv * (nu + 1))):
+        apart = np.linalg.norm(lattice.points.position[lattice.points.of_slot[slot]] - corners[:, k], axis=1)
+        assert apart.max() < 0.03
+    floor = triangle < 2
+    assert len(np.unique(lattice.points.of_slot[floor])) == (i[triangle == 0].max() + 1) * (j[triangle == 0].max() + 1)
+
+
+def test_light_is_kept_on_disk_and_read_again(scene, folder, monkeypatch):
+    first = Renderer(scene, cache=folder).panorama(EYE, np.eye(3), 16).rgb
+    assert [path.name for path in folder.glob(f"*{scene.hash}*")] == [f"light-{light_module.VERSION}-{scene.hash}.npz"]
+    monkeypatch.setattr(light_module, "bake", lambda *_: pytest.fail("the light was in the cache"))
+    assert np.array_equal(first, Renderer(scene, cache=folder).panorama(EYE, np.eye(3), 16).rgb)
+
+
+@pytest.mark.parametrize("damage", [b"", b"not an archive", None])
+def test_a_damaged_file_is_made_anew(tmp_path, damage):
+    scene = bare()
+    lattice = Lattice.of(scene)
+    light = light_of(scene, lattice, cache=tmp_path)
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(file.read_bytes()[:-200] if damage is None else damage)
+    assert np.array_equal(light_of(scene, lattice, cache=tmp_path), light)
+    assert [path.name for path in tmp_path.iterdir()] == [file.name]
+    assert np.load(file)["light"].shape == light.shape
+
+
+def test_a_folder_that_cannot_be_written_is_a_warning(tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    renderer = Renderer(bare(), cache=tmp_path / "file" / "below")
+    with pytest.warns(UserWarning, match="EAGOR_CACHE"):
+        assert renderer.panorama(EYE, np.eye(3), 4).rgb is not None
+
+
+def test_a_full_disk_is_a_warning_and_leaves_nothing(tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.warns(UserWarning, match="No space left"):
+        light_of(bare(), Lattice.of(bare()), cache=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_folder_is_looked_up_when_it_is_needed(tmp_path, monkeypatch):
+    renderer = Renderer(bare())
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+    monkeypatch.delenv("EAGOR_CACHE", raising=False)
+    renderer.panorama(EYE, np.eye(3), 4)
+    assert list((tmp_path / "xdg" / "eagor").glob("light-*.npz"))
+    monkeypatch.setenv("EAGOR_CACHE", str(tmp_path / "own"))
+    Renderer(bare()).panorama(EYE, np.eye(3), 4)
+    assert list((tmp_path / "own").glob("light-*.npz"))
+
+
+def test_both_engines_paint_the_same_picture(scene, renderer, folder):
+    other = Renderer(scene, engine="numpy", cache=folder)
+    pose = world_R_body(0.4, 0.1, 0.2)
+    one, two = renderer.panorama(EYE, pose, 32), other.panorama(EYE, pose, 32)
+    assert (one.ids == two.ids).mean() > 0.999
+    assert (np.abs(one.rgb.astype(int) - two.rgb).max(axis=-1) <= 2).mean() > 0.995
+
+
+def test_without_embreex_the_fallback_bakes_and_paints(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "embreex", None)
+    small = bare(np.array([0.5, 0.5, 0.5]))
+    assert Renderer(small, cache=tmp_path).panorama((0.2, 0.2, 0.2), np.eye(3), 8).rgb.min() > 30
+
+
+@pytest.mark.parametrize(
+    ("call", "error"),
+    [
+        (lambda r: r.panorama((1, 2), np.eye(3), 8), PoseError),
+        (lambda r: r.panorama((1, 2, math.nan), np.eye(3), 8), PoseError),
+        (lambda r: r.panorama(EYE, np.ones((3, 3)), 8), RotationError),
+        (lambda r: r.view(EYE, -np.eye(3), ErpGrid(4, 8)), RotationError),
+        (lambda r: r.panorama(EYE, np.eye(3), 0), GridError),
+        (lambda r: Renderer(r.scene, engine="gpu").panorama(EYE, np.eye(3), 8, rgb=False), WorldError),
+    ],
+)
+def test_bad_arguments_are_refused(renderer, call, error):
+    with pytest.raises(error):
+        call(renderer)

@@ -1,0 +1,516 @@
+"""The detector of known quality: its rates are what it says, and its mistakes behave like a detector's."""
+
+import math
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import directions, random_directions, rotations
+
+from eagor.errors import EagorError, GridError, ImageError, QueryError, RotationError
+from eagor.evidence import Calibration
+from eagor.grids import PatchGrid
+from eagor.perception.truth import WIDEST, Noise, TruthPerception
+from eagor.sphere import angular_distance, azimuth_elevation, direction, rotation, world_R_body
+
+PERSISTENCES = [0.0, 0.3, 0.8]
+IDEAL, MODERATE = Noise.ideal(), Noise.moderate()
+
+
+@dataclass(frozen=True)
+class Thing:
+    category: str
+    colour: str | None = None
+
+
+def discs(centres, radius=0.12, rows=72, background=-1):
+    """Ids of discs about `centres` ``(n, 3)`` with an angular `radius`, the first in front."""
+    grid = PatchGrid(rows, 2 * rows)
+    ids = np.full(grid.shape, background, dtype=np.int32)
+    for thing, centre in reversed(list(enumerate(np.asarray(centres)))):
+        ids[angular_distance(grid.directions, centre) <= radius] = thing
+    return ids
+
+
+def ring(count, elevation=0.0):
+    """Directions all around, none at the seam of a patch."""
+    return direction(np.arange(count) * (2 * math.pi / count) + 0.1, np.full(count, elevation))
+
+
+def episode(labels, noise=IDEAL, seed=0, rows=18):
+    return TruthPerception(noise, rows=rows).episode(labels, seed)
+
+
+def looks(labels, ids, query, noise, frames, seed=0):
+    """The reports of so many looks at the same ids."""
+    detector = episode(labels, noise, seed)
+    return [detector.look(ids, query) for _ in range(frames)]
+
+
+def table(reports, kind, things):
+    """Whether each of `things` was reported as `kind`, ``(frames, things)``."""
+    named = [{r.thing for r in frame if r.kind == kind} for frame in reports]
+    return np.array([[thing in frame for thing in things] for frame in named])
+
+
+def assert_rate(hits, rate, persistence):
+    """The mean of `hits` is `rate`, to 4.5 standard deviations of a mean of Markov chains with this persistence."""
+    deviation = math.sqrt(rate * (1 - rate) / hits.size * (1 + persistence) / (1 - persistence))
+    assert deviation < 0.02, "too few frames to say anything"
+    assert abs(hits.mean() - rate) < 4.5 * deviation
+
+
+def mean_run(hits):
+    """Mean length of the runs of True along the first axis, those cut off at either end left out."""
+    lengths = []
+    for column in hits.T:
+        edges = np.flatnonzero(np.diff(column.astype(int)))
+        runs = np.diff(edges)
+        lengths.extend(runs[int(column[0]) :: 2] if len(edges) > 1 else [])
+    return np.mean(lengths), np.std(lengths) / math.sqrt(len(lengths))
+
+
+SCENE = (
+    *[Thing("chair", "red")] * 4,
+    *[Thing("chair", colour) for colour in ("blue", "green", None, "grey")],
+    *[Thing(category, "red") for category in ("sofa", "lamp", "rug", "bed")],
+    Thing("sofa", "blue"),
+    Thing("plant"),
+)
+IDS = discs(np.concatenate([ring(7, -0.3), ring(7, 0.3)]))
+
+
+# --- rates -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("persistence", PERSISTENCES)
+def test_rates_are_those_asked_for_whatever_the_persistence(persistence):
+    noise = Noise(0.3, 0.25, 0.15, 0.1, persistence=persistence)
+    reports = looks(SCENE, IDS, "red chair", noise, 6000 if persistence > 0.5 else 2000)
+    assert_rate(~table(reports, "found", range(4)), 0.3, persistence)
+    assert_rate(table(reports, "category", range(4, 8)), 0.15, persistence)
+    assert_rate(table(reports, "colour", range(8, 12)), 0.1, persistence)
+    alarms = np.array([[sum(r.kind == "false alarm" for r in frame)] for frame in reports])
+    assert alarms.max() == 1
+    assert_rate(alarms, 0.25, persistence)
+    assert {r.kind for frame in reports for r in frame if r.thing in (12, 13)} == {"false alarm"}
+
+
+@pytest.mark.parametrize("persistence", PERSISTENCES)
+def test_mistakes_last_as_long_as_they_should(persistence):
+    noise = Noise(0.3, 0.25, 0.15, 0.1, persistence=persistence)
+    reports = looks(SCENE, IDS, "red chair", noise, 6000 if persistence > 0.5 else 2000)
+    for hits, rate in (
+        (~table(reports, "found", range(4)), 0.3),
+        (table(reports, "category", range(4, 8)), 0.15),
+        (table(reports, "colour", range(8, 12)), 0.1),
+        (np.array([[any(r.kind == "false alarm" for r in frame)] for frame in reports]), 0.25),
+    ):
+        mean, error = mean_run(hits)
+        assert error < 0.1 * mean
+        assert mean == pytest.approx(1 / ((1 - persistence) * (1 - rate)), abs=4.5 * error)
+
+
+def test_at_full_persistence_a_mistake_is_for_ever():
+    reports = looks(SCENE, IDS, "red chair", replace(MODERATE, miss=0.5, persistence=1.0), 40)
+    first = [(r.kind, r.thing, r.direction.tolist(), r.score) for r in reports[0]]
+    assert all([(r.kind, r.thing, r.direction.tolist(), r.score) for r in frame] == first for frame in reports)
+
+
+@pytest.mark.parametrize("persistence", PERSISTENCES)
+def test_displacements_have_the_spread_asked_for_on_both_axes(persistence):
+    """Turning about a skew axis does not change that: the error is a direction in the world, not in the image."""
+    spread, errors = math.radians(6), []
+    detector = episode([Thing("chair")] * 6, Noise(spread=spread, persistence=persistence))
+    centres = random_directions(6, seed=3)
+    centres[:, 2] *= 0.6  # apart, and off the poles, where two axes by azimuth and elevation make sense
+    centres /= np.linalg.norm(centres, axis=1, keepdims=True)
+    ids = discs(centres, radius=0.05)
+    true = np.array([r.direction for r in episode([Thing("chair")] * 6).look(ids, "chair")])
+    up = np.array([0, 0, 1.0])
+    left = np.cross(up, true) / np.linalg.norm(np.cross(up, true), axis=1, keepdims=True)
+    above = np.cross(true, left)
+    for step in range(1500):
+        found = detector.look(ids, "chair", rotation((1, 2, 3), 0.7 * step))
+        said = np.array([r.direction for r in found])
+        angle = angular_distance(said, true)
+        flat = said - np.sum(said * true, axis=1, keepdims=True) * true
+        flat *= (angle / np.maximum(np.linalg.norm(flat, axis=1), 1e-12))[:, None]
+        errors.append(np.stack([np.sum(flat * left, axis=1), np.sum(flat * above, axis=1)], axis=-1))
+    errors = np.reshape(errors, (-1, 2))
+    effective = len(errors) * (1 - persistence) / (1 + persistence)
+    assert np.all(np.abs(errors.std(axis=0) / spread - 1) < 4.5 / math.sqrt(2 * effective))
+    assert np.all(np.abs(errors.mean(axis=0)) < 4.5 * spread / math.sqrt(effective))
+    assert abs(np.corrcoef(errors.T)[0, 1]) < 4.5 / math.sqrt(effective)
+
+
+def test_scores_are_even_from_the_weakest_to_one():
+    reports = looks(SCENE, IDS, "red chair", Noise(weakest=0.6), 1500)
+    scores = np.sort([r.score for frame in reports for r in frame])
+    assert 0.6 <= scores[0] < scores[-1] <= 1
+    assert np.abs(scores - np.linspace(0.6, 1, len(scores))).max() < 0.4 * 1.95 / math.sqrt(len(scores))  # Kolmogorov
+
+
+def test_small_things_are_found_as_often_as_their_size_says():
+    patch = (math.pi / 18) ** 2
+    radii = np.array([0.02, 0.03, 0.036, 0.042, 0.048, 0.06])
+    centres, grid = ring(6), PatchGrid(360, 720)
+    ids = np.full(grid.shape, -1)
+    for thing, radius in enumerate(radii):
+        ids[angular_distance(grid.directions, centres[thing]) <= radius] = thing
+    areas = np.array([grid.weights[ids == thing].sum() for thing in range(6)])
+    noise = Noise(miss=0.2, smallest=0.2)
+    found = table(looks([Thing("chair")] * 6, ids, "chair", noise, 400), "found", range(6)).mean(axis=0)
+    assert areas[0] < 0.05 * patch
+    assert areas[-1] > 0.2 * patch
+    t = np.clip((areas / (0.2 * patch) - 0.25) / 0.75, 0, 1)
+    expected = 0.8 * t * t * (3 - 2 * t)
+    assert found[0] == 0
+    assert np.all(np.diff(expected) >= 0)
+    assert np.all(np.abs(found - expected) <= 4.5 * np.sqrt(expected * (1 - expected) / 400))
+
+
+# --- what is confused with what --------------------------------------------------------------------------------------
+
+
+def test_without_a_colour_in_the_query_nothing_is_confused():
+    noise = Noise(confuse_category=1, confuse_colour=1)
+    (reports,) = looks(SCENE, IDS, "chair", noise, 1)
+    assert [(r.kind, r.thing) for r in reports] == [("found", thing) for thing in range(8)]
+    (reports,) = looks(SCENE, IDS, "red chair", noise, 1)
+    kinds = ["found"] * 4 + ["category"] * 4 + ["colour"] * 4
+    assert [(r.kind, r.thing) for r in reports] == list(zip(kinds, range(12), strict=True))
+
+
+def test_what_surrounds_us_is_found_but_mistaken_for_nothing():
+    labels = [Thing("floor", "red"), Thing("ceiling", "blue"), Thing("chair", "red")]
+    ids = discs(np.array([[0, 0, -1.0], [0, 0, 1], [1, 0, 0]]), radius=1.4)
+    noise = Noise(false_alarm=1, confuse_colour=1, persistence=1)
+    (reports,) = looks(labels, ids, "red chair", noise, 1)
+    assert [(r.kind, r.thing) for r in reports] == [("found", 2), ("false alarm", None)]
+    (floor,) = looks(labels, ids, "floor", IDEAL, 1)[0]
+    assert np.trace(floor.covariance) > WIDEST**2
+    assert floor.direction == pytest.approx([0, 0, -1], abs=0.3)
+
+
+def test_a_false_alarm_stays_with_its_thing_while_that_is_in_view():
+    noise = Noise(false_alarm=1, persistence=1)
+    for seed in range(20):
+        detector = episode(SCENE, noise, seed)
+        (first,) = {r.thing for r in detector.look(IDS, "green chair") if r.kind == "false alarm"}
+        assert first != 5
+        for turn in (8, 40, 77):
+            alarms = [r for r in detector.look(np.roll(IDS, turn, axis=1), "green chair") if r.kind == "false alarm"]
+            assert [r.thing for r in alarms] == [first]
+        hidden = np.where(first == IDS, -1, IDS)
+        (second,) = {r.thing for r in detector.look(hidden, "green chair") if r.kind == "false alarm"}
+        assert second not in (first, 5)
+        (still,) = {r.thing for r in detector.look(IDS, "green chair") if r.kind == "false alarm"}
+        assert still == second  # it does not leap back
+
+
+def test_every_thing_that_does_not_match_attracts_false_alarms_alike():
+    reports = looks(SCENE, IDS, "chair", Noise(false_alarm=1), 1500)
+    counts = table(reports, "false alarm", range(14)).sum(axis=0)
+    assert counts[:8].sum() == 0
+    assert np.all(np.abs(counts[8:] - 250) < 4.5 * math.sqrt(250 * 5 / 6))
+
+
+def test_a_false_alarm_at_nothing_is_anywhere_in_the_world_and_stays_there():
+    empty = np.full((36, 72), -1)
+    reports = looks(SCENE, empty, "chair", Noise(false_alarm=1), 1500)
+    said = np.array([r.direction for frame in reports for r in frame])
+    assert len(said) == 1500
+    assert np.abs(said.mean(axis=0)).max() < 4.5 / math.sqrt(3 * 1500)
+    assert np.abs(said.T @ said / 1500 - np.eye(3) / 3).max() < 4.5 * math.sqrt(4 / 45 / 1500)
+    detector = episode(SCENE, Noise(false_alarm=1, persistence=1, spread=0.1))
+    turns = [rotation((1, 1, 1), 0.4 * step) for step in range(6)]
+    fixed = [turn @ r.direction for turn in turns for r in detector.look(empty, "chair", turn)]
+    assert np.allclose(fixed, fixed[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("ids", [np.full((18, 36), -1), IDS], ids=["nothing there", "things there"])
+def test_a_false_alarm_gets_place_and_score_at_one_time(ids):
+    detector = episode(SCENE, Noise(false_alarm=1, persistence=0.5, spread=0.1, weakest=0))
+    seen = [next(r for r in detector.look(ids, "chair") if r.kind == "false alarm") for _ in range(200)]
+    moved = [not np.array_equal(a.direction, b.direction) for a, b in pairwise(seen)]
+    rescored = [a.score != b.score for a, b in pairwise(seen)]
+    elsewhere = [a.thing != b.thing for a, b in pairwise(seen)]
+    assert moved == rescored
+    assert 60 < sum(moved) < 140
+    if seen[0].thing is not None:
+        assert not np.any(np.array(elsewhere) & ~np.array(moved))
+        assert sum(elsewhere) > 0.6 * sum(moved)  # on average five sixths: there are six things to go to
+
+
+# --- places ----------------------------------------------------------------------------------------------------------
+
+
+@given(directions(), st.floats(0.01, 0.5))
+@settings(max_examples=60, deadline=None)
+def test_the_ideal_answer_peaks_where_the_thing_is(centre, radius):
+    ids = discs([centre], max(radius, 0.05))
+    grid = PatchGrid(18, 36)
+    evidence = episode([Thing("chair")])(ids, "chair")
+    (report,) = episode([Thing("chair")]).look(ids, "chair")
+    pixel, patch = math.pi / 72, math.pi / 18
+    assert angular_distance(report.direction, centre) < pixel
+    cell = grid.directions.reshape(-1, 3)[int(np.argmax(evidence.response))]
+    assert angular_distance(cell, report.direction) < patch * math.sqrt(0.5) + 1e-6
+    assert report.score == 1
+    response = np.asarray(evidence.response)
+    assert response.max() > 0.3
+    away = angular_distance(grid.directions, centre) > max(radius, 0.05) + 5 * patch
+    assert response[away].max(initial=0) < 1e-3
+
+
+@given(st.floats(-3, 3), st.floats(-1, 1), st.floats(0, 0.3))
+@settings(max_examples=40, deadline=None)
+def test_the_answer_is_the_gaussian_that_is_reported(azimuth, elevation, spread):
+    """A single pixel has no size of its own: what is drawn is round, half a patch and the spread wide."""
+    grid = PatchGrid(180, 360)
+    ids = np.full(grid.shape, -1)
+    x, y, _ = grid.project(direction(azimuth, elevation))
+    ids[int(y), int(x)] = 0
+    noise = Noise(spread=spread, floor=0.1, weakest=0.5)
+    (report,) = episode([Thing("chair")], noise, seed=5).look(ids, "chair")
+    response = np.asarray(episode([Thing("chair")], noise, seed=5)(ids, "chair").response)
+    variance = spread**2 + (math.pi / 18 / 2) ** 2
+    assert np.allclose(report.covariance @ report.direction, 0, atol=1e-12)
+    assert np.allclose(np.linalg.eigvalsh(report.covariance), [0, variance, variance], atol=1e-9)
+    away = angular_distance(PatchGrid(18, 36).directions, report.direction)
+    assert np.allclose(response, np.maximum(report.score * np.exp(-0.5 * away**2 / variance), 0.1), atol=2e-6)
+
+
+def test_the_blob_has_the_shape_of_what_is_visible():
+    """A rectangle of azimuth a and elevation b on the horizon has the variances a^2 / 12 and b^2 / 12."""
+    ids = np.full((180, 360), -1)
+    ids[85:95, 160:200] = 0
+    (report,) = episode([Thing("sofa")]).look(ids, "sofa")
+    half_patch = (math.pi / 36) ** 2
+    expected = np.diag([0, math.radians(40) ** 2 / 12, math.radians(10) ** 2 / 12]) + half_patch * np.diag([0, 1, 1])
+    assert report.direction == pytest.approx([1, 0, 0], abs=1e-9)
+    assert np.allclose(report.covariance, expected, rtol=0.01, atol=1e-9)
+    response = np.asarray(episode([Thing("sofa")], rows=90)(ids, "sofa").response)
+    azimuth, elevation = azimuth_elevation(PatchGrid(90, 180).directions)
+    assert np.abs(azimuth[response > 0.5]).max() > 2 * np.abs(elevation[response > 0.5]).max()
+
+
+@given(rotations(), st.integers(0, 100))
+@settings(max_examples=40, deadline=None)
+def test_a_displaced_blob_keeps_its_size(world_R, seed):
+    ids = np.full((90, 180), -1)
+    ids[40:46, 60:100] = 0
+    (placed,) = episode([Thing("sofa")]).look(ids, "sofa")
+    (displaced,) = episode([Thing("sofa")], Noise(spread=0.4), seed).look(ids, "sofa", world_R)
+    assert angular_distance(placed.direction, displaced.direction) > 1e-4
+    assert np.linalg.norm(displaced.direction) == pytest.approx(1, abs=1e-12)
+    assert np.allclose(displaced.covariance @ displaced.direction, 0, atol=1e-9)
+    sizes, wider = np.linalg.eigvalsh(placed.covariance), np.linalg.eigvalsh(displaced.covariance)
+    assert np.allclose(wider[1:] - sizes[1:], 0.4**2, atol=1e-9)
+
+
+def test_nothing_is_said_of_the_opposite_direction():
+    for centre in PatchGrid(18, 36).directions.reshape(-1, 3)[::37]:
+        ids = discs([centre], 0.15, rows=36)
+        evidence = episode([Thing("chair")], Noise(spread=0.1))(ids, "chair")
+        behind = angular_distance(evidence.grid.directions, -centre) < 1.0
+        assert np.asarray(evidence.response)[behind].max() == 0
+
+
+def test_three_chairs_are_three_blobs():
+    centres = direction(np.array([-1.5, 0.2, 2.5]), np.array([0.1, -0.4, 0.3]))
+    response = np.asarray(episode([Thing("chair")] * 3)(discs(centres), "chair").response)
+    grid = PatchGrid(18, 36)
+    neighbours = [np.roll(response, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+    peaks = grid.directions[(response > 0.2) & np.all([response >= n for n in neighbours], axis=0)]
+    assert len(peaks) == 3
+    assert np.all(angular_distance(peaks[:, None], centres[None]).min(axis=0) < math.radians(8))
+
+
+def test_a_thing_across_the_seam_is_one_thing():
+    ids = np.full((72, 144), -1)
+    ids[30:40, :6], ids[30:40, -10:] = 0, 0
+    (report,) = episode([Thing("chair")]).look(ids, "chair")
+    (inside,) = episode([Thing("chair")]).look(np.roll(ids, 72, axis=1), "chair")
+    assert report.direction == pytest.approx(inside.direction * [-1, -1, 1], abs=1e-12)
+    assert np.trace(report.covariance) == pytest.approx(np.trace(inside.covariance))
+    assert abs(azimuth_elevation(report.direction)[0]) > 3
+
+
+def test_a_thing_all_around_has_some_direction():
+    (report,) = episode([Thing("wall")]).look(np.zeros((18, 36), dtype=np.int64), "wall")
+    assert np.linalg.norm(report.direction) == pytest.approx(1)
+    assert np.isfinite(report.covariance).all()
+    assert np.asarray(episode([Thing("wall")])(np.zeros((18, 36), dtype=np.int64), "wall").response).min() > 0.03
+
+
+# --- turning ---------------------------------------------------------------------------------------------------------
+
+
+@given(
+    st.lists(st.integers(0, 35), min_size=1, max_size=6),
+    st.integers(0, 1000),
+    st.sampled_from(["ideal", "", "ideal,spread=20,persistence=0.9,miss=0.4", "false_alarm=1,persistence=0.7"]),
+)
+@settings(max_examples=30, deadline=None)
+def test_turning_the_camera_turns_the_answer_and_its_mistakes(turns, seed, noise):
+    """A turn to the left by k patches moves the image k patches to the right, and every mistake with it."""
+    still, turning = (TruthPerception(noise).episode(SCENE, seed) for _ in range(2))
+    for patches in turns:
+        standing = np.asarray(still(IDS, "red chair").response)
+        attitude = world_R_body(yaw=patches * 2 * math.pi / 36)
+        turned = turning(np.roll(IDS, 4 * patches, axis=1), "red chair", world_R_body=attitude)
+        assert np.allclose(np.roll(standing, patches, axis=1), turned.response, atol=1e-5)
+
+
+@given(rotations(), st.integers(0, 1000))
+@settings(max_examples=30, deadline=None)
+def test_a_lasting_displacement_keeps_its_place_in_the_world(world_R, seed):
+    """Whichever way the camera turns: what is said moves in the image as what is meant does."""
+    centre = np.array([0.6, -0.64, 0.48])
+    detector = episode([Thing("chair")], Noise(spread=0.3, persistence=1), seed)
+    (first,) = detector.look(discs([centre], 0.2, rows=180), "chair")
+    (second,) = detector.look(discs([world_R.T @ centre], 0.2, rows=180), "chair", world_R)
+    assert angular_distance(world_R @ second.direction, first.direction) < math.radians(0.5)
+
+
+@given(rotations(), st.integers(0, 1000))
+@settings(max_examples=20, deadline=None)
+def test_one_error_in_the_world_displaces_a_thing_wherever_it_goes(world_R, seed):
+    """Its part across the line of sight, as an angle: what is solved for in three directions holds in the others."""
+    detector = episode([Thing("chair")], Noise(spread=0.5, persistence=1), seed)
+    parts, across = [], []
+    for centre in random_directions(8, seed):
+        ids = discs([centre], 0.2)
+        (meant,) = episode([Thing("chair")]).look(ids, "chair")
+        (said,) = detector.look(ids, "chair", world_R)
+        angle = angular_distance(meant.direction, said.direction)
+        flat = said.direction - (said.direction @ meant.direction) * meant.direction
+        parts.append(world_R @ flat * (angle / np.linalg.norm(flat)))
+        towards = world_R @ meant.direction
+        across.append(np.eye(3) - np.outer(towards, towards))
+    error = np.linalg.lstsq(np.concatenate(across[:3]), np.concatenate(parts[:3]), rcond=None)[0]
+    assert np.allclose(across @ error, parts, atol=1e-6)
+
+
+# --- seeing nothing --------------------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 1000), st.floats(0, 1))
+@settings(max_examples=30, deadline=None)
+def test_what_is_hidden_is_not_seen(seed, floor):
+    labels = [*SCENE, Thing("toilet", "white")]
+    noise = replace(MODERATE, false_alarm=0, confuse_colour=0, floor=floor)
+    for query in ("toilet", "white toilet"):
+        evidence = episode(labels, noise, seed)(IDS, query)
+        assert np.allclose(evidence.response, floor, atol=1e-5)
+        assert np.ptp(np.asarray(evidence.log_ratio)) == 0
+        assert not np.asarray(episode(labels, IDEAL, seed)(IDS, query).response).any()
+
+
+# --- chance ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_same_seed_gives_the_same_evidence():
+    def walk(seed):
+        detector = TruthPerception("persistence=0.5").episode(SCENE, seed)
+        frames = [detector(np.roll(IDS, step, axis=1), "red chair", stamp=float(step)) for step in range(30)]
+        return [np.asarray(frame.log_ratio).tobytes() for frame in frames]
+
+    assert walk(1) == walk(1)
+    assert walk(1) != walk(2)
+
+
+@given(st.lists(st.sampled_from(["red chair", "chair", "blue plant", "rug"]), max_size=8), st.integers(0, 100))
+@settings(max_examples=20, deadline=None)
+def test_luck_does_not_depend_on_what_was_asked_for_or_seen_before(queries, seed):
+    """So that two methods that walk apart have the same luck at the same step."""
+    empty = np.full_like(IDS, -1)
+    one, other = (TruthPerception("persistence=0,false_alarm=0.7").episode(SCENE, seed) for _ in range(2))
+    for query in queries:
+        one.look(IDS, query)
+        other.look(empty, "sofa")
+    assert np.array_equal(one(IDS, "red chair").response, other(IDS, "red chair").response)
+
+
+# --- settings and errors ---------------------------------------------------------------------------------------------
+
+
+def test_the_text_form():
+    assert TruthPerception().noise == TruthPerception("").noise == TruthPerception("moderate").noise == MODERATE
+    assert TruthPerception("ideal").noise == IDEAL
+    assert TruthPerception(IDEAL).noise is IDEAL
+    assert Noise.parse("miss=0.1, spread=4") == replace(MODERATE, miss=0.1, spread=math.radians(4))
+    assert Noise.parse("ideal,miss=0.5") == Noise(miss=0.5)
+    assert Noise.parse(",miss=0.5") == Noise.parse("moderate,miss=0.5") == replace(MODERATE, miss=0.5)
+    assert all(getattr(IDEAL, field.name) == (field.name == "weakest") for field in fields(Noise))
+
+
+@given(st.builds(Noise, **{field.name: st.floats(0, 1) for field in fields(Noise)}))
+def test_every_noise_has_a_text(noise):
+    pairs = {field.name: getattr(noise, field.name) for field in fields(noise)}
+    pairs["spread"] = math.degrees(pairs["spread"])
+    read = Noise.parse(",".join(f"{key}={value!r}" for key, value in pairs.items()))
+    assert all(getattr(read, key) == pytest.approx(getattr(noise, key), rel=1e-12) for key in pairs)
+
+
+@pytest.mark.parametrize(
+    "text", ["mis=0.1", "miss", "miss=", "miss=much", "miss=0.1,miss=0.2", "miss=0.1,ideal", "ideal=1", "miss=0.1,"]
+)
+def test_text_that_cannot_be_read_gets_the_keys(text):
+    with pytest.raises(EagorError, match=r"keys: miss, false_alarm, .*smallest, weakest \(spread in degrees\)"):
+        TruthPerception(text)
+
+
+@pytest.mark.parametrize("text", ["miss=1.1", "floor=-0.1", "spread=91", "spread=nan", "smallest=inf", "persistence=2"])
+def test_numbers_out_of_range_are_refused(text):
+    with pytest.raises(EagorError, match=rf"{text.partition('=')[0]} = .*wanted a number from 0"):
+        Noise.parse(text)
+
+
+def test_errors_say_what_was_wanted():
+    detector = episode(SCENE)
+    for image in (np.zeros((8, 16, 3), np.uint8), np.zeros((8, 16)), [[1, 2]], np.zeros((0, 0), int), None):
+        with pytest.raises(ImageError, match=r"instance ids.*bench run"):
+            detector(image, "chair")
+    with pytest.raises(ImageError, match=r"wanted \(H, 2 H\)"):
+        detector(np.zeros((8, 8), int), "chair")
+    for ids in (np.full((8, 16), 14), np.full((8, 16), -2)):
+        with pytest.raises(ImageError, match=r"wanted -1 .*to 13"):
+            detector(ids, "chair")
+    with pytest.raises(QueryError, match="Did you mean 'chair'"):
+        detector(IDS, "chiar")
+    for query in (None, ["chair"], 3):
+        with pytest.raises(QueryError):
+            detector(IDS, query)
+    with pytest.raises(RotationError, match="world_R_body"):
+        detector(IDS, "chair", world_R_body=np.eye(3) * 2)
+    with pytest.raises(GridError):
+        TruthPerception(rows=0)
+    assert detector(IDS, "chair", stamp=3.0).stamp == 3.0
+
+
+def test_a_refused_look_is_no_look():
+    one, other = episode(SCENE, MODERATE), episode(SCENE, MODERATE)
+    with pytest.raises(QueryError):
+        one(IDS, "spaceship")
+    with pytest.raises(ImageError):
+        one(IDS[:, :7], "chair")
+    assert np.array_equal(one(IDS, "red chair").response, other(IDS, "red chair").response)
+
+
+def test_the_calibration_and_the_grid_are_those_asked_for():
+    calibration = Calibration(0.2, 0.1, 1.0)
+    evidence = TruthPerception("ideal", calibration, rows=24).episode(SCENE, 0)(IDS, "chair")
+    assert evidence.calibration == calibration
+    assert evidence.grid == PatchGrid(24, 48)
+
+
+@pytest.mark.parametrize("dtype", [np.int8, np.int16, np.int32, np.int64, np.uint8, np.uint32])
+def test_ids_of_any_integer_kind_are_read_alike(dtype):
+    ids = np.where(IDS < 0, 13, IDS)
+    assert np.array_equal(episode(SCENE)(ids.astype(dtype), "chair").response, episode(SCENE)(ids, "chair").response)

@@ -1,0 +1,186 @@
+"""Ray casting against closed forms, and the two engines against each other."""
+
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import random_directions
+
+from eagor.errors import WorldError
+from eagor.worlds.bvh import NumpyRaycaster
+from eagor.worlds.raycast import EmbreeRaycaster, make_raycaster
+
+ENGINES = ("embree", "numpy")
+LOW, HIGH = np.array([-3.0, -2.0, 0.0]), np.array([4.0, 2.5, 2.6])
+
+
+def box():
+    """The vertices and the 12 triangles of the axis-aligned box from LOW to HIGH."""
+    mesh = trimesh.creation.box(bounds=[LOW, HIGH])
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+
+
+def soup(count, seed, size=0.4):
+    """`count` random triangles in a cube of side 2, and 400 rays that begin in it, some along an axis."""
+    rng = np.random.default_rng(seed)
+    corners = rng.uniform(-1, 1, (count, 1, 3)) + size * rng.normal(size=(count, 3, 3))
+    origins = rng.uniform(-1, 1, (400, 3)).astype(np.float32)
+    directions = random_directions(400, seed).astype(np.float32)
+    directions[:24] = np.tile(np.concatenate([np.eye(3), -np.eye(3)]), (4, 1))
+    return corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3), origins, directions
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_range_in_a_box_is_the_closed_form(engine):
+    caster = make_raycaster(*box(), engine)
+    rng = np.random.default_rng(1)
+    origins = rng.uniform(LOW + 0.01, HIGH - 0.01, (2000, 3)).astype(np.float32)
+    directions = random_directions(2000, 2).astype(np.float32)
+    directions[:6] = np.concatenate([np.eye(3), -np.eye(3)])
+    walls = np.where(directions > 0, HIGH, LOW)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        expected = np.nanmin(np.where(directions == 0, np.inf, (walls - origins) / directions), axis=1)
+    found = caster.cast(origins, directions)
+    assert np.allclose(found.distance, expected, atol=1e-5)
+    assert found.triangle.min() >= 0
+    assert (found.distance.dtype, found.triangle.dtype) == (np.float32, np.int32)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_barycentric_weights_give_the_point_that_was_hit(engine):
+    vertices, triangles = box()
+    origin = np.broadcast_to(np.float32([0.3, 0.2, 1.1]), (500, 3))
+    directions = random_directions(500, 3).astype(np.float32)
+    hits = make_raycaster(vertices, triangles, engine).cast(origin, directions)
+    a, b, c = vertices[triangles[hits.triangle]].transpose(1, 0, 2)
+    point = (1 - hits.u - hits.v)[:, None] * a + hits.u[:, None] * b + hits.v[:, None] * c
+    assert np.allclose(point, origin + hits.distance[:, None] * directions, atol=2e-5)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_range_to_a_sphere(engine):
+    radius, centre = 0.8, np.array([2.0, 0.5, -0.3])
+    sphere = trimesh.creation.icosphere(subdivisions=4, radius=radius)
+    directions = random_directions(3000, 4)
+    hits = make_raycaster(sphere.vertices + centre, sphere.faces, engine).cast(
+        np.zeros((3000, 3), np.float32), directions.astype(np.float32)
+    )
+    along = directions @ centre
+    square = radius**2 - centre @ centre + along**2
+    sure = np.abs(square) > 0.02  # facets lie up to 2 mm inside the sphere: its rim is not theirs
+    assert np.array_equal(np.isfinite(hits.distance[sure]), ((square > 0) & (along > 0))[sure])
+    hit = sure & np.isfinite(hits.distance)
+    assert hit.sum() > 50
+    assert np.allclose(hits.distance[hit], along[hit] - np.sqrt(square[hit]), atol=0.015)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_distances_count_in_lengths_of_the_direction(engine):
+    caster = make_raycaster(*box(), engine)
+    origin, way = np.zeros((1, 3), np.float32) + 1, np.array([[1.0, 0, 0]], np.float32)
+    assert caster.cast(origin, way).distance == pytest.approx(3)
+    assert caster.cast(origin, 2 * way).distance == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_miss_is_said_to_be_one(engine):
+    hits = make_raycaster(*box(), engine).cast(np.full((3, 3), 9, np.float32), np.ones((3, 3), np.float32))
+    assert np.array_equal(hits.triangle, [-1, -1, -1])
+    assert np.isinf(hits.distance).all()
+    assert not hits.u.any()
+    assert not hits.v.any()
+    assert len(make_raycaster(*box(), engine).cast(np.zeros((0, 3)), np.zeros((0, 3))).distance) == 0
+
+
+@given(st.integers(1, 400), st.integers(0, 2**32 - 1))
+@settings(max_examples=25)
+def test_the_engines_agree_on_any_triangles(count, seed):
+    vertices, triangles, origins, directions = soup(count, seed)
+    ours = make_raycaster(vertices, triangles, "numpy").cast(origins, directions)
+    theirs = make_raycaster(vertices, triangles, "embree").cast(origins, directions)
+    same = ours.triangle == theirs.triangle
+    assert same.mean() > 0.99
+    both = np.isfinite(ours.distance) & np.isfinite(theirs.distance)
+    assert both[same].sum() == np.isfinite(ours.distance[same]).sum()
+    assert np.allclose(ours.distance[both], theirs.distance[both], atol=1e-4)
+    assert np.allclose(ours.u[same], theirs.u[same], atol=1e-3)
+    assert np.allclose(ours.v[same], theirs.v[same], atol=1e-3)
+
+
+def test_the_engines_agree_on_small_triangles_among_large_ones():
+    small = soup(4000, 7, size=0.03)
+    vertices, triangles = box()
+    vertices = np.concatenate([small[0] + [0, 0, 1.2], vertices])
+    triangles = np.concatenate([small[1], triangles + len(small[0])])
+    origin = np.broadcast_to(np.float32([0.1, -0.2, 1.3]), (3000, 3))
+    directions = random_directions(3000, 8).astype(np.float32)
+    ours = make_raycaster(vertices, triangles, "numpy").cast(origin, directions)
+    theirs = make_raycaster(vertices, triangles, "embree").cast(origin, directions)
+    assert (ours.triangle == theirs.triangle).mean() > 0.999
+    assert np.allclose(ours.distance, theirs.distance, atol=1e-4)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_no_ray_slips_through_the_edges_of_a_closed_surface(engine):
+    vertices, triangles = box()
+    rng = np.random.default_rng(5)
+    ends = vertices[triangles[rng.integers(0, 12, 2000)]]
+    share = rng.uniform(size=(2000, 1))
+    aims = share * ends[:, 0] + (1 - share) * ends[:, 1]  # on the edges
+    aims[:8] = vertices
+    origins = np.zeros((2000, 3), np.float32) + 1
+    hits = make_raycaster(vertices, triangles, engine).cast(origins, (aims - 1).astype(np.float32))
+    assert (hits.triangle >= 0).all()
+    assert np.allclose(hits.distance, 1, atol=1e-5)
+
+
+@given(st.integers(1, 100), st.integers(0, 2**32 - 1), st.floats(0.05, 2.0))
+@settings(max_examples=15)
+def test_occluded_is_what_cast_finds_within_reach(count, seed, reach):
+    vertices, triangles, origins, directions = soup(count, seed)
+    reaches = np.linspace(0.5, 1.5, len(origins)) * reach
+    for engine in ENGINES:
+        caster = make_raycaster(vertices, triangles, engine)
+        distance = caster.cast(origins, directions).distance
+        finite = np.isfinite(distance)
+        for limit in (reach, reaches, np.inf):
+            clear = ~finite | (np.abs(np.where(finite, distance, 0) - limit) > 1e-4)
+            expected = finite & (distance <= limit)
+            assert np.array_equal(caster.occluded(origins, directions, limit)[clear], expected[clear])
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_same_rays_give_the_same_bytes_however_they_are_grouped(engine):
+    vertices, triangles, origins, directions = soup(200, 9)
+    whole = make_raycaster(vertices, triangles, engine).cast(origins, directions)
+    again = make_raycaster(vertices, triangles, engine)
+    parts = [again.cast(origins[i : i + 37], directions[i : i + 37]) for i in range(0, 400, 37)]
+    for name in ("distance", "triangle", "u", "v"):
+        assert np.array_equal(getattr(whole, name), np.concatenate([getattr(part, name) for part in parts]))
+
+
+def test_auto_takes_embree_where_it_is_and_numpy_where_it_is_not(monkeypatch):
+    assert isinstance(make_raycaster(*box()), EmbreeRaycaster)
+    monkeypatch.setitem(sys.modules, "embreex", None)
+    assert isinstance(make_raycaster(*box()), NumpyRaycaster)
+    with pytest.raises(WorldError, match="pip install embreex"):
+        make_raycaster(*box(), "embree")
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda: make_raycaster(*box(), "optix"), "auto, embree, numpy"),
+        (lambda: make_raycaster(np.zeros((3, 2)), [[0, 1, 2]]), r"\(3, 2\)"),
+        (lambda: make_raycaster(np.zeros((3, 3)), [[0, 1, 3]]), r"0\.\.2"),
+        (lambda: make_raycaster(np.zeros((3, 3)), np.zeros((0, 3))), "at least one"),
+        (lambda: make_raycaster(*box()).cast(np.zeros((1, 3)), np.zeros((2, 3))), "broadcast_to"),
+        (lambda: make_raycaster(*box(), "numpy").occluded(np.zeros(3), np.zeros(3), 1.0), "broadcast_to"),
+    ],
+)
+def test_bad_arguments_are_refused(make, text):
+    with pytest.raises(WorldError, match=text):
+        make()
