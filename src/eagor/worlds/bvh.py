@@ -12,7 +12,7 @@ import numpy as np
 from eagor.worlds.raycast import Hits, checked_rays
 
 _LEAF = 4  # triangles per leaf, at most
-_BATCH = 1 << 14  # rays that walk together: what they need stays in the cache
+_BATCH = 1 << 13  # rays that walk together: what they need stays in the cache
 _MARGIN = 1e-7  # barycentric slack, so that no ray slips through the edge between two triangles
 
 
@@ -63,13 +63,14 @@ class NumpyRaycaster:
         count = len(origins)
         origin = np.ascontiguousarray((origins - self._origin).T)
         way = np.ascontiguousarray(directions.T, dtype=np.float64)
-        inverse = 1 / np.where(np.abs(way) < 1e-30, 1e-30, way)
+        inverse = (1 / np.where(np.abs(way) < 1e-20, 1e-20, way)).astype(np.float32)
+        start = origin.astype(np.float32)  # boxes are tested in single precision, and are padded for it
         best, u, v = np.array(limits, dtype=np.float64), np.zeros(count), np.zeros(count)
         triangle = np.full(count, -1)
         # Node numbers run through the levels: level l begins at (4^l - 1) / 3.
         first_leaf = (4**self._levels - 1) // 3
         stack = np.zeros((3 * self._levels + 2, count), dtype=np.int64)
-        entry = np.zeros(stack.shape)
+        entry = np.zeros(stack.shape, dtype=np.float32)
         height = np.ones(count, dtype=np.int64)  # of each ray's stack; the root lies on it
         rays = np.arange(count)
         while len(rays):
@@ -83,7 +84,7 @@ class NumpyRaycaster:
             at = np.flatnonzero(open_ & ~leaf)
             if len(at):
                 here = rays[at]
-                reach = self._enter(node[at], origin[:, here], inverse[:, here], best[here])
+                reach = self._enter(node[at], start[:, here], inverse[:, here], best[here].astype(np.float32))
                 nearest_last = np.argsort(-reach, axis=0)
                 for place in nearest_last:
                     distance = np.take_along_axis(reach, place[None], axis=0)[0]
@@ -97,13 +98,14 @@ class NumpyRaycaster:
 
     def _enter(self, node: np.ndarray, origin: np.ndarray, inverse: np.ndarray, best: np.ndarray) -> np.ndarray:
         """Where each ray enters the four children of its node ``(4, m)``, inf where it does not (slab test)."""
-        boxes = self._boxes[..., node]  # (2, 3, 4, m)
-        a = (boxes[0] - origin[:, None]) * inverse[:, None]
-        b = (boxes[1] - origin[:, None]) * inverse[:, None]
-        near = np.minimum(a, b).max(axis=0)
-        far = np.maximum(a, b).min(axis=0)
-        near = np.maximum(near, 0.0)
-        return np.where((near <= far) & (near < best), near, np.inf)
+        boxes = self._boxes.take(node, axis=-1)  # (2, 3, 4, m)
+        boxes -= origin[:, None]
+        boxes *= inverse[:, None]
+        low, high = np.minimum(boxes[0], boxes[1]), np.maximum(boxes[0], boxes[1])
+        near = np.maximum(np.maximum(low[0], low[1]), np.maximum(low[2], np.float32(0)))
+        far = np.minimum(np.minimum(high[0], high[1]), np.minimum(high[2], best))
+        near[near > far] = np.inf
+        return near
 
     def _meet(self, rays, leaf, origin, way, best, triangle, u, v) -> None:
         """Test the triangles of each ray's leaf, and keep what is nearer (Moeller and Trumbore 1997)."""
@@ -185,11 +187,15 @@ def _boxes(pieces: np.ndarray, starts: np.ndarray, levels: int) -> np.ndarray:
     low, high = np.full((len(sizes), 3), np.inf), np.full((len(sizes), 3), -np.inf)
     low[filled] = np.minimum.reduceat(pieces.min(axis=1), starts[filled], axis=0)
     high[filled] = np.maximum.reduceat(pieces.max(axis=1), starts[filled], axis=0)
-    pad = 1e-6 * max(1.0, float(np.abs(pieces).max()))
-    low, high = low - pad, high + pad
+    pad = 1e-5 * max(1.0, float(np.abs(pieces).max()))
+    low, high = (low - pad).astype(np.float32), (high + pad).astype(np.float32)
     found = []
     for _ in range(levels):
         low, high = low.reshape(-1, 4, 3), high.reshape(-1, 4, 3)
         found.append(np.stack([low, high]).transpose(0, 3, 2, 1))
         low, high = low.min(axis=1), high.max(axis=1)
-    return np.ascontiguousarray(np.concatenate(found[::-1], axis=-1)) if found else np.zeros((2, 3, 4, 0))
+    return (
+        np.ascontiguousarray(np.concatenate(found[::-1], axis=-1))
+        if found
+        else np.zeros((2, 3, 4, 0), dtype=np.float32)
+    )

@@ -52,7 +52,7 @@ class Lattice:
         while True:
             cells = np.maximum(np.ceil(lengths / step - 1e-3), 1).astype(np.int64)
             sizes = (cells + 1).prod(axis=1)
-            if sizes.sum() <= max(_MOST, 4 * len(sizes)):
+            if sizes.sum() <= _MOST + 5 * len(sizes):
                 break
             step *= 1.25
         base = np.cumsum(sizes) - sizes

@@ -44,7 +44,7 @@ def tone(linear: np.ndarray) -> np.ndarray:
 
 
 class Shader:
-    """The look of a scene, in tables; the buffers are used again at each call, so one thread at a time."""
+    """The look of a scene, in tables."""
 
     def __init__(self, scene: Scene, lattice: Lattice, light: np.ndarray) -> None:
         self._texels = Texels.of(scene.materials)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from eagor.worlds.apartment.furnisher import Furnisher, Piece
+from eagor.worlds.apartment.furnisher import Furnisher, NoRoom, Piece
 from eagor.worlds.apartment.placement import footprint, from_rectangle, overlaps
 from eagor.worlds.apartment.sites import Sites, before, in_room, joined, on_face, relative
 
@@ -109,13 +109,16 @@ def small_things(f: Furnisher, categories: tuple[str, ...]) -> None:
 
 
 def ceiling_lamps(f: Furnisher, room: int) -> None:
-    """One lamp in the middle of each part of a room, two in a large or long one; beside what reaches up to it."""
+    """One lamp in the middle of each part of a room, two in a large or long one; beside what reaches up to it.
+
+    Raises `NoRoom` where none finds a place.
+    """
     made = f.make("ceiling lamp")
     depth, width, height = (float(length) for length in made[0].size)
     ceiling = f.floor.plan.height
-    for x0, y0, x1, y1 in f.floor.rooms[room].rectangles:
+    for part, (x0, y0, x1, y1) in enumerate(f.floor.rooms[room].rectangles):
         sides = np.array([x1 - x0, y1 - y0])
-        if sides.prod() < 2.0:
+        if part > 0 and sides.prod() < 2.0:
             continue
         count = 2 if sides.prod() > 18 or sides.max() > max(4.5, 2.2 * sides.min()) else 1
         for i in range(count):
@@ -128,3 +131,5 @@ def ceiling_lamps(f: Furnisher, room: int) -> None:
                 box = boxes[int(good.argmax())]
                 f.floor.solid.append(np.concatenate([box, (ceiling - height, ceiling)]))
                 f.record(made, room, box, ceiling, solid=False)
+    if not f.of("ceiling lamp", room):
+        raise NoRoom(f"no place for a lamp in the {f.floor.rooms[room].name}")
