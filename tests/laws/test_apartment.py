@@ -9,17 +9,28 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor.errors import WorldError
+from eagor.tasks.places import UNTARGETED
 from eagor.worlds.apartment import CATEGORIES, REQUIRED, VERSION, generate
 from eagor.worlds.apartment.cells import carve, rooms_of
-from eagor.worlds.apartment.colours import name
-from eagor.worlds.apartment.designing import design
+from eagor.worlds.apartment.colours import name, tell_apart
+from eagor.worlds.apartment.designing import BESIDE, design
 from eagor.worlds.apartment.families import FAMILIES
+from eagor.worlds.apartment.furnisher import Furnisher
 from eagor.worlds.apartment.openings import LINING, OUTSIDE
-from eagor.worlds.apartment.placement import corners, distances, footprint, from_rectangle, leaf_footprint, overlaps
+from eagor.worlds.apartment.placement import (
+    corners,
+    distances,
+    empty_floor,
+    footprint,
+    from_rectangle,
+    leaf_footprint,
+    overlaps,
+)
 from eagor.worlds.apartment.plans import draw_plan
 from eagor.worlds.ground import Ground
 from eagor.worlds.raycast import make_raycaster
 from eagor.worlds.scene import STRUCTURE
+from eagor.worlds.sources import mean_colour
 
 SEEDS = (0, 3, 5, 11, 21, 1007)
 seeds = pytest.mark.parametrize("seed", SEEDS)
@@ -189,6 +200,90 @@ def test_one_can_walk_into_every_room_and_up_to_every_piece(seed):
     for piece in apartment(seed).pieces:
         if piece.solid:
             assert distances(piece.box, points).min() < 0.6, piece.category
+
+
+@pytest.mark.parametrize("seed", [*SEEDS, 1016, 1864, 4406])
+def test_whatever_can_be_a_target_has_free_ground_beside_it(seed):
+    made = scene(seed)
+    ground = Ground.from_scene(made)
+    targets = [thing for thing in made.instances if thing.category not in UNTARGETED]
+    assert len(targets) >= 12
+    for thing in targets:
+        assert ground.beside(thing)[1].min() <= BESIDE, thing.name
+
+
+@seeds
+def test_what_stands_on_the_floor_is_what_can_be_a_target(seed):
+    assert {piece.category for piece in apartment(seed).pieces if piece.solid}.isdisjoint(UNTARGETED)
+    assert {piece.category for piece in apartment(seed).pieces if not piece.solid} <= set(UNTARGETED)
+
+
+def test_a_piece_out_of_reach_is_an_error_and_never_a_scene(monkeypatch):
+    far = []
+
+    def out_of_reach(apartment, scene):
+        far.append(apartment)
+        return apartment.pieces[:1]
+
+    monkeypatch.setattr("eagor.worlds.apartment.designing._out_of_reach", out_of_reach)
+    monkeypatch.setattr("eagor.worlds.apartment.designing._ATTEMPTS", 3)
+    with pytest.raises(WorldError, match=r"seed 3 .*walk up to the tv"):
+        generate(3)
+    assert len({len(each.pieces) for each in far}) > 1  # each attempt draws another one
+
+
+@seeds
+def test_fixtures_have_the_colour_of_their_room(seed):
+    kinds: dict[str | None, str] = {room.name: room.kind for room in scene(seed).rooms}
+    for thing in scene(seed).instances:
+        if thing.category == "sink":
+            assert thing.colour == {"kitchen": "grey", "bathroom": "white"}[kinds[thing.room]]
+    units = [thing for thing in scene(seed).instances if thing.category == "cabinet"]
+    assert len({(thing.room, thing.colour) for thing in units}) == len({thing.room for thing in units})
+
+
+def test_only_movable_pieces_are_recoloured_to_tell_them_apart():
+    changed = Counter()
+    home = apartment(0)
+    for seed in range(12):
+        f = Furnisher(empty_floor(home.plan, home.cells, home.rooms), np.random.default_rng(seed))
+        for category, colour, count in (("cabinet", "white", 2), ("sink", "white", 2), ("chair", "red", 5),
+                                        ("nightstand", "brown", 2), ("dresser", "brown", 2)):  # fmt: skip
+            for number in range(count):
+                f.record(f.make(category, colour, number), 0, footprint(0, 0, 1, 1, 0))
+        before = list(f.pieces)
+        tell_apart(f)
+        changed += Counter(old.category for old, new in zip(before, f.pieces, strict=True) if old is not new)
+    assert changed["chair"] > 0
+    assert changed["dresser"] + changed["nightstand"] > 0
+    assert set(changed) <= {"chair", "dresser", "nightstand"}
+
+
+@seeds
+def test_lamps_are_as_strong_as_their_rooms_swallow_light(seed):
+    made = scene(seed)
+    reflected = np.array([mean_colour(look).mean() for look in made.materials])[made.material]
+    a, b, c = made.vertices[made.triangles].transpose(1, 0, 2).astype(float)
+    swallowed = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2 * (1 - reflected)
+    strength = {}
+    for room in made.rooms:
+        shell = [
+            place
+            for place, thing in enumerate(made.instances)
+            if thing.room == room.name and thing.category in ("wall", "floor", "ceiling")
+        ]
+        lights = [light for piece, light in lights_of(seed) if made.rooms[piece.room].name == room.name]
+        total = swallowed[np.isin(made.instance, shell)].sum()
+        strength[room.name] = sum(light.power.mean() for light in lights) / total
+    values = np.array(list(strength.values()))
+    assert values.min() > 0
+    assert values.max() / values.min() < 2.0, strength
+
+
+def lights_of(seed):
+    """The lights of ceiling lamps, each with the piece it belongs to."""
+    pieces = (piece for piece in apartment(seed).pieces if piece.category == "ceiling lamp")
+    return [(piece, light) for piece in pieces for light in piece.model.lamps]
 
 
 @seeds

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from eagor.worlds.apartment.designing import design, scene_of
+from eagor.worlds.apartment.designing import build
 from eagor.worlds.apartment.furnish import REQUIRED
 from eagor.worlds.apartment.furniture import KINDS
 from eagor.worlds.scene import STRUCTURE, Scene
@@ -19,9 +19,10 @@ CATEGORIES = (*STRUCTURE, *sorted(KINDS))  # all that an apartment can have; it 
 def generate(seed: int) -> Scene:
     """A furnished apartment of 45 to 110 square metres with three to seven rooms, metres, z = 0 the floor.
 
-    The outer walls are along x and y. Everything in `REQUIRED` is there, and one can walk up to it: ways are at least
-    0.5 m wide. At least three solid pieces have a name (colour and category) of their own though there are others of
-    their category, and at least one name belongs to several pieces. `facts["family"]` names the kind of floor plan.
+    The outer walls are along x and y. Everything in `REQUIRED` is there. One can walk up to all that stands on the
+    floor: ways are at least 0.5 m wide, and the `Ground` has free cells within 0.75 m of it. At least three solid
+    pieces have a name (colour and category) of their own though there are others of their category, and at least one
+    name belongs to several pieces. `facts["family"]` names the kind of floor plan.
     Raises `WorldError` for a negative seed, or if nothing can be built from it.
     """
-    return scene_of(design(seed), f"apartment {VERSION} seed {seed}")
+    return build(seed, f"apartment {VERSION} seed {seed}")[1]

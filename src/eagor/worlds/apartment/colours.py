@@ -10,6 +10,8 @@ from eagor.worlds.apartment.furnisher import Furnisher, NoRoom, Piece
 from eagor.worlds.apartment.furniture import KINDS, build
 
 _LEAST_UNIQUE = 3
+# Never in a colour of their own: fixtures come in the colour of their room, the units of a kitchen in one.
+_FIXED = ("sink", "toilet", "bathtub", "cabinet", "refrigerator", "stove")
 
 
 def name(piece: Piece) -> str:
@@ -35,7 +37,7 @@ def tell_apart(f: Furnisher) -> None:
         if len(unique) >= _LEAST_UNIQUE and repeated:
             return
         # Of chairs at least two stay alike.
-        pool = [p for p in repeated if p.category != "chair" or names[name(p)] > 2]
+        pool = [p for p in repeated if p.category not in _FIXED and (p.category != "chair" or names[name(p)] > 2)]
         if not pool:
             break
         _recolour(f, pool[f.rng.integers(len(pool))])

@@ -13,13 +13,16 @@ from eagor.worlds.apartment.finishes import Finish, draw_finishes
 from eagor.worlds.apartment.fixtures import splashback
 from eagor.worlds.apartment.furnish import furnish
 from eagor.worlds.apartment.furnisher import NoRoom, Piece
+from eagor.worlds.apartment.lighting import lit
 from eagor.worlds.apartment.placement import empty_floor
 from eagor.worlds.apartment.plans import Plan, draw_plan
 from eagor.worlds.apartment.shell import shell, structure
 from eagor.worlds.apartment.things import Thing, make_scene, placed, turned_about_z
+from eagor.worlds.ground import Ground
 from eagor.worlds.scene import Lamp, Room, Scene
 
 _ATTEMPTS = 40
+BESIDE = 0.75  # metres that one can reach to a piece of furniture
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +38,15 @@ class Apartment:
 
 
 def design(seed: int) -> Apartment:
-    """The apartment of a seed: new plans are drawn until one takes all that has to be in it.
+    """The apartment of a seed. Errors as in `build`."""
+    return build(seed, "")[0]
 
-    Raises `WorldError` for a negative seed, or if nothing can be built from it.
+
+def build(seed: int, source: str) -> tuple[Apartment, Scene]:
+    """The apartment of a seed and its scene: new plans are drawn until one takes all that has to be in it.
+
+    A person, as `Ground` knows one, can walk up to all of its furniture. Raises `WorldError` for a negative seed, or if
+    nothing can be built from it.
     """
     if seed < 0:
         raise WorldError(f"seed = {seed}; wanted 0 or a positive whole number")
@@ -53,8 +62,25 @@ def design(seed: int) -> Apartment:
         except NoRoom as failure:
             reason = str(failure)
             continue
-        return Apartment(plan, cells, rooms, finishes, style, tuple(pieces))
+        pieces = lit(pieces, rooms, finishes, plan.height)
+        apartment = Apartment(plan, cells, rooms, finishes, style, tuple(pieces))
+        scene = scene_of(apartment, source)
+        far = _out_of_reach(apartment, scene)
+        if not far:
+            return apartment, scene
+        reason = f"nobody can walk up to the {far[0].category}"
     raise WorldError(f"seed {seed} gave no apartment in {_ATTEMPTS} attempts, at last: {reason}; use another seed")
+
+
+def _out_of_reach(apartment: Apartment, scene: Scene) -> list[Piece]:
+    """The solid pieces that no free ground is beside."""
+    ground = Ground.from_scene(scene)
+    things = scene.instances[len(scene.instances) - len(apartment.pieces) :]
+    return [
+        piece
+        for piece, thing in zip(apartment.pieces, things, strict=True)
+        if piece.solid and ground.beside(thing)[1].min(initial=np.inf) > BESIDE
+    ]
 
 
 def scene_of(apartment: Apartment, source: str) -> Scene:

@@ -55,8 +55,8 @@ class Furnisher:
     def make(self, category: str, colour: str | None = None, seed: int | None = None) -> tuple[Model, int]:
         """A new model and its seed. Without a colour, it has most often the one that its kind has in this home."""
         seed = int(self.rng.integers(2**31)) if seed is None else seed
-        if colour is None:
-            colours = KINDS[category].colours
+        colours = KINDS[category].colours
+        if colour is None and colours:
             habit = self.habits.setdefault(category, str(self.rng.choice(colours)))
             colour = habit if self.rng.random() < 0.45 else str(self.rng.choice(colours))
         return build(category, colour, np.random.default_rng(seed)), seed

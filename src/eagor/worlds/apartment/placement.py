@@ -178,9 +178,11 @@ class Floor:
         self.near[rows, columns] |= away < BODY
 
     def _ring(self, box: np.ndarray) -> np.ndarray:
-        """Flat places of the cells round a footprint from which it counts as reached."""
+        """Flat places of the cells round a footprint from which it counts as reached: none behind a wall."""
         rows, columns, away = self._window(box, REACH)
-        i, j = np.nonzero((away < REACH) & (away >= BODY))
+        middle = np.floor((box[:2] - self.origin) / CELL).astype(int)
+        around = np.isin(self.owner[rows, columns], self.space[self.owner[tuple(middle)]])
+        i, j = np.nonzero((away < REACH) & (away >= BODY) & around)
         return (i + rows.start) * self.near.shape[1] + j + columns.start
 
 

@@ -27,15 +27,16 @@ _BUILDERS: dict[str, Builder] = {name: builder for family in _FAMILIES for name,
 
 
 def build(category: str, colour: str | None, rng: np.random.Generator) -> Model:
-    """A piece of furniture; `colour` None: `rng` picks one. Equal generators give equal pieces.
+    """A piece of furniture; `colour` None: `rng` picks one, if its kind has any. Equal generators give equal pieces.
 
     Raises `WorldError` for a category or a colour that there is not.
     """
     if category not in KINDS:
         raise WorldError(f"no furniture is called {category!r}; wanted one of {', '.join(sorted(KINDS))}")
     colours = KINDS[category].colours
-    if colour is None:
+    if colour is None and colours:
         colour = str(rng.choice(colours))
-    if colour not in colours:
-        raise WorldError(f"a {category} does not come in {colour!r}; wanted one of {', '.join(colours)}, or None")
+    if colour is not None and colour not in colours:
+        wanted = f"one of {', '.join(colours)}, or None" if colours else "None"
+        raise WorldError(f"a {category} does not come in {colour!r}; wanted {wanted}")
     return _BUILDERS[category](colour, rng)

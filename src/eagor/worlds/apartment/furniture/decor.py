@@ -81,7 +81,7 @@ def lamp(colour: str, rng: np.random.Generator) -> Model:
 def ceiling_lamp(colour: str, rng: np.random.Generator) -> Model:
     """A pendant with a shade or a paper globe, or a flat dome; white light over a room."""
     metal = finish("metal", "black" if colour == "black" else None, rng)
-    light = Lamp(np.zeros(3), float(rng.uniform(1.4, 1.8)) * _WARM)
+    light = Lamp(np.zeros(3), float(rng.uniform(1.5, 1.7)) * _WARM)
     if colour == "white" and rng.random() < 0.5:  # a dome
         radius, deep = rng.uniform(0.17, 0.24), rng.uniform(0.07, 0.1)
         bow = [(radius * math.sin(t), -0.02 - deep * math.cos(t)) for t in np.linspace(0, math.pi / 2, 6)]

@@ -11,12 +11,15 @@ from eagor.worlds.apartment.furniture.model import Builder, Kind, Model, assembl
 from eagor.worlds.apartment.meshes import bevelled, box, cylinder, part, post, quad
 from eagor.worlds.apartment.textures import material
 
-KINDS = (Kind("tv", "wall", ("living room", "bedroom"), ("black",)),)
+KINDS = (Kind("tv", "wall", ("living room", "bedroom"), ()),)
 
 
-def tv(colour: str, rng: np.random.Generator) -> Model:
-    """A flat screen on a low stand, on its foot or hung on the wall above it; off, or showing a dim picture."""
-    case, stand = finish("plastic", colour, rng), timber(str(rng.choice(["brown", "white", "black", "beige"])), rng)
+def tv(colour: None, rng: np.random.Generator) -> Model:
+    """A flat screen on a low stand, on its foot or hung on the wall above it; off, or showing a dim picture.
+
+    It has no colour: the set is black, and its stand, which shows more of itself, is not.
+    """
+    case, stand = finish("plastic", "black", rng), timber(str(rng.choice(["brown", "white", "black", "beige"])), rng)
     metal = finish("metal", None, rng)
     wide = rng.uniform(0.95, 1.4)
     tall, hung = wide * 9 / 16, rng.random() < 0.4

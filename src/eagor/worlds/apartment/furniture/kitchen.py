@@ -1,6 +1,7 @@
 """Refrigerators, stoves and sinks.
 
 A white sink stands in a bathroom, on a pedestal or a small cabinet; a grey one is a kitchen unit with a steel top.
+What is under the basin is part of the sink and has its colour.
 """
 
 from __future__ import annotations
@@ -168,10 +169,7 @@ def _pedestal_sink(colour: str, rng: np.random.Generator) -> Model:
 def _cabinet_sink(colour: str, rng: np.random.Generator) -> Model:
     """A basin let into the top of a small cabinet."""
     glaze, metal = finish("ceramic", colour, rng), finish("metal", None, rng)
-    wooden = rng.random() < 0.4
-    wood = finish(
-        "wood" if wooden else "paint", str(rng.choice(["brown", "beige"] if wooden else ["white", "grey"])), rng
-    )
+    wood = finish("paint", colour, rng)
     x, y, height = 0.235, rng.uniform(0.3, 0.45), rng.uniform(0.8, 0.86)
     low = height - 0.05
     body = [
@@ -196,7 +194,6 @@ def _frame(x: float, y: float) -> np.ndarray:
 def _kitchen_sink(rng: np.random.Generator) -> Model:
     """Base units under a steel top with one or two basins, a drainer and a tall tap."""
     steel, bright = finish("metal", "grey", rng), finish("metal", None, rng)
-    shade = str(rng.choice(["grey", "white", "grey"]))
     x, y, height = 0.29, rng.uniform(0.5, 0.8), rng.uniform(0.88, 0.92)
     top = height - 0.03
     body, handles = base_units(x, y, top - 0.17, rng, framed=False, drawers=False)
@@ -219,7 +216,7 @@ def _kitchen_sink(rng: np.random.Generator) -> Model:
     plates.append(vessel([(_frame(*outer), 0.0, top), (_frame(*outer), 0.0, height)]))
     drain = cylinder((0.02, (left + right) / 2, height - 0.16), 0.03, 0.004, 10)
     fixture = tap(-x + 0.06, (left + right) / 2, height, 0.2, 0.3)
-    fronts = finish("paint", shade, rng)
+    fronts = finish("metal" if rng.random() < 0.4 else "paint", "grey", rng)
     return assembled(
         "sink", "grey", [fronts(body, *walls), fittings(rng)(handles), steel(*plates), bright(fixture, drain)]
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +38,7 @@ class Kind:
 
     `placement`: "wall" (back to a wall), "corner", "free" (anywhere), "hung" (on a wall), "flat" (on the floor, no
     obstacle), "top" (stands on a surface) or "ceiling". `rooms`: the room kinds where it is at home. `colours`: those
-    that it comes in.
+    that it comes in, none where no one colour is what one sees of it.
     """
 
     category: str
@@ -46,7 +47,7 @@ class Kind:
     colours: tuple[str, ...]
 
 
-Builder = Callable[[str, np.random.Generator], Model]
+Builder = Callable[[Any, np.random.Generator], Model]  # from one of its kind's colours (str), or None if there are none
 
 
 def finish(kind: str, colour: str | None, rng: np.random.Generator) -> Callable[..., Part]:

@@ -228,7 +228,7 @@ def plant(colour: str, rng: np.random.Generator) -> Model:
     """A potted plant; `colour` is that of its leaves."""
     grow, least, most, radius = _GROWTHS[rng.integers(len(_GROWTHS))]
     tall, radius = rng.uniform(least, most), radius * rng.uniform(0.9, 1.2)
-    parts, top = _pot(radius, radius * rng.uniform(1.5, 2.1), rng)
+    parts, top = _pot(radius, radius * rng.uniform(1.15, 1.6), rng)
     stems, leaves = grow(top, tall, rng)
     spread = max(float(np.abs(mesh.vertices[:, :2]).max()) for mesh in leaves)
     if spread > _SPREAD:  # it stands in a corner: drawn in, as if pruned
