@@ -85,6 +85,8 @@ test: lint
 bench: $(VENV)/.eagor-test-installed
 	@echo "==> benchmarks/core.py"
 	$(BIN)/python benchmarks/core.py
+	echo "==> benchmarks/world.py"
+	$(BIN)/python benchmarks/world.py
 	echo "==> benchmarks/quality.py"
 	$(BIN)/python benchmarks/quality.py
 

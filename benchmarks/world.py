@@ -4,8 +4,9 @@
 
 CPU time (time.process_time) on one thread. The unit of each row is `EmbreeScene.run(o, d, output=True)` over the same
 rays and the same triangles. The contestants take turns, so that a change of the machine's speed hits all of them. The
-table gives the ratio of the medians, and the range of that ratio over five parts of the run. Also told: what making and
-lighting the apartment costs once.
+table gives the ratio of the medians, and the range of that ratio over five parts of the run. Steps of an episode are
+measured 20 together, with the milliseconds of all of them. Also told: what making and lighting the apartment costs
+once.
 """
 
 from __future__ import annotations
@@ -26,8 +27,14 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
+from eagor import Belief, DirectionTracker, Evidence, TrackerConfig
 from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.perception.truth import TruthPerception
 from eagor.sphere import world_R_body
+from eagor.tasks import waypoint
+from eagor.tasks.episodes import Slot
+from eagor.tasks.places import APARTMENT, DEVELOPMENT, LOOK_ROWS, load_place
+from eagor.tasks.rules import Camera, WaypointRules
 from eagor.worlds.apartment import generate
 from eagor.worlds.lattice import Lattice
 from eagor.worlds.light import bake
@@ -36,6 +43,8 @@ from eagor.worlds.render import Renderer
 from eagor.worlds.scene import Scene
 
 EYE_HEIGHT = 1.3
+STEPS = 20  # of an episode
+DEGREE = 15
 YAW, TILTED = world_R_body(0.4), world_R_body(0.4, 0.1, 0.05)
 
 Row = tuple[str, str, str, str]  # title, contestant, unit, aim
@@ -105,9 +114,72 @@ def engines(scene: Scene) -> tuple[dict[str, Callable[[], object]], list[Row]]:
     return contestants, [("fallback engine (NumPy alone), 32 x 64", "fallback", "fallback bare", "")]
 
 
-def episode_step(scene: Scene, folder: Path) -> tuple[dict[str, Callable[[], object]], list[Row]]:
-    """Contestants and rows for one step of an episode with the truth as evidence. Nothing to compare yet."""
-    return {}, []
+def episode_step(seed: int) -> tuple[dict[str, Callable[[], object]], list[Row]]:
+    """Contestants and rows for the first steps of an episode with the truth as evidence, as the tasks go through it.
+
+    Every run goes through all the steps with a detector and a belief that begin afresh.
+    """
+    if seed not in DEVELOPMENT:
+        raise SystemExit(f"seed {seed} is kept for results; wanted one of {DEVELOPMENT.start} to {DEVELOPMENT[-1]}")
+    camera = Camera()
+    episode = waypoint.plan(Slot("waypoint", APARTMENT, seed, 0, 0), camera, WaypointRules())
+    place = load_place(APARTMENT, seed, camera.radius)
+    bare, directions = Bare(place.scene), ErpGrid(LOOK_ROWS, 2 * LOOK_ROWS).directions
+    poses = [(np.array([x, y, camera.height]), world_R_body(yaw)) for x, y, yaw in episode.route[:STEPS]]
+    traces = [bare.trace(position, directions @ pose.T) for position, pose in poses]
+    images = [place.ids(*pose) for pose in poses]
+    perception = TruthPerception()
+
+    def detector() -> Callable[[np.ndarray, int], Evidence]:
+        looking = perception.episode(place.scene.instances, 0)
+        return lambda ids, k: looking(ids, episode.query, stamp=k * camera.seconds, world_R_body=poses[k][1])
+
+    def evidence() -> list[Evidence]:
+        look = detector()
+        return [look(ids, k) for k, ids in enumerate(images)]
+
+    looks = evidence()
+
+    def believe(evidence_of: Callable[[int], Evidence]) -> None:
+        belief, before = Belief.uniform(DEGREE), poses[0][1]
+        for k, (_, pose) in enumerate(poses):
+            belief, before = belief.predict(pose.T @ before).update(evidence_of(k)), pose
+            belief.mode()
+
+    def track(evidence_of: Callable[[int], Evidence]) -> None:
+        tracker = DirectionTracker(TrackerConfig())
+        for k, (position, pose) in enumerate(poses):
+            tracker.rotate(k * camera.seconds, pose, position)
+            tracker.observe(evidence_of(k))
+            _ = tracker.estimate(k * camera.seconds).direction
+
+    def stepping(follow: Callable[[Callable[[int], Evidence]], None]) -> Callable[[], None]:
+        def run() -> None:
+            look = detector()
+            follow(lambda k: look(place.ids(*poses[k]), k))
+
+        return run
+
+    contestants: dict[str, Callable[[], object]] = {
+        "step bare": lambda: [trace() for trace in traces],
+        "step ids": lambda: [place.ids(*pose) for pose in poses],
+        "step truth": evidence,
+        "step coefficients": lambda: [look.coefficients(DEGREE) for look in looks],
+        "step belief": lambda: believe(lambda k: looks[k]),
+        "step tracker": lambda: track(lambda k: looks[k]),
+        "step with belief": stepping(believe),
+        "step with tracker": stepping(track),
+    }
+    rows: list[Row] = [
+        ("episode step: ids, truth, belief", "step with belief", "step bare", "<= 2.0"),
+        ("episode step: ids, truth, default tracker", "step with tracker", "step bare", ""),
+        ("  ids, 64 x 128, alone", "step ids", "step bare", ""),
+        ("  truth evidence alone", "step truth", "step bare", ""),
+        ("  its coefficients alone", "step coefficients", "step bare", ""),
+        (f"  belief of degree {DEGREE}: turn, update, mode", "step belief", "step bare", ""),
+        ("  tracker: pose, evidence, direction", "step tracker", "step bare", ""),
+    ]
+    return contestants, rows
 
 
 def once(scene: Scene, seed: int) -> dict[str, float]:
@@ -169,12 +241,17 @@ def main() -> None:
     print(f"{scene.source}: {len(scene.triangles)} triangles, {Lattice.of(scene).size} samples of light\n")
     print(f"{'CPU time, in units of the bare embree trace':46s} {'ratio':>6s}   {'blocks':12s} {'unit':>9s}   aim")
     with tempfile.TemporaryDirectory() as folder:
-        for contestants, rows in (pictures(scene, Path(folder)), episode_step(scene, Path(folder)), engines(scene)):
+        for contestants, rows in (
+            pictures(scene, Path(folder)),
+            episode_step(options.seed),
+            engines(scene),
+        ):
             times = measure(contestants, options.repeats)
             for title, contestant, unit, aim in rows:
                 found = report[title] = ratio(times, contestant, unit)
                 blocks = f"{found['low']:.2f}..{found['high']:.2f}"
-                print(f"  {title:44s} {found['ratio']:6.2f}   {blocks:12s} {found['unit_ms']:6.2f} ms   {aim}")
+                unit_ms = found["unit_ms"]
+                print(f"  {title:44s} {found['ratio']:6.2f}   {blocks:12s} {unit_ms:6.2f} ms   {aim}".rstrip())
     seconds = once(scene, options.seed)
     print("\nonce for a scene, CPU seconds")
     for title, value in seconds.items():

@@ -48,7 +48,11 @@ class Reading:
         raise NotImplementedError
 
     def _field(self, index: tuple[int, ...]) -> Field:
-        """How to evaluate the log-posterior of one belief of the batch (up to a constant), in NumPy."""
+        """How to evaluate the log-posterior of one belief of the batch (up to a constant), in NumPy.
+
+        The function must not hold the belief, which keeps it: such a circle would stay in memory until the collector
+        of circles looks for it, and beliefs are large and many.
+        """
         raise NotImplementedError
 
     @cached_property
@@ -265,5 +269,5 @@ class Belief(Reading):
         return namespace(c).stack([c[..., 3], c[..., 1], c[..., 2]], axis=-1) * math.sqrt(4 * math.pi / 3)
 
     def _field(self, index: tuple[int, ...]) -> Field:
-        coefficients = to_numpy(self.coefficients)[index].astype(np.float64)
-        return lambda where: self.basis.synthesise(coefficients, where)
+        coefficients, basis = to_numpy(self.coefficients)[index].astype(np.float64), self.basis
+        return lambda where: basis.synthesise(coefficients, where)

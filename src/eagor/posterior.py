@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,7 +15,8 @@ from eagor.peaks import peak_on_grid, refine
 CELLS_PER_SIGMA = 3.0  # grid spacing against the width of the sharpest peak: integrals converge long before that
 CELLS_FOR_REGIONS = 8.0  # ... but the border of a region of 90 % is only as sharp as the cells that it cuts
 MAX_ROWS = 1024  # 0.18 degrees: nothing that a camera robot asks for is finer
-NEGLIGIBLE = 18.0  # nats below the top: what lies there holds less than 1e-4 of the sharpest belief
+ERROR = 1e-4  # of the probability, per coarse cell, that the midpoint rule may miss before finer cells are used,
+SHARE = 0.01  # ... and the most that a coarse cell may hold: regions are only as exact as their cells are light
 PROMINENCE = 0.7  # nats: a peak counts as a mode if it stands out by a factor of two from the saddle around it
 MIN_WEIGHT = 0.02  # ... and holds at least this share of the belief,
 RIVAL = 0.75  # or rises above a typical direction by this share of the best one's height
@@ -45,12 +46,53 @@ class CredibleRegion:
 
 
 @dataclass(frozen=True, eq=False)
+class _Part:
+    """Cells of one size: f on them, which of them are `used`, and the coarse cell that each lies in."""
+
+    cells: ErpWindow
+    field: np.ndarray
+    used: np.ndarray
+    home: np.ndarray
+
+    @classmethod
+    def whole(cls, grid: ErpGrid, field: np.ndarray) -> _Part:
+        """All cells of the coarse grid."""
+        cells = ErpWindow(grid, 0, 0, *grid.shape)
+        return cls(cells, field, np.ones(grid.shape, dtype=bool), np.arange(field.size).reshape(grid.shape))
+
+    @cached_property
+    def _around(self) -> tuple[np.ndarray, np.ndarray]:
+        """f with its neighbours to both sides, and with those above and below."""
+        wraps = self.cells.cols == self.cells.whole.width
+        wide = np.pad(self.field, ((0, 0), (1, 1)), mode="wrap" if wraps else "edge")
+        return wide, np.pad(self.field, ((1, 1), (0, 0)), mode="edge")
+
+    @cached_property
+    def _slopes(self) -> tuple[np.ndarray, np.ndarray]:
+        wide, tall = self._around
+        return (wide[:, 2:] - wide[:, :-2]) / 2, (tall[2:] - tall[:-2]) / 2
+
+    @property
+    def spread(self) -> np.ndarray:
+        """The range of f within each cell."""
+        return np.maximum(np.hypot(*self._slopes), 1e-9)
+
+    @property
+    def bend(self) -> np.ndarray:
+        """Second differences of exp(f), relative to it."""
+        wide, tall = self._around
+        side, down = self._slopes
+        return wide[:, 2:] + wide[:, :-2] + tall[2:] + tall[:-2] - 4 * self.field + side**2 + down**2
+
+
+@dataclass(frozen=True, eq=False)
 class Posterior:
-    """exp(f) where it matters, as finely as its sharpest peak asks for. One belief, no batch.
+    """exp(f), as finely as its sharpest peak asks for. One belief, no batch.
 
     `evaluate` gives f on a grid. `coarse` ``(H, W)`` is f on `rows` rows, which resolve f itself: peaks and basins are
-    looked for there. `field` is f again on a `window` of a finer grid that resolves exp(f), around all cells that are
-    not negligible. Each is computed when it is first asked for: a direction alone needs no fine grid.
+    looked for there. Around the highest peaks exp(f) is sharper than f, and a `window` of a finer grid replaces the
+    coarse cells; together they cover the sphere. Each is computed when it is first asked for: a direction alone needs
+    no fine grid.
     """
 
     evaluate: Field
@@ -69,35 +111,60 @@ class Posterior:
 
     @cached_property
     def window(self) -> ErpWindow:
-        """The cells that matter, as small as the sharpest peak asks for."""
+        """Where exp(f) is sharp, in cells as small as its sharpest peak asks for; the whole coarse grid if nowhere."""
         values, rows = self.coarse, self.rows
         _, sigma = refine(self.grid, values.reshape(-1), int(values.argmax()))
         times = min(math.ceil(self.cells_per_sigma * math.pi / sigma / rows), max(1, MAX_ROWS // rows))
-        if times <= 1:
-            return ErpWindow(self.grid, 0, 0, *self.grid.shape)
-        # Between the coarse cells a sharp peak rises higher than any of them: a little slack for that.
-        return ErpWindow.around(values > values.max() - NEGLIGIBLE - 4, times)
+        part = _Part.whole(self.grid, values)
+        mass = np.exp(values - values.max()) * self.grid.weights
+        mass /= mass.sum()
+        finer = (CELLS_PER_SIGMA / self.cells_per_sigma) ** 3
+        rough = (mass * np.abs(part.bend) / 24 > ERROR * finer) | (mass > SHARE * finer)
+        return ErpWindow.around(rough, times) if times > 1 and rough.any() else part.cells
 
     @cached_property
-    def field(self) -> np.ndarray:
-        """f on `window`."""
-        return self.coarse if self.window.whole == self.grid else self.evaluate(self.window)
+    def _parts(self) -> tuple[_Part, ...]:
+        """The cells that together cover the sphere: the window's, and the coarse ones outside of it."""
+        whole = _Part.whole(self.grid, self.coarse)
+        if self.window.whole == self.grid:
+            return (whole,)
+        times = self.window.whole.height // self.rows
+        home_rows = (self.window.top + np.arange(self.window.rows)) // times
+        home = home_rows[:, None] * self.grid.width + self.window.columns // times
+        outside = np.ones(self.grid.shape, dtype=bool)
+        outside.reshape(-1)[np.unique(home)] = False
+        fine = self.evaluate(self.window)
+        return _Part(self.window, fine, np.ones(fine.shape, dtype=bool), home), replace(whole, used=outside)
+
+    def _all(self, read: Callable[[_Part], np.ndarray]) -> np.ndarray:
+        """What `read` gives for all cells ``(n, ...)``."""
+        return np.concatenate([read(part)[part.used] for part in self._parts])
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """f of all cells ``(n,)``."""
+        return self._all(lambda part: part.field)
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """Solid angles of all cells ``(n,)``."""
+        return self._all(lambda part: part.cells.weights)
 
     @cached_property
     def log_total(self) -> float:
         """log of the integral of exp(f) over the sphere."""
-        top = float(self.field.max())
-        return top + math.log(float(np.sum(np.exp(self.field - top) * self.window.weights)))
+        top = float(self.values.max())
+        return top + math.log(float(np.sum(np.exp(self.values - top) * self.weights)))
 
     @cached_property
     def probability(self) -> np.ndarray:
-        """Probability of each cell of the window; sums to 1."""
-        return np.exp(self.field - self.log_total) * self.window.weights
+        """Probability of each cell ``(n,)``; sums to 1."""
+        return np.exp(self.values - self.log_total) * self.weights
 
     @property
     def gain(self) -> float:
         """By how many nats the best direction stands above a uniform belief."""
-        return float(self.field.max()) - self.log_total + math.log(4 * math.pi)
+        return float(self.values.max()) - self.log_total + math.log(4 * math.pi)
 
     @cached_property
     def mode(self) -> np.ndarray:
@@ -106,16 +173,15 @@ class Posterior:
 
     def mass_above(self, value: float) -> float:
         """The probability of all directions where f exceeds `value`."""
-        return float(self.probability[self.field > value].sum())
+        return float(self.probability[self.values > value].sum())
 
     def entropy(self) -> float:
         """Differential entropy in nats; log(4 pi) = 2.53 for the uniform belief."""
-        return self.log_total - float(np.sum(self.probability * self.field))
+        return self.log_total - float(np.sum(self.probability * self.values))
 
     def cone(self, mass: float) -> float:
         """Half-angle (radians) of the cone about the mode that holds `mass`."""
-        keep = self.field > self.field.max() - NEGLIGIBLE
-        cosine, probability = self.window.directions[keep] @ self.mode, self.probability[keep]
+        cosine, probability = self._all(lambda part: part.cells.directions) @ self.mode, self.probability
         order = np.argsort(-cosine)
         cosine, probability = cosine[order], probability[order]
         reached = np.cumsum(probability) - probability / 2
@@ -126,26 +192,19 @@ class Posterior:
 
         Cells that the border cuts count in part: f is taken as uniform over the range that its slope spans in the cell.
         """
-        f, top = self.field, float(self.field.max())
-        wide = np.pad(f, ((0, 0), (1, 1)), mode="wrap" if self.window.cols == self.window.whole.width else "edge")
-        tall = np.pad(f, ((1, 1), (0, 0)), mode="edge")
-        side, down = (wide[:, 2:] - wide[:, :-2]) / 2, (tall[2:] - tall[:-2]) / 2
-        spread = np.maximum(np.hypot(side, down), 1e-9)
+        spread, bend = self._all(lambda part: part.spread), self._all(lambda part: part.bend)
         # A cell's mass is not its midpoint's: the second differences of exp(f) correct it.
-        bent = wide[:, 2:] + wide[:, :-2] + tall[2:] + tall[:-2] - 4 * f + side**2 + down**2
-        keep = f > top - NEGLIGIBLE
-        probability, weights = self.probability, self.window.weights
-        p, v, s = (probability * (1 + np.clip(bent / 24, -0.5, 0.5)))[keep], f[keep], spread[keep]
+        p, v, top = self.probability * (1 + np.clip(bend / 24, -0.5, 0.5)), self.values, float(self.values.max())
         low, high = float(v.min()) - 1, top + 1
-        above, below = np.exp(s / 2), np.exp(-s / 2)
+        above, below = np.exp(spread / 2), np.exp(-spread / 2)
         for _ in range(40):
             middle = (low + high) / 2
-            share = (above - np.exp(np.clip(middle - v, -s / 2, s / 2))) / (above - below)
+            share = (above - np.exp(np.clip(middle - v, -spread / 2, spread / 2))) / (above - below)
             if float(np.sum(p * share)) >= mass:
                 low = middle
             else:
                 high = middle
-        return low, float(np.sum(weights[keep] * np.clip(0.5 + (v - low) / s, 0, 1)))
+        return low, float(np.sum(self.weights * np.clip(0.5 + (v - low) / spread, 0, 1)))
 
     def _median(self) -> float:
         """The value of f that half of the sphere lies above."""
@@ -165,17 +224,14 @@ class Posterior:
         the typical direction, relative to the best. Modes below both `min_weight` and `RIVAL` are left out: looks
         that repeat each other turn a small difference in height into any difference in weight.
         """
-        height, width = self.coarse.shape
         label = _merge(self.coarse, _climb(self.coarse), prominence)
         peaks, inverse = np.unique(label, return_inverse=True)
         if len(peaks) == 1:
             return self.mode[None], np.ones(1), np.ones(1)
         typical = self._median()
-        excess = np.maximum(self.probability - np.exp(typical - self.log_total) * self.window.weights, 0.0)
-        times = self.window.whole.height // height
-        rows = (self.window.top + np.arange(self.window.rows)) // times
-        basin = inverse.reshape(height, width)[rows[:, None], self.window.columns // times]
-        weight = np.bincount(basin.reshape(-1), excess.reshape(-1), minlength=len(peaks))
+        excess = np.maximum(self.probability - np.exp(typical - self.log_total) * self.weights, 0.0)
+        basin = inverse.reshape(-1)[self._all(lambda part: part.home)]
+        weight = np.bincount(basin, excess, minlength=len(peaks))
         weight = weight / weight.sum()
         flat = self.coarse.reshape(-1)
         stands = (flat[peaks] - typical) / (flat.max() - typical)

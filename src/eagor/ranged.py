@@ -145,6 +145,7 @@ class RangedBelief(Reading):
         found = np.zeros((*self.batch_shape, len(self.ranges)))
         for index in np.ndindex(*self.batch_shape):
             posterior: Any = self.posteriors[index]
+            # Far from the peaks of the sum over all ranges, no range has a share worth counting.
             field = self.basis.synthesise(coefficients[index], posterior.window)
             mass = np.sum(np.exp(field - field.max()) * posterior.window.weights, axis=(-2, -1)) * self._prior
             found[index] = mass / mass.sum()
@@ -173,17 +174,28 @@ class RangedBelief(Reading):
         return width / width.sum()
 
     def _marginal(self, shells: Array, where: Any) -> Array:
-        """log of the prior mean of exp(f_k) over the shells, on a grid or at directions."""
-        xp = namespace(shells)
-        f = self.basis.synthesise(shells, where)
-        axis = len(shells.shape) - 2
-        prior = np.log(self._prior).reshape(-1, *([1] * (len(f.shape) - axis - 1)))
-        if xp is not np:
-            prior = xp.asarray(prior, dtype=f.dtype, device=f.device)
-        f = f + prior
-        top = xp.max(f, axis=axis, keepdims=True)
-        return xp.log(xp.sum(xp.exp(f - top), axis=axis)) + xp.squeeze(top, axis=axis)
+        return _marginal(self.basis, self._prior, shells, where)
 
     def _field(self, index: tuple[int, ...]) -> Field:
-        shells = to_numpy(self.shells)[index].astype(np.float64)
-        return lambda where: self._marginal(shells, where)
+        shells, basis, prior = to_numpy(self.shells)[index].astype(np.float64), self.basis, self._prior
+        return lambda where: _marginal(basis, prior, shells, where)
+
+
+def _marginal(basis: RealHarmonics, prior: np.ndarray, shells: Array, where: Any) -> Array:
+    """log of the mean of exp(f_k) over the shells, weighed by their `prior`, on a grid or at directions."""
+    xp = namespace(shells)
+    if xp is np and shells.ndim == 2:  # in place, and the prior as a part of each shell's constant
+        shells = shells.copy()
+        shells[:, 0] += math.sqrt(4 * math.pi) * np.log(prior)
+        f = basis.synthesise(shells, where)
+        top = f.max(axis=0)
+        f -= top
+        return np.log(np.exp(f, out=f).sum(axis=0)) + top
+    f = basis.synthesise(shells, where)
+    axis = len(shells.shape) - 2
+    log_prior = np.log(prior).reshape(-1, *([1] * (len(f.shape) - axis - 1)))
+    if xp is not np:
+        log_prior = xp.asarray(log_prior, dtype=f.dtype, device=f.device)
+    f = f + log_prior
+    top = xp.max(f, axis=axis, keepdims=True)
+    return xp.log(xp.sum(xp.exp(f - top), axis=axis)) + xp.squeeze(top, axis=axis)

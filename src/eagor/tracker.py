@@ -23,6 +23,7 @@ from eagor.belief import Belief
 from eagor.errors import EagorError, TimeError
 from eagor.evidence import Calibration, Evidence
 from eagor.harmonics import RealHarmonics
+from eagor.motion import StillOrMoving
 from eagor.poses import PoseHistory
 from eagor.posterior import MIN_WEIGHT, PROMINENCE, RIVAL
 from eagor.ranged import RangedBelief, log_ranges
@@ -40,7 +41,11 @@ class TrackerConfig:
     - `calibration`: read every evidence with this one instead of its own.
     - `ranges`: shells (metres) of the belief over distance, used where positions are known; None: directions only.
     - `keep_per_second`: share of the log-odds that survives one second (1: nothing is forgotten).
-    - `diffusion`: radians per square root of a second by which a target wanders.
+    - `diffusion`: radians per square root of a second by which the belief is spread: for targets of which nothing
+      stands still, and odometry that drifts.
+    - `wander`: radians per square root of a second by which a target wanders if it does not stand still; both cases
+      are believed in side by side (`eagor.motion`). 0: every target stands still.
+    - `restless`: changes per second between standing still and wandering.
     - `history`: seconds for which poses and evidence are kept, so that late evidence finds its place.
     - `stale_after`: seconds without evidence after which an estimate is stale.
     - `found_at`: nats by which the best direction must stand above a uniform belief; below, we are searching.
@@ -53,24 +58,29 @@ class TrackerConfig:
     decode: Literal["mode", "mean"] = "mode"
     calibration: Calibration | None = None
     ranges: Sequence[float] | None = field(default_factory=lambda: tuple(log_ranges(count=20).tolist()))
-    keep_per_second: float = 0.9
+    keep_per_second: float = 0.97
     diffusion: float = 0.0
+    wander: float = math.radians(8)
+    restless: float = 0.003
     history: float = 10.0
     stale_after: float = 5.0
     found_at: float = 1.5
     ambiguous_below: float = 0.65
 
     def __post_init__(self) -> None:
-        if not 0 < self.keep_per_second <= 1 or self.diffusion < 0 or self.history < 0:
+        least = min(self.diffusion, self.wander, self.restless, self.history)
+        if not (0 < self.keep_per_second <= 1 and least >= 0 and self.wander < math.pi):
             raise EagorError(
-                f"keep_per_second = {self.keep_per_second}, diffusion = {self.diffusion}, history = {self.history}; "
-                "wanted 0 < keep_per_second <= 1, diffusion >= 0 (rad per sqrt s) and history >= 0 (s)"
+                f"keep_per_second = {self.keep_per_second}, diffusion = {self.diffusion}, wander = {self.wander}, "
+                f"restless = {self.restless}, history = {self.history}; wanted 0 < keep_per_second <= 1, diffusion and "
+                "wander >= 0 (rad per sqrt s), restless >= 0 (per s) and history >= 0 (s)"
             )
 
     @classmethod
     def paper(cls) -> TrackerConfig:
         """The published recursion: degree 7, log(l + 1e-3) scaled to the frame's maximum, spherical mean."""
-        return cls(degree=7, decode="mean", calibration=Calibration.paper(), ranges=None, keep_per_second=1.0)
+        published = Calibration.paper()
+        return cls(degree=7, decode="mean", calibration=published, ranges=None, keep_per_second=1.0, wander=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +103,7 @@ class Estimate:
 
     stamp: float
     age: float
-    reading: Belief | RangedBelief
+    reading: Belief | RangedBelief | StillOrMoving
     world_R_body: np.ndarray
     config: TrackerConfig
 
@@ -141,13 +151,20 @@ class Estimate:
 
     @cached_property
     def distance(self) -> float | None:
-        """Metres; None where positions are unknown."""
-        return self.reading.distance() if isinstance(self.reading, RangedBelief) else None
+        """Metres; None where positions are unknown. It is that of a target that stands still."""
+        still = _still(self.reading)
+        return still.distance() if isinstance(still, RangedBelief) else None
 
     @cached_property
     def distance_spread(self) -> float | None:
         """Standard deviation of the logarithm of the distance; None where positions are unknown."""
-        return self.reading.distance_spread() if isinstance(self.reading, RangedBelief) else None
+        still = _still(self.reading)
+        return still.distance_spread() if isinstance(still, RangedBelief) else None
+
+    @property
+    def moving(self) -> float | None:
+        """Probability that the target moves; None where that is not asked (`TrackerConfig.wander` = 0)."""
+        return self.reading.moving if isinstance(self.reading, StillOrMoving) else None
 
     @cached_property
     def status(self) -> Status:
@@ -176,7 +193,7 @@ class _Look:
 class _State:
     """A target's belief in world axes, about the place where the body stood at `stamp`."""
 
-    belief: Belief | RangedBelief
+    belief: Belief | RangedBelief | StillOrMoving
     stamp: float
     position: np.ndarray | None
 
@@ -284,28 +301,38 @@ class DirectionTracker:
             state = _State(self._blank(look.position), look.stamp, look.position)
         else:
             state = self._moved(state, look.stamp, look.position)
-        belief = state.belief
-        if isinstance(belief, RangedBelief):
-            belief = replace(belief, shells=belief.shells + look.coefficients)
+        still = _still(state.belief)
+        if isinstance(still, RangedBelief):
+            still = replace(still, shells=still.shells + look.coefficients)
         else:
-            belief = Belief(belief.coefficients + look.coefficients)
-        return _State(belief, look.stamp, state.position)
+            still = Belief(still.coefficients + look.coefficients)
+        whole = state.belief.update(still, look.coefficients) if isinstance(state.belief, StillOrMoving) else still
+        return _State(whole, look.stamp, state.position)
 
-    def _blank(self, position: np.ndarray | None) -> Belief | RangedBelief:
+    def _blank(self, position: np.ndarray | None) -> Belief | RangedBelief | StillOrMoving:
         if position is None or self.config.ranges is None:
-            return Belief.uniform(self.config.degree)
-        return RangedBelief.uniform(self.config.degree, np.asarray(self.config.ranges))
+            still = Belief.uniform(self.config.degree)
+        else:
+            still = RangedBelief.uniform(self.config.degree, np.asarray(self.config.ranges))
+        return StillOrMoving.uniform(still) if self.config.wander > 0 else still
 
     def _moved(self, state: _State, stamp: float, position: np.ndarray | None) -> _State:
         """The state carried to a later time and another place: parallax, forgetting, diffusion."""
-        belief, elapsed = state.belief, stamp - state.stamp
-        if isinstance(belief, RangedBelief) and position is not None and state.position is not None:
-            belief = belief.predict(np.eye(3), position - state.position)
-        if self.config.keep_per_second < 1:
-            belief = belief.forget(self.config.keep_per_second**elapsed)
+        still, elapsed = _still(state.belief), stamp - state.stamp
+        moved = None if position is None or state.position is None else position - state.position
+        if elapsed == 0 and (moved is None or not moved.any()):
+            return state
+        if isinstance(still, RangedBelief) and moved is not None:
+            still = still.predict(np.eye(3), moved)
+        keep = self.config.keep_per_second**elapsed
+        if keep < 1:
+            still = still.forget(keep)
         if self.config.diffusion > 0:
-            belief = belief.diffuse(self.config.diffusion * math.sqrt(elapsed))
-        return _State(belief, stamp, position if position is not None else state.position)
+            still = still.diffuse(self.config.diffusion * math.sqrt(elapsed))
+        whole = still
+        if isinstance(state.belief, StillOrMoving):
+            whole = state.belief.after(still, elapsed, self.config.wander, self.config.restless, keep)
+        return _State(whole, stamp, position if position is not None else state.position)
 
     def _advanced(self, target: str, now: float) -> _State:
         state = self._states.get(target)
@@ -318,6 +345,11 @@ class DirectionTracker:
                 "ask for that time or later"
             )
         return self._moved(state, now, position)
+
+
+def _still(belief: Belief | RangedBelief | StillOrMoving) -> Belief | RangedBelief:
+    """The belief about a target that stands still."""
+    return belief.still if isinstance(belief, StillOrMoving) else belief
 
 
 def _mode(direction: np.ndarray, weight: float) -> Mode:

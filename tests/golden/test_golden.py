@@ -30,11 +30,11 @@ def walk(config, steps=24):
 CASES = {
     "default": (
         TrackerConfig(),
-        {"angles": (173.8, 9.0), "error": 1.1, "status": "tracking", "presence": 0.878, "ratio": 1.012},
+        {"angles": (173.9, 8.4), "error": 1.5, "status": "tracking", "presence": 1.0, "ratio": 0.947},
     ),
     "turning only": (
         TrackerConfig(ranges=None),
-        {"angles": (152.5, 8.0), "error": 21.8, "status": "tracking", "presence": 0.136},
+        {"angles": (177.0, 14.3), "error": 5.1, "status": "tracking", "presence": 1.0},
     ),
     "published": (
         TrackerConfig.paper(),

@@ -100,7 +100,8 @@ def test_names_with_settings():
         ("eagor:degree", "key=value"),
         ("eagor:degree=many", "wants a number"),
         ("eagor:decode=best", "mode or mean"),
-        ("vmf:degree=7", "no settings"),
+        ("vmf:degree=7", "no setting 'degree'; known for vmf: floor"),
+        ("grid:floor=0.1", "known for grid: none"),
     ],
 )
 def test_names_that_are_none(name, message):

@@ -2,7 +2,11 @@
 
 import math
 import sys
+import tempfile
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -186,6 +190,16 @@ def test_a_view_agrees_with_the_panorama(renderer, name):
     assert np.quantile(apart, 0.95) <= 6
 
 
+@pytest.mark.parametrize("pose", [world_R_body(0.4), world_R_body(0.4, 0.3, -0.2)])
+def test_a_view_through_the_panoramas_own_grid_is_the_panorama(renderer, pose):
+    panorama = renderer.panorama(EYE, pose, 64)
+    view, patches = (renderer.view(EYE, pose, grid(64, 128)) for grid in (ErpGrid, PatchGrid))
+    for name in ("rgb", "range", "ids"):
+        assert np.array_equal(getattr(view, name), getattr(panorama, name))
+    assert (patches.ids == panorama.ids).mean() > 0.999
+    assert (patches.rgb == panorama.rgb).mean() > 0.99
+
+
 def test_what_a_grid_does_not_see_is_black_endless_and_nothing(renderer):
     grid = FisheyeGrid(24, math.pi)
     frame = renderer.view(EYE, np.eye(3), grid)
@@ -336,7 +350,8 @@ def test_the_lattice_lies_on_the_triangles_and_two_halves_of_a_wall_share_it(sce
 
 def test_light_is_kept_on_disk_and_read_again(scene, folder, monkeypatch):
     first = Renderer(scene, cache=folder).panorama(EYE, np.eye(3), 16).rgb
-    assert [path.name for path in folder.glob(f"*{scene.hash}*")] == [f"light-{light_module.VERSION}-{scene.hash}.npz"]
+    (file,) = folder.glob(f"*{scene.hash}*")
+    assert file.match(f"light-{light_module.VERSION}-*.npz")
     monkeypatch.setattr(light_module, "bake", lambda *_: pytest.fail("the light was in the cache"))
     assert np.array_equal(first, Renderer(scene, cache=folder).panorama(EYE, np.eye(3), 16).rgb)
 
@@ -370,6 +385,61 @@ def test_a_full_disk_is_a_warning_and_leaves_nothing(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+def test_an_interrupt_leaves_nothing_behind(tmp_path, monkeypatch):
+    def interrupted(out, **_):
+        out.write(b"half of it")
+        assert [path.suffix for path in tmp_path.iterdir()] == [".part"]  # nothing that others would read
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np, "savez_compressed", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        light_of(bare(), Lattice.of(bare()), cache=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_workers_that_light_the_same_scene_at_once_do_not_disturb_each_other(tmp_path):
+    together = threading.Barrier(4)
+
+    def work(_):
+        scene = bare()
+        lattice = Lattice.of(scene)
+        together.wait()
+        return [light_of(scene, lattice, cache=tmp_path) for _ in range(3)]
+
+    with ThreadPoolExecutor(4) as crew:
+        found = [light for lights in crew.map(work, range(4)) for light in lights]
+    assert all(np.array_equal(light, found[0]) for light in found)
+    assert [path.suffix for path in tmp_path.iterdir()] == [".npz"]
+
+
+def test_the_same_walls_with_other_rooms_have_a_light_of_their_own(scene, tmp_path):
+    closed = replace(scene, rooms=())  # without rooms nobody knows that the window leads outdoors
+    assert closed.hash == scene.hash
+    lights = [light_of(s, Lattice.of(s), cache=tmp_path) for s in (scene, closed)]
+    assert len(list(tmp_path.iterdir())) == 2
+    assert np.array_equal(light_of(scene, Lattice.of(scene), cache=tmp_path), lights[0])
+    assert not np.array_equal(*lights)
+
+
+def test_light_too_bright_for_its_file_is_cut_and_kept(tmp_path, monkeypatch):
+    scene = replace(bare(), lamps=(Lamp(LAMP, np.full(3, 1e8)),))
+    first = light_of(scene, Lattice.of(scene), cache=tmp_path)
+    assert np.isfinite(first).all()
+    monkeypatch.setattr(light_module, "bake", lambda *_: pytest.fail("the light was in the cache"))
+    assert np.array_equal(light_of(scene, Lattice.of(scene), cache=tmp_path), first)
+
+
+def test_a_user_without_a_home_has_a_cache(tmp_path, monkeypatch):
+    def homeless():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", homeless)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.delenv("EAGOR_CACHE")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    assert light_module.cache_folder() == tmp_path / "eagor"
+
+
 def test_the_folder_is_looked_up_when_it_is_needed(tmp_path, monkeypatch):
     renderer = Renderer(bare())
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
@@ -387,6 +457,23 @@ def test_both_engines_paint_the_same_picture(scene, renderer, folder):
     one, two = renderer.panorama(EYE, pose, 32), other.panorama(EYE, pose, 32)
     assert (one.ids == two.ids).mean() > 0.999
     assert (np.abs(one.rgb.astype(int) - two.rgb).max(axis=-1) <= 2).mean() > 0.995
+
+
+def test_both_engines_bake_the_same_light():
+    faces = bare(np.array([1.2, 0.9, 0.8]))
+    small = replace(faces, lamps=(Lamp(np.array([0.6, 0.4, 0.7]), np.ones(3)),))
+    lattice = Lattice.of(small)
+    one, two = bake(small, lattice, "embree"), bake(small, lattice, "numpy")
+    assert np.abs(one - two).max() < 0.02 * one.mean()
+
+
+def test_many_more_rays_hardly_change_the_light(scene, monkeypatch):
+    lattice = Lattice.of(scene)
+    few = bake(scene, lattice)
+    monkeypatch.setattr(light_module, "DIRECTIONS", 16 * light_module.DIRECTIONS)
+    many = bake(scene, lattice)
+    apart = np.sqrt(lattice.areas @ ((few - many) ** 2).sum(axis=1) / (lattice.areas @ (many**2).sum(axis=1)))
+    assert apart < 0.03
 
 
 def test_without_embreex_the_fallback_bakes_and_paints(monkeypatch, tmp_path):

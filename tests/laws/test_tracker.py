@@ -16,7 +16,7 @@ from eagor.sphere import angular_distance, direction, rotation, world_R_body
 from eagor.tracker import DirectionTracker, TrackerConfig
 
 GRID = PatchGrid(12, 24)
-FLAT = {"ranges": None, "degree": 7}
+FLAT = {"ranges": None, "degree": 7, "wander": 0.0}  # all that happens commutes with adding
 
 
 def look(target, stamp, score=0.9, concentration=60.0):

@@ -153,6 +153,15 @@ def test_occluded_is_what_cast_finds_within_reach(count, seed, reach):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
+def test_the_quick_kind_hits_the_same_things(engine):
+    vertices, triangles, origins, directions = soup(200, 9)
+    one, two = (make_raycaster(vertices, triangles, engine, tight).cast(origins, directions) for tight in (True, False))
+    same = one.triangle == two.triangle
+    assert same.mean() > 0.99
+    assert np.allclose(one.distance[same], two.distance[same], rtol=1e-4)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
 def test_the_same_rays_give_the_same_bytes_however_they_are_grouped(engine):
     vertices, triangles, origins, directions = soup(200, 9)
     whole = make_raycaster(vertices, triangles, engine).cast(origins, directions)

@@ -115,6 +115,7 @@ def variants(task: str) -> tuple[str, ...]:
         "eagor_paper:decode=mode",
         "eagor:decode=mean",
         "eagor:shells=0",
+        "eagor:wander=0",
         "eagor:keep=1",
         *(f"eagor:floor={floor}" for floor in (0.05, 0.2, 0.8)),
         *(f"eagor:temperature={beta}" for beta in (1, 2, 6)),

@@ -22,16 +22,18 @@ from eagor._arrays import Array, constant, matched, namespace
 from eagor.harmonics.legendre import latitude_functions, latitude_table
 from eagor.harmonics.rotation import rotate
 
+_DIGITS = 9  # of a step in metres, so that steps of one length share their tables whatever their rounding
+
 
 def translate(degree: int, shells: Array, ranges: np.ndarray, new_R_old: np.ndarray, displacement: np.ndarray) -> Array:
     """Fields ``(..., K, size)`` after the body has turned by `new_R_old` and moved by `displacement`.
 
     `ranges` ``(K,)`` metres, growing; `displacement` ``(3,)`` metres, of the body, in the NEW body frame.
     """
-    distance = float(np.linalg.norm(displacement))
+    distance = round(float(np.linalg.norm(displacement)), _DIGITS)
     if distance == 0.0:
         return rotate(degree, shells, matched(new_R_old, shells))
-    pole_R_new = _to_pole(displacement / distance)
+    pole_R_new = _to_pole(displacement / np.linalg.norm(displacement))
     upright = rotate(degree, shells, matched(pole_R_new @ new_R_old, shells))
     return rotate(degree, _along_pole(degree, upright, ranges, distance), matched(pole_R_new.T, shells))
 
@@ -39,16 +41,9 @@ def translate(degree: int, shells: Array, ranges: np.ndarray, new_R_old: np.ndar
 def _along_pole(degree: int, shells: Array, ranges: np.ndarray, distance: float) -> Array:
     """The warp for a displacement of `distance` metres along +z."""
     xp = namespace(shells)
-    nodes = _nodes(degree)[0]
-    count, points = len(ranges), len(ranges) * len(nodes)
-    # Where the quadrature node of each target shell was seen from before the step.
-    radius, z = ranges[:, None], nodes[None, :]
-    before = np.sqrt(radius**2 + distance**2 + 2 * radius * distance * z)
-    sines = ((radius * z + distance) / before).ravel()
-    position = np.interp(np.log(before).ravel(), np.log(ranges), np.arange(count))
-    nearest, weights = _cubic(position, count)
-
-    table = xp.permute_dims(latitude_functions(degree, matched(sines, shells)), (1, 2, 0))  # (m, points, l)
+    count, nodes = len(ranges), len(_nodes(degree)[0])
+    points = count * nodes
+    table, where, weights = (matched(part, shells) for part in _warp(degree, tuple(ranges.tolist()), distance))
     batch = tuple(shells.shape[:-2])
     packed = xp.take(shells, constant(_by_order, degree, like=shells), axis=-1)
     packed = xp.reshape(packed, (*batch, count, degree + 1, 2, degree + 1))
@@ -58,16 +53,36 @@ def _along_pole(degree: int, shells: Array, ranges: np.ndarray, distance: float)
     # Every order: the field of every source shell at every point, in one product; then keep the four that matter.
     seen = table @ xp.reshape(packed, (*batch, degree + 1, degree + 1, 2 * count))
     seen = xp.reshape(seen, (*batch, degree + 1, points * count, 2))
-    where = matched((np.arange(points) * count + nearest).ravel(), shells)
-    picked = xp.reshape(xp.take(seen, where, axis=-2), (*batch, degree + 1, 4, points, 2))
-    values = xp.sum(picked * matched(weights, shells)[..., None], axis=-3)
-    values = xp.reshape(values, (*batch, degree + 1, count, len(nodes), 2))
+    picked = xp.reshape(xp.take(seen, where, axis=-2), (*batch, degree + 1, 4, 2 * points))
+    values = xp.sum(picked * weights, axis=-2)
+    values = xp.reshape(values, (*batch, degree + 1, count, nodes, 2))
     values = xp.matrix_transpose(values)  # (m, k, cos/sin, node)
-    found = xp.reshape(values, (*batch, degree + 1, 2 * count, len(nodes))) @ constant(_gauss_plan, degree, like=shells)
+    found = xp.reshape(values, (*batch, degree + 1, 2 * count, nodes)) @ constant(_gauss_plan, degree, like=shells)
     found = xp.reshape(found, (*batch, degree + 1, count, 2, degree + 1))
     found = xp.permute_dims(found, (*range(len(batch)), len(batch) + 1, len(batch), len(batch) + 2, len(batch) + 3))
     found = xp.reshape(found, (*batch, count, -1))
     return xp.take(found, constant(_from_order, degree, like=shells), axis=-1)
+
+
+@lru_cache(maxsize=8)  # a robot's steps tend to be of one length
+def _warp(degree: int, ranges: tuple[float, ...], distance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the warp by `distance` needs at each quadrature node of each target shell ("points").
+
+    Latitude functions where the point was seen from before the step ``(degree + 1 (m), points, degree + 1 (l))``; which
+    of all shells at all points to take ``(4 points,)``, and their weights ``(4, 2 points)``, cosine and sine alike.
+    """
+    radius, z, count = np.array(ranges)[:, None], _nodes(degree)[0][None, :], len(ranges)
+    before = np.sqrt(radius**2 + distance**2 + 2 * radius * distance * z)
+    sines = ((radius * z + distance) / before).ravel()
+    nearest, weights = _cubic(np.interp(np.log(before).ravel(), np.log(ranges), np.arange(count)), count)
+    found = (
+        latitude_functions(degree, sines).transpose(1, 2, 0),
+        (np.arange(sines.size) * count + nearest).ravel(),
+        np.repeat(weights, 2, axis=1),
+    )
+    for part in found:
+        part.setflags(write=False)
+    return found
 
 
 def _cubic(position: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -27,6 +27,7 @@ from eagor.grids import PatchGrid
 from eagor.queries import Named, matching, parse_query
 from eagor.sphere import check_rotation
 
+CALIBRATION = Calibration(floor=0.2, neutral=0.1, temperature=2.0)  # fitted to moderate noise: benchmarks/fit.py
 WIDEST = 0.7  # radians: root of the sum of the variances over both axes
 _FARTHEST = 3.0  # radians: no displacement reaches the far side of the sphere, where it would have no direction
 
@@ -149,14 +150,14 @@ class TruthPerception:
 
     Args:
         noise: how good it is, as `Noise` or in the words of `Noise.parse`.
-        calibration: how responses become evidence; None for the default of `Evidence`.
+        calibration: how responses become evidence.
         rows: rows of its patch map, which has twice as many columns. The default is the map of a model with patches
             of 28 pixels on a panorama of 504 x 1008.
 
     Raises `EagorError` for settings that cannot be read, `GridError` for less than one row.
     """
 
-    def __init__(self, noise: str | Noise = "", calibration: Calibration | None = None, rows: int = 18) -> None:
+    def __init__(self, noise: str | Noise = "", calibration: Calibration = CALIBRATION, rows: int = 18) -> None:
         self.noise = noise if isinstance(noise, Noise) else Noise.parse(noise)
         self.calibration = calibration
         self.grid = PatchGrid(rows, 2 * rows)

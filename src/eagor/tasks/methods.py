@@ -7,6 +7,7 @@ itself; the filters, which only know `predict` and `update`, are rewound to that
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
@@ -26,6 +27,7 @@ from eagor.baselines import (
 from eagor.errors import EagorError, TimeError
 from eagor.evidence import Calibration, Evidence
 from eagor.ranged import log_ranges
+from eagor.tasks.fitted import fitted
 from eagor.tracker import DirectionTracker, Estimate, TrackerConfig
 
 PARTICLES = 2000
@@ -40,7 +42,7 @@ DESCRIPTIONS = {
     "vmf": "von Mises-Fisher filter: one direction and one concentration",
     "grid_filter": "Bayes filter on a grid of probabilities",
     "particle_filter": f"particle filter, {PARTICLES} directions",
-    "eagor": "our tracker: belief over direction and distance, degree 15, read at its mode",
+    "eagor": "our tracker: belief over direction and distance, standing or wandering, degree 15, read at its mode",
 }
 NAMES = tuple(DESCRIPTIONS)
 ORACLE = "oracle"  # is told the true direction: the ceiling that geometry and policy leave
@@ -173,18 +175,27 @@ class TrackerMethod:
         return self.estimate.distance
 
 
-def make_method(name: str, rng: np.random.Generator) -> Method:
-    """The method that `name` says; `rng` is for those that draw. Raises `EagorError` for a name that is none."""
+def make_method(
+    name: str, rng: np.random.Generator, perception: str = "", calibration: Calibration | None = None
+) -> Method:
+    """The method that `name` says; `rng` is for those that draw. Raises `EagorError` for a name that is none.
+
+    `perception` (as `eagor.perception.load` reads it) tells which fitted settings a rival starts from
+    (`eagor.tasks.fitted`), and `calibration` how that perception reads its responses: what our tracker's variants vary.
+    """
     base, _, text = name.partition(":")
     if base not in _MAKERS:
         raise EagorError(
             f"there is no method {base!r}; known are {', '.join(NAMES)}, and variants such as eagor:degree=7"
         )
-    settings = _settings(name, text)
+    settings = _settings(name, fitted(perception, base)) | _settings(name, text)
     try:
-        return _MAKERS[base](settings, rng)
+        return _MAKERS[base](settings, rng, calibration)
     except KeyError as error:
-        raise EagorError(f"method {name!r}: there is no setting {error}; known are {', '.join(_SETTINGS)}") from None
+        known = ", ".join(SETTINGS[base]) or "none"
+        raise EagorError(f"method {name!r}: there is no setting {error}; known for {base}: {known}") from None
+    except ValueError as error:
+        raise EagorError(f"method {name!r}: a setting wants a number ({error})") from None
 
 
 def _settings(name: str, text: str) -> dict[str, str]:
@@ -194,21 +205,33 @@ def _settings(name: str, text: str) -> dict[str, str]:
     return {key: value for key, _, value in pairs}
 
 
-_SETTINGS = ("degree", "decode", "floor", "neutral", "temperature", "keep", "shells", "diffusion")
+_READING = ("floor", "neutral", "temperature")
+_OURS = ("degree", "decode", *_READING, "keep", "shells", "diffusion", "wander", "restless")
+_ANGLES = ("noise", "diffusion", "roughening", "kernel")  # typed in degrees
+SETTINGS: dict[str, tuple[str, ...]] = {
+    "centroid": (),
+    "cent_circ": (),
+    "grid": (),
+    "eagor_paper": _OURS,
+    "vmf": (*_READING, "noise"),
+    "grid_filter": (*_READING, "diffusion", "mixing"),
+    "particle_filter": (*_READING, "roughening", "reborn", "kernel"),
+    "eagor": _OURS,
+}
 
 
-def tracker_config(config: TrackerConfig, settings: dict[str, str]) -> TrackerConfig:
-    """`config` with settings from text; raises KeyError for one that there is not.
+def tracker_config(
+    config: TrackerConfig, settings: dict[str, str], calibration: Calibration | None = None
+) -> TrackerConfig:
+    """`config` with settings from text; raises KeyError for one that there is not, ValueError for what is no number.
 
-    degree, decode, keep (per second), shells (0: directions only), diffusion (degrees per root second), and the
-    calibration's floor, neutral and temperature.
+    degree, decode, keep (per second), shells (0: directions only), diffusion and wander (degrees per root second),
+    restless (changes per second), and floor, neutral and temperature, which change `calibration` where the config
+    has none of its own.
     """
-    if unknown := [key for key in settings if key not in _SETTINGS]:
+    if unknown := [key for key in settings if key not in _OURS]:
         raise KeyError(unknown[0])
-    try:
-        numbers = {key: float(value) for key, value in settings.items() if key != "decode"}
-    except ValueError as error:
-        raise EagorError(f"a setting wants a number: {error}") from None
+    numbers = {key: float(value) for key, value in settings.items() if key != "decode"}
     if settings.get("decode", "mode") not in ("mode", "mean"):
         raise EagorError(f"decode = {settings['decode']!r}; wanted mode or mean")
     changes: dict[str, Any] = {}
@@ -218,37 +241,54 @@ def tracker_config(config: TrackerConfig, settings: dict[str, str]) -> TrackerCo
         changes["decode"] = settings["decode"]
     if "keep" in numbers:
         changes["keep_per_second"] = numbers["keep"]
-    if "diffusion" in numbers:
-        changes["diffusion"] = float(np.radians(numbers["diffusion"]))
+    changes |= {key: math.radians(numbers[key]) for key in ("diffusion", "wander") if key in numbers}
+    if "restless" in numbers:
+        changes["restless"] = numbers["restless"]
     if "shells" in numbers:
         count = int(numbers["shells"])
         changes["ranges"] = tuple(log_ranges(count=count).tolist()) if count else None
     reading = {key: numbers[key] for key in ("floor", "neutral", "temperature") if key in numbers}
     if reading:
-        changes["calibration"] = replace(config.calibration or Calibration(), scale_to_max=False, **reading)
+        changes["calibration"] = replace(
+            config.calibration or calibration or Calibration(), scale_to_max=False, **reading
+        )
     return replace(config, **changes)
 
 
-def _plain(make: Callable[[np.random.Generator], DirectionFilter]) -> Callable[..., Method]:
-    def made(settings: dict[str, str], rng: np.random.Generator) -> Method:
-        if settings:
-            raise EagorError(f"this method has no settings; got {', '.join(settings)}")
-        return FilterMethod(make(rng))
+def _filter(base: str, make: Callable[[np.random.Generator], Any]) -> Callable[..., Method]:
+    def made(settings: dict[str, str], rng: np.random.Generator, calibration: Calibration | None) -> Method:
+        if unknown := [key for key in settings if key not in SETTINGS[base]]:
+            raise KeyError(unknown[0])
+        state = make(rng)
+        numbers = {key: float(value) for key, value in settings.items()}
+        changes: dict[str, Any] = {
+            key: math.radians(value) if key in _ANGLES else value
+            for key, value in numbers.items()
+            if key not in _READING
+        }
+        if reading := {key: numbers[key] for key in _READING if key in numbers}:
+            changes["calibration"] = replace(state.calibration, **reading)
+        return FilterMethod(replace(state, **changes) if changes else state)
 
     return made
 
 
 def _tracking(config: TrackerConfig) -> Callable[..., Method]:
-    return lambda settings, rng: TrackerMethod(DirectionTracker(tracker_config(config, settings)))
+    return lambda settings, rng, calibration: TrackerMethod(
+        DirectionTracker(tracker_config(config, settings, calibration))
+    )
 
 
+_FILTERS: dict[str, Callable[[np.random.Generator], DirectionFilter]] = {
+    "centroid": lambda rng: Centroid(),
+    "cent_circ": lambda rng: CircularCentroid(),
+    "grid": lambda rng: GridFilter(),
+    "vmf": lambda rng: VonMisesFisherFilter(),
+    "grid_filter": lambda rng: HistogramFilter(),
+    "particle_filter": lambda rng: ParticleFilter.uniform(PARTICLES, rng),
+}
 _MAKERS: dict[str, Callable[..., Method]] = {
-    "centroid": _plain(lambda rng: Centroid()),
-    "cent_circ": _plain(lambda rng: CircularCentroid()),
-    "grid": _plain(lambda rng: GridFilter()),
+    **{base: _filter(base, make) for base, make in _FILTERS.items()},
     "eagor_paper": _tracking(TrackerConfig.paper()),
-    "vmf": _plain(lambda rng: VonMisesFisherFilter()),
-    "grid_filter": _plain(lambda rng: HistogramFilter()),
-    "particle_filter": _plain(lambda rng: ParticleFilter.uniform(PARTICLES, rng)),
     "eagor": _tracking(TrackerConfig()),
 }

@@ -108,12 +108,15 @@ class TrackingRules:
 
     - `steps`: of an episode. `speed`: metres per second of a moving ball.
     - `gone`: in the third scenario the ball is away for this share of the episode (from, to), then elsewhere.
+    - `seen`: plans are drawn until one shows the ball at this share of the steps (a ball that rolls about
+      elsewhere tells nothing about any method).
     - `lost_above`: degrees of error beyond which the target counts as lost.
     """
 
     steps: int = 60
     speed: float = 0.4
     gone: tuple[float, float] = (0.4, 0.6)
+    seen: float = 0.7
     lost_above: float = 30.0
     visible_pixels: int = 2
 

@@ -19,7 +19,8 @@ from eagor.worlds.ball import PAINTS, Ball, with_ball
 
 SCENARIOS = ("moving target", "moving camera", "target gone")
 RADIUS = (0.2, 0.32)  # metres, the balls
-TRIES = 60
+TRIES = 60  # plans looked at until one shows the ball often enough; after that, the best of them
+EVERY = 4  # steps, when a plan is checked for how often it shows the ball
 SEEN_PIXELS = 6  # of a 64 x 128 panorama: a start at which the ball is in plain view
 
 
@@ -50,7 +51,10 @@ def plan(slot: Slot, camera: Camera, rules: TrackingRules) -> TrackingEpisode:
     rng = slot.rng("plan")
     scenario = SCENARIOS[slot.number % len(SCENARIOS)]
     radius, colour = float(rng.uniform(*RADIUS)), str(rng.choice(sorted(PAINTS)))
+    best: tuple[float, TrackingEpisode] | None = None
     for _ in range(TRIES):
+        if best is not None and best[0] >= rules.seen:
+            break
         xy, yaw = place.ground.sample(rng), float(rng.uniform(-math.pi, math.pi))
         first = _spot(place, xy, radius, camera, rng)
         if first is None:
@@ -72,22 +76,44 @@ def plan(slot: Slot, camera: Camera, rules: TrackingRules) -> TrackingEpisode:
             still[:, 2] = yaw + 0.8 * np.sin(np.arange(rules.steps) * 0.25)
         if route is None:
             continue
-        return TrackingEpisode(
-            slot=slot,
-            scene=place.scene.source,
-            scene_hash=place.scene.hash,
-            query=f"{colour} ball",
-            targets=(len(place.scene.instances),),
-            start=(float(route[0, 0]), float(route[0, 1])),
-            yaw=float(route[0, 2]),
-            shortest=float(place.ground.field(route[0, None, :2]).distance(first[:2])),
-            stratum={"scenario": scenario},
-            route=tuple(tuple(row) for row in route.tolist()),
-            balls=tuple(None if ball is None else tuple(ball.tolist()) for ball in balls),
-            radius=radius,
-            colour=colour,
+        seen = _share_in_view(place, route, balls, radius, camera, rules)
+        if best is not None and seen <= best[0]:
+            continue
+        best = (
+            seen,
+            TrackingEpisode(
+                slot=slot,
+                scene=place.scene.source,
+                scene_hash=place.scene.hash,
+                query=f"{colour} ball",
+                targets=(len(place.scene.instances),),
+                start=(float(route[0, 0]), float(route[0, 1])),
+                yaw=float(route[0, 2]),
+                shortest=float(place.ground.field(route[0, None, :2]).distance(first[:2])),
+                stratum={"scenario": scenario, "in view": round(seen, 3)},
+                route=tuple(tuple(row) for row in route.tolist()),
+                balls=tuple(None if ball is None else tuple(ball.tolist()) for ball in balls),
+                radius=radius,
+                colour=colour,
+            ),
         )
-    raise WorldError(f"{place.scene.source} has no room for a ball in view ({scenario})")
+    if best is None:
+        raise WorldError(f"{place.scene.source} has no room for a ball in view ({scenario})")
+    return best[1]
+
+
+def _share_in_view(
+    place: Place, route: np.ndarray, balls: list, radius: float, camera: Camera, rules: TrackingRules
+) -> float:
+    """The share of the steps at which the ball is there that show it; every `EVERY`-th step is looked at."""
+    shown = []
+    for (x, y, _), ball in list(zip(route, balls, strict=True))[::EVERY]:
+        if ball is not None:
+            position = np.array([x, y, camera.height])
+            frame = place.renderer.panorama(position, world_R_body(0.0), LOOK_ROWS, rgb=False)
+            ids = with_ball(frame, position, np.eye(3), Ball(ball, radius, "red"), 1 << 20).ids
+            shown.append(np.count_nonzero(ids == 1 << 20) >= rules.visible_pixels)
+    return float(np.mean(shown))
 
 
 def _spot(place: Place, xy: np.ndarray, radius: float, camera: Camera, rng: np.random.Generator) -> np.ndarray | None:
@@ -133,7 +159,7 @@ def measure(
     """The columns of one episode, over the steps at which the ball is there.
 
     `error` (degrees), `tc` (mean angle, degrees per step, between the estimate and the one before it, carried along by
-    the camera's true motion and the ball's), `time_lost` (share of steps with more error than the rules allow),
+    the camera's true motion and the ball's), `time_lost` (percentage of steps with more error than the rules allow),
     `recovery` (seconds from when the ball comes back until the error is small again; all that is left if it never
     is), `coverage`. None where there is no case. `directions` and `estimates` ``(n, 3)`` are the true and the estimated
     ones, body frame; `rotations` ``(n - 1, 3, 3)`` the camera's true new_R_old.

@@ -2,16 +2,20 @@
 
 Light is irradiance over pi, so that a white surface has this radiance; linear RGB; 1 is a white surface 1 m in front of
 a lamp of power 1. All points of the scene see the same few points of each source, and send their rays along one shared
-low-discrepancy set of directions (R2 sequence, M. Roberts 2018), turned about the normal from point to point: when the
-light is smoothed over a surface, neighbours complete each other. Independent samples would leave blotches.
+spiral of directions (Vogel 1979), turned about the normal from point to point: when the light is smoothed over a
+surface, neighbours complete each other. Independent samples would leave blotches.
 """
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import os
 import tempfile
+import uuid
 import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,13 +25,17 @@ from eagor.worlds.raycast import Raycaster, make_raycaster
 from eagor.worlds.scene import Scene
 from eagor.worlds.sources import GOLDEN, LIFT, SKY_GAIN, Source, glowing, lamps, leave_through, mean_colour, portals
 
-VERSION = 2  # of the light: part of the name of its files
-DIRECTIONS = 96  # rays per point
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+VERSION = 3  # of the light: part of the name of its files
+DIRECTIONS = 32  # rays per point: their noise is below the detail that the smoothing costs
 BOUNCES = 4
 SMOOTHING = 3  # passes over the indirect light
 # What is closer than `NEAR` metres takes up to this share of the light: the lattice is too coarse for the fine shadows
 # that tie furniture to the floor.
 CONTACT, NEAR = 0.6, 0.4
+_HIGHEST = 6e4  # what half precision holds
 _SPARSE = 4  # every which direction is asked whether a point is shut in
 
 
@@ -37,19 +45,27 @@ def light_of(scene: Scene, lattice: Lattice, engine: str = "auto", cache: Path |
     `cache` is a folder; None means `cache_folder`. Where it cannot be written, a `UserWarning` says so.
     """
     folder = cache_folder() if cache is None else Path(cache)
-    file = folder / f"light-{VERSION}-{scene.hash}.npz"
+    file = folder / f"light-{VERSION}-{scene.hash}-{_rooms(scene)}.npz"
     found = _read(file, lattice.size)
     if found is None:
-        found = bake(scene, lattice, engine).astype(np.float16)
+        found = np.minimum(bake(scene, lattice, engine), _HIGHEST).astype(np.float16)
         _write(file, found)
     return found.astype(np.float32)
 
 
 def cache_folder() -> Path:
-    """Where light is kept: $EAGOR_CACHE, else eagor in $XDG_CACHE_HOME, else ~/.cache/eagor; looked up when called."""
+    """Where light is kept: $EAGOR_CACHE, else eagor in $XDG_CACHE_HOME, else ~/.cache/eagor; looked up when called.
+
+    The system's folder for temporary files takes the place of ~/.cache where the user has no home.
+    """
     if chosen := os.environ.get("EAGOR_CACHE"):
         return Path(chosen)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "eagor"
+    if chosen := os.environ.get("XDG_CACHE_HOME"):
+        return Path(chosen) / "eagor"
+    try:
+        return Path.home() / ".cache" / "eagor"
+    except RuntimeError:  # a user without a home, as in containers
+        return Path(tempfile.gettempdir()) / "eagor"
 
 
 def bake(scene: Scene, lattice: Lattice, engine: str = "auto") -> np.ndarray:
@@ -57,20 +73,23 @@ def bake(scene: Scene, lattice: Lattice, engine: str = "auto") -> np.ndarray:
     points = lattice.points
     origin = (points.position + LIFT * points.normal).astype(np.float32)
     normal = points.normal.astype(np.float32)
-    everything = make_raycaster(scene.vertices, lattice.triangles, engine)
+    everything = make_raycaster(scene.vertices, lattice.triangles, engine, watertight=False)
     glows = np.array([m.emission for m in scene.materials])[scene.material] > 0
     # Shades and bulbs do not darken the light that the lamps in them stand for.
     solid = lattice.triangles[~glows]
-    shadows = make_raycaster(scene.vertices, solid, engine) if 0 < len(solid) < len(glows) else everything
+    shadows = everything
+    if 0 < len(solid) < len(glows):
+        shadows = make_raycaster(scene.vertices, solid, engine, watertight=False)
     windows = portals(scene)
-    direct = np.zeros((len(origin), 3))
+    direct = np.zeros((len(origin), 3), dtype=np.float32)
     sources = [*lamps(scene, shadows), *glowing(scene), *windows]
     for source in sources:
         source.add_to(direct, origin, normal, shadows)
     indirect, close, buried = _gather(scene, lattice, origin, normal, direct, everything, windows, dark=not sources)
-    direct = _smoothed(_filled(direct, buried, lattice), lattice, 2)
-    indirect = _smoothed(_filled(indirect, buried, lattice), lattice, SMOOTHING)
-    contact = 1 - CONTACT * _smoothed(_filled(close[:, None], buried, lattice), lattice, 1)
+    neighbours = _neighbours(lattice)
+    direct = _smoothed(_filled(direct, buried, neighbours), neighbours, 2)
+    indirect = _smoothed(_filled(indirect, buried, neighbours), neighbours, SMOOTHING)
+    contact = 1 - CONTACT * _smoothed(_filled(close[:, None], buried, neighbours), neighbours, 1)
     return ((direct + indirect) * contact)[points.of_slot]
 
 
@@ -90,17 +109,18 @@ def _gather(
     scanned room, is filled with even light, less of it in its corners.
     """
     tangent, bitangent = _tangents(normal)
-    # Neighbours turn the set by different angles: what one of them misses the smoothing finds.
-    turn = (2 * np.pi / GOLDEN * np.arange(len(origin)))[:, None]
+    # Neighbours turn the set by different angles: what one of them misses the smoothing finds. Not by the golden angle,
+    # which leads from each direction of the spiral to the next: neighbours would look almost the same way.
+    turn = (2 * np.pi / np.sqrt(2) * np.arange(len(origin)))[:, None]
     cosine, sine = np.cos(turn).astype(np.float32), np.sin(turn).astype(np.float32)
     facing = lattice.frame[3].astype(np.float32)
     # One row more, for rays that hit nothing: their slot is the one after the last.
     nu, nv = (np.append(column, 0).astype(np.float32) for column in lattice.cells.T)
     base, stride = np.append(lattice.base, lattice.size), nu.astype(np.int32) + 1
     seen = np.empty((DIRECTIONS, len(origin)), dtype=np.int32)
-    open_sky, behind = np.zeros((len(origin), 3)), np.zeros(len(origin), dtype=np.int32)
+    open_sky, behind = np.zeros((len(origin), 3), dtype=np.float32), np.zeros(len(origin), dtype=np.int32)
     close = np.zeros(len(origin), dtype=np.float32)
-    daylight = np.asarray(scene.daylight) / DIRECTIONS
+    daylight = np.asarray(scene.daylight, dtype=np.float32) / DIRECTIONS
     for k, (x, y, z) in enumerate(hemisphere(DIRECTIONS).astype(np.float32)):
         way = (x * cosine - y * sine) * tangent
         way += (x * sine + y * cosine) * bitangent
@@ -116,17 +136,16 @@ def _gather(
             back[left] = False
             behind += back
         if dark:
-            open_sky += np.where(triangle < 0, 0, np.minimum(hits.distance, 1.0))[:, None] * daylight
+            open_sky += np.where(triangle < 0, 0, np.minimum(hits.distance, 1))[:, None] * daylight
         for window in windows:
             left = left[~leave_through(window, origin[left], way[left])]
         open_sky[left] += sky.radiance(way[left]) * (SKY_GAIN * daylight)
-    reflectance = np.array([mean_colour(m) for m in scene.materials])[scene.material]
-    triangle = lattice.slots[0]
-    of_slot = lattice.points.of_slot
+    reflectance = np.array([mean_colour(m) for m in scene.materials], dtype=np.float32)[scene.material]
+    reflectance = reflectance[lattice.slots[0]]
     radiance = np.zeros((lattice.size + 1, 3), dtype=np.float32)  # the last: nothing
-    indirect = open_sky.copy()
+    indirect = open_sky
     for _ in range(BOUNCES):
-        radiance[:-1] = (direct + indirect)[of_slot] * reflectance[triangle]
+        radiance[:-1] = (direct + indirect)[lattice.points.of_slot] * reflectance
         bounced = np.zeros(indirect.shape, dtype=np.float32)
         for row in seen:
             bounced += radiance.take(row, axis=0)
@@ -136,11 +155,9 @@ def _gather(
 
 def hemisphere(count: int) -> np.ndarray:
     """Directions ``(count, 3)`` about +z, as dense as the cosine of their angle to it."""
-    plastic = 1.32471795724474602596
-    k = np.arange(1, count + 1)
-    first, second = (0.5 + k / plastic) % 1, (0.5 + k / plastic**2) % 1
-    radius, angle = np.sqrt(first), 2 * np.pi * second
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - first)], axis=1)
+    share, angle = (np.arange(count) + 0.5) / count, 2 * np.pi / GOLDEN * np.arange(count)
+    radius = np.sqrt(share)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - share)], axis=1)
 
 
 def _tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -152,35 +169,46 @@ def _tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([1 + sign * x * x * a, sign * b, -sign * x], 1), np.stack([b, sign + y * y * a, -y], 1)
 
 
-def _filled(light: np.ndarray, buried: np.ndarray, lattice: Lattice) -> np.ndarray:
-    """`light` with the points that are shut in other things given the mean of their neighbours in the open."""
-    a, b = lattice.links
-    light, missing = np.where(buried[:, None], light.dtype.type(0), light), buried.copy()
-    for _ in range(4):
-        known = np.concatenate([~missing[b], ~missing[a]])
-        into, source = np.concatenate([a, b])[known], np.concatenate([b, a])[known]
-        count = np.bincount(into, minlength=len(light))
-        channels = [np.bincount(into, column[source], minlength=len(light)) for column in light.T]
-        total = np.stack(channels, axis=1)
-        reached = missing & (count > 0)
-        light[reached] = total[reached] / count[reached, None]
-        missing &= ~reached
-    return light
-
-
-def _smoothed(light: np.ndarray, lattice: Lattice, passes: int) -> np.ndarray:
-    """`light` ``(P, 3)`` averaged with its neighbours on the same surface, `passes` times."""
+def _neighbours(lattice: Lattice) -> csr_array:
+    """Which points are next to each other on the same surface: ``(P, P)``, how often."""
     from scipy.sparse import csr_array
 
     a, b = lattice.links
-    count = len(light)
+    count = len(lattice.points.position)
     ones = np.ones(2 * len(a), dtype=np.float32)
-    neighbours = csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(count, count))
-    weight = np.maximum(neighbours.sum(axis=1), 1e-9)[:, None]
-    alone = weight < 0.5
-    for _ in range(passes):
-        light = np.where(alone, light, 0.5 * light + 0.5 * (neighbours @ light) / weight)
+    return csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(count, count))
+
+
+def _filled(light: np.ndarray, buried: np.ndarray, neighbours: csr_array) -> np.ndarray:
+    """`light` with the points that are shut in other things given the mean of their neighbours in the open."""
+    light, missing = np.where(buried[:, None], light.dtype.type(0), light), np.flatnonzero(buried)
+    known = (~buried).astype(np.float32)
+    for _ in range(4):
+        around = neighbours[missing]
+        count = around @ known
+        reached = count > 0
+        light[missing[reached]] = (around @ light)[reached] / count[reached, None]
+        known[missing[reached]] = 1
+        missing = missing[~reached]
     return light
+
+
+def _smoothed(light: np.ndarray, neighbours: csr_array, passes: int) -> np.ndarray:
+    """`light` ``(P, 3)`` averaged with its neighbours on the same surface, `passes` times."""
+    weight = np.maximum(neighbours.sum(axis=1), np.float32(1e-9))[:, None]
+    alone = weight < 0.5
+    half = np.float32(0.5)
+    for _ in range(passes):
+        light = np.where(alone, light, half * light + half * (neighbours @ light) / weight)
+    return light
+
+
+def _rooms(scene: Scene) -> str:
+    """Six hexadecimal digits for the rooms, which decide which windows lead outdoors and are not in `Scene.hash`."""
+    digest = hashlib.sha256()
+    for room in scene.rooms:
+        digest.update(np.asarray(room.rectangles, dtype=np.float64).tobytes() + b";")
+    return digest.hexdigest()[:6]
 
 
 def _read(file: Path, size: int) -> np.ndarray | None:
@@ -195,11 +223,11 @@ def _read(file: Path, size: int) -> np.ndarray | None:
 
 def _write(file: Path, light: np.ndarray) -> None:
     """Put the light into `file` in one step, so that nobody ever reads half of it; a warning where that fails."""
-    temporary = None
+    # A name of its own, so that workers that light the same scene at the same time do not meet.
+    temporary = file.with_name(f"{file.stem}-{uuid.uuid4().hex}.part")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, suffix=".part", delete=False) as out:
-            temporary = Path(out.name)
+        with temporary.open("xb") as out:
             np.savez_compressed(out, light=light)
         temporary.replace(file)
     except OSError as error:
@@ -209,5 +237,6 @@ def _write(file: Path, light: np.ndarray) -> None:
             UserWarning,
             stacklevel=4,
         )
-        if temporary is not None:
+    finally:  # also when interrupted
+        with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from eagor.errors import GridError, PoseError
-from eagor.grids import ErpGrid, Grid
+from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.sphere import check_rotation
 from eagor.worlds.lattice import Lattice
 from eagor.worlds.light import light_of
@@ -106,14 +106,20 @@ class Renderer:
     ) -> Frame:
         """What `grid` sees from `position` ``(3,)``, metres; its body frame has the pose `world_R_view`.
 
-        Cells in which the grid sees nothing (the corners of a fisheye) are black, at range inf, id -1. Errors as in
-        `panorama`.
+        Cells in which the grid sees nothing (the corners of a fisheye) are black, at range inf, id -1. An `ErpGrid`
+        twice as wide as high gives the `panorama`. Errors as there.
         """
+        if isinstance(grid, ErpGrid) and grid.width == 2 * grid.height:
+            return self.panorama(position, world_R_view, grid.height, rgb=rgb, range=range, ids=ids)
         rotation = _rotation(world_R_view, "world_R_view")
         weights = np.asarray(grid.weights)
         seen = weights.ravel() > 0
         directions = (grid.directions.reshape(-1, 3)[seen] @ rotation.T).astype(np.float32)
-        pixel = math.sqrt(float(np.median(weights[weights > 0])))
+        # The angle of a pixel, which chooses how fine textures are: the cells of a panorama are alike in elevation.
+        separable = isinstance(grid, ErpGrid | PatchGrid)
+        pixel = (
+            math.pi / grid.shape[0] if separable else math.sqrt(float(np.median(weights[seen.reshape(weights.shape)])))
+        )
         frame = self._seen(position, directions, (len(directions),), pixel, rgb, range, ids)
         if seen.all():
             return Frame(*(None if a is None else a.reshape(*grid.shape, *a.shape[1:]) for a in _parts(frame)))

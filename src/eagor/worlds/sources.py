@@ -42,46 +42,59 @@ class Source:
         Shadow rays to the first points of the source decide for the rest wherever they agree.
         """
         brightest = float(self.power.max())
-        near = np.linalg.norm(origin - self.positions.mean(axis=0), axis=1)
-        near = np.flatnonzero(near < np.sqrt(brightest / _FAINT))
+        axis = None if self.normal is None else self.normal.astype(np.float32)
+        centre = self.positions.mean(axis=0)
+        spread = float(np.linalg.norm(self.positions - centre, axis=1).max())
+        way = centre.astype(np.float32) - origin
+        reached = np.einsum("nk,nk->n", way, way) < brightest / _FAINT
+        reached &= np.einsum("nk,nk->n", way, normal) > -spread
+        if axis is not None:
+            reached &= way @ axis < spread
+        near = np.flatnonzero(reached)
+        origin, normal = origin[near], normal[near]
         asked, passed = np.zeros(len(near), dtype=np.int32), np.zeros(len(near), dtype=np.int32)
-        for k, place in enumerate(self.positions):
-            way = place.astype(np.float32) - origin[near]
+        gained = np.zeros((len(near), 3 if self.sky else 1), dtype=np.float32)
+        for k, place in enumerate(self.positions.astype(np.float32)):
+            if k == self.probes:  # what no probe has seen stays dark
+                left = np.flatnonzero(passed)
+                light[near] += gained * self.power
+                near, origin, normal, asked, passed = (a[left] for a in (near, origin, normal, asked, passed))
+                gained = np.zeros((len(near), gained.shape[1]), dtype=np.float32)
+            way = place - origin
             square = np.einsum("nk,nk->n", way, way)
             distance = np.maximum(np.sqrt(square), np.float32(1e-6))
-            share = np.einsum("nk,nk->n", way, normal[near]) / distance
-            if self.normal is not None:
-                share *= np.maximum(-(way @ self.normal.astype(np.float32)), 0) / distance
-            share /= (square + np.float32(self.radius**2)) * len(self.positions)
-            lit = np.flatnonzero(share * brightest > _FAINT / len(self.positions))
-            unsure = lit if k < self.probes else lit[(passed[lit] > 0) & (passed[lit] < asked[lit])]
-            stop = np.maximum(1 - (LIFT + self.short) / distance[unsure], 0.0)
-            shaded = shadows.occluded(origin[near[unsure]], way[unsure], stop)
-            dark = passed == 0 if k >= self.probes else np.zeros(len(near), dtype=bool)
-            dark[unsure] = shaded
+            share = np.einsum("nk,nk->n", way, normal) / distance
+            if axis is not None:
+                share *= np.maximum(-(way @ axis), 0) / distance
+            share /= (square + np.float32(self.radius**2)) * np.float32(len(self.positions))
+            lit = share * np.float32(brightest) > _FAINT / len(self.positions)
+            unsure = np.flatnonzero(lit if k < self.probes else lit & (passed < asked))
+            stop = np.maximum(1 - np.float32(LIFT + self.short) / distance[unsure], 0)
+            shaded = shadows.occluded(origin[unsure], way[unsure], stop)
             if k < self.probes:
                 asked[unsure] += 1
-                passed[unsure[~shaded]] += 1
-            lit = lit[~dark[lit]]
-            colour = sky.radiance(way[lit]) * self.power if self.sky else self.power
-            light[near[lit]] += share[lit, None] * colour
+                passed[unsure] += ~shaded
+            lit[unsure[shaded]] = False
+            share *= lit
+            gained += share[:, None] * sky.radiance(way) if self.sky else share[:, None]
+        light[near] += gained * self.power
 
 
 def lamps(scene: Scene, shadows: Raycaster) -> list[Source]:
     """The lamps, as little balls of points, so that their shadows have soft edges."""
-    cube = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3)
-    k = np.arange(8)
-    height, angle = (2 * k + 1) / 8 - 1, 2 * np.pi / GOLDEN * k
+    tetrahedron = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
+    k = np.arange(12)
+    height, angle = (2 * k + 1) / 12 - 1, 2 * np.pi / GOLDEN * k
     ring = np.sqrt(1 - height**2)
     spiral = np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)
-    ball = np.concatenate([cube, spiral]).astype(np.float32)
+    ball = np.concatenate([tetrahedron, spiral]).astype(np.float32)
     found = []
     for lamp in scene.lamps:
         centre = np.asarray(lamp.position, dtype=np.float32)
         # The ball must not stick out through the shade.
         free = shadows.cast(np.broadcast_to(centre, ball.shape), ball).distance
         points = centre + np.minimum(0.7 * free, _BALL)[:, None] * ball
-        found.append(Source(points, None, np.asarray(lamp.power, dtype=np.float64), probes=8))
+        found.append(Source(points, None, np.asarray(lamp.power, dtype=np.float64), probes=4))
     return found
 
 

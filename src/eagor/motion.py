@@ -1,0 +1,180 @@
+"""Whether the target stands still or wanders: two hypotheses, weighed by how well each foretells what is seen next.
+
+A thing that stands still is best found by a long memory, with parallax as the guide; a thing that wanders by a short
+one. Neither serves both. So both are kept, and each look is first foretold by either: the one that expected it gains
+(interacting multiple models without exchange of states; Blom and Bar-Shalom, IEEE Transactions on Automatic Control
+33(8), 1988). The belief that is read is their mixture.
+
+The wanderer is held as a density, not as its logarithm. There, diffusion is exact and costs one product: the heat
+kernel multiplies the coefficients of degree l by exp(-l (l + 1) sigma^2 / 2). Its density is q exp(r), with q
+band-limited and r the log ratios of the looks since q was last spread.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from eagor.belief import Belief, Reading
+from eagor.grids import ErpGrid
+from eagor.harmonics import RealHarmonics
+from eagor.peaks import decoding_grid
+from eagor.posterior import Field
+from eagor.ranged import RangedBelief
+
+ANYWHERE = 2e-3  # per second: the share of a wanderer's density that is spread evenly: it may have been carried off
+SURE = 1e-6  # neither hypothesis is ever less likely than this
+_UNIFORM = 1 / math.sqrt(4 * math.pi)  # the coefficient of degree 0 of a density
+
+
+@dataclass(frozen=True, eq=False)
+class Wanderer:
+    """Where a wandering target may be: the density q exp(r) / Z. World or body axes, as the looks come.
+
+    `spread` ``(size,)``: coefficients of q; `looks` ``(size,)``: of r. `evidence`: log of how likely all looks were
+    under this hypothesis, against a target that is not here.
+    """
+
+    spread: np.ndarray
+    looks: np.ndarray
+    least: float = 1 / (4 * math.pi)  # the lowest density that q can have: what lies lower is ringing
+    evidence: float = 0.0
+
+    @classmethod
+    def uniform(cls, degree: int) -> Wanderer:
+        """Anywhere."""
+        spread = np.zeros(RealHarmonics(degree).size)
+        spread[0] = _UNIFORM
+        return cls(spread, np.zeros_like(spread))
+
+    @property
+    def basis(self) -> RealHarmonics:
+        """The basis of the coefficients."""
+        return RealHarmonics(math.isqrt(len(self.spread)) - 1)
+
+    @cached_property
+    def field(self) -> np.ndarray:
+        """log of q exp(r) on the decoding grid, not normalised."""
+        return self.evaluator()(decoding_grid(self.basis.degree))
+
+    def evaluator(self) -> Callable[[Any], np.ndarray]:
+        """What gives log of q exp(r) on any grid, or at directions."""
+        basis, spread, looks, least = self.basis, self.spread, self.looks, self.least
+
+        def evaluate(where: Any) -> np.ndarray:
+            return np.log(np.maximum(basis.synthesise(spread, where), least)) + basis.synthesise(looks, where)
+
+        return evaluate
+
+    def after(self, elapsed: float, wander: float, keep: float) -> Wanderer:
+        """After `elapsed` seconds of wandering by `wander` radians per root second; `evidence` fades by `keep`."""
+        if elapsed <= 0:
+            return self
+        grid, basis = decoding_grid(self.basis.degree), self.basis
+        density = self.basis.analyse(np.exp(self.field - _log_mass(self.field, grid.weights)), grid)
+        density = basis.smooth(density, wander * math.sqrt(elapsed)) * (_UNIFORM / density[0])
+        lost = -math.expm1(-ANYWHERE * elapsed)
+        density *= 1 - lost
+        density[0] = _UNIFORM
+        return Wanderer(density, np.zeros_like(density), lost / (4 * math.pi), self.evidence * keep)
+
+
+@dataclass(frozen=True, eq=False)
+class StillOrMoving(Reading):
+    """A target that stands still with probability 1 - `moving`, and wanders with probability `moving`.
+
+    `still`: the belief of the first case, over direction, or over direction and distance.
+    """
+
+    still: Belief | RangedBelief
+    wanderer: Wanderer
+    moving: float = 0.5
+    field_of_still: np.ndarray | None = None  # log ratios of `still` on the decoding grid, where they are known already
+
+    @classmethod
+    def uniform(cls, still: Belief | RangedBelief) -> StillOrMoving:
+        """Nothing known, `still` being a belief without evidence."""
+        return cls(still, Wanderer.uniform(still.degree))
+
+    @property
+    def degree(self) -> int:
+        """The highest degree of the harmonics."""
+        return self.still.degree
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """One belief: no batch."""
+        return ()
+
+    def after(
+        self, still: Belief | RangedBelief, elapsed: float, wander: float, restless: float, keep: float
+    ) -> StillOrMoving:
+        """After `elapsed` seconds: `still` is the first case carried there; `restless`: changes of mind per second."""
+        if elapsed <= 0:
+            return replace(self, still=still, field_of_still=None)
+        changed = -math.expm1(-2 * restless * elapsed) / 2  # of a Markov chain with two states
+        moving = self.moving + changed * (1 - 2 * self.moving)
+        return StillOrMoving(still, self.wanderer.after(elapsed, wander, keep), moving)
+
+    def update(self, still: Belief | RangedBelief, look: np.ndarray) -> StillOrMoving:
+        """With the log ratios `look` ``(size,)`` of one more look; `still` is the first case with that look added."""
+        grid, wanderer = decoding_grid(self.degree), self.wanderer
+        log_ratio = RealHarmonics(self.degree).synthesise(look, grid)
+        before = self._stays
+        gains = [
+            _log_mass(found + log_ratio, grid.weights) - _log_mass(found, grid.weights)
+            for found in (before, wanderer.field)
+        ]
+        odds = math.log(self.moving) - math.log1p(-self.moving) + gains[1] - gains[0]
+        moving = 1 / (1 + math.exp(min(max(-odds, math.log(SURE)), -math.log(SURE))))
+        roamed = replace(wanderer, looks=wanderer.looks + look, evidence=wanderer.evidence + gains[1])
+        # A look adds the same to every range, so that it adds as much to the field over all of them.
+        return StillOrMoving(still, roamed, min(max(moving, SURE), 1 - SURE), before + log_ratio)
+
+    @cached_property
+    def _stays(self) -> np.ndarray:
+        return self.still.posterior.coarse if self.field_of_still is None else self.field_of_still
+
+    def direction_belief(self) -> Belief:
+        """The belief over directions alone, projected to this degree."""
+        grid = decoding_grid(self.degree)
+        return Belief(RealHarmonics(self.degree).analyse(self.posterior.coarse, grid))
+
+    def log_density(self, directions: np.ndarray) -> np.ndarray:
+        """log p per steradian at unit vectors ``(n..., 3)``: ``(n...)``; integrates to 1."""
+        return self._evaluator()(directions) - self.posterior.log_total
+
+    def range_probabilities(self) -> np.ndarray:
+        """Probability of each shell ``(K,)``, if the target stands still and its belief holds ranges."""
+        if not isinstance(self.still, RangedBelief):
+            raise TypeError("this belief knows no ranges")
+        return self.still.range_probabilities()
+
+    def _field(self, index: tuple[int, ...]) -> Field:
+        return self._evaluator()
+
+    def _evaluator(self) -> Callable[[Any], np.ndarray]:
+        """What gives the mixture's log ratios on any grid, or at directions."""
+        grid, known = decoding_grid(self.degree), (self._stays, self.wanderer.field)
+        stays, roams = self.still.posterior.evaluate, self.wanderer.evaluator()
+        totals = [_log_mass(values, grid.weights) for values in known]
+        shares = math.log1p(-self.moving), math.log(self.moving)
+        evidence = np.logaddexp(shares[0] + totals[0], shares[1] + self.wanderer.evidence + math.log(4 * math.pi))
+        offsets = [evidence + share - total for share, total in zip(shares, totals, strict=True)]
+
+        def evaluate(where: Any) -> np.ndarray:
+            a, b = known if isinstance(where, ErpGrid) and where == grid else (stays(where), roams(where))
+            return np.logaddexp(a + offsets[0], b + offsets[1])
+
+        return evaluate
+
+
+def _log_mass(values: np.ndarray, weights: np.ndarray) -> float:
+    """log of the integral of exp(values)."""
+    top = float(values.max())
+    return top + math.log(float(np.sum(np.exp(values - top) * weights)))

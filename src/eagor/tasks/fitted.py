@@ -1,0 +1,17 @@
+"""Settings of the rivals for each perception, as lines of text that `eagor.tasks.methods` reads.
+
+A filter reads a response through a calibration, and what is right for one perception is wrong for another. These won on
+development episodes: ``benchmarks/fit.py``, the same number of trials for each filter and for ours, whose calibration
+belongs to the perception itself.
+"""
+
+from __future__ import annotations
+
+FITTED: dict[str, dict[str, str]] = {
+    "truth": {},
+}
+
+
+def fitted(perception: str, base: str) -> str:
+    """The settings of a method for a perception, "" where it has none of its own."""
+    return FITTED.get(perception.partition(":")[0], {}).get(base, "")
