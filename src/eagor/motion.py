@@ -27,7 +27,7 @@ from eagor.peaks import decoding_grid
 from eagor.posterior import Field
 from eagor.ranged import RangedBelief
 
-ANYWHERE = 2e-3  # per second: the share of a wanderer's density that is spread evenly: it may have been carried off
+ANYWHERE = 2e-2  # per second: the share of a wanderer's density that is spread evenly: it may have been carried off
 SURE = 1e-6  # neither hypothesis is ever less likely than this
 _UNIFORM = 1 / math.sqrt(4 * math.pi)  # the coefficient of degree 0 of a density
 

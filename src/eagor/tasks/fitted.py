@@ -8,7 +8,10 @@ belongs to the perception itself.
 from __future__ import annotations
 
 FITTED: dict[str, dict[str, str]] = {
-    "truth": {},
+    "truth": {
+        "vmf": "floor=0.125,neutral=0.144,temperature=1.47,noise=11.6",
+        "grid_filter": "floor=0.175,neutral=0.0153,temperature=1.74,diffusion=6.96,mixing=2.85e-05",
+    },
 }
 
 

@@ -1,69 +1,177 @@
 """From an estimate to a step: straight at it, and around what is in the way by touch alone.
 
 The published policy goes a fixed step along the estimate, whatever happens. Among furniture that ends at the first
-corner that sliding does not lead around, for any estimate, the true direction included. With `detour`, a body that does
-not get on feels its way along the obstacle until the way to the estimate is open again: the Pledge algorithm (Abelson
-and diSessa, Turtle Geometry, 1981), which needs no map: only the odometry of the last step, and the sum of all turns.
+corner that sliding does not lead around, for any estimate, the true direction included. With `detour`, the body
+remembers where it ran into something, and plans around that as if all else were open, anew at every step (planning
+under the free-space assumption; Koenig, Tovey and Smirnov, Artificial Intelligence 147, 2003). It has no map but what
+it touched, and nothing else feeds it: its odometry, and the directions that it was told.
 """
 
 from __future__ import annotations
 
+import heapq
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-BLOCKED, FREE = 0.35, 0.9  # shares of a step: less is a wall, more is open ground, between them the body slid
-AWAY, BACK, ALONG = math.radians(45), math.radians(35), math.radians(15)  # turns from the wall, to it, and along it
-JUMP = math.pi / 2  # an estimate that jumps by more is another one: what stood in its way is forgotten
-SAME_PLACE = 0.5  # metres: whoever is blocked here again goes around the other way
+SPACING = 0.15  # metres between the nodes of the lattice on which ways are planned
+TOUCH = 0.07  # a step that lost more than this share of itself touched something
+STANDOFF, HALF = 0.1, 0.3  # metres: a wall is noted so far from the touching body, and so far to both sides
+WALL, HIGHEST = 5.0, 20.0  # metres of detour that a touch is worth, and that all touches of an edge together are
+VISIT, AROUND = 0.2, 2  # metres that a detour planned at a node adds to those through it and so many nodes around
+KEPT = 0.9  # share of that which is left after another plan
+RANGE = 5.0  # metres along the estimate, where a way is to lead: nobody knows how far away the target is
+LOOK, WINDOW = 1.5, 10.0  # metres: straight stretches of a way are seen so far, and ways stray so far from the body
+_NEIGHBOURS = [(i, j, math.hypot(i, j) * SPACING) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+_EDGES = np.array([(1, 0), (0, 1), (1, 1), (1, -1)])  # every edge of the lattice once, from one of its ends
+
+Node = tuple[int, int]
 
 
 @dataclass
 class Policy:
-    """Chooses headings for one episode. `step` in metres; `detour`: whether to feel the way around obstacles."""
+    """Chooses headings for one episode. `step` in metres; `detour`: whether to find ways around obstacles."""
 
     step: float
     detour: bool = True
-    _last: tuple[np.ndarray, float] | None = None  # where the last step began, and the estimate's heading then (world)
-    _offset: float | None = None  # while following an obstacle: heading minus the estimate's, all turns counted
-    _side: int = 1  # 1: the obstacle is to the right, and turning away from it is turning left
-    _hit: np.ndarray | None = None  # where the last obstacle was met
+    # The plane of the plan has its origin where the episode began, and its x axis where the body then faced.
+    _start: tuple[np.ndarray, float] | None = None
+    _last: tuple[np.ndarray, np.ndarray] | None = None  # where the last step began, and the step as it was meant
+    _walls: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 2)))  # both ends of each touched stretch
+    _extra: dict[tuple[Node, Node], float] = field(default_factory=dict)  # metres by which walls lengthen edges
+    _visits: dict[Node, float] = field(default_factory=dict)
 
     def heading(self, azimuth: float, xy: np.ndarray, yaw: float) -> float:
-        """The heading to go in, radians from straight ahead.
+        """The heading to go in, radians from straight ahead, in (-pi, pi]; without `detour` the azimuth as it is.
 
         `azimuth` of the estimate, radians, body frame; `xy` ``(2,)`` and `yaw`: the pose as the odometry has it.
         """
         if not self.detour:
             return azimuth
-        goal = yaw + azimuth
+        if self._start is None:
+            self._start = np.array(xy, dtype=np.float64), yaw
+        begin, turn = self._start
+        cos, sin = math.cos(turn), math.sin(turn)
+        # To the micron: of two ways that are equally good, rounding errors of the frame shall not choose.
+        here = np.round(np.array([[cos, sin], [-sin, cos]]) @ (np.asarray(xy, dtype=np.float64) - begin), 6)
+        bearing = round(math.remainder(azimuth + yaw - turn, 2 * math.pi), 6)
         if self._last is not None:
-            moved, turned = xy - self._last[0], math.remainder(goal - self._last[1], 2 * math.pi)
-            self._follow(goal, turned, moved, xy)
-        self._last = (np.array(xy), goal)
-        return math.remainder(azimuth + (self._offset or 0.0), 2 * math.pi)
+            self._feel(*self._last, here)
+        ahead = np.array([math.cos(bearing), math.sin(bearing)])
+        way = self._way(here, here + RANGE * ahead)
+        self._last = here, way * (self.step / np.hypot(*way))
+        heading = math.remainder(math.atan2(way[1], way[0]) + turn - yaw, 2 * math.pi)
+        return heading if heading > -math.pi else math.pi
 
-    def _follow(self, goal: float, turned: float, moved: np.ndarray, xy: np.ndarray) -> None:
-        """Bring `_offset` up to date after a step; None where nothing is in the way."""
-        share = float(np.hypot(*moved)) / self.step
-        if abs(turned) > JUMP:
-            self._offset = None
-        elif self._offset is None:
-            if share < BLOCKED:
-                across = math.cos(goal) * moved[1] - math.sin(goal) * moved[0]
-                again = self._hit is not None and np.hypot(*(xy - self._hit)) < SAME_PLACE
-                slid = 1 if across >= 0 else -1
-                self._side = -self._side if again else slid
-                self._hit = np.array(xy)
-                self._offset = self._side * math.pi / 2
-        else:
-            offset = self._offset - turned
-            if share < BLOCKED:
-                offset += self._side * AWAY
-            elif share > FREE:
-                offset -= self._side * BACK
-            else:
-                heading = math.atan2(moved[1], moved[0])
-                offset += math.remainder(heading - goal - offset, 2 * math.pi) - self._side * ALONG
-            self._offset = offset if self._side * offset > 0 else None
+    def _feel(self, before: np.ndarray, meant: np.ndarray, here: np.ndarray) -> None:
+        """Learn from a step: no wall where the body passed, and a wall where it was held up."""
+        moved = here - before
+        crossed = _cross(before, here, self._walls[:, 0], self._walls[:, 1])
+        if crossed.any():
+            self._walls, self._extra = self._walls[~crossed], {}
+            for wall in self._walls:
+                self._note(wall)
+        lost = meant - moved
+        size, into = float(np.hypot(*lost)), float(lost @ meant)
+        if size <= TOUCH * self.step or into <= 0:
+            return
+        # The body goes straight, then along the wall, which takes the part of each step that is normal to it.
+        normal, slid = lost / size, min(size * size / into, 1.0)
+        along = np.array([-normal[1], normal[0]])
+        first = here - (moved - (1 - slid) * meant)
+        if (here - first) @ along < 0:
+            along = -along
+        wall = np.array([first - HALF * along, here + HALF * along]) + STANDOFF * normal
+        self._walls = np.concatenate([self._walls, wall[None]])
+        self._note(wall)
+
+    def _note(self, wall: np.ndarray) -> None:
+        """Lengthen the edges of the lattice that cross a wall ``(2, 2)``."""
+        low, high = np.floor(wall.min(axis=0) / SPACING) - 1, np.ceil(wall.max(axis=0) / SPACING) + 1
+        cols, rows = (np.arange(a, b + 1, dtype=int) for a, b in zip(low, high, strict=True))
+        ends = np.stack(np.meshgrid(cols, rows, indexing="ij"), axis=-1).reshape(-1, 1, 2) + np.zeros_like(_EDGES)
+        hit = _cross(ends * SPACING, (ends + _EDGES) * SPACING, wall[0], wall[1])
+        for (a, b), (c, d) in zip(ends[hit].tolist(), (ends + _EDGES)[hit].tolist(), strict=True):
+            longer = min(self._extra.get(((a, b), (c, d)), 0.0) + WALL, HIGHEST)
+            self._extra[(a, b), (c, d)] = self._extra[(c, d), (a, b)] = longer
+
+    def _in_the_way(self, here: np.ndarray, there: np.ndarray) -> int:
+        """How many walls stand between two points."""
+        return int(_cross(here, there, self._walls[:, 0], self._walls[:, 1]).sum())
+
+    def _step_costs(self, here: np.ndarray, there: np.ndarray) -> float:
+        """What walls cost on the line to a point, and on to where a whole step would end: it cannot be shortened."""
+        share = max(1.0, self.step / float(np.hypot(*(there - here))))
+        return WALL * self._in_the_way(here, here + share * (there - here))
+
+    def _way(self, here: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """The direction ``(2,)`` (of any length) in which the cheapest way to the goal begins."""
+        if not self._in_the_way(here, goal):
+            return goal - here
+        target = None
+        for node in self._plan(here, goal):
+            point = np.array(node) * SPACING
+            seen = np.hypot(*(point - here)) < LOOK and not self._step_costs(here, point)
+            if target is not None and not seen:
+                break
+            target = point
+        return target - here if target is not None else goal - here
+
+    def _plan(self, here: np.ndarray, goal: np.ndarray) -> list[Node]:
+        """The cheapest way over the lattice (A*), from about a step away from the body to the goal."""
+        end, (x, y) = _node(goal), _node(here)
+        reach = max(self.step, SPACING / 0.6)
+        # What was tried in vain loses its charm for a while; for good, the body's own trail would wall it in.
+        self._visits = {node: KEPT * metres for node, metres in self._visits.items() if metres > 0.01}
+        for node in ((x + i, y + j) for i in range(-AROUND, AROUND + 1) for j in range(-AROUND, AROUND + 1)):
+            self._visits[node] = self._visits.get(node, 0.0) + VISIT
+        near = range(-math.ceil(1.3 * reach / SPACING) - 1, math.ceil(1.3 * reach / SPACING) + 2)
+        costs: dict[Node, float] = {}
+        for node in ((x + i, y + j) for i in near for j in near):
+            point = np.array(node) * SPACING
+            away = float(np.hypot(*(point - here)))
+            if 0.4 * reach < away <= 1.3 * reach:
+                costs[node] = away + self._step_costs(here, point) + self._visits.get(node, 0.0)
+        least = min(costs.values())  # without it, whoever is walled in would search everywhere
+        costs = {node: cost - least for node, cost in costs.items()}
+        came: dict[Node, Node] = {}
+        heap, done = [(cost + _octile(node, end), node) for node, cost in costs.items()], set()
+        heapq.heapify(heap)
+        while heap and end not in done:
+            node = heapq.heappop(heap)[1]
+            if node in done:
+                continue
+            done.add(node)
+            for i, j, length in _NEIGHBOURS:
+                other = node[0] + i, node[1] + j
+                if other in done or max(abs(other[0] - x), abs(other[1] - y)) * SPACING > WINDOW:
+                    continue
+                cost = costs[node] + length + self._extra.get((node, other), 0.0) + self._visits.get(other, 0.0)
+                if cost < costs.get(other, math.inf):
+                    costs[other], came[other] = cost, node
+                    heapq.heappush(heap, (cost + _octile(other, end), other))
+        way = [end]
+        while way[-1] in came:
+            way.append(came[way[-1]])
+        return way[::-1]
+
+
+def _node(point: np.ndarray) -> Node:
+    return round(float(point[0]) / SPACING), round(float(point[1]) / SPACING)
+
+
+def _octile(one: Node, other: Node) -> float:
+    """Length of the shortest way between two nodes of an open lattice."""
+    a, b = abs(one[0] - other[0]), abs(one[1] - other[1])
+    return SPACING * (max(a, b) + (math.sqrt(2) - 1) * min(a, b))
+
+
+def _cross(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Whether lines from a to b cross those from c to d; all ``(..., 2)``, broadcast."""
+
+    def left(o: np.ndarray, p: np.ndarray, q: np.ndarray) -> np.ndarray:
+        turn = (p[..., 0] - o[..., 0]) * (q[..., 1] - o[..., 1]) - (p[..., 1] - o[..., 1]) * (q[..., 0] - o[..., 0])
+        return turn > 0
+
+    return (left(a, b, c) != left(a, b, d)) & (left(c, d, a) != left(c, d, b))
