@@ -11,6 +11,7 @@ FITTED: dict[str, dict[str, str]] = {
     "truth": {
         "vmf": "floor=0.125,neutral=0.144,temperature=1.47,noise=11.6",
         "grid_filter": "floor=0.175,neutral=0.0153,temperature=1.74,diffusion=6.96,mixing=2.85e-05",
+        "particle_filter": "floor=0.0543,neutral=0.0909,temperature=1.39,roughening=2.29,reborn=0.00461,kernel=7.83",
     },
 }
 
