@@ -12,6 +12,7 @@ from eagor.errors import EagorError
 from eagor.evaluation import ledger
 from eagor.evaluation.workers import Outcome, Unit, run_units
 from eagor.tasks.episodes import slots
+from eagor.tasks.fitted import fitted
 from eagor.tasks.methods import NAMES, ORACLE, make_method
 from eagor.tasks.places import APARTMENT, DEVELOPMENT
 from eagor.tasks.play import RULES
@@ -63,6 +64,9 @@ class Run:
             "seed": self.seed,
             "development": self.seed in DEVELOPMENT,
             "methods": list(self.methods),
+            "fitted": {
+                name: text for name in self.methods if (text := fitted(self.perception, name.partition(":")[0]))
+            },
             "world": self.world,
             "rows": self.rows,
             **values,
@@ -117,9 +121,9 @@ def variants(task: str) -> tuple[str, ...]:
         "eagor:shells=0",
         "eagor:wander=0",
         "eagor:keep=1",
-        *(f"eagor:floor={floor}" for floor in (0.05, 0.2, 0.8)),
-        *(f"eagor:temperature={beta}" for beta in (1, 2, 6)),
-        *(f"eagor:neutral={neutral}" for neutral in (0.02, 0.1, 0.2)),
+        *(f"eagor:floor={floor}" for floor in (0.05, 0.4, 0.8)),
+        *(f"eagor:temperature={beta}" for beta in (1, 3, 6)),
+        *(f"eagor:neutral={neutral}" for neutral in (0.02, 0.05, 0.2)),
     )
 
 

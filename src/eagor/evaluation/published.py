@@ -49,7 +49,10 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         Column("occ", "Occ", "°", "low", "occ", "mean error while the target is hidden"),
         Column("seam", "Seam", "°", "low", "seam", "mean error where the true bearing crosses the seam"),
         Column("tc", "TC", "°/step", "low", "tc", f"{_TC} (rotation and translation)"),
-        Column("tc_rotation", "TC, rotation", "°/step", "low", "tc_rotation", f"{_TC} (rotation alone)"),
+        Column(
+            "tc_rotation", "TC, rotation", "°/step", "low", "tc_rotation",
+            f"{_TC} (rotation alone: parallax counts as a jump, so that who does not follow it scores low)",
+        ),
         _COVERAGE,
     ),
     "navigation": (
