@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eagor import Evidence, PatchGrid, angular_distance
+from eagor import Calibration, Evidence, PatchGrid, angular_distance
 from eagor.errors import EagorError, TimeError
 from eagor.sphere import world_R_body
+from eagor.tasks.fitted import FITTED
 from eagor.tasks.methods import NAMES, FilterMethod, TrackerMethod, make_method, tracker_config
 from eagor.tracker import TrackerConfig
 
@@ -113,3 +116,29 @@ def test_only_ours_knows_a_distance():
     distances = {name: run(name, 12, 0).distance() for name in NAMES}
     assert 0.5 < distances.pop("eagor") < 12
     assert set(distances.values()) == {None}
+
+
+def test_fitted_settings_are_where_a_rival_starts_and_what_is_asked_for_comes_on_top():
+    rng = np.random.default_rng(0)
+    plain, fitted, varied = (
+        make_method("vmf", rng),
+        make_method("vmf", rng, "truth:miss=0.5"),
+        make_method("vmf:noise=3", rng, "truth"),
+    )
+    assert fitted.filter.calibration != plain.filter.calibration
+    assert varied.filter.calibration == fitted.filter.calibration
+    assert varied.filter.noise == pytest.approx(math.radians(3))
+    assert fitted.filter.noise != varied.filter.noise
+
+
+def test_every_fitted_setting_makes_a_method():
+    for perception, lines in FITTED.items():
+        for base in lines:
+            assert make_method(base, np.random.default_rng(0), perception)
+
+
+def test_a_variant_varies_the_calibration_of_the_perception():
+    ours = Calibration(0.3, 0.07, 1.5)
+    varied = make_method("eagor:temperature=4", np.random.default_rng(0), "truth", ours)
+    assert varied.tracker.config.calibration == Calibration(0.3, 0.07, 4.0)
+    assert make_method("eagor", np.random.default_rng(0), "truth", ours).tracker.config.calibration is None
