@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import warnings
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -16,7 +17,7 @@ import eagor.tasks
 from eagor.errors import EagorError, WorldError
 from eagor.sphere import angular_distance
 from eagor.tasks import environments, navigation, places, tracking, waypoint
-from eagor.tasks.episodes import Slot
+from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, WaypointRules, as_dict, from_dict
 from eagor.worlds.ground import Ground
@@ -238,6 +239,13 @@ def test_playing_the_same_slot_twice_gives_the_same_record(task):
     assert json.dumps(first, sort_keys=True, allow_nan=False) == json.dumps(second, sort_keys=True, allow_nan=False)
     alone = Player(config).play(slot, names[-1:])
     assert alone["methods"][names[-1]] == first["methods"][names[-1]], "a method is not disturbed by others"
+
+
+def test_a_target_that_no_way_leads_to_has_no_shortest_way():
+    slot = Slot("waypoint", "apartment", 11, 1, 1)
+    hung = Episode(slot, "apartment", "hash", "tv", (3,), (0.0, 0.0), 0.0, math.inf)
+    assert hung.as_json()["shortest"] is None
+    assert replace(hung, shortest=2.5).as_json()["shortest"] == 2.5
 
 
 def test_the_oracle_walks_straight_and_errs_nowhere():

@@ -17,7 +17,7 @@ from eagor.evaluation.export import FIELDS, table_csv
 from eagor.evaluation.kernels import half_width_deg, highest_sidelobe, kernel
 from eagor.evaluation.published import COLUMNS, FIGURES, OURS, ordered
 from eagor.evaluation.samples import RESAMPLES, SEED, Gap, holm, mean_intervals
-from eagor.evaluation.sheets import ordering_sheet, split, verdict
+from eagor.evaluation.sheets import main_sheet, ordering_sheet, split, verdict
 from eagor.evaluation.tables import as_text, best, mark, shown, summarise
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import direction
@@ -359,3 +359,16 @@ def flat(tree):
     if not isinstance(tree, dict):
         return {"": tree}
     return {f"{key}.{inner}": value for key, part in tree.items() for inner, value in flat(part).items()}
+
+
+def test_where_ours_is_behind_is_said_with_the_figures(run):
+    _, summary = run
+    summary = copy.deepcopy(summary)
+    note = next(note for note in main_sheet(summary).notes if "behind another" in note or "is behind beyond" in note)
+    chosen = next(c for c in COLUMNS[summary["task"]] if c.better and c.key in summary["differences"]["vmf"])
+    gap = {"difference": -1e3 if chosen.better == "low" else 1e3, "p_holm": 1e-4}
+    summary["differences"]["vmf"][chosen.key] = gap
+    changed = next(n for n in main_sheet(summary).notes if "is behind beyond" in n)
+    assert changed != note
+    assert f"{chosen.title}: " in changed
+    assert f"vmf {shown(summary['methods']['vmf'][chosen.key], chosen)}" in changed

@@ -19,7 +19,8 @@ class Column:
 
     `metric` is the name in the records' metrics; figures there times `scale` are what is shown. `better` is "low",
     "high", or None where neither is better. `share`: the metric is 0 or 1 per episode, so its interval is Wilson's.
-    `only_if`: count only episodes whose metric of this name is above 0.
+    `only_if`: count only episodes whose metric of this name is above 0. `why`: what makes a method that is worse in all
+    other columns better in this one, for where ours is behind.
     """
 
     key: str
@@ -32,6 +33,7 @@ class Column:
     digits: int = 1
     share: bool = False
     only_if: str | None = None
+    why: str = ""
 
 
 _COVERAGE = Column(
@@ -39,6 +41,11 @@ _COVERAGE = Column(
     scale=100.0,
 )  # fmt: skip
 _TC = "jump of the estimate from step to step, beyond what the true motion explains"
+_CALM = "an estimate that hardly follows its target hardly jumps: read it beside the error"
+_HOLD = (
+    "a filter with a short memory leaves the old place sooner; ours weighs all that spoke for it, which is what keeps "
+    "hidden targets"
+)
 COLUMNS: dict[str, tuple[Column, ...]] = {
     "waypoint": (
         Column("L1", "L1", "°", "low", "L1", "mean error on the first leg"),
@@ -48,10 +55,11 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         Column("delta", "Δ", "°", "low", "delta", "growth of the error, L4 minus L1, mean over the episodes"),
         Column("occ", "Occ", "°", "low", "occ", "mean error while the target is hidden"),
         Column("seam", "Seam", "°", "low", "seam", "mean error where the true bearing crosses the seam"),
-        Column("tc", "TC", "°/step", "low", "tc", f"{_TC} (rotation and translation)"),
+        Column("tc", "TC", "°/step", "low", "tc", f"{_TC} (rotation and translation)", why=_CALM),
         Column(
             "tc_rotation", "TC, rotation", "°/step", "low", "tc_rotation",
             f"{_TC} (rotation alone: parallax counts as a jump, so that who does not follow it scores low)",
+            why="it rewards an estimate that ignores parallax: it is the paper's reading, not one that we aim at",
         ),
         _COVERAGE,
     ),
@@ -69,10 +77,11 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
     ),
     "tracking": (
         Column("error", "Error", "°", "low", "error", "mean direction error"),
-        Column("tc", "TC", "°/step", "low", "tc", f"{_TC} (rotation and translation)"),
+        Column("tc", "TC", "°/step", "low", "tc", f"{_TC} (rotation and translation)", why=_CALM),
         Column("time_lost", "Time lost", "%", "low", "time_lost", "share of steps at which the target is lost"),
         Column(
             "recovery", "Recovery", "s", "low", "recovery", "from the target's return until it is found again",
+            why=_HOLD,
         ),
         _COVERAGE,
     ),

@@ -34,6 +34,8 @@ KEYS = {
     "shells": "range shells",
     "keep": "how much is kept per second",
     "diffusion": "diffusion",
+    "wander": "how far a target wanders, if it does",
+    "restless": "how often a target starts or stops",
 }
 
 
@@ -83,6 +85,8 @@ def main_sheet(summary: dict[str, Any]) -> Sheet:
         f"† worse, ‡ better than {summary['reference']}: p < {SIGNIFICANT} over the episodes that both have, sign "
         "flips of whole apartments, Holm's correction over all tests of this table. Bold: the best of its column.",
     ]
+    if summary["reference"] == OURS in names:
+        notes.append(_behind(summary, rivals, columns))
     if summary["apartments"] == 1:
         notes.append("Only one apartment: nothing can be said about how far the figures carry over to others.")
     elif summary["apartments"] < FEW:
@@ -98,6 +102,20 @@ def main_sheet(summary: dict[str, Any]) -> Sheet:
     return Sheet(
         f"{TITLES[summary['task']]}: {summary['episodes']} episodes", _heads(columns), tuple(rows), tuple(notes)
     )
+
+
+def _behind(summary: dict[str, Any], rivals: Sequence[str], columns: Sequence[Column]) -> str:
+    """In which columns ours is worse than a rival beyond chance, by how much, and why that is."""
+    found = []
+    for column in columns:
+        ahead = [name for name in rivals if mark(summary, name, column) == "+"]
+        if ahead:
+            figures = ", ".join(f"{name} {shown(summary['methods'][name][column.key], column)}" for name in ahead)
+            ours = shown(summary["methods"][OURS][column.key], column)
+            found.append(f"{column.title}: {ours} against {figures}{f' ({column.why})' if column.why else ''}")
+    if not found:
+        return f"In no column is {OURS} behind another method beyond chance."
+    return f"Where {OURS} is behind beyond chance: {'; '.join(found)}."
 
 
 def strata_sheets(summary: dict[str, Any]) -> list[Sheet]:

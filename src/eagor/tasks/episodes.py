@@ -7,6 +7,7 @@ any number of workers, and gives the same episodes.
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
@@ -46,7 +47,8 @@ class Episode:
     """Where it happens, what is looked for, and where the body starts.
 
     `targets`: ids of the things that the query names; `start`: x, y in metres; `yaw`: radians; `stratum`: what kind of
-    episode it is, for tables; `shortest`: geodesic metres from the start to the nearest target's footprint.
+    episode it is, for tables; `shortest`: geodesic metres from the start to the nearest target's footprint, inf where
+    no way leads there (what hangs on a wall can be looked for all the same).
     """
 
     slot: Slot
@@ -62,7 +64,8 @@ class Episode:
     def as_json(self) -> dict[str, Any]:
         """For records and reports."""
         known = {"id": self.slot.id, "seed": self.slot.seed, "world": self.slot.world, "index": self.slot.index}
-        return known | {key: value for key, value in asdict(self).items() if key not in ("slot", "route")}
+        rest = {key: value for key, value in asdict(self).items() if key not in ("slot", "route")}
+        return known | rest | {"shortest": self.shortest if math.isfinite(self.shortest) else None}
 
 
 def slots(task: str, count: int, seed: int, world: str = APARTMENT) -> Iterator[Slot]:
