@@ -149,12 +149,6 @@ class StillOrMoving(Reading):
         """log p per steradian at unit vectors ``(n..., 3)``: ``(n...)``; integrates to 1."""
         return self._evaluator()(directions) - self.posterior.log_total
 
-    def range_probabilities(self) -> np.ndarray:
-        """Probability of each shell ``(K,)``, if the target stands still and its belief holds ranges."""
-        if not isinstance(self.still, RangedBelief):
-            raise TypeError("this belief knows no ranges")
-        return self.still.range_probabilities()
-
     def _field(self, index: tuple[int, ...]) -> Field:
         return self._evaluator()
 
