@@ -369,10 +369,16 @@ def test_a_reader_that_goes_away_is_no_error(series):
     assert stderr == b""
 
 
+def heed_interrupts():
+    """A test run in the background of a shell ignores them, and its children would too."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.skipif(os.name != "posix", reason="sends a signal")
 def test_control_c(tmp_path):
     words = command("demo", "--out", tmp_path / "demo")
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT) as process:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(words, **pipes, env=ENVIRONMENT, preexec_fn=heed_interrupts) as process:
         assert process.stdout.readline().startswith("Building apartment")
         process.send_signal(signal.SIGINT)
         _, stderr = process.communicate(timeout=120)

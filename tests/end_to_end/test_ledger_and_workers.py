@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from functools import partial
 
 import numpy as np
 import pytest
@@ -262,6 +263,7 @@ def test_a_unit_that_cannot_be_sent_fails_alone(tmp_path, config):
 
 RUN = """
 import sys
+from functools import partial
 from pathlib import Path
 from eagor.evaluation.workers import Unit, run_units
 
@@ -278,7 +280,9 @@ def launch(tmp_path, config, workers, sleep):
     script.write_text(RUN)
     path = os.pathsep.join(entry for entry in sys.path if entry)
     arguments = [sys.executable, str(script), str(tmp_path / "run"), config["notes"], str(workers), str(sleep)]
-    return subprocess.Popen(arguments, env={**os.environ, "PYTHONPATH": path})
+    # A test run in the background of a shell ignores interrupts, and its children would too.
+    heed = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    return subprocess.Popen(arguments, env={**os.environ, "PYTHONPATH": path}, preexec_fn=heed)
 
 
 def wait_for(what):
