@@ -22,6 +22,7 @@ GROUP = "eagor.perceptions"
 BUILT_IN = {
     "colour": "eagor.perception.colour:ColourPerception",
     "replay": "eagor.perception.replay:ReplayPerception",
+    "scout": "eagor.perception.scout:ScoutPerception",
     "truth": "eagor.perception.truth:TruthPerception",
 }
 

@@ -1,0 +1,103 @@
+"""The embedded perception: a small network that finds things in the built-in apartments, on the CPU.
+
+It is there so that everything can be tried at once, without a download or a GPU. It was trained on rendered
+pictures of the built-in world and knows nothing else: on photographs it fails, and on imported scenes it guesses. For
+the real world take a perception with a real vision-language model.
+
+The weights (``scout.onnx``) and the words (``vocabulary.json``) lie next to this file; how they were made is in
+``training/scout`` of the repository.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor.errors import EagorError, ImageError
+from eagor.evidence import Calibration, Evidence
+from eagor.grids import PatchGrid
+from eagor.perception.scout.resizing import resized
+from eagor.queries import parse_query
+
+FOLDER = Path(__file__).parent
+ROWS = 160  # of the picture that the network sees
+STRIDE = 4  # pixels of that picture to a cell of the response
+COARSEST = 16  # rolls by a multiple of so many of its pixels roll the response
+
+
+@dataclass(frozen=True)
+class ScoutPerception:
+    """Finds "[colour] category" in panoramas of the built-in apartments; it fails on photographs.
+
+    The response of a cell is the network's heat there times its probability that the thing is in view at all. It is
+    high in the middle of a thing, not all over it, and low everywhere where the thing is not in view.
+
+    Attributes:
+        calibration: how responses become evidence; None for the default of `Evidence`.
+    """
+
+    calibration: Calibration | None = None
+
+    @property
+    def grid(self) -> PatchGrid:
+        """The cells of the response: 4.5 degrees each way."""
+        return PatchGrid(ROWS // STRIDE, 2 * ROWS // STRIDE)
+
+    @property
+    def categories(self) -> tuple[str, ...]:
+        """What can be asked for (`eagor.queries` knows other words for some of it)."""
+        return _vocabulary()[0]
+
+    def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
+        """Evidence for the thing that `query` names in `panorama` ``(H, 2 H, 3)``, uint8 sRGB.
+
+        Raises `QueryError`, which lists the words that are known, for other words; `ImageError` if the panorama is
+        not such an array; `EagorError` without onnxruntime.
+        """
+        response = self.respond(panorama, [query])[0]
+        return Evidence.from_response(response, self.grid, self.calibration, stamp)
+
+    def respond(self, panorama: np.ndarray, queries: Sequence[str]) -> np.ndarray:
+        """Responses ``(Q, h, w)`` float32 in [0, 1] to several queries; the picture is looked at once for all.
+
+        Errors as for a call.
+        """
+        categories, colours = _vocabulary()
+        asked = [parse_query(query, categories) for query in queries]
+        words = [[categories.index(q.category), colours.index(q.colour) if q.colour else len(colours)] for q in asked]
+        image = np.asarray(panorama)
+        height = image.shape[0] if image.ndim == 3 else 0
+        if image.dtype != np.uint8 or height == 0 or image.shape != (height, 2 * height, 3):
+            raise ImageError(
+                f"the panorama is {image.dtype} of shape {image.shape}; the scout wants uint8 sRGB (H, 2 H, 3). Files: "
+                "eagor.worlds.panorama.read_panorama"
+            )
+        if not words:
+            return np.zeros((0, *self.grid.shape), dtype=np.float32)
+        feed = {"image": resized(image, ROWS)[None], "words": np.array(words, dtype=np.int64)}
+        return np.clip(_session().run(["response"], feed)[0], 0.0, 1.0)
+
+
+@lru_cache(maxsize=1)
+def _vocabulary() -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The categories and the colours, in the order of the network's words."""
+    stored = json.loads((FOLDER / "vocabulary.json").read_text(encoding="utf-8"))
+    return tuple(stored["categories"]), tuple(stored["colours"])
+
+
+@lru_cache(maxsize=1)
+def _session() -> Any:
+    """The network, ready to run on one core: the machine's others belong to the caller."""
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise EagorError("the scout needs onnxruntime, which is not installed (pip install onnxruntime)") from error
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    return onnxruntime.InferenceSession(FOLDER / "scout.onnx", options, providers=["CPUExecutionProvider"])
