@@ -33,7 +33,7 @@ import numpy as np
 
 from eagor.errors import EagorError
 from eagor.statistics import bootstrap_interval
-from eagor.tasks.episodes import slots
+from eagor.tasks.episodes import PER_PLACE, slots
 from eagor.tasks.places import DEVELOPMENT
 from eagor.tasks.play import RULES, Player, Recording
 from eagor.tasks.rules import Camera, Disturbances, as_dict
@@ -81,7 +81,7 @@ SPACES: dict[str, Callable[[Rng], Settings]] = {
 
 def record(task: str, perception: str, seed: int, count: int) -> list[Recording]:
     """The development episodes of a task; what cannot be planned is told and left out."""
-    if seed not in DEVELOPMENT or seed + count // 5 not in DEVELOPMENT:
+    if seed not in DEVELOPMENT or seed + count // PER_PLACE not in DEVELOPMENT:
         raise EagorError(f"seed {seed}: fitting is for the apartments {DEVELOPMENT.start} to {DEVELOPMENT.stop - 1}")
     player = _player(task, perception)
     found = []

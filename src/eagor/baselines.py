@@ -32,6 +32,7 @@ from eagor.errors import ResponseError
 from eagor.evidence import SILENT, Calibration, Evidence
 from eagor.grids import ErpGrid, Grid
 from eagor.peaks import peak_on_grid
+from eagor.posterior import log_integral
 from eagor.sphere import FORWARD, azimuth_elevation, check_rotation, direction, unit
 
 GRID = ErpGrid(64, 128)  # cells of 2.8 degrees, for the rivals that keep a map
@@ -344,8 +345,7 @@ def _log_density(log_map: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 def _normalised(log_values: np.ndarray) -> np.ndarray:
     """`log_values` on `GRID`, shifted so that their exponential integrates to one."""
-    top = float(log_values.max())
-    return log_values - top - math.log(float(np.sum(np.exp(log_values - top) * GRID.weights)))
+    return log_values - log_integral(log_values, GRID.weights)
 
 
 def _log_mixed(density: np.ndarray, share: float) -> np.ndarray:

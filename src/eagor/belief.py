@@ -198,6 +198,10 @@ class Belief(Reading):
             raise EagorError("this belief has no batch dimension to index")
         return replace(self, coefficients=self.coefficients[index])
 
+    def direction_belief(self) -> Belief:
+        """Itself: it holds nothing but directions (beliefs over more answer with what they know of directions)."""
+        return self
+
     def predict(self, new_R_old: Array) -> Belief:
         """After the body has turned: ``new_R_old @ direction_old = direction_new``, ``(..., 3, 3)``, exact."""
         rotated = rotation.rotate(self.degree, as_float(self.coefficients), check_rotation(new_R_old))

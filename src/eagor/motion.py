@@ -24,7 +24,7 @@ from eagor.belief import Belief, Reading
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.peaks import decoding_grid
-from eagor.posterior import Field
+from eagor.posterior import Field, log_integral
 from eagor.ranged import RangedBelief
 
 ANYWHERE = 2e-2  # per second: the share of a wanderer's density that is spread evenly: it may have been carried off
@@ -76,7 +76,7 @@ class Wanderer:
         if elapsed <= 0:
             return self
         grid, basis = decoding_grid(self.basis.degree), self.basis
-        density = self.basis.analyse(np.exp(self.field - _log_mass(self.field, grid.weights)), grid)
+        density = self.basis.analyse(np.exp(self.field - log_integral(self.field, grid.weights)), grid)
         density = basis.smooth(density, wander * math.sqrt(elapsed)) * (_UNIFORM / density[0])
         lost = -math.expm1(-ANYWHERE * elapsed)
         density *= 1 - lost
@@ -115,8 +115,6 @@ class StillOrMoving(Reading):
         self, still: Belief | RangedBelief, elapsed: float, wander: float, restless: float, keep: float
     ) -> StillOrMoving:
         """After `elapsed` seconds: `still` is the first case carried there; `restless`: changes of mind per second."""
-        if elapsed <= 0:
-            return replace(self, still=still, field_of_still=None)
         changed = -math.expm1(-2 * restless * elapsed) / 2  # of a Markov chain with two states
         moving = self.moving + changed * (1 - 2 * self.moving)
         return StillOrMoving(still, self.wanderer.after(elapsed, wander, keep), moving)
@@ -127,7 +125,7 @@ class StillOrMoving(Reading):
         log_ratio = RealHarmonics(self.degree).synthesise(look, grid)
         before = self._stays
         gains = [
-            _log_mass(found + log_ratio, grid.weights) - _log_mass(found, grid.weights)
+            log_integral(found + log_ratio, grid.weights) - log_integral(found, grid.weights)
             for found in (before, wanderer.field)
         ]
         odds = math.log(self.moving) - math.log1p(-self.moving) + gains[1] - gains[0]
@@ -156,7 +154,7 @@ class StillOrMoving(Reading):
         """What gives the mixture's log ratios on any grid, or at directions."""
         grid, known = decoding_grid(self.degree), (self._stays, self.wanderer.field)
         stays, roams = self.still.posterior.evaluate, self.wanderer.evaluator()
-        totals = [_log_mass(values, grid.weights) for values in known]
+        totals = [log_integral(values, grid.weights) for values in known]
         shares = math.log1p(-self.moving), math.log(self.moving)
         evidence = np.logaddexp(shares[0] + totals[0], shares[1] + self.wanderer.evidence + math.log(4 * math.pi))
         offsets = [evidence + share - total for share, total in zip(shares, totals, strict=True)]
@@ -166,9 +164,3 @@ class StillOrMoving(Reading):
             return np.logaddexp(a + offsets[0], b + offsets[1])
 
         return evaluate
-
-
-def _log_mass(values: np.ndarray, weights: np.ndarray) -> float:
-    """log of the integral of exp(values)."""
-    top = float(values.max())
-    return top + math.log(float(np.sum(np.exp(values - top) * weights)))

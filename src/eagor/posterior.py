@@ -22,6 +22,12 @@ MIN_WEIGHT = 0.02  # ... and holds at least this share of the belief,
 RIVAL = 0.75  # or rises above a typical direction by this share of the best one's height
 
 
+def log_integral(values: np.ndarray, weights: np.ndarray) -> float:
+    """log of the integral of exp(values) over cells of these solid angles, without overflow."""
+    top = float(values.max())
+    return top + math.log(float(np.sum(np.exp(values - top) * weights)))
+
+
 Field = Callable[[ErpGrid | ErpWindow], np.ndarray]  # evaluates f on a grid, or on a part of one
 
 
@@ -153,8 +159,7 @@ class Posterior:
     @cached_property
     def log_total(self) -> float:
         """log of the integral of exp(f) over the sphere."""
-        top = float(self.values.max())
-        return top + math.log(float(np.sum(np.exp(self.values - top) * self.weights)))
+        return log_integral(self.values, self.weights)
 
     @cached_property
     def probability(self) -> np.ndarray:

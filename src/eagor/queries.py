@@ -64,13 +64,13 @@ def parse_query(text: str, categories: Iterable[str]) -> Query:
     words = re.findall(r"[a-z]+", text.lower()) if isinstance(text, str) else []
     words = [word for word in words if word not in _FILLERS]
     colour = None
-    if words and _plain(words[0]) in COLOURS and " ".join(words) not in known:
-        colour, words = _plain(words[0]), words[1:]
+    if words and singular(words[0]) in COLOURS and " ".join(words) not in known:
+        colour, words = singular(words[0]), words[1:]
     name = " ".join(words)
     # A word that the world uses itself is meant as it stands; only then comes what else it may be called.
     spelt = {" ".join(re.findall(r"[a-z]+", category.lower())): category for category in reversed(known)}
-    meant = {_plain(words): category for words, category in spelt.items()} | spelt
-    category = meant.get(name) or meant.get(_plain(name))
+    meant = {singular(words): category for words, category in spelt.items()} | spelt
+    category = meant.get(name) or meant.get(singular(name))
     if category is None:
         near = difflib.get_close_matches(name, known, n=1)
         hint = f" Did you mean {near[0]!r}?" if near else ""
@@ -86,11 +86,11 @@ def matching(query: Query, things: Sequence[Named]) -> list[int]:
     return [index for index, thing in enumerate(things) if query.matches(thing)]
 
 
-def _plain(words: str) -> str:
+def singular(words: str) -> str:
     """`words` under the name used here, singular."""
-    for ending, singular in (("", ""), ("ves", "f"), ("es", ""), ("s", "")):
+    for ending, instead in (("", ""), ("ves", "f"), ("es", ""), ("s", "")):
         if words.endswith(ending):
-            stem = words.removesuffix(ending) + singular
+            stem = words.removesuffix(ending) + instead
             if stem in SYNONYMS:
                 return SYNONYMS[stem]
     if words.endswith(("ches", "shes", "sses", "xes")):

@@ -111,8 +111,7 @@ class Estimate:
     def direction(self) -> np.ndarray:
         """Where it is ``(3,)``: the mode of the belief, or its published mean; forward while nothing is known."""
         if self.config.decode == "mean":
-            belief = self.reading if isinstance(self.reading, Belief) else self.reading.direction_belief()
-            return to_numpy(belief.mean_direction()) @ self.world_R_body
+            return to_numpy(self.reading.direction_belief().mean_direction()) @ self.world_R_body
         return self.reading.posterior.mode @ self.world_R_body  # body_R_world @ mode
 
     @property
@@ -261,8 +260,7 @@ class DirectionTracker:
     def belief(self, now: float, target: str = "target") -> Belief:
         """The belief over directions at time `now`, in the body frame of that time."""
         pose, _ = self._poses.at(now)
-        belief = self._advanced(target, now).belief
-        return (belief if isinstance(belief, Belief) else belief.direction_belief()).predict(pose.T)
+        return self._advanced(target, now).belief.direction_belief().predict(pose.T)
 
     def _linear(self, state: _State) -> bool:
         """Whether everything that happens to this belief commutes with adding evidence."""

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor._version import __version__
-from eagor.belief import Belief
 from eagor.cli.demo import OURS, PICTURE_ROWS, PUBLISHED, Search, summary
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import draw_errors, draw_map, draw_strip
@@ -53,14 +52,12 @@ def _strip(search: Search, place: Place) -> Image:
         turned = rotation_from_wxyz(np.array(pose[3:]))
         seen = place.renderer.panorama(np.array(pose[:3]), turned, PICTURE_ROWS, range=False, ids=False)
         estimate = search.estimates[index]
-        reading = estimate.reading
-        belief = reading if isinstance(reading, Belief) else reading.direction_belief()
         true = direction(*(math.radians(trace[f"true_{part}_deg"][index]) for part in ("azimuth", "elevation")))
         off, range_m = trace["error_deg"][index], trace["true_range_m"][index]
         panels.append(
             {
                 "panorama": seen.rgb,
-                "belief": belief.predict(estimate.world_R_body.T),
+                "belief": estimate.reading.direction_belief().predict(estimate.world_R_body.T),
                 "estimate": estimate,
                 "modes": (),
                 "truth": true,

@@ -16,11 +16,13 @@ from eagor.tasks.places import LOOK_ROWS, Place, load_place
 from eagor.tasks.routes import along, follow_path
 from eagor.tasks.rules import Camera, TrackingRules
 from eagor.worlds.ball import PAINTS, Ball, with_ball
+from eagor.worlds.render import Frame
 
 SCENARIOS = ("moving target", "moving camera", "target gone")
 RADIUS = (0.2, 0.32)  # metres, the balls
 TRIES = 60  # plans looked at until one shows the ball often enough; after that, the best of them
 EVERY = 4  # steps, when a plan is checked for how often it shows the ball
+_BALL = 1 << 20  # an id that no instance has
 SEEN_PIXELS = 6  # of a 64 x 128 panorama: a start at which the ball is in plain view
 
 
@@ -111,8 +113,7 @@ def _share_in_view(
         if ball is not None:
             position = np.array([x, y, camera.height])
             frame = place.renderer.panorama(position, world_R_body(0.0), LOOK_ROWS, rgb=False)
-            ids = with_ball(frame, position, np.eye(3), Ball(ball, radius, "red"), 1 << 20).ids
-            shown.append(np.count_nonzero(ids == 1 << 20) >= rules.visible_pixels)
+            shown.append(_pixels(frame, position, ball, radius) >= rules.visible_pixels)
     return float(np.mean(shown))
 
 
@@ -122,11 +123,16 @@ def _spot(place: Place, xy: np.ndarray, radius: float, camera: Camera, rng: np.r
     frame = place.renderer.panorama(position, world_R_body(0.0), LOOK_ROWS, rgb=False)
     for _ in range(10):
         spot = np.array([*place.ground.sample(rng), radius])
-        if 1.0 <= np.linalg.norm(spot[:2] - xy) <= 5.0:
-            seen = with_ball(frame, position, np.eye(3), Ball(spot, radius, "red"), 1 << 20)
-            if np.count_nonzero(seen.ids == 1 << 20) >= SEEN_PIXELS:
-                return spot
+        near = 1.0 <= np.linalg.norm(spot[:2] - xy) <= 5.0
+        if near and _pixels(frame, position, spot, radius) >= SEEN_PIXELS:
+            return spot
     return None
+
+
+def _pixels(frame: Frame, position: np.ndarray, ball: np.ndarray, radius: float) -> int:
+    """How many pixels of a frame taken at `position`, unturned, would show a ball at `ball` ``(3,)``."""
+    shown = with_ball(frame, position, np.eye(3), Ball(ball, radius, "red"), _BALL)
+    return int(np.count_nonzero(shown.ids == _BALL))
 
 
 def _stroll(place: Place, start: np.ndarray, step: float, steps: int, rng: np.random.Generator) -> list:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor.queries import COLOURS, SYNONYMS
+from eagor.queries import COLOURS, SYNONYMS, singular
 from eagor.worlds.scene import Material
 from eagor.worlds.srgb import to_coded, to_linear
 
@@ -42,16 +42,8 @@ def name_from_nodes(names: Iterable[str]) -> tuple[str, str | None]:
         colour = first if len(words) > 1 and first in COLOURS else None
         words = words[1:] if colour else words
         if words:
-            return _singular(" ".join(words)), colour
+            return singular(" ".join(words)), colour
     return "object", None
-
-
-def _singular(words: str) -> str:
-    if words in SYNONYMS:
-        return SYNONYMS[words]
-    if words.endswith("s") and not words.endswith("ss"):
-        return SYNONYMS.get(words[:-1], words[:-1])
-    return words
 
 
 def material_name(index: int, material: Material) -> str:
