@@ -134,6 +134,14 @@ class StillOrMoving(Reading):
         # A look adds the same to every range, so that it adds as much to the field over all of them.
         return StillOrMoving(still, roamed, min(max(moving, SURE), 1 - SURE), before + log_ratio)
 
+    def plus(self, look: np.ndarray) -> StillOrMoving:
+        """With log ratios `look` ``(size,)`` that count in either case, and say nothing about which it is."""
+        ranged = isinstance(self.still, RangedBelief)
+        part: Any = "shells" if ranged else "coefficients"
+        still = replace(self.still, **{part: getattr(self.still, part) + look})
+        shown = self._stays + RealHarmonics(self.degree).synthesise(look, decoding_grid(self.degree))
+        return StillOrMoving(still, replace(self.wanderer, looks=self.wanderer.looks + look), self.moving, shown)
+
     @cached_property
     def _stays(self) -> np.ndarray:
         return self.still.posterior.coarse if self.field_of_still is None else self.field_of_still

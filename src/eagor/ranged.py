@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._arrays import Array, as_float, namespace, to_numpy
+from eagor._arrays import Array, as_float, device, namespace, to_numpy
 from eagor.belief import Belief, Reading
 from eagor.diffusion import diffuse
 from eagor.errors import EagorError, PoseError
@@ -34,12 +34,24 @@ def log_ranges(nearest: float = 0.5, farthest: float = 12.0, count: int = 14) ->
     return np.geomspace(nearest, farthest, count)
 
 
+# Heights of the middles of things above the floor, metres: furniture lies about half a metre high, what hangs on walls
+# or stands on furniture at up to two.
+MIDDLE, SPREAD = 0.7, 0.5
+ODD = 0.02  # share of things of which no height is expected
+
+
 @dataclass(frozen=True, eq=False)
 class RangedBelief(Reading):
-    """Direction and distance: `shells` ``(..., K, (degree + 1)^2)`` at `ranges` ``(K,)`` metres, in the body frame."""
+    """Direction and distance: `shells` ``(..., K, (degree + 1)^2)`` at `ranges` ``(K,)`` metres, in the body frame.
+
+    `prior` ``(K, (degree + 1)^2)``, as `height_prior` gives it: what is known of direction and range without looking;
+    it counts when the belief is read. None: every direction alike. `predict` turns it, and takes it to be the same at
+    the new place: on level ground it is.
+    """
 
     shells: Array
     ranges: np.ndarray
+    prior: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         ranges = np.array(self.ranges, dtype=np.float64)
@@ -92,8 +104,11 @@ class RangedBelief(Reading):
                 f"translation = {step.tolist()}; wanted (x, y, z) metres of the body, in the new body frame"
             )
         shells = as_float(self.shells)
+        if self.prior is not None and turn.ndim > 2:
+            raise EagorError("a belief with a prior turns as one; wanted one rotation (3, 3) for the batch")
+        prior = None if self.prior is None else self.basis.rotate(self.prior, turn)
         if turn.ndim == 2 and step.ndim == 1:
-            return replace(self, shells=translate(self.degree, shells, self.ranges, turn, step))
+            return replace(self, shells=translate(self.degree, shells, self.ranges, turn, step), prior=prior)
         turn = np.broadcast_to(turn, (*self.batch_shape, 3, 3))
         step = np.broadcast_to(step, (*self.batch_shape, 3))
         moved = [
@@ -101,7 +116,7 @@ class RangedBelief(Reading):
             for index in np.ndindex(*self.batch_shape)
         ]
         xp = namespace(shells)
-        return replace(self, shells=xp.reshape(xp.stack(moved), shells.shape))
+        return replace(self, shells=xp.reshape(xp.stack(moved), shells.shape), prior=prior)
 
     def update(self, evidence: Evidence | Sequence[Evidence]) -> RangedBelief:
         """With one more look added: the same for all shells, or one `Evidence` per shell if it tells ranges apart."""
@@ -123,17 +138,17 @@ class RangedBelief(Reading):
     def direction_belief(self) -> Belief:
         """The belief over directions alone, projected back to this degree."""
         grid = decoding_grid(self.degree)
-        return Belief(self.basis.analyse(self._marginal(self.shells, grid), grid))
+        return Belief(self.basis.analyse(self._marginal(grid), grid))
 
     def log_density(self, directions: Array) -> np.ndarray:
         """log p per steradian at unit vectors ``(n..., 3)``: ``(..., n...)``; integrates to 1."""
-        f = to_numpy(self._marginal(self.shells, directions))
+        f = to_numpy(self._marginal(directions))
         return f - self._log_totals(f.ndim)
 
     def mode(self) -> Array:
         """The direction of highest density ``(..., 3)``, all ranges together, in the belief's own kind of array."""
         grid = decoding_grid(self.degree)
-        return peak_on_grid(grid, self._marginal(self.shells, grid))
+        return peak_on_grid(grid, self._marginal(grid))
 
     def range_probabilities(self) -> np.ndarray:
         """Probability of each shell ``(..., K)``."""
@@ -141,13 +156,13 @@ class RangedBelief(Reading):
 
     @cached_property
     def _range_probabilities(self) -> np.ndarray:
-        coefficients = to_numpy(self.shells).astype(np.float64)
+        coefficients = to_numpy(self._believed).astype(np.float64)
         found = np.zeros((*self.batch_shape, len(self.ranges)))
         for index in np.ndindex(*self.batch_shape):
             posterior: Any = self.posteriors[index]
             # Far from the peaks of the sum over all ranges, no range has a share worth counting.
             field = self.basis.synthesise(coefficients[index], posterior.window)
-            mass = np.sum(np.exp(field - field.max()) * posterior.window.weights, axis=(-2, -1)) * self._prior
+            mass = np.sum(np.exp(field - field.max()) * posterior.window.weights, axis=(-2, -1)) * self._shares
             found[index] = mass / mass.sum()
         found.setflags(write=False)
         return found
@@ -168,32 +183,60 @@ class RangedBelief(Reading):
         return found if self.batch_shape else float(found)
 
     @property
-    def _prior(self) -> np.ndarray:
-        """Prior probability of each shell ``(K,)``: its share of the logarithm of the range."""
-        width = np.gradient(np.log(self.ranges))
-        return width / width.sum()
+    def _shares(self) -> np.ndarray:
+        return _shares(self.ranges)
 
-    def _marginal(self, shells: Array, where: Any) -> Array:
-        return _marginal(self.basis, self._prior, shells, where)
+    @property
+    def _believed(self) -> Array:
+        """The shells with the prior."""
+        if self.prior is None:
+            return self.shells
+        xp = namespace(self.shells)
+        return self.shells + xp.asarray(self.prior, dtype=self.shells.dtype, device=device(self.shells))
+
+    def _marginal(self, where: Any) -> Array:
+        return _marginal(self.basis, self._shares, self._believed, where)
 
     def _field(self, index: tuple[int, ...]) -> Field:
-        shells, basis, prior = to_numpy(self.shells)[index].astype(np.float64), self.basis, self._prior
-        return lambda where: _marginal(basis, prior, shells, where)
+        shells, basis, shares = to_numpy(self._believed)[index].astype(np.float64), self.basis, self._shares
+        return lambda where: _marginal(basis, shares, shells, where)
 
 
-def _marginal(basis: RealHarmonics, prior: np.ndarray, shells: Array, where: Any) -> Array:
-    """log of the mean of exp(f_k) over the shells, weighed by their `prior`, on a grid or at directions."""
+def height_prior(
+    degree: int, ranges: np.ndarray, camera: float, middle: float = MIDDLE, spread: float = SPREAD
+) -> np.ndarray:
+    """What it means that things stand on a floor: a prior ``(K, (degree + 1)^2)`` for `RangedBelief`, z up.
+
+    A thing at range r and elevation e has its middle at the height `camera` + r sin(e) above the floor (metres). Such
+    heights are taken to be normally distributed about `middle`, or with probability `ODD` to be anything. It is a log
+    ratio against every direction and log range alike, whose mean likelihood is 1.
+    """
+    grid, ranges = decoding_grid(degree), np.asarray(ranges, dtype=np.float64)
+    height = camera + ranges[:, None, None] * grid.directions[..., 2]
+    likely = ODD + (1 - ODD) * np.exp(-0.5 * ((height - middle) / spread) ** 2)
+    mean = np.sum(_shares(ranges)[:, None, None] * likely * grid.weights) / (4 * math.pi)
+    return RealHarmonics(degree).analyse(np.log(likely / mean), grid)
+
+
+def _shares(ranges: np.ndarray) -> np.ndarray:
+    """Prior probability of each shell ``(K,)``: its share of the logarithm of the range."""
+    width = np.gradient(np.log(ranges))
+    return width / width.sum()
+
+
+def _marginal(basis: RealHarmonics, shares: np.ndarray, shells: Array, where: Any) -> Array:
+    """log of the mean of exp(f_k) over the shells, weighed by their `shares`, on a grid or at directions."""
     xp = namespace(shells)
-    if xp is np and shells.ndim == 2:  # in place, and the prior as a part of each shell's constant
+    if xp is np and shells.ndim == 2:  # in place, and the share as a part of each shell's constant
         shells = shells.copy()
-        shells[:, 0] += math.sqrt(4 * math.pi) * np.log(prior)
+        shells[:, 0] += math.sqrt(4 * math.pi) * np.log(shares)
         f = basis.synthesise(shells, where)
         top = f.max(axis=0)
         f -= top
         return np.log(np.exp(f, out=f).sum(axis=0)) + top
     f = basis.synthesise(shells, where)
     axis = len(shells.shape) - 2
-    log_prior = np.log(prior).reshape(-1, *([1] * (len(f.shape) - axis - 1)))
+    log_prior = np.log(shares).reshape(-1, *([1] * (len(f.shape) - axis - 1)))
     if xp is not np:
         log_prior = xp.asarray(log_prior, dtype=f.dtype, device=f.device)
     f = f + log_prior

@@ -13,20 +13,20 @@ import bisect
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
 
 from eagor._arrays import to_numpy
 from eagor.belief import Belief
-from eagor.errors import EagorError, TimeError
+from eagor.errors import EagorError, PoseError, TimeError
 from eagor.evidence import Calibration, Evidence
 from eagor.harmonics import RealHarmonics
 from eagor.motion import StillOrMoving
 from eagor.poses import PoseHistory
 from eagor.posterior import MIN_WEIGHT, PROMINENCE, RIVAL
-from eagor.ranged import RangedBelief, log_ranges
+from eagor.ranged import RangedBelief, height_prior, log_ranges
 from eagor.sphere import azimuth_elevation
 
 Status = Literal["searching", "tracking", "ambiguous", "stale"]
@@ -40,12 +40,17 @@ class TrackerConfig:
     - `decode`: "mode", or "mean" for the published estimate.
     - `calibration`: read every evidence with this one instead of its own.
     - `ranges`: shells (metres) of the belief over distance, used where positions are known; None: directions only.
+    - `floor`: height (z, metres) of the floor in the odometry's world, where it is known: things stand on it, so that
+      how far below the horizon one is tells how far away it may be (`eagor.ranged.height_prior`).
     - `keep_per_second`: share of the log-odds that survives one second (1: nothing is forgotten).
     - `diffusion`: radians per square root of a second by which the belief is spread: for targets of which nothing
       stands still, and odometry that drifts.
     - `wander`: radians per square root of a second by which a target wanders if it does not stand still; both cases
       are believed in side by side (`eagor.motion`). 0: every target stands still.
     - `restless`: changes per second between standing still and wandering.
+    - `persistence`: how far a look repeats the one before it, in [0, 1). A detector that is wrong is wrong in the same
+      direction again. Of each look the share 1 - persistence adds up; the rest counts only while it is the newest (what
+      is new in a series of looks whose errors follow an autoregression of first order).
     - `history`: seconds for which poses and evidence are kept, so that late evidence finds its place.
     - `stale_after`: seconds without evidence after which an estimate is stale.
     - `found_at`: nats by which the best direction must stand above a uniform belief; below, we are searching.
@@ -58,10 +63,12 @@ class TrackerConfig:
     decode: Literal["mode", "mean"] = "mode"
     calibration: Calibration | None = None
     ranges: Sequence[float] | None = field(default_factory=lambda: tuple(log_ranges(count=20).tolist()))
+    floor: float | None = None
     keep_per_second: float = 0.97
     diffusion: float = 0.0
     wander: float = math.radians(8)
     restless: float = 0.003
+    persistence: float = 0.0
     history: float = 10.0
     stale_after: float = 5.0
     found_at: float = 1.5
@@ -69,11 +76,13 @@ class TrackerConfig:
 
     def __post_init__(self) -> None:
         least = min(self.diffusion, self.wander, self.restless, self.history)
-        if not (0 < self.keep_per_second <= 1 and least >= 0 and self.wander < math.pi):
+        shares = 0 < self.keep_per_second <= 1 and 0 <= self.persistence < 1
+        if not (shares and least >= 0 and self.wander < math.pi):
             raise EagorError(
                 f"keep_per_second = {self.keep_per_second}, diffusion = {self.diffusion}, wander = {self.wander}, "
-                f"restless = {self.restless}, history = {self.history}; wanted 0 < keep_per_second <= 1, diffusion and "
-                "wander >= 0 (rad per sqrt s), restless >= 0 (per s) and history >= 0 (s)"
+                f"restless = {self.restless}, persistence = {self.persistence}, history = {self.history}; wanted 0 < "
+                "keep_per_second <= 1, diffusion and wander >= 0 (rad per sqrt s), restless >= 0 (per s), 0 <= "
+                "persistence < 1 and history >= 0 (s)"
             )
 
     @classmethod
@@ -190,11 +199,24 @@ class _Look:
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """A target's belief in world axes, about the place where the body stood at `stamp`."""
+    """A target's belief in world axes, about the place where the body stood at `stamp`.
+
+    `newest`: the part of the newest look that is in the belief only while it is the newest.
+    """
 
     belief: Belief | RangedBelief | StillOrMoving
     stamp: float
     position: np.ndarray | None
+    newest: np.ndarray | None = None
+
+    @property
+    def reading(self) -> Belief | RangedBelief | StillOrMoving:
+        """The belief with what the newest look says."""
+        if self.newest is None:
+            return self.belief
+        if isinstance(self.belief, StillOrMoving):
+            return self.belief.plus(self.newest)
+        return _plus(self.belief, self.newest)
 
 
 class DirectionTracker:
@@ -244,7 +266,8 @@ class DirectionTracker:
         if state is None or look.stamp >= state.stamp or not self._linear(state):
             self._absorb_in_order(target, look)
         else:  # adding commutes: the late look only has to be forgotten for as long as it was under way
-            faded = look.coefficients * self.config.keep_per_second ** (state.stamp - look.stamp)
+            share = (1 - self.config.persistence) * self.config.keep_per_second ** (state.stamp - look.stamp)
+            faded = share * look.coefficients
             self._states[target] = replace(state, belief=Belief(state.belief.coefficients + faded))  # type: ignore[union-attr]
 
     def estimate(self, now: float, target: str = "target") -> Estimate:
@@ -255,12 +278,12 @@ class DirectionTracker:
         pose, _ = self._poses.at(now)
         state = self._advanced(target, now)
         age = now - self._states[target].stamp if target in self._states else math.inf
-        return Estimate(now, age, state.belief, pose, self.config)
+        return Estimate(now, age, state.reading, pose, self.config)
 
     def belief(self, now: float, target: str = "target") -> Belief:
         """The belief over directions at time `now`, in the body frame of that time."""
         pose, _ = self._poses.at(now)
-        return self._advanced(target, now).belief.direction_belief().predict(pose.T)
+        return self._advanced(target, now).reading.direction_belief().predict(pose.T)
 
     def _linear(self, state: _State) -> bool:
         """Whether everything that happens to this belief commutes with adding evidence."""
@@ -299,20 +322,32 @@ class DirectionTracker:
             state = _State(self._blank(look.position), look.stamp, look.position)
         else:
             state = self._moved(state, look.stamp, look.position)
-        still = _still(state.belief)
-        if isinstance(still, RangedBelief):
-            still = replace(still, shells=still.shells + look.coefficients)
-        else:
-            still = Belief(still.coefficients + look.coefficients)
-        whole = state.belief.update(still, look.coefficients) if isinstance(state.belief, StillOrMoving) else still
-        return _State(whole, look.stamp, state.position)
+        newest = self.config.persistence * look.coefficients if self.config.persistence > 0 else None
+        lasting = look.coefficients if newest is None else look.coefficients - newest
+        still = _plus(_still(state.belief), lasting)
+        whole = state.belief.update(still, lasting) if isinstance(state.belief, StillOrMoving) else still
+        return _State(whole, look.stamp, state.position, newest)
 
     def _blank(self, position: np.ndarray | None) -> Belief | RangedBelief | StillOrMoving:
         if position is None or self.config.ranges is None:
             still = Belief.uniform(self.config.degree)
         else:
             still = RangedBelief.uniform(self.config.degree, np.asarray(self.config.ranges))
+            still = replace(still, prior=self._prior(position))
         return StillOrMoving.uniform(still) if self.config.wander > 0 else still
+
+    def _prior(self, position: np.ndarray | None) -> np.ndarray | None:
+        """What the camera's height above the floor says, where both are known."""
+        if self.config.floor is None or position is None or self.config.ranges is None:
+            return None
+        height = float(position[2]) - self.config.floor
+        if height <= 0:
+            raise PoseError(
+                f"the camera is at z = {position[2]:.3f} m, and TrackerConfig.floor = {self.config.floor:g} m is not "
+                "below it; give the floor's z in the odometry's world, or None if it is not known"
+            )
+        # To the centimetre: a walking camera bobs, and the prior is kept for each height.
+        return _height_prior(self.config.degree, tuple(self.config.ranges), round(height, 2))
 
     def _moved(self, state: _State, stamp: float, position: np.ndarray | None) -> _State:
         """The state carried to a later time and another place: parallax, forgetting, diffusion."""
@@ -321,7 +356,7 @@ class DirectionTracker:
         if elapsed == 0 and (moved is None or not moved.any()):
             return state
         if isinstance(still, RangedBelief) and moved is not None:
-            still = still.predict(np.eye(3), moved)
+            still = replace(still.predict(np.eye(3), moved), prior=self._prior(position))
         keep = self.config.keep_per_second**elapsed
         if keep < 1:
             still = still.forget(keep)
@@ -330,7 +365,8 @@ class DirectionTracker:
         whole = still
         if isinstance(state.belief, StillOrMoving):
             whole = state.belief.after(still, elapsed, self.config.wander, self.config.restless, keep)
-        return _State(whole, stamp, position if position is not None else state.position)
+        newest = None if state.newest is None else keep * state.newest
+        return _State(whole, stamp, position if position is not None else state.position, newest)
 
     def _advanced(self, target: str, now: float) -> _State:
         state = self._states.get(target)
@@ -345,9 +381,23 @@ class DirectionTracker:
         return self._moved(state, now, position)
 
 
+@lru_cache(maxsize=64)
+def _height_prior(degree: int, ranges: tuple[float, ...], height: float) -> np.ndarray:
+    found = height_prior(degree, np.array(ranges), height)
+    found.setflags(write=False)
+    return found
+
+
 def _still(belief: Belief | RangedBelief | StillOrMoving) -> Belief | RangedBelief:
     """The belief about a target that stands still."""
     return belief.still if isinstance(belief, StillOrMoving) else belief
+
+
+def _plus(belief: Belief | RangedBelief, look: np.ndarray) -> Belief | RangedBelief:
+    """The belief with the log ratios `look` ``(size,)`` added, the same for all ranges."""
+    if isinstance(belief, RangedBelief):
+        return replace(belief, shells=belief.shells + look)
+    return Belief(belief.coefficients + look)
 
 
 def _mode(direction: np.ndarray, weight: float) -> Mode:

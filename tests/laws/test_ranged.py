@@ -11,8 +11,8 @@ from strategies import rotations
 from eagor.belief import Belief
 from eagor.errors import EagorError, PoseError, RotationError
 from eagor.evidence import Evidence
-from eagor.ranged import RangedBelief, log_ranges
-from eagor.sphere import angular_distance, rotation
+from eagor.ranged import RangedBelief, height_prior, log_ranges
+from eagor.sphere import angular_distance, direction, rotation
 
 
 def bearing(position, target):
@@ -90,6 +90,38 @@ def test_a_range_cue_enters_shell_by_shell():
     assert ranges[belief.range_probabilities().argmax()] == pytest.approx(4, rel=0.01)
     with pytest.raises(EagorError, match="7"):
         belief.update(looks[:3])
+
+
+@pytest.mark.parametrize("camera", [0.4, 1.25, 1.7])
+def test_a_prior_over_heights_is_a_likelihood_ratio_of_mean_one(camera):
+    """It favours some places and rules none out; presence is not moved by it."""
+    blank = RangedBelief.uniform(15, log_ranges(count=20))
+    expecting = RangedBelief(blank.shells, blank.ranges, height_prior(15, blank.ranges, camera))
+    assert expecting.presence() == pytest.approx(0.5, abs=0.01)
+    assert expecting.log_density(direction(0.3, 1.2)) < blank.log_density(direction(0.3, 1.2)) - 0.3, "not overhead"
+    level = direction(0.3, math.atan2(0.7 - camera, 4.0))
+    assert expecting.log_density(level) > blank.log_density(level) + 0.3
+
+
+def test_one_look_below_the_horizon_tells_a_distance_where_the_floor_is_known():
+    look = Evidence.from_points([direction(0.4, math.radians(-12))], 200.0, [0.9])
+    blank = RangedBelief.uniform(15, log_ranges(count=20))
+    expecting = RangedBelief(blank.shells, blank.ranges, height_prior(15, blank.ranges, camera=1.25))
+    without, found = blank.update(look), expecting.update(look)
+    assert found.distance_spread() < 0.9 * without.distance_spread()
+    near = expecting.update(Evidence.from_points([direction(0.4, math.radians(-35))], 200.0, [0.9]))
+    assert near.distance() < 0.6 * found.distance()
+
+
+@given(rotations())
+@settings(max_examples=10)
+def test_a_prior_turns_with_the_body(R):
+    look = Evidence.from_points([direction(0.4, -0.2)], 100.0, [0.9])
+    blank = RangedBelief.uniform(7)
+    belief = RangedBelief(blank.shells, blank.ranges, height_prior(7, blank.ranges, 1.25)).update(look)
+    turned = belief.predict(R)
+    assert np.degrees(angular_distance(turned.mode(), R @ belief.mode())) < 0.1
+    assert turned.distance() == pytest.approx(belief.distance(), rel=1e-3)
 
 
 def test_batches_are_loops():

@@ -184,6 +184,46 @@ def test_what_was_learnt_fades_and_wanders():
     assert entropy() < entropy(diffusion=0.3)
 
 
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_looks_that_repeat_each_other_add_up_in_part(count):
+    """Of n looks alike, whose errors persist by p, n (1 - p) + p count."""
+    tracker = DirectionTracker(TrackerConfig(**FLAT, keep_per_second=1.0, persistence=0.6))
+    for t in range(count):
+        tracker.observe(look(direction(0.5, 0.0), float(t)))
+    one = look(direction(0.5, 0.0), 0.0).coefficients(7)
+    assert np.allclose(tracker.belief(count - 1.0).coefficients, (0.4 * count + 0.6) * one)
+
+
+@pytest.mark.parametrize("changes", [FLAT, {"degree": 7}, {"degree": 7, "wander": 0.0}])
+def test_late_equals_on_time_where_looks_repeat_each_other(changes):
+    config = TrackerConfig(**changes, persistence=0.5)
+    on_time, late = DirectionTracker(config), DirectionTracker(config)
+    looks = [look(direction(0.3 * t, 0.0), float(t)) for t in range(4)]
+    for one in looks:
+        on_time.observe(one)
+    for index in (0, 2, 3, 1):
+        late.observe(looks[index])
+    assert np.allclose(on_time.belief(4.0).coefficients, late.belief(4.0).coefficients, atol=1e-9)
+
+
+def test_a_known_floor_tells_distance_at_once():
+    down, found = direction(0.5, math.radians(-15)), {}
+    for floor in (None, 0.0, -0.8):
+        tracker = DirectionTracker(TrackerConfig(floor=floor))
+        tracker.rotate(0.0, np.eye(3), np.array([0.0, 0.0, 1.25]))
+        tracker.observe(look(down, 0.0, concentration=200.0))
+        found[floor] = tracker.estimate(0.0)
+    assert found[0.0].distance_spread < 0.85 * found[None].distance_spread
+    assert found[0.0].distance < found[-0.8].distance, "from higher up, the same depression is farther away"
+
+
+def test_a_camera_below_the_floor_is_refused():
+    tracker = DirectionTracker(TrackerConfig(floor=0.0))
+    tracker.rotate(0.0, np.eye(3), np.array([0.0, 0.0, -0.1]))
+    with pytest.raises(PoseError, match="floor"):
+        tracker.observe(look(direction(0, 0), 0.0))
+
+
 def test_forgetting_depends_on_time_and_not_on_how_often_one_asks():
     config = TrackerConfig(**FLAT, keep_per_second=0.5)
     one, two = DirectionTracker(config), DirectionTracker(config)
@@ -245,7 +285,15 @@ def test_a_corrected_pose_of_the_same_time_replaces_the_first():
 
 
 @pytest.mark.parametrize(
-    "changes", [{"keep_per_second": 0.0}, {"keep_per_second": 2.0}, {"diffusion": -1.0}, {"history": -1}]
+    "changes",
+    [
+        {"keep_per_second": 0.0},
+        {"keep_per_second": 2.0},
+        {"diffusion": -1.0},
+        {"history": -1},
+        {"persistence": 1.0},
+        {"persistence": -0.1},
+    ],
 )
 def test_impossible_settings_are_refused(changes):
     with pytest.raises(EagorError):

@@ -37,11 +37,11 @@ TILT = math.radians(3.0)  # standard deviation of roll and of pitch, in every ot
 
 
 def classes() -> tuple[str, ...]:
-    """Everything that a pixel can show: what can be asked for, then the rest of the building."""
+    """Everything that a pixel can show: what can be asked for (balls are put in by `balls`), then the building."""
     from eagor.worlds.apartment import CATEGORIES
 
     rest = ("wall", "floor", "ceiling")
-    return (*sorted(name for name in CATEGORIES if name not in rest), *rest)
+    return (*sorted({*CATEGORIES, "ball"} - {*rest}), *rest)
 
 
 def moments(ids: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

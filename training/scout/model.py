@@ -96,7 +96,10 @@ class Scout(nn.Module):
         self.quarter = nn.Sequential(Conv(size.first, size.quarter, 2), Block(size.quarter))
         self.eighth = nn.Sequential(Conv(size.quarter, size.eighth, 2), Block(size.eighth), Block(size.eighth))
         self.sixteenth = nn.Sequential(
-            Conv(size.eighth, size.sixteenth, 2), Block(size.sixteenth), Block(size.sixteenth, dilation=2)
+            Conv(size.eighth, size.sixteenth, 2),
+            Block(size.sixteenth),
+            Block(size.sixteenth, dilation=2),
+            Block(size.sixteenth),
         )
         self.up_eighth = nn.Conv2d(size.sixteenth, size.eighth, 1)
         self.join_eighth = Conv(size.eighth, size.features)

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from balls import with_balls
 from data import classes
 
 from eagor.grids import PatchGrid
@@ -42,10 +43,12 @@ class Apartment:
     tint: np.ndarray  # (V, h, W) uint8: colour, or UNSURE
 
     @classmethod
-    def read(cls, file: Path, stride: int = 4) -> Apartment:
-        """The apartment in `file`, with the middle rows of cells of `stride` pixels."""
+    def read(cls, file: Path, stride: int = 4, balls: float = 0.0) -> Apartment:
+        """The apartment in `file`, with the middle rows of cells of `stride` pixels and `balls` in a share of views."""
         with np.load(file) as stored:
             given = {key: stored[key] for key in stored.files}
+        if balls > 0:
+            with_balls(given, CLASSES, int(file.stem.split("-")[1]), balls)
         ids = given.pop("ids")[:, stride // 2 :: stride]
         kind = np.append(given["category"], CLASSES.index("wall")).astype(np.uint8)  # -1, the view outside, is wall
         hue = np.where(given["colour"] < 0, UNSURE, given["colour"])
@@ -53,9 +56,9 @@ class Apartment:
         return cls(int(file.stem.split("-")[1]), **given, shown=kind[ids], tint=hue[ids])
 
 
-def read_split(folder: Path, most: int | None = None) -> list[Apartment]:
-    """All apartments of a split, in the order of their seeds."""
-    return [Apartment.read(file) for file in sorted(folder.glob("apartment-*.npz"))[:most]]
+def read_split(folder: Path, most: int | None = None, balls: float = 0.0) -> list[Apartment]:
+    """All apartments of a split, in the order of their seeds, with `balls` in a share of the views."""
+    return [Apartment.read(file, balls=balls) for file in sorted(folder.glob("apartment-*.npz"))[:most]]
 
 
 @dataclass(frozen=True)

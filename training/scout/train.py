@@ -26,6 +26,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from balls import SHARE
 from evaluate import Respond, figures, rows_of
 from model import Scout
 from samples import CLASSES, NO_COLOUR, UNSURE, WORDS, Apartment, Batch, draw, read_split
@@ -33,6 +34,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 WARM = 150  # steps
+BACKGROUND = 0.25  # weight of a cell of wall, floor or ceiling where classes are told apart
 SCALE = 10.0  # cells that a target covers, about: keeps the loss per cell near 1
 
 
@@ -61,7 +63,9 @@ def loss_of(model: Scout, batch: Batch, half: bool) -> tuple[Tensor, dict[str, f
     parts["presence"] = 0.5 * F.binary_cross_entropy_with_logits(presence, present)
     weight = area[:, 0].expand(shown.shape[0], -1, shown.shape[3])
     classes = F.cross_entropy(shown, torch.from_numpy(batch.shown).long(), reduction="none")
-    parts["class"] = 0.5 * (classes * weight).sum() / weight.sum()
+    # Walls, floors and ceilings fill most of a picture and are easy to tell.
+    telling = torch.where(torch.from_numpy(batch.shown) < len(WORDS), weight, BACKGROUND * weight)
+    parts["class"] = (classes * telling).sum() / telling.sum()
     hue = torch.from_numpy(batch.tint).long()
     hues = F.cross_entropy(tint, hue, ignore_index=UNSURE, reduction="none")
     known = weight * (hue != UNSURE)
@@ -130,11 +134,11 @@ def main() -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(given.threads)
     torch.manual_seed(given.seed)
-    train = read_split(given.folder / "train", given.apartments)
+    train = read_split(given.folder / "train", given.apartments, SHARE)
     validation = read_split(given.folder / "validation")
     model = network()
     if given.from_weights:
-        model.load_state_dict(torch.load(given.from_weights, weights_only=True))
+        model.load_state_dict(torch.load(given.from_weights, weights_only=True), strict=False)  # new layers start anew
     ema = copy.deepcopy(model)
     decayed = [p for p in model.parameters() if p.ndim > 1]
     others = [p for p in model.parameters() if p.ndim <= 1]

@@ -20,6 +20,7 @@ def bench(options: Bench) -> int:
 def run(options: BenchRun) -> int:
     """``eagor bench run``."""
     from eagor.evaluation import bench, ledger, tables
+    from eagor.perception.calibrated import read_calibrated
     from eagor.tasks.methods import NAMES
     from eagor.tasks.rules import Disturbances
 
@@ -36,6 +37,7 @@ def run(options: BenchRun) -> int:
         world=options.world,
         rows=options.rows,
         disturbances=disturbances,
+        calibrated=read_calibrated(options.calibration) if options.calibration else None,
         settings=_settings(options.set),
     )
     out = options.out or Path("runs") / f"{options.task}-{options.perception.partition(':')[0]}-{options.seed}"

@@ -11,18 +11,18 @@ import numpy as np
 from eagor.belief import Belief
 from eagor.cli import terminal
 from eagor.cli.looking import (
-    checked_degree,
     checked_picture,
     checked_query,
     first_stamp,
     look,
     make_perception,
     read_frame,
+    tracker_config,
 )
 from eagor.cli.options import Locate
 from eagor.cli.words import STATUS, in_words, signed
 from eagor.sphere import azimuth_elevation
-from eagor.tracker import DirectionTracker, Estimate, TrackerConfig
+from eagor.tracker import DirectionTracker, Estimate
 
 
 def locate(options: Locate) -> int:
@@ -30,7 +30,7 @@ def locate(options: Locate) -> int:
     query = checked_query(options.query)
     if options.modes < 1:
         raise terminal.UsageError(f"--modes {options.modes}; wanted 1 or more")
-    config = TrackerConfig(degree=checked_degree(options.degree))
+    config = tracker_config(options.degree, options.calibration)
     if options.picture is not None:
         checked_picture(options.picture)
     perception = make_perception(options.perception)

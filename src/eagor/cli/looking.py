@@ -13,7 +13,9 @@ from eagor.cli.terminal import UsageError
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
 from eagor.evidence import Evidence
 from eagor.perception import Perception, load
+from eagor.perception.calibrated import read_calibrated
 from eagor.perception.replay import ReplayPerception
+from eagor.tracker import TrackerConfig
 from eagor.worlds.panorama import read_panorama
 
 IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
@@ -48,6 +50,12 @@ def make_perception(spec: str) -> Perception:
     if spec.partition(":")[0] == "replay" and not spec.partition(":")[2]:
         raise UsageError("--perception replay needs the file that the detector wrote: replay:FILE.jsonl")
     return load(spec)
+
+
+def tracker_config(degree: int, calibration: Path | None) -> TrackerConfig:
+    """The tracker's configuration for ``--degree`` and ``--calibration``."""
+    config = TrackerConfig(degree=checked_degree(degree))
+    return config if calibration is None else read_calibrated(calibration).config(config)
 
 
 def find_frames(places: Sequence[Path]) -> tuple[Path, ...]:

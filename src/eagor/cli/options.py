@@ -42,6 +42,8 @@ class Locate(Common):
     """At most so many candidate directions."""
     degree: Whole = 15
     """Degree of the spherical harmonics, 1 to 63; resolution is about 180 / N degrees."""
+    calibration: Annotated[Path | None, arg(metavar="FILE.json")] = None
+    """How responses are read, from `eagor calibrate`."""
     stamp: Annotated[float | None, arg(metavar="SECONDS")] = None
     """Which record of a replay to take (default: the first for this query)."""
     picture: Annotated[Path | None, arg(metavar="FILE.png")] = None
@@ -61,6 +63,8 @@ class Track(Common):
     stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch nose DOWN); also x,y,z (metres) and frame (file name)."""
     perception: Name = "colour"
     """Who looks: colour, replay:FILE.jsonl, or an installed one."""
+    calibration: Annotated[Path | None, arg(metavar="FILE.json")] = None
+    """How responses are read and forgotten, from `eagor calibrate`."""
     compare: bool = False
     """Run the baselines on the same evidence, side by side."""
     degree: Whole = 15
@@ -117,8 +121,10 @@ class BenchRun(Common):
     """Other rules, such as success_distance=0.5 max_steps=200 stop=call sliding=false."""
     world: Annotated[str, arg(metavar="WORLD")] = "apartment"
     """apartment, or a GLB file."""
-    rows: Whole = 256
-    """Rows of the panoramas that the perception sees (truth reads ids instead)."""
+    rows: Annotated[int | None, arg(metavar="N")] = None
+    """Rows of the panoramas (default: what the perception works at, else 256; truth reads ids instead)."""
+    calibration: Annotated[Path | None, arg(metavar="FILE.json")] = None
+    """How our tracker reads and forgets, from `eagor calibrate`."""
     retry_failed: bool = False
     """Try episodes again that failed before."""
 
@@ -141,6 +147,28 @@ class Bench:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Calibrate(Common):
+    """Fit how a perception's responses are read, and how fast what it saw is forgotten, by log score."""
+
+    runs: ClassVar[str] = "eagor.cli.calibrate:calibrate"
+
+    perception: Name = "scout"
+    """Whose responses."""
+    out: Annotated[Path | None, arg(metavar="FILE.json")] = None
+    """Where the calibration goes (default: calibration-PERCEPTION.json). Other commands take it as --calibration."""
+    episodes: Whole = 60
+    """How many to look at, half of them routes past a thing, half of them balls; five of each in an apartment."""
+    seed: Whole = 100
+    """The first apartment; 0 to 1999 are for choosing parameters."""
+    trials: Whole = 96
+    """How many settings to try."""
+    workers: Whole = 1
+    """Processes."""
+    rows: Annotated[int | None, arg(metavar="N")] = None
+    """Rows of the panoramas (default: what the perception works at, else 256)."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Doctor(Common):
     """What is installed here: versions, perceptions, processor."""
 
@@ -152,5 +180,6 @@ Command = (
     | Annotated[Track, subcommand("track")]
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]
+    | Annotated[Calibrate, subcommand("calibrate")]
     | Annotated[Doctor, subcommand("doctor")]
 )

@@ -14,13 +14,12 @@ from pathlib import Path
 
 from eagor.cli import terminal
 from eagor.cli.following import Result, follow
-from eagor.cli.looking import checked_degree, checked_query, find_frames, make_perception
+from eagor.cli.looking import checked_query, find_frames, make_perception, tracker_config
 from eagor.cli.methods import NAMES
 from eagor.cli.options import Track
 from eagor.cli.poses import pair, read_poses
 from eagor.cli.words import signed
 from eagor.sphere import azimuth_elevation
-from eagor.tracker import TrackerConfig
 
 COLUMNS = ("frame", "stamp", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "distance_m", "status")
 
@@ -32,7 +31,7 @@ def track(options: Track) -> int:
     query = checked_query(options.words[-1])
     images = find_frames([Path(word) for word in options.words[:-1]])
     steps = pair(read_poses(options.poses), images, options.poses)
-    config = TrackerConfig(degree=checked_degree(options.degree))
+    config = tracker_config(options.degree, options.calibration)
     perception = make_perception(options.perception)
     entries, bad, looked = [], 0, 0
     with ExitStack() as stack:

@@ -11,7 +11,9 @@ from eagor._version import __version__
 from eagor.errors import EagorError
 from eagor.evaluation import ledger
 from eagor.evaluation.workers import Outcome, Unit, run_units
+from eagor.perception.calibrated import Calibrated
 from eagor.tasks.episodes import slots
+from eagor.tasks.eyes import rows_of
 from eagor.tasks.fitted import fitted
 from eagor.tasks.methods import NAMES, ORACLE, make_method
 from eagor.tasks.places import APARTMENT, DEVELOPMENT
@@ -19,12 +21,15 @@ from eagor.tasks.play import RULES
 from eagor.tasks.rules import Camera, Disturbances, as_dict
 
 WORK = "eagor.tasks.play:work"
-ROWS = 256  # of the panoramas that perceptions see, unless they read ids
 
 
 @dataclass(frozen=True)
 class Run:
-    """What is run. `settings` override single rules, of the task, the camera or the disturbances, by name."""
+    """What is run. `settings` override single rules, of the task, the camera or the disturbances, by name.
+
+    `rows` of the panoramas; None: what the perception works at. `calibrated`: how our tracker reads and forgets; None:
+    as the perception and the tracker have it.
+    """
 
     task: str
     perception: str
@@ -32,14 +37,16 @@ class Run:
     seed: int
     methods: tuple[str, ...] = NAMES
     world: str = APARTMENT
-    rows: int = ROWS
+    rows: int | None = None
     disturbances: Disturbances = field(default_factory=Disturbances)
+    calibrated: Calibrated | None = None
     settings: dict[str, Any] = field(default_factory=dict)
 
     def config(self) -> dict[str, Any]:
         """Everything that decides the results, as the JSON of run.json. Raises `EagorError` for what does not exist."""
         import numpy as np
 
+        from eagor.perception import load
         from eagor.worlds.apartment import VERSION
 
         if self.task not in RULES:
@@ -68,7 +75,8 @@ class Run:
                 name: text for name in self.methods if (text := fitted(self.perception, name.partition(":")[0]))
             },
             "world": self.world,
-            "rows": self.rows,
+            "rows": self.rows or rows_of(load(self.perception)),
+            **({"calibrated": self.calibrated.as_json()} if self.calibrated else {}),
             **values,
             "versions": {"eagor": __version__, "apartment": VERSION},
         }
@@ -99,11 +107,8 @@ def start(
     Raises `EagorError` if the folder holds another run (it says what differs), or for anything that `run` names and
     does not exist; `StorageError` if the disk does not take the results.
     """
-    from eagor.perception import load
-
-    config = run.config()
+    config = run.config()  # makes the perception: one that cannot be made is no failure of an episode
     units = run.units()
-    load(run.perception)  # a perception that cannot be made is no failure of an episode
     ledger.begin(folder, config)
     return run_units(units, WORK, config, folder, workers, on_done=on_done, retry_failed=retry_failed)
 

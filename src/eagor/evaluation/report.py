@@ -44,12 +44,15 @@ def write_report(folder: Path, open_place: scenes.OpenPlace | None = None) -> Pa
     degrees = _degrees(config)
     main = sheets.main_sheet(summary)
     ordering = sheets.ordering_sheet(good, task)
+    made_of = sheets.parts_sheet(good, summary)
     covered = sheets.coverage_sheet(good, summary)
     strata = sheets.strata_sheets(summary)
     varied = sheets.ablation_sheets(summary, degrees)
     sections: list[figures.Section] = [("figures", "Figures", page.table(main) + _column_notes(task))]
     if ordering is not None:
         sections.append(("ordering", "How far the paper's ordering carries over", page.table(ordering)))
+    if made_of is not None:
+        sections.append(("parts", "What the errors are made of", page.table(made_of)))
     sections += figures.curve_sections(good, task)
     if strata:
         sections.append(("strata", "By kind of episode", "".join(map(page.table, strata))))
@@ -70,7 +73,7 @@ def write_report(folder: Path, open_place: scenes.OpenPlace | None = None) -> Pa
     path.write_text(
         page.document(title, _lead(config, summary, facts), sections, f"Made by eagor {__version__}."), encoding="utf-8"
     )
-    tables = [sheet for sheet in (main, ordering, *strata, covered, *varied) if sheet is not None]
+    tables = [sheet for sheet in (main, ordering, made_of, *strata, covered, *varied) if sheet is not None]
     (folder / "tables.md").write_text(export.markdown(title, facts, tables), encoding="utf-8")
     (folder / "tables.csv").write_text(export.table_csv(summary), encoding="utf-8")
     return path

@@ -15,6 +15,8 @@ from eagor.evidence import Evidence
 from eagor.perception import Perception
 from eagor.queries import Named
 
+ROWS = 256  # of the panoramas, for perceptions that do not say
+
 
 class Eye(Protocol):
     """Looks once per step."""
@@ -52,6 +54,11 @@ def open_eye(perception: Any, things: Sequence[Named], seed: int) -> Eye:
     """`perception` for one episode among `things` (whose places are the instance ids); `seed` is of its mistakes."""
     begin = getattr(perception, "episode", None)
     return PixelEye(perception) if begin is None else PrivilegedEye(begin(things, seed))
+
+
+def rows_of(perception: Any) -> int:
+    """Rows of the panoramas that the perception works at (its attribute `rows`, where it has one)."""
+    return int(getattr(perception, "rows", ROWS))
 
 
 def is_privileged(perception: Any) -> bool:

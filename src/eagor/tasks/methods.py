@@ -32,6 +32,7 @@ from eagor.tracker import DirectionTracker, Estimate, TrackerConfig
 
 PARTICLES = 2000
 REWIND = 64  # steps that a filter can be rewound by
+FLOOR = 0.0  # metres: z of the floor in the worlds' odometry
 
 # What each is, for reports; the order of tables.
 DESCRIPTIONS = {
@@ -176,20 +177,27 @@ class TrackerMethod:
 
 
 def make_method(
-    name: str, rng: np.random.Generator, perception: str = "", calibration: Calibration | None = None
+    name: str,
+    rng: np.random.Generator,
+    perception: str = "",
+    calibration: Calibration | None = None,
+    ours: TrackerConfig | None = None,
 ) -> Method:
     """The method that `name` says; `rng` is for those that draw. Raises `EagorError` for a name that is none.
 
     `perception` (as `eagor.perception.load` reads it) tells which fitted settings a rival starts from
-    (`eagor.tasks.fitted`), and `calibration` how that perception reads its responses: what our tracker's variants vary.
+    (`eagor.tasks.fitted`), and `calibration` how that perception reads its responses; our tracker and its variants
+    start from `ours` (default: the default tracker).
     """
     base, _, text = name.partition(":")
-    if base not in _MAKERS:
+    if base not in NAMES:
         raise EagorError(
             f"there is no method {base!r}; known are {', '.join(NAMES)}, and variants such as eagor:degree=7"
         )
     settings = _settings(name, fitted(perception, base)) | _settings(name, text)
     try:
+        if base == "eagor":
+            return TrackerMethod(DirectionTracker(tracker_config(ours or TrackerConfig(), settings, calibration)))
         return _MAKERS[base](settings, rng, calibration)
     except KeyError as error:
         known = ", ".join(SETTINGS[base]) or "none"
@@ -206,7 +214,7 @@ def _settings(name: str, text: str) -> dict[str, str]:
 
 
 _READING = ("floor", "neutral", "temperature")
-_OURS = ("degree", "decode", *_READING, "keep", "shells", "diffusion", "wander", "restless")
+_OURS = ("degree", "decode", *_READING, "keep", "shells", "diffusion", "wander", "restless", "persistence", "heights")
 _ANGLES = ("noise", "diffusion", "roughening", "kernel")  # typed in degrees
 SETTINGS: dict[str, tuple[str, ...]] = {
     "centroid": (),
@@ -225,9 +233,9 @@ def tracker_config(
 ) -> TrackerConfig:
     """`config` with settings from text; raises KeyError for one that there is not, ValueError for what is no number.
 
-    degree, decode, keep (per second), shells (0: directions only), diffusion and wander (degrees per root second),
-    restless (changes per second), and floor, neutral and temperature, which change `calibration` where the config
-    has none of its own.
+    degree, decode, keep (per second), shells (0: directions only), heights (0: it is not known where the floor is),
+    diffusion and wander (degrees per root second), restless (changes per second), persistence, and floor, neutral and
+    temperature, which change `calibration` where the config has none of its own.
     """
     if unknown := [key for key in settings if key not in _OURS]:
         raise KeyError(unknown[0])
@@ -242,8 +250,9 @@ def tracker_config(
     if "keep" in numbers:
         changes["keep_per_second"] = numbers["keep"]
     changes |= {key: math.radians(numbers[key]) for key in ("diffusion", "wander") if key in numbers}
-    if "restless" in numbers:
-        changes["restless"] = numbers["restless"]
+    changes |= {key: numbers[key] for key in ("restless", "persistence") if key in numbers}
+    if "heights" in numbers:
+        changes["floor"] = FLOOR if numbers["heights"] else None
     if "shells" in numbers:
         count = int(numbers["shells"])
         changes["ranges"] = tuple(log_ranges(count=count).tolist()) if count else None
@@ -273,10 +282,8 @@ def _filter(base: str, make: Callable[[np.random.Generator], Any]) -> Callable[.
     return made
 
 
-def _tracking(config: TrackerConfig) -> Callable[..., Method]:
-    return lambda settings, rng, calibration: TrackerMethod(
-        DirectionTracker(tracker_config(config, settings, calibration))
-    )
+def _published(settings: dict[str, str], rng: np.random.Generator, calibration: Calibration | None) -> Method:
+    return TrackerMethod(DirectionTracker(tracker_config(TrackerConfig.paper(), settings, calibration)))
 
 
 _FILTERS: dict[str, Callable[[np.random.Generator], DirectionFilter]] = {
@@ -289,6 +296,5 @@ _FILTERS: dict[str, Callable[[np.random.Generator], DirectionFilter]] = {
 }
 _MAKERS: dict[str, Callable[..., Method]] = {
     **{base: _filter(base, make) for base, make in _FILTERS.items()},
-    "eagor_paper": _tracking(TrackerConfig.paper()),
-    "eagor": _tracking(TrackerConfig()),
+    "eagor_paper": _published,
 }

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eagor.queries import Query
+from eagor.queries import COLOURS, Query
 from eagor.worlds.ground import Field, Ground
 from eagor.worlds.render import Renderer
 from eagor.worlds.scene import STRUCTURE, Scene
@@ -50,6 +50,18 @@ class Place:
             elif len(members) == 1 and query.colour:
                 names[members[0]] = query  # one of several chairs by its colour
         return names
+
+    def missing(self, rng: np.random.Generator) -> Query:
+        """A query that nothing here answers: of a category that is not here, or one that is, in another colour."""
+        from eagor.worlds.apartment import CATEGORIES
+
+        here = {thing.category for thing in self.scene.instances} - {*UNTARGETED}
+        absent = sorted({*CATEGORIES} - {*UNTARGETED} - here)
+        if absent and (rng.random() < 0.5 or not here):
+            return Query(str(rng.choice(absent)))
+        category = str(rng.choice(sorted(here)))
+        taken = {thing.colour for thing in self.scene.instances if thing.category == category}
+        return Query(category, str(rng.choice([colour for colour in COLOURS if colour not in taken])))
 
     def way_to(self, targets: tuple[int, ...]) -> Field:
         """Geodesic distance to the nearest of the targets' footprints."""

@@ -19,14 +19,16 @@ from eagor import metrics
 from eagor.conventions import rotation_from_wxyz, wxyz_from_rotation
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
+from eagor.perception.calibrated import from_json
 from eagor.sphere import azimuth_elevation
 from eagor.tasks import navigation, tracking, waypoint
 from eagor.tasks.environments import MapFreeNavigationEnv, PlaceEnv, TargetTrackingEnv, WaypointFollowingEnv
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.eyes import Eye, is_privileged, open_eye
-from eagor.tasks.methods import ORACLE, Method, make_method
+from eagor.tasks.methods import FLOOR, ORACLE, Method, make_method
 from eagor.tasks.policy import Policy
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, TrackingRules, WaypointRules, from_dict
+from eagor.tracker import TrackerConfig
 
 MASS = 0.9  # of the credible regions whose coverage is measured
 RULES = {"waypoint": WaypointRules, "navigation": NavigationRules, "tracking": TrackingRules}
@@ -40,12 +42,16 @@ _PLANS: dict[str, Callable[..., Episode]] = {
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """One step of an open-loop episode: the pose as the odometry has it, and the evidence that arrives (if any)."""
+    """One step of an open-loop episode: the pose as the odometry has it, and the evidence that arrives (if any).
+
+    `other`: what the same look said about the other query of the recording.
+    """
 
     stamp: float
     world_R_body: np.ndarray
     position: np.ndarray
     evidence: Evidence | None
+    other: Evidence | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +74,8 @@ class Player:
     """Plays the episodes of one run.
 
     `config`: task, perception (as `eagor.perception.load` reads it), rules, camera, disturbances (JSON of
-    `eagor.tasks.rules`), rows (of the panorama; unused where the perception reads ids).
+    `eagor.tasks.rules`), rows (of the panorama; unused where the perception reads ids), and perhaps calibrated (JSON of
+    `eagor.perception.calibrated`: how our tracker reads and forgets).
     """
 
     def __init__(self, config: dict[str, Any], perception: Any = None) -> None:
@@ -84,6 +91,9 @@ class Player:
         self.camera = from_dict(Camera, config["camera"])
         self.disturbances = from_dict(Disturbances, config["disturbances"])
         self.rules: Any = from_dict(RULES[self.task], config["rules"])
+        given = config.get("calibrated")
+        base = TrackerConfig(floor=FLOOR)
+        self.ours = from_json(given, "the run's calibration").config(base) if given else base
         rows = None if is_privileged(perception) else int(config["rows"])
         self.env: PlaceEnv = _ENVIRONMENTS[self.task](
             rules=self.rules, camera=self.camera, disturbances=self.disturbances, panorama=rows
@@ -111,18 +121,18 @@ class Player:
     def method(self, name: str, slot: Slot) -> Method:
         """A fresh method of this name, as it is for this perception."""
         calibration = getattr(self.perception, "calibration", None)
-        return make_method(name, slot.rng("method"), self.config["perception"], calibration)
+        return make_method(name, slot.rng("method"), self.config["perception"], calibration, self.ours)
 
     def _begin(self, episode: Episode) -> tuple[dict, dict, Eye]:
         observation, info = self.env.reset(options={"episode": episode})
         seed = int(episode.slot.rng("perception").integers(1 << 31))
         return observation, info, open_eye(self.perception, info["instances"]["labels"], seed)
 
-    def _look(self, eye: Eye, observation: dict, info: dict) -> Evidence:
-        """The evidence of this step, stamped with the time of capture."""
+    def _look(self, eye: Eye, observation: dict, info: dict, query: str = "") -> Evidence:
+        """The evidence of this step about the episode's query, or another; stamped with the time of capture."""
         stamp = info["num_steps"] * self.camera.seconds
         image = info["instances"]["ids"] if eye.privileged else observation["panorama"]
-        return eye.look(image, info["query"], stamp, info["truth"]["world_R_body"])
+        return eye.look(image, query or info["query"], stamp, info["truth"]["world_R_body"])
 
     def _navigate(self, episode: Episode, name: str, watch: Callable[[Method | None], object] | None) -> dict[str, Any]:
         """One method through one episode of navigation, closed loop."""
@@ -160,9 +170,15 @@ class Player:
         }
         return {"metrics": _rounded(found), "trace": dict(trace)}
 
-    def record(self, episode: Episode) -> Recording:
-        """An open-loop episode as every method will meet it: poses, responses, and what was true."""
+    def record(self, episode: Episode, other: str = "") -> Recording:
+        """An open-loop episode as every method will meet it: poses, responses, and what was true.
+
+        `other`: a second query, about which nothing is known to be true; the perception is asked for it as well.
+        """
         observation, info, eye = self._begin(episode)
+        second = open_eye(
+            self.perception, info["instances"]["labels"], int(episode.slot.rng("other").integers(1 << 31))
+        )
         truth: dict[str, list[Any]] = defaultdict(list)
         moments, directions, poses, places = [], [], [], []
         waiting: list[Evidence] = []
@@ -172,7 +188,8 @@ class Player:
             due = waiting.pop(0) if len(waiting) > self.disturbances.latency else None
             true, pose = info["truth"], observation["pose"]
             stamp = info["num_steps"] * self.camera.seconds
-            moments.append(Moment(stamp, rotation_from_wxyz(pose[3:]), pose[:3], due))
+            also = self._look(second, observation, info, other) if other else None
+            moments.append(Moment(stamp, rotation_from_wxyz(pose[3:]), pose[:3], due, also))
             _note_truth(truth, info, "")
             truth["present"].append(bool(true["present"]))
             if "waypoint" in info:

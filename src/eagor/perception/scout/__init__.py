@@ -45,6 +45,11 @@ class ScoutPerception:
     calibration: Calibration | None = None
 
     @property
+    def rows(self) -> int:
+        """Rows of the panoramas that it works at; others are resized."""
+        return ROWS
+
+    @property
     def grid(self) -> PatchGrid:
         """The cells of the response: 4.5 degrees each way."""
         return PatchGrid(ROWS // STRIDE, 2 * ROWS // STRIDE)

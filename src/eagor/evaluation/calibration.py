@@ -1,0 +1,161 @@
+"""Fitting how the responses of a perception are read, and how fast what was seen is forgotten, by log score.
+
+Episodes of Waypoint Following and Target Tracking in development apartments are recorded once: poses, and responses to
+two queries, one for the target and one that nothing there answers. A trial reads them with other settings. Its score,
+in nats, higher is better, has two parts, and only honest beliefs maximise them (Good, 1952): the log density that the
+belief gave to the true direction, and the log of the probability that it gave to the truth about presence.
+
+`eagor.evaluation.fitting` searches for the settings with the best score.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from eagor.errors import EagorError
+from eagor.evidence import Evidence
+from eagor.metrics import angular_error_deg
+from eagor.perception import load
+from eagor.tasks.episodes import PER_PLACE, Slot, slots
+from eagor.tasks.eyes import rows_of
+from eagor.tasks.places import APARTMENT, DEVELOPMENT, load_place
+from eagor.tasks.play import MASS, RULES, Player, Recording
+from eagor.tasks.rules import Camera, Disturbances, as_dict
+from eagor.tasks.tracking import TrackingEpisode
+from eagor.tracker import DirectionTracker, TrackerConfig
+from eagor.worlds.ball import PAINTS
+
+TASKS = ("waypoint", "tracking")
+EVERY = 3  # steps between the readings that are scored: neighbours say nearly the same
+SMALLEST = 1e-9  # a probability of presence below it counts as this
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of the fit: drawn evenly in the logarithm between `low` and `high`; `flipped`: of 1 minus it."""
+
+    name: str
+    low: float
+    high: float
+    flipped: bool = False
+
+    def value(self, place: float) -> float:
+        """The number at `place` in [0, 1]."""
+        found = math.exp(math.log(self.low) + min(max(place, 0.0), 1.0) * math.log(self.high / self.low))
+        return max(1 - found, 0.0) if self.flipped else found
+
+    def place(self, value: float) -> float:
+        """Where `value` lies in [0, 1]."""
+        given = min(max(1 - value if self.flipped else value, self.low), self.high)
+        return math.log(given / self.low) / math.log(self.high / self.low)
+
+
+PARAMETERS = (
+    Parameter("floor", 0.01, 1.0),
+    Parameter("neutral", 0.003, 0.3),
+    Parameter("temperature", 0.03, 10.0),
+    Parameter("keep_per_second", 0.002, 0.3, flipped=True),
+    Parameter("wander", math.radians(2), math.radians(25)),
+    Parameter("restless", 1e-4, 0.1),
+    Parameter("persistence", 0.1, 1.0, flipped=True),
+)
+
+
+def short(value: float) -> float:
+    """`value` with the three digits that mean something."""
+    return float(f"{value:.3g}")
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """How a tracker did on one recording, over its readings.
+
+    `direction`: log densities (nats per steradian) at the true direction; `presence`: logs of the probabilities that
+    the truth was given, for the target and for what is not there; `error`: degrees; `inside`: whether the truth lay in
+    the 90 % region (empty if that was not asked for).
+    """
+
+    seed: int
+    direction: np.ndarray
+    presence: tuple[np.ndarray, np.ndarray]
+    error: np.ndarray
+    inside: np.ndarray
+
+    @property
+    def total(self) -> float:
+        """Mean over the readings, nats."""
+        return float(self.direction.mean()) + (float(self.presence[0].mean()) + float(self.presence[1].mean())) / 2
+
+
+class Recorder:
+    """Records development episodes as one perception sees them.
+
+    `rows` of the panoramas; None: what the perception works at. Raises `EagorError` if it cannot be made.
+    """
+
+    def __init__(self, perception: str, rows: int | None = None) -> None:
+        seeing = load(perception)
+        config = {"perception": perception, "rows": rows or rows_of(seeing)}
+        config |= {"camera": as_dict(Camera()), "disturbances": as_dict(Disturbances())}
+        self.players = {
+            task: Player(config | {"task": task, "rules": as_dict(RULES[task]())}, seeing) for task in TASKS
+        }
+
+    def record(self, slot: Slot) -> Recording:
+        """An episode with responses to its query and to one that nothing there answers.
+
+        Raises `WorldError` for a slot that cannot be planned, `QueryError` if the perception does not know the words.
+        """
+        player, rng = self.players[slot.task], slot.rng("absent")
+        episode = player.plan(slot)
+        other = str(load_place(slot.world, slot.seed, player.camera.radius).missing(rng))
+        if isinstance(episode, TrackingEpisode):
+            other = f"{rng.choice(sorted({*PAINTS} - {episode.colour}))} ball"
+        return player.record(episode, other)
+
+
+def development_slots(count: int, seed: int) -> list[Slot]:
+    """`count` slots, half of them of each task. Raises `EagorError` for apartments that results are taken from."""
+    last = seed + (count + 1) // 2 // PER_PLACE
+    if seed not in DEVELOPMENT or last not in DEVELOPMENT:
+        raise EagorError(
+            f"{count} episodes from seed {seed}: calibrating is for the apartments {DEVELOPMENT.start} to "
+            f"{DEVELOPMENT.stop - 1}; the others are for results"
+        )
+    found = [list(slots(task, (count + 1) // 2, seed, APARTMENT)) for task in TASKS]
+    return [slot for pair in zip(*found, strict=True) for slot in pair][:count]
+
+
+def score(recording: Recording, config: TrackerConfig, regions: bool = False) -> Score:
+    """A tracker with this configuration on one recording; with `regions`, coverage is read as well."""
+    tracker, absent = DirectionTracker(config), DirectionTracker(config)
+    direction, error, inside = [], [], []
+    presence: tuple[list[float], list[float]] = ([], [])
+    for index, moment in enumerate(recording.moments):
+        _tell(tracker, moment.stamp, moment.world_R_body, moment.position, moment.evidence, config)
+        _tell(absent, moment.stamp, moment.world_R_body, moment.position, moment.other, config)
+        if index % EVERY:
+            continue
+        if moment.other is not None:
+            presence[1].append(math.log(max(1 - absent.estimate(moment.stamp).presence, SMALLEST)))
+        if recording.truth["present"][index]:
+            estimate, true = tracker.estimate(moment.stamp), recording.directions[index]
+            presence[0].append(math.log(max(estimate.presence, SMALLEST)))
+            direction.append(float(estimate.reading.log_density(estimate.world_R_body @ true)))
+            error.append(float(angular_error_deg(estimate.direction, true)))
+            if regions:
+                inside.append(estimate.mass_above(true) < MASS)
+    told = (np.array(presence[0]), np.array(presence[1] or [0.0]))
+    return Score(recording.episode.slot.seed, np.array(direction), told, np.array(error), np.array(inside))
+
+
+def _tell(
+    tracker: DirectionTracker, stamp: float, world_R_body: np.ndarray, position: np.ndarray,
+    evidence: Evidence | None, config: TrackerConfig,
+) -> None:  # fmt: skip
+    tracker.rotate(stamp, world_R_body, position if config.ranges is not None else None)
+    if evidence is not None:
+        tracker.observe(evidence)

@@ -1,0 +1,160 @@
+"""The search behind ``eagor calibrate``: settings whose beliefs give the truth the best log score.
+
+It draws settings from a normal distribution in the logarithms of the parameters, and moves that distribution to the
+best quarter of each round (cross-entropy method; Rubinstein, Methodology and Computing in Applied Probability 1, 1999).
+It sees half of the apartments; what it found is judged by the other half.
+"""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+import pickle
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor._version import __version__
+from eagor.errors import EagorError
+from eagor.evaluation.calibration import PARAMETERS, Score, score, short
+from eagor.evidence import Calibration
+from eagor.perception.calibrated import FORGETTING, Calibrated
+from eagor.statistics import bootstrap_interval
+from eagor.tasks.methods import FLOOR
+from eagor.tasks.play import Recording
+from eagor.tracker import TrackerConfig
+
+DRAWS = 16  # settings in a round,
+ELITE = 4  # of which so many are kept
+SPREAD = 0.25  # standard deviation of the first round, of the range of each parameter,
+LEAST = 0.03  # ... and the smallest of any round
+
+BASE = TrackerConfig(floor=FLOOR)  # what is fitted besides the rest
+
+Map = Callable[[Callable[[Any], Any], Sequence[Any]], Any]
+
+
+def fit(
+    perception: str,
+    recordings: Sequence[Recording],
+    trials: int = 96,
+    workers: int = 1,
+    on_trial: Callable[[], object] = lambda: None,
+    on_round: Callable[[Calibrated], object] = lambda fitted: None,
+) -> Calibrated:
+    """The settings with the best log score on `recordings`, which should span several apartments.
+
+    Apartments are dealt into two halves in turn: one is searched on, the other judges. `on_trial` is called after each
+    trial, `on_round` with the best so far. Raises `EagorError` if there are too few recordings for two halves.
+    """
+    seeds = sorted({recording.episode.slot.seed for recording in recordings})
+    halves = [[r for r in recordings if seeds.index(r.episode.slot.seed) % 2 == half] for half in (0, 1)]
+    if not all(halves):
+        raise EagorError(f"{len(recordings)} episodes of {len(seeds)} apartments; calibrating needs at least two")
+    start = _settings_now(recordings)
+    with tempfile.TemporaryDirectory() as folder, _mapping(workers) as run:
+        files = [Path(folder) / f"half-{half}" for half in (0, 1)]
+        for file, half in zip(files, halves, strict=True):
+            file.write_bytes(pickle.dumps(half))
+        best = start
+        for best in _rounds(partial(_trial, files[0]), start, trials, run, on_trial):
+            on_round(_calibrated(perception, best, {}))
+        judged = [_judged(files[1], len(halves[1]), at, run) for at in (start, best)]
+    found_by = {
+        "apartments": seeds,
+        "episodes": len(recordings),
+        "trials": trials,
+        "judged by": sorted({recording.episode.slot.seed for recording in halves[1]}),
+        "before": judged[0],
+        "after": judged[1],
+        "version": __version__,
+    }
+    return _calibrated(perception, best, found_by)
+
+
+def _settings_now(recordings: Sequence[Recording]) -> np.ndarray:
+    """Where the search begins ``(parameters,)``: the default tracker, and how the perception reads its responses."""
+    seen = (moment.evidence for recording in recordings for moment in recording.moments)
+    reading = next(evidence.calibration for evidence in seen if evidence is not None)
+    values = {**asdict(TrackerConfig()), **asdict(reading)}
+    return np.array([parameter.place(values[parameter.name]) for parameter in PARAMETERS])
+
+
+def _calibrated(perception: str, places: np.ndarray, found_by: dict[str, Any]) -> Calibrated:
+    values = {p.name: short(p.value(float(place))) for p, place in zip(PARAMETERS, places, strict=True)}
+    reading = Calibration(values["floor"], values["neutral"], values["temperature"])
+    return Calibrated(perception, reading, {key: values[key] for key in FORGETTING}, found_by)
+
+
+def _rounds(
+    trial: Callable[[np.ndarray], float], start: np.ndarray, trials: int, run: Map, on_trial: Callable[[], object]
+) -> Iterator[np.ndarray]:
+    """The best settings after each round."""
+    rng = np.random.default_rng(7)
+    mean, spread = start, np.full(len(start), SPREAD)
+    tried: list[tuple[float, np.ndarray]] = []
+    while len(tried) < trials:
+        draws = np.clip(mean + spread * rng.standard_normal((DRAWS, len(start))), 0, 1)
+        if not tried:
+            draws[0] = start
+        draws = draws[: trials - len(tried)]
+        for places, value in zip(draws, run(trial, list(draws)), strict=True):
+            tried.append((value, places))
+            on_trial()
+        tried.sort(key=lambda entry: -entry[0])
+        elite = np.array([places for _, places in tried[:ELITE]])
+        mean, spread = elite.mean(axis=0), np.maximum(elite.std(axis=0), LEAST)
+        yield tried[0][1]
+
+
+def _trial(file: Path, places: np.ndarray) -> float:
+    config = _calibrated("", places, {}).config(BASE)
+    return float(np.mean([score(recording, config).total for recording in _stored(file)]))
+
+
+def _judged(file: Path, count: int, places: np.ndarray, run: Map) -> dict[str, Any]:
+    """Scores on the other half of the apartments, with 95 % intervals over apartments."""
+    scores: list[Score] = list(run(partial(_one, file, places), list(range(count))))
+    groups = [found.seed for found in scores]
+
+    def line(values: list[float]) -> list[float]:
+        known = [(value, group) for value, group in zip(values, groups, strict=True) if not math.isnan(value)]
+        kept, of = zip(*known, strict=True)
+        interval = bootstrap_interval(kept, np.random.default_rng(0), groups=of)
+        return [round(float(value), 3) for value in (np.mean(kept), interval.low, interval.high)]
+
+    return {
+        "log score": line([found.total for found in scores]),
+        "log density": line([float(found.direction.mean()) for found in scores]),
+        "error_deg": line([float(found.error.mean()) for found in scores]),
+        "coverage_%": line([100 * float(found.inside.mean()) for found in scores]),
+    }
+
+
+def _one(file: Path, places: np.ndarray, index: int) -> Score:
+    return score(_stored(file)[index], _calibrated("", places, {}).config(BASE), regions=True)
+
+
+@lru_cache(maxsize=2)
+def _stored(file: Path) -> list[Recording]:
+    """The recordings of a half: each process reads them once."""
+    found: list[Recording] = pickle.loads(file.read_bytes())
+    return found
+
+
+@contextmanager
+def _mapping(workers: int) -> Iterator[Map]:
+    """What maps a function over jobs, in this process or in several."""
+    if workers == 1:
+        yield map
+        return
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by the processes that start now
+    with multiprocessing.get_context("spawn").Pool(workers) as pool:
+        yield pool.imap
