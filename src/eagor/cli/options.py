@@ -157,7 +157,7 @@ class Calibrate(Common):
     out: Annotated[Path | None, arg(metavar="FILE.json")] = None
     """Where the calibration goes (default: calibration-PERCEPTION.json). Other commands take it as --calibration."""
     episodes: Whole = 60
-    """How many to look at, half of them routes past a thing, half of them balls; five of each in an apartment."""
+    """How many to look at: routes past a thing and balls in turn, two of each in an apartment."""
     seed: Whole = 100
     """The first apartment; 0 to 1999 are for choosing parameters."""
     trials: Whole = 96
