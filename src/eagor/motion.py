@@ -119,10 +119,16 @@ class StillOrMoving(Reading):
         moving = self.moving + changed * (1 - 2 * self.moving)
         return StillOrMoving(still, self.wanderer.after(elapsed, wander, keep), moving)
 
-    def update(self, still: Belief | RangedBelief, look: np.ndarray) -> StillOrMoving:
-        """With the log ratios `look` ``(size,)`` of one more look; `still` is the first case with that look added."""
-        grid, wanderer = decoding_grid(self.degree), self.wanderer
-        log_ratio = RealHarmonics(self.degree).synthesise(look, grid)
+    def update(
+        self, still: Belief | RangedBelief, look: np.ndarray, lasting: np.ndarray | None = None
+    ) -> StillOrMoving:
+        """With the log ratios `look` ``(size,)`` of one more look.
+
+        `still` is the first case with `lasting` added to it, which is what remains of the look where looks repeat each
+        other (default: all of it). A wanderer is looked at afresh, and its memory is short: it takes the whole look.
+        """
+        grid, wanderer, basis = decoding_grid(self.degree), self.wanderer, RealHarmonics(self.degree)
+        log_ratio = basis.synthesise(look, grid)
         before = self._stays
         gains = [
             log_integral(found + log_ratio, grid.weights) - log_integral(found, grid.weights)
@@ -132,15 +138,16 @@ class StillOrMoving(Reading):
         moving = 1 / (1 + math.exp(min(max(-odds, math.log(SURE)), -math.log(SURE))))
         roamed = replace(wanderer, looks=wanderer.looks + look, evidence=wanderer.evidence + gains[1])
         # A look adds the same to every range, so that it adds as much to the field over all of them.
-        return StillOrMoving(still, roamed, min(max(moving, SURE), 1 - SURE), before + log_ratio)
+        stays = before + (log_ratio if lasting is None else basis.synthesise(lasting, grid))
+        return StillOrMoving(still, roamed, min(max(moving, SURE), 1 - SURE), stays)
 
     def plus(self, look: np.ndarray) -> StillOrMoving:
-        """With log ratios `look` ``(size,)`` that count in either case, and say nothing about which it is."""
+        """With log ratios `look` ``(size,)`` that count in the first case while they are new."""
         ranged = isinstance(self.still, RangedBelief)
         part: Any = "shells" if ranged else "coefficients"
         still = replace(self.still, **{part: getattr(self.still, part) + look})
-        shown = self._stays + RealHarmonics(self.degree).synthesise(look, decoding_grid(self.degree))
-        return StillOrMoving(still, replace(self.wanderer, looks=self.wanderer.looks + look), self.moving, shown)
+        stays = self._stays + RealHarmonics(self.degree).synthesise(look, decoding_grid(self.degree))
+        return StillOrMoving(still, self.wanderer, self.moving, stays)
 
     @cached_property
     def _stays(self) -> np.ndarray:

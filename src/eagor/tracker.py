@@ -48,9 +48,10 @@ class TrackerConfig:
     - `wander`: radians per square root of a second by which a target wanders if it does not stand still; both cases
       are believed in side by side (`eagor.motion`). 0: every target stands still.
     - `restless`: changes per second between standing still and wandering.
-    - `persistence`: how far a look repeats the one before it, in [0, 1). A detector that is wrong is wrong in the same
-      direction again. Of each look the share 1 - persistence adds up; the rest counts only while it is the newest (what
-      is new in a series of looks whose errors follow an autoregression of first order).
+    - `persistence`: how far a look repeats the one before it, in [0, 1). A detector that is wrong about a thing that
+      stands there is wrong in the same direction again. Of each look at it the share 1 - persistence adds up; the rest
+      counts only while it is the newest (what is new in a series of looks whose errors follow an autoregression of
+      first order).
     - `history`: seconds for which poses and evidence are kept, so that late evidence finds its place.
     - `stale_after`: seconds without evidence after which an estimate is stale.
     - `found_at`: nats by which the best direction must stand above a uniform belief; below, we are searching.
@@ -325,7 +326,9 @@ class DirectionTracker:
         newest = self.config.persistence * look.coefficients if self.config.persistence > 0 else None
         lasting = look.coefficients if newest is None else look.coefficients - newest
         still = _plus(_still(state.belief), lasting)
-        whole = state.belief.update(still, lasting) if isinstance(state.belief, StillOrMoving) else still
+        whole: Belief | RangedBelief | StillOrMoving = still
+        if isinstance(state.belief, StillOrMoving):
+            whole = state.belief.update(still, look.coefficients, lasting)
         return _State(whole, look.stamp, state.position, newest)
 
     def _blank(self, position: np.ndarray | None) -> Belief | RangedBelief | StillOrMoving:

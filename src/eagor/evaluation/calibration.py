@@ -58,11 +58,11 @@ class Parameter:
 PARAMETERS = (
     Parameter("floor", 0.01, 1.0),
     Parameter("neutral", 0.003, 0.3),
-    Parameter("temperature", 0.03, 10.0),
+    Parameter("temperature", 0.03, 30.0),
     Parameter("keep_per_second", 0.002, 0.3, flipped=True),
     Parameter("wander", math.radians(2), math.radians(25)),
     Parameter("restless", 1e-4, 0.1),
-    Parameter("persistence", 0.1, 1.0, flipped=True),
+    Parameter("persistence", 0.05, 1.0, flipped=True),
 )
 
 
