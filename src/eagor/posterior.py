@@ -192,6 +192,11 @@ class Posterior:
         reached = np.cumsum(probability) - probability / 2
         return math.acos(min(1.0, float(np.interp(mass, reached, cosine))))
 
+    def within(self, angle: float) -> float:
+        """The probability of the cone of half-angle `angle` (radians) about the mode."""
+        near = self._all(lambda part: part.cells.directions) @ self.mode >= math.cos(angle)
+        return float(self.probability[near].sum())
+
     def level(self, mass: float) -> tuple[float, float]:
         """The value of f above which `mass` lies, and the solid angle above it.
 

@@ -55,6 +55,7 @@ class TrackerConfig:
     - `history`: seconds for which poses and evidence are kept, so that late evidence finds its place.
     - `stale_after`: seconds without evidence after which an estimate is stale.
     - `found_at`: nats by which the best direction must stand above a uniform belief; below, we are searching.
+    - `present_at`: probability of presence below which we are searching, however far a direction stands out.
     - `ambiguous_below`: if no mode holds this share of the belief, the answer is ambiguous. So it is if a second one
       rises nearly as high (`eagor.posterior.RIVAL`), whatever their weights: looks that repeat each other make any
       small difference decisive, and two things that both look like the target stay two.
@@ -73,6 +74,7 @@ class TrackerConfig:
     history: float = 10.0
     stale_after: float = 5.0
     found_at: float = 1.5
+    present_at: float = 0.4
     ambiguous_below: float = 0.65
 
     def __post_init__(self) -> None:
@@ -90,7 +92,8 @@ class TrackerConfig:
     def paper(cls) -> TrackerConfig:
         """The published recursion: degree 7, log(l + 1e-3) scaled to the frame's maximum, spherical mean."""
         published = Calibration.paper()
-        return cls(degree=7, decode="mean", calibration=published, ranges=None, keep_per_second=1.0, wander=0.0)
+        memory = {"keep_per_second": 1.0, "wander": 0.0, "persistence": 0.0}
+        return cls(degree=7, decode="mean", calibration=published, ranges=None, present_at=0.0, **memory)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +152,10 @@ class Estimate:
         """Half-angle (radians) of the cone about the mode that holds 90 % of the belief."""
         return self.reading.credible_angle(0.9)
 
+    def within(self, angle: float) -> float:
+        """Probability that the target is around and within `angle` radians of the mode: how far to trust it."""
+        return self.presence * self.reading.posterior.within(angle)
+
     def mass_above(self, direction: np.ndarray) -> float:
         """The mass of the smallest credible region that reaches `direction` ``(3,)``, body frame."""
         return self.reading.mass_above(self.world_R_body @ direction)
@@ -180,7 +187,7 @@ class Estimate:
         """Whether there is an answer: searching, tracking, ambiguous, or stale (nothing new for too long)."""
         known = not math.isinf(self.age)
         stale = known and self.age > self.config.stale_after
-        if not known or self.reading.posterior.gain < self.config.found_at:
+        if not known or self.reading.posterior.gain < self.config.found_at or self.presence < self.config.present_at:
             return "stale" if stale else "searching"
         if stale:
             return "stale"

@@ -159,6 +159,28 @@ def test_the_status_says_what_is_known():
     assert later.age == pytest.approx(2.5)
 
 
+def test_a_direction_may_stand_out_and_nothing_be_there():
+    """Weak responses that keep to one place make a mode; presence says that it is not the thing."""
+    weak = {t: look(direction(0.5, 0.0), float(t), score=0.06) for t in range(40)}
+    tracker = DirectionTracker(TrackerConfig(ranges=None, keep_per_second=1.0, calibration=Calibration(0.02, 0.2, 1.0)))
+    for one in weak.values():
+        tracker.observe(one)
+    estimate = tracker.estimate(39.0)
+    assert estimate.reading.posterior.gain > tracker.config.found_at
+    assert estimate.presence < 0.1
+    assert estimate.status == "searching"
+
+
+def test_trust_is_presence_times_what_lies_about_the_answer():
+    tracker = DirectionTracker(TrackerConfig(ranges=None))
+    for t in range(3):
+        tracker.observe(look(direction(0.5, 0.0), float(t)))
+    estimate = tracker.estimate(2.0)
+    assert estimate.within(math.pi) == pytest.approx(estimate.presence)
+    assert estimate.within(estimate.credible_angle) == pytest.approx(0.9 * estimate.presence, rel=0.03)
+    assert estimate.within(0.1) < estimate.within(0.3) < estimate.presence
+
+
 @pytest.mark.parametrize("looks", [1, 5, 40])
 def test_two_things_alike_stay_two_however_often_we_look(looks):
     """Repeated looks turn a small difference in score into any odds; that is no reason to stop asking."""

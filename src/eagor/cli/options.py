@@ -87,8 +87,9 @@ class Demo(Common):
     """Of the apartment, 0 to 9999. The search that is shown without being asked for was chosen for what it shows."""
     episode: Whole = 1
     """Which search in it, 0 to 4."""
-    perception: Name = "truth"
-    """Who looks: truth (a noisy detector, made from what the simulator knows), or another perception."""
+    perception: Name = "scout"
+    """Who looks: scout (a small network that sees the pictures), truth (a noisy detector, made from what the simulator
+    knows), or another perception."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,9 +98,9 @@ class BenchRun(Common):
 
     task: Annotated[Literal["waypoint", "navigation", "tracking"], Positional]
     """Name the direction along a route; walk to the thing; follow a moving ball."""
-    perception: Name = "truth"
-    """Who looks. truth: a noisy detector made from what the simulator knows (truth:ideal has no noise,
-    truth:miss=0.5,spread=4 its own)."""
+    perception: Name = "scout"
+    """Who looks: scout, a small network that sees the pictures; truth, a noisy detector made from what the simulator
+    knows (truth:ideal has no noise, truth:miss=0.5,spread=4 its own); or another."""
     methods: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
     """Which methods (default: all eight); variants as eagor:degree=7,decode=mean; in navigation also oracle."""
     episodes: Whole = 20
