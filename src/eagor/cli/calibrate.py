@@ -45,6 +45,11 @@ def _print(best: Calibrated, out: Path) -> None:
     print(f"On the other half of the apartments ({len(best.found_by['judged by'])}), means with 95 % intervals:")
     print(f"  {'':13s}{'before':>24s}{'after':>24s}")
     for name, after in best.found_by["after"].items():
-        columns = (best.found_by["before"][name], after)
-        print(f"  {name:13s}" + "".join(f"{a:9.2f} [{b:5.2f} {c:5.2f}]" for a, b, c in columns))
+        print(f"  {name:13s}" + "".join(map(_cell, (best.found_by["before"][name], after))))
     print(f"Written to {out}; other commands take it as --calibration {out}")
+
+
+def _cell(values: list[float | None]) -> str:
+    mean, *ends = values
+    interval = "" if None in ends else " [{:5.2f} {:5.2f}]".format(*ends)
+    return f"{mean:9.2f}{interval:15s}"

@@ -63,6 +63,8 @@ class Track(Common):
     stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch nose DOWN); also x,y,z (metres) and frame (file name)."""
     perception: Name = "colour"
     """Who looks: colour, replay:FILE.jsonl, or an installed one."""
+    floor: Annotated[float | None, arg(metavar="Z")] = None
+    """Height of the floor in the poses' world, metres, where it is known: things stand on it, which tells distances."""
     calibration: Annotated[Path | None, arg(metavar="FILE.json")] = None
     """How responses are read and forgotten, from `eagor calibrate`."""
     compare: bool = False

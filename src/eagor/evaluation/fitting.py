@@ -124,9 +124,11 @@ def _judged(file: Path, count: int, places: np.ndarray, run: Map) -> dict[str, A
     scores: list[Score] = list(run(partial(_one, file, places), list(range(count))))
     groups = [found.seed for found in scores]
 
-    def line(values: list[float]) -> list[float]:
+    def line(values: list[float]) -> list[float | None]:
         known = [(value, group) for value, group in zip(values, groups, strict=True) if not math.isnan(value)]
         kept, of = zip(*known, strict=True)
+        if len(set(of)) < 2:
+            return [round(float(np.mean(kept)), 3), None, None]  # one apartment says nothing about the spread
         interval = bootstrap_interval(kept, np.random.default_rng(0), groups=of)
         return [round(float(value), 3) for value in (np.mean(kept), interval.low, interval.high)]
 
