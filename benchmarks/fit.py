@@ -72,7 +72,7 @@ SPACES: dict[str, Callable[[Rng], Settings]] = {
         "keep": 1 - _log(rng, 0.01, 0.2),
         "wander": _log(rng, 4, 20),
         "restless": _log(rng, 0.001, 0.1),
-        "persistence": 1 - _log(rng, 0.1, 1),
+        "persistence": 1 - _log(rng, 0.05, 1),
     },
 }
 

@@ -120,19 +120,25 @@ class StillOrMoving(Reading):
         return StillOrMoving(still, self.wanderer.after(elapsed, wander, keep), moving)
 
     def update(
-        self, still: Belief | RangedBelief, look: np.ndarray, lasting: np.ndarray | None = None
+        self,
+        still: Belief | RangedBelief,
+        look: np.ndarray,
+        lasting: np.ndarray | None = None,
+        passing: np.ndarray | None = None,
     ) -> StillOrMoving:
         """With the log ratios `look` ``(size,)`` of one more look.
 
         `still` is the first case with `lasting` added to it, which is what remains of the look where looks repeat each
-        other (default: all of it). A wanderer is looked at afresh, and its memory is short: it takes the whole look.
+        other (default: all of it), and `passing` is what the look before it counted besides, until now. A wanderer is
+        looked at afresh, and its memory is short: it takes the whole look.
         """
         grid, wanderer, basis = decoding_grid(self.degree), self.wanderer, RealHarmonics(self.degree)
         log_ratio = basis.synthesise(look, grid)
         before = self._stays
+        expected = before if passing is None else before + basis.synthesise(passing, grid)
         gains = [
             log_integral(found + log_ratio, grid.weights) - log_integral(found, grid.weights)
-            for found in (before, wanderer.field)
+            for found in (expected, wanderer.field)
         ]
         odds = math.log(self.moving) - math.log1p(-self.moving) + gains[1] - gains[0]
         moving = 1 / (1 + math.exp(min(max(-odds, math.log(SURE)), -math.log(SURE))))
@@ -142,11 +148,13 @@ class StillOrMoving(Reading):
         return StillOrMoving(still, roamed, min(max(moving, SURE), 1 - SURE), stays)
 
     def plus(self, look: np.ndarray) -> StillOrMoving:
-        """With log ratios `look` ``(size,)`` that count in the first case while they are new."""
+        """With log ratios `look` ``(size,)``, or ``(K, size)`` by range, that count in the first case while new."""
         ranged = isinstance(self.still, RangedBelief)
         part: Any = "shells" if ranged else "coefficients"
         still = replace(self.still, **{part: getattr(self.still, part) + look})
-        stays = self._stays + RealHarmonics(self.degree).synthesise(look, decoding_grid(self.degree))
+        stays = None
+        if look.ndim == 1:
+            stays = self._stays + RealHarmonics(self.degree).synthesise(look, decoding_grid(self.degree))
         return StillOrMoving(still, self.wanderer, self.moving, stays)
 
     @cached_property

@@ -34,7 +34,7 @@ CASES = {
     ),
     "turning only": (
         TrackerConfig(ranges=None),
-        {"angles": (177.0, 14.3), "error": 5.1, "status": "tracking", "presence": 1.0},
+        {"angles": (177.6, 14.5), "error": 5.2, "status": "tracking", "presence": 1.0},
     ),
     "published": (
         TrackerConfig.paper(),

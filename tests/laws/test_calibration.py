@@ -107,15 +107,16 @@ def test_what_is_written_is_read_again(tmp_path):
     assert (config.degree, config.keep_per_second, config.calibration) == (7, 0.95, made.calibration)
 
 
-GOOD = {"perception": "scout", "calibration": {"floor": 0.1, "neutral": 0.1, "temperature": 1}, "forgetting": {}}
+READING = {"floor": 0.1, "neutral": 0.1, "temperature": 1, "persistence": 0.5}
+GOOD = {"perception": "scout", "calibration": READING, "forgetting": {}}
 
 
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
         ({"calibration": {"floor": 0.1}}, "no calibration"),
-        ({"calibration": {"floor": -1, "neutral": 0.1, "temperature": 1}}, "floor"),
-        ({"calibration": {"floor": "much", "neutral": 0.1, "temperature": 1}}, "no calibration"),
+        ({"calibration": READING | {"floor": -1}}, "floor"),
+        ({"calibration": READING | {"floor": "much"}}, "no calibration"),
         ({"forgetting": {"keep": 0.9}}, "keep_per_second"),
         ({"forgetting": {"keep_per_second": 7}}, "keep_per_second"),
         ({"forgetting": None}, "no calibration"),

@@ -11,8 +11,8 @@ from eagor.errors import EagorError
 from eagor.evidence import Calibration
 from eagor.tracker import TrackerConfig
 
-READING = ("floor", "neutral", "temperature")  # fields of `Calibration`
-FORGETTING = ("keep_per_second", "wander", "restless", "persistence")  # fields of `TrackerConfig`, SI units, radians
+READING = ("floor", "neutral", "temperature", "persistence")  # fields of `Calibration`
+FORGETTING = ("keep_per_second", "wander", "restless")  # fields of `TrackerConfig`, SI units, radians
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def from_json(stored: Any, source: str) -> Calibrated:
         unknown = sorted((reading.keys() - {*READING}) | (forgetting.keys() - {*FORGETTING}))
         if unknown:
             raise EagorError(f"{source} sets {', '.join(unknown)}; known are {', '.join((*READING, *FORGETTING))}")
-        read = Calibration(reading["floor"], reading["neutral"], reading["temperature"])
+        read = Calibration(*(reading[key] for key in READING))
         found = Calibrated(str(stored["perception"]), read, forgetting, stored.get("found_by", {}))
         found.config()  # complains about numbers that are out of range
     except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -214,7 +214,19 @@ def _settings(name: str, text: str) -> dict[str, str]:
 
 
 _READING = ("floor", "neutral", "temperature")
-_OURS = ("degree", "decode", *_READING, "keep", "shells", "diffusion", "wander", "restless", "persistence", "heights")
+_REPEATING = (*_READING, "persistence")
+_OURS = (
+    "degree",
+    "decode",
+    *_REPEATING,
+    "keep",
+    "shells",
+    "diffusion",
+    "wander",
+    "restless",
+    "heights",
+    "switch",
+)
 _ANGLES = ("noise", "diffusion", "roughening", "kernel")  # typed in degrees
 SETTINGS: dict[str, tuple[str, ...]] = {
     "centroid": (),
@@ -234,8 +246,8 @@ def tracker_config(
     """`config` with settings from text; raises KeyError for one that there is not, ValueError for what is no number.
 
     degree, decode, keep (per second), shells (0: directions only), heights (0: it is not known where the floor is),
-    diffusion and wander (degrees per root second), restless (changes per second), persistence, and floor, neutral and
-    temperature, which change `calibration` where the config has none of its own.
+    diffusion and wander (degrees per root second), restless (changes per second), switch (nats), and floor, neutral,
+    temperature and persistence, which change `calibration` where the config has none of its own.
     """
     if unknown := [key for key in settings if key not in _OURS]:
         raise KeyError(unknown[0])
@@ -250,13 +262,16 @@ def tracker_config(
     if "keep" in numbers:
         changes["keep_per_second"] = numbers["keep"]
     changes |= {key: math.radians(numbers[key]) for key in ("diffusion", "wander") if key in numbers}
-    changes |= {key: numbers[key] for key in ("restless", "persistence") if key in numbers}
+    if "restless" in numbers:
+        changes["restless"] = numbers["restless"]
+    if "switch" in numbers:
+        changes["switch_at"] = numbers["switch"]
     if "heights" in numbers:
         changes["floor"] = FLOOR if numbers["heights"] else None
     if "shells" in numbers:
         count = int(numbers["shells"])
         changes["ranges"] = tuple(log_ranges(count=count).tolist()) if count else None
-    reading = {key: numbers[key] for key in ("floor", "neutral", "temperature") if key in numbers}
+    reading = {key: numbers[key] for key in _REPEATING if key in numbers}
     if reading:
         changes["calibration"] = replace(
             config.calibration or calibration or Calibration(), scale_to_max=False, **reading
