@@ -200,6 +200,37 @@ def test_two_things_alike_stay_two_however_often_we_look(looks):
         assert np.degrees(angular_distance(place, mode.direction)) < 2
 
 
+def test_the_answer_stays_until_another_is_clearly_higher():
+    one, other = direction(0.5, 0.0), direction(-2.0, 0.1)
+    config = TrackerConfig(ranges=None, wander=0.0, keep_per_second=1.0)
+    calm, restless = DirectionTracker(config), DirectionTracker(replace(config, switch_at=0.0))
+
+    def told(scores, stamp):
+        look = Evidence.from_points([one, other], 60.0, scores, stamp=stamp)
+        for tracker in (calm, restless):
+            tracker.observe(look)
+        return [tracker.estimate(stamp).direction for tracker in (calm, restless)]
+
+    assert all(np.degrees(angular_distance(said, one)) < 2 for said in told([0.9, 0.8], 0.0))
+    held, highest = told([0.8, 0.95], 1.0)
+    assert np.degrees(angular_distance(held, one)) < 2
+    assert np.degrees(angular_distance(highest, other)) < 2
+    assert calm.estimate(1.0).within(math.pi) == pytest.approx(calm.estimate(1.0).presence)
+    for k in range(6):
+        held, _ = told([0.2, 0.95], 2.0 + k)
+    assert np.degrees(angular_distance(held, other)) < 2, "by now it is clearly higher"
+
+
+def test_asking_does_not_change_the_answer():
+    quiet, asked = DirectionTracker(), DirectionTracker()
+    for k in range(8):
+        for tracker in (quiet, asked):
+            tracker.observe(noise(k, float(k)))
+        asked.estimate(float(k))
+        asked.estimate(k + 0.5)
+    assert np.array_equal(quiet.estimate(8.0).direction, asked.estimate(8.0).direction)
+
+
 def test_what_was_learnt_fades_and_wanders():
     def entropy(**changes):
         tracker = DirectionTracker(TrackerConfig(**FLAT, **changes))

@@ -24,8 +24,7 @@ import numpy as np
 from eagor._version import __version__
 from eagor.errors import EagorError
 from eagor.evaluation.calibration import PARAMETERS, Score, score, short
-from eagor.evidence import Calibration
-from eagor.perception.calibrated import FORGETTING, READING, Calibrated
+from eagor.perception.calibrated import FORGETTING, Calibrated, calibration_of
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.methods import FLOOR
 from eagor.tasks.play import Recording
@@ -89,8 +88,7 @@ def _settings_now(recordings: Sequence[Recording]) -> np.ndarray:
 
 def _calibrated(perception: str, places: np.ndarray, found_by: dict[str, Any]) -> Calibrated:
     values = {p.name: short(p.value(float(place))) for p, place in zip(PARAMETERS, places, strict=True)}
-    reading = Calibration(*(values[key] for key in READING))
-    return Calibrated(perception, reading, {key: values[key] for key in FORGETTING}, found_by)
+    return Calibrated(perception, calibration_of(values), {key: values[key] for key in FORGETTING}, found_by)
 
 
 def _rounds(
