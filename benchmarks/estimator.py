@@ -91,6 +91,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "memory": (
         *(f"{OURS}:keep={keep}" for keep in (1, 0.99, 0.95, 0.9, 0.8)),
         *(f"{OURS}:persistence={share}" for share in (0, 0.2, 0.4, 0.6, 0.8)),
+        *(f"{OURS}:surest={nats}" for nats in (6, 9, 15, 1000)),
         f"{OURS}:wander=0",
         f"{OURS}:wander=0,diffusion=3",
         *(f"{OURS}:wander={angle}" for angle in (4, 8, 16)),
@@ -102,7 +103,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         f"{OURS}:heights=0",
         CONTACT,
     ),
-    "decoding": (f"{OURS}:decode=mean",),
+    "decoding": (f"{OURS}:decode=mean", *(f"{OURS}:switch={nats}" for nats in (0, 0.5, 2, 4))),
 }
 COLUMNS = (
     ("w.error", "waypoint", "low"), ("w.sight", "waypoint", "low"), ("w.hidden", "waypoint", "low"),

@@ -147,6 +147,13 @@ class StillOrMoving(Reading):
         stays = before + (log_ratio if lasting is None else basis.synthesise(lasting, grid))
         return StillOrMoving(still, roamed, min(max(moving, SURE), 1 - SURE), stays)
 
+    def capped(self, most: float) -> StillOrMoving:
+        """With the log-odds of the first case scaled so that its peak rises at most `most` nats above a typical one."""
+        height = float(self._stays.max()) - float(np.median(self._stays))
+        if height <= most:
+            return self
+        return StillOrMoving(self.still.forget(most / height), self.wanderer, self.moving)
+
     def plus(self, look: np.ndarray) -> StillOrMoving:
         """With log ratios `look` ``(size,)``, or ``(K, size)`` by range, that count in the first case while new."""
         ranged = isinstance(self.still, RangedBelief)

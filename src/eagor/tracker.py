@@ -50,6 +50,8 @@ class TrackerConfig:
     - `wander`: radians per square root of a second by which a target wanders if it does not stand still; both cases
       are believed in side by side (`eagor.motion`). 0: every target stands still.
     - `restless`: changes per second between standing still and wandering.
+    - `surest`: nats by which the best direction of a target that stands still may rise above a typical one; beyond, all
+      its log-odds are scaled down. Looks share their mistakes, and things get moved: nothing is ever surer than that.
     - `history`: seconds for which poses and evidence are kept, so that late evidence finds its place.
     - `stale_after`: seconds without evidence after which an estimate is stale.
     - `found_at`: nats by which the best direction must stand above a uniform belief; below, we are searching.
@@ -70,6 +72,7 @@ class TrackerConfig:
     diffusion: float = 0.0
     wander: float = math.radians(10)
     restless: float = 0.003
+    surest: float = 12.0
     history: float = 10.0
     stale_after: float = 5.0
     switch_at: float = 1.0
@@ -79,11 +82,12 @@ class TrackerConfig:
 
     def __post_init__(self) -> None:
         least = min(self.diffusion, self.wander, self.restless, self.history)
-        if not (0 < self.keep_per_second <= 1 and least >= 0 and self.wander < math.pi):
+        if not (0 < self.keep_per_second <= 1 and least >= 0 and self.wander < math.pi and self.surest > 0):
             raise EagorError(
                 f"keep_per_second = {self.keep_per_second}, diffusion = {self.diffusion}, wander = {self.wander}, "
-                f"restless = {self.restless}, history = {self.history}; wanted 0 < keep_per_second <= 1, diffusion and "
-                "wander >= 0 (rad per sqrt s), restless >= 0 (per s) and history >= 0 (s)"
+                f"restless = {self.restless}, surest = {self.surest}, history = {self.history}; wanted 0 < "
+                "keep_per_second <= 1, diffusion and wander >= 0 (rad per sqrt s), restless >= 0 (per s), surest > 0 "
+                "(nats) and history >= 0 (s)"
             )
 
     @classmethod
@@ -345,7 +349,7 @@ class DirectionTracker:
         still = _plus(_still(state.belief), lasting)
         whole: Belief | RangedBelief | StillOrMoving = still
         if isinstance(state.belief, StillOrMoving):
-            whole = state.belief.update(still, look.coefficients, lasting, passing)
+            whole = state.belief.update(still, look.coefficients, lasting, passing).capped(self.config.surest)
         found = _State(whole, look.stamp, state.position, newest)
         if self.config.switch_at == 0 or self.config.decode == "mean":
             return found

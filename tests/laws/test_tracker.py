@@ -221,6 +221,21 @@ def test_the_answer_stays_until_another_is_clearly_higher():
     assert np.degrees(angular_distance(held, other)) < 2, "by now it is clearly higher"
 
 
+@pytest.mark.parametrize("changes", [{}, {"ranges": None}])
+def test_nothing_is_ever_surer_than_the_configuration_allows(changes):
+    """However long a thing was in one place, it is found in another within a few looks."""
+    old, new, found = direction(0.5, -0.1), direction(-2.0, -0.1), {}
+    for surest in (8.0, 1e6):
+        tracker = DirectionTracker(TrackerConfig(**changes, surest=surest, restless=0.0, keep_per_second=1.0))
+        for t in range(60):
+            tracker.rotate(float(t), np.eye(3), np.zeros(3))
+            tracker.observe(repeating(look(old if t < 50 else new, float(t)), 0.5))
+        found[surest] = tracker.estimate(59.0)
+        still = tracker._states["target"].belief.still.posterior.coarse
+        assert (still.max() - np.median(still) <= 8.01) == (surest == 8.0)
+    assert np.degrees(angular_distance(found[8.0].direction, new)) < 2
+
+
 def test_asking_does_not_change_the_answer():
     quiet, asked = DirectionTracker(), DirectionTracker()
     for k in range(8):

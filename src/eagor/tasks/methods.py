@@ -225,6 +225,7 @@ _OURS = (
     "wander",
     "restless",
     "heights",
+    "surest",
     "switch",
 )
 _ANGLES = ("noise", "diffusion", "roughening", "kernel")  # typed in degrees
@@ -246,8 +247,8 @@ def tracker_config(
     """`config` with settings from text; raises KeyError for one that there is not, ValueError for what is no number.
 
     degree, decode, keep (per second), shells (0: directions only), heights (0: it is not known where the floor is),
-    diffusion and wander (degrees per root second), restless (changes per second), switch (nats), and floor, neutral,
-    temperature and persistence, which change `calibration` where the config has none of its own.
+    diffusion and wander (degrees per root second), restless (changes per second), surest and switch (nats), and floor,
+    neutral, temperature and persistence, which change `calibration` where the config has none of its own.
     """
     if unknown := [key for key in settings if key not in _OURS]:
         raise KeyError(unknown[0])
@@ -264,8 +265,7 @@ def tracker_config(
     changes |= {key: math.radians(numbers[key]) for key in ("diffusion", "wander") if key in numbers}
     if "restless" in numbers:
         changes["restless"] = numbers["restless"]
-    if "switch" in numbers:
-        changes["switch_at"] = numbers["switch"]
+    changes |= {field: numbers[key] for key, field in (("switch", "switch_at"), ("surest", "surest")) if key in numbers}
     if "heights" in numbers:
         changes["floor"] = FLOOR if numbers["heights"] else None
     if "shells" in numbers:
