@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 
 from eagor.evaluation import parts
-from eagor.evaluation.calibration import TASKS, Recorder, record_episodes
+from eagor.evaluation.calibration import TASKS, Recorder, kept_recordings
 from eagor.evidence import Evidence
 from eagor.harmonics import RealHarmonics
 from eagor.peaks import decoding_grid
@@ -105,13 +105,13 @@ GROUPS: dict[str, tuple[str, ...]] = {
     ),
     "decoding": (f"{OURS}:decode=mean", *(f"{OURS}:switch={nats}" for nats in (0, 0.5, 2, 4))),
 }
-COLUMNS = (
-    ("w.error", "waypoint", "low"), ("w.sight", "waypoint", "low"), ("w.hidden", "waypoint", "low"),
-    ("w.L4", "waypoint", "low"), ("w.TC", "waypoint", "low"), ("w.cover", "waypoint", ""),
-    ("w.dist", "waypoint", "low"), ("w.log", "waypoint", "high"),
-    ("t.error", "tracking", "low"), ("t.TC", "tracking", "low"), ("t.recov", "tracking", "low"),
-    ("t.cover", "tracking", ""), ("t.log", "tracking", "high"),
-)  # fmt: skip
+# What is shown, w: of Waypoint Following, t: of Target Tracking; which side is better, "" where neither is.
+COLUMNS = {
+    **dict.fromkeys(("w.error", "w.sight", "w.hidden", "w.L4", "w.TC"), "low"),
+    **{"w.cover": "", "w.dist": "low", "w.log": "high"},
+    **dict.fromkeys(("t.error", "t.TC", "t.recov"), "low"),
+    **{"t.cover": "", "t.log": "high"},
+}
 
 
 @dataclass
@@ -257,11 +257,11 @@ def compared(
 
 def show(group: str, names: Sequence[str], found: dict[str, dict[int, dict[str, float]]], seeds: Sequence[int]) -> Any:
     """Print one group; returns it as JSON."""
-    print(f"\n{group}\n  " + " ".join(f"{column:>8s}" for column, _, _ in COLUMNS))
+    print(f"\n{group}\n  " + " ".join(f"{column:>8s}" for column in COLUMNS))
     kept = {}
     for name in names:
         cells, kept[name] = [], {}
-        for column, _, better in COLUMNS:
+        for column, better in COLUMNS.items():
             cell = compared(found[name], found[OURS], seeds, column)
             if cell is None:
                 cells.append(f"{'–':>8s}")
@@ -286,12 +286,8 @@ def main() -> int:
     options = arguments.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(options.folder or scratch)
-        folder.mkdir(parents=True, exist_ok=True)
-        file = folder / f"{options.perception.replace('/', '-')}-{options.seed}-{options.episodes}.pickle"
-        if not file.exists():
-            print(f"recording {options.episodes} episodes of {', '.join(TASKS)}, apartments from {options.seed}")
-            found_there = record_episodes(options.perception, options.episodes, options.seed, left_out=print)
-            file.write_bytes(pickle.dumps(found_there))
+        print(f"{options.episodes} episodes of {', '.join(TASKS)}, apartments from {options.seed}", flush=True)
+        file = kept_recordings(folder, options.perception, options.episodes, options.seed, left_out=print)
         recordings: list[Recording] = pickle.loads(file.read_bytes())
         seeds = [recording.episode.slot.seed for recording in recordings]
         groups = {group: GROUPS[group] for group in options.groups} | {"further": tuple(options.variants)}

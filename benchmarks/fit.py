@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor.evaluation.calibration import TASKS, Recorder, record_episodes
+from eagor.evaluation.calibration import TASKS, Recorder, kept_recordings
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.play import Recording
 
@@ -148,12 +148,8 @@ def main() -> int:
     report: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(options.folder or scratch)
-        folder.mkdir(parents=True, exist_ok=True)
-        file = folder / f"{options.perception.replace('/', '-')}-{options.seed}-{options.episodes}.pickle"
-        if not file.exists():
-            print(f"recording {options.episodes} episodes, apartments from {options.seed}", flush=True)
-            found_there = record_episodes(options.perception, options.episodes, options.seed, left_out=print)
-            file.write_bytes(pickle.dumps(found_there))
+        print(f"{options.episodes} episodes of {', '.join(TASKS)}, apartments from {options.seed}", flush=True)
+        file = kept_recordings(folder, options.perception, options.episodes, options.seed, left_out=print)
         jobs = multiprocessing.get_context("spawn").Pool(options.workers, _begin, (str(file), options.perception))
         with jobs as pool:
             for base in options.methods:

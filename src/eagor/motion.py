@@ -123,14 +123,14 @@ class StillOrMoving(Reading):
         self,
         still: Belief | RangedBelief,
         look: np.ndarray,
-        lasting: np.ndarray | None = None,
+        share: float = 1.0,
         passing: np.ndarray | None = None,
     ) -> StillOrMoving:
         """With the log ratios `look` ``(size,)`` of one more look.
 
-        `still` is the first case with `lasting` added to it, which is what remains of the look where looks repeat each
-        other (default: all of it), and `passing` is what the look before it counted besides, until now. A wanderer is
-        looked at afresh, and its memory is short: it takes the whole look.
+        `still` is the first case with `share` of the look added to it, which is what remains of one where looks repeat
+        each other, and `passing` is what the look before it counted besides, until now. A wanderer is looked at afresh,
+        and its memory is short: it takes the whole look.
         """
         grid, wanderer, basis = decoding_grid(self.degree), self.wanderer, RealHarmonics(self.degree)
         log_ratio = basis.synthesise(look, grid)
@@ -144,8 +144,7 @@ class StillOrMoving(Reading):
         moving = 1 / (1 + math.exp(min(max(-odds, math.log(SURE)), -math.log(SURE))))
         roamed = replace(wanderer, looks=wanderer.looks + look, evidence=wanderer.evidence + gains[1])
         # A look adds the same to every range, so that it adds as much to the field over all of them.
-        stays = before + (log_ratio if lasting is None else basis.synthesise(lasting, grid))
-        return StillOrMoving(still, roamed, min(max(moving, SURE), 1 - SURE), stays)
+        return StillOrMoving(still, roamed, min(max(moving, SURE), 1 - SURE), before + share * log_ratio)
 
     def capped(self, most: float) -> StillOrMoving:
         """With the log-odds of the first case scaled so that its peak rises at most `most` nats above a typical one."""
@@ -156,13 +155,10 @@ class StillOrMoving(Reading):
 
     def plus(self, look: np.ndarray) -> StillOrMoving:
         """With log ratios `look` ``(size,)``, or ``(K, size)`` by range, that count in the first case while new."""
-        ranged = isinstance(self.still, RangedBelief)
-        part: Any = "shells" if ranged else "coefficients"
-        still = replace(self.still, **{part: getattr(self.still, part) + look})
         stays = None
         if look.ndim == 1:
             stays = self._stays + RealHarmonics(self.degree).synthesise(look, decoding_grid(self.degree))
-        return StillOrMoving(still, self.wanderer, self.moving, stays)
+        return StillOrMoving(self.still.plus(look), self.wanderer, self.moving, stays)
 
     @cached_property
     def _stays(self) -> np.ndarray:

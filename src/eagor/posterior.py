@@ -195,8 +195,7 @@ class Posterior:
 
     def cone(self, mass: float, about: np.ndarray | None = None) -> float:
         """Half-angle (radians) of the cone about the mode, or `about` a direction, that holds `mass`."""
-        axis = self.mode if about is None else about
-        cosine, probability = self._all(lambda part: part.cells.directions) @ axis, self.probability
+        cosine, probability = self._cosines(about), self.probability
         order = np.argsort(-cosine)
         cosine, probability = cosine[order], probability[order]
         reached = np.cumsum(probability) - probability / 2
@@ -204,9 +203,11 @@ class Posterior:
 
     def within(self, angle: float, about: np.ndarray | None = None) -> float:
         """The probability of the cone of half-angle `angle` (radians) about the mode, or `about` a direction."""
-        axis = self.mode if about is None else about
-        near = self._all(lambda part: part.cells.directions) @ axis >= math.cos(angle)
-        return float(self.probability[near].sum())
+        return float(self.probability[self._cosines(about) >= math.cos(angle)].sum())
+
+    def _cosines(self, about: np.ndarray | None) -> np.ndarray:
+        """Cosines ``(n,)`` of the angles between all cells and a direction, or the mode."""
+        return self._all(lambda part: part.cells.directions) @ (self.mode if about is None else about)
 
     def level(self, mass: float) -> tuple[float, float]:
         """The value of f above which `mass` lies, and the solid angle above it.

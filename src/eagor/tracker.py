@@ -232,11 +232,7 @@ class _State:
     @cached_property
     def reading(self) -> Belief | RangedBelief | StillOrMoving:
         """The belief with what the newest look says."""
-        if self.newest is None:
-            return self.belief
-        if isinstance(self.belief, StillOrMoving):
-            return self.belief.plus(self.newest)
-        return _plus(self.belief, self.newest)
+        return self.belief if self.newest is None else self.belief.plus(self.newest)
 
 
 class DirectionTracker:
@@ -345,11 +341,11 @@ class DirectionTracker:
             passing = state.newest
             state = self._moved(replace(state, newest=None), look.stamp, look.position)
         newest = look.persistence * look.coefficients if look.persistence > 0 else None
-        lasting = look.coefficients if newest is None else look.coefficients - newest
-        still = _plus(_still(state.belief), lasting)
+        share = 1 - look.persistence
+        still = _still(state.belief).plus(share * look.coefficients)
         whole: Belief | RangedBelief | StillOrMoving = still
         if isinstance(state.belief, StillOrMoving):
-            whole = state.belief.update(still, look.coefficients, lasting, passing).capped(self.config.surest)
+            whole = state.belief.update(still, look.coefficients, share, passing).capped(self.config.surest)
         found = _State(whole, look.stamp, state.position, newest)
         if self.config.switch_at == 0 or self.config.decode == "mean":
             return found
@@ -437,13 +433,6 @@ def _held(reading: Belief | RangedBelief | StillOrMoving, named: np.ndarray | No
     if kept is None or kept[1] < float(posterior.coarse.max()) - margin:
         return posterior.mode
     return kept[0]
-
-
-def _plus(belief: Belief | RangedBelief, look: np.ndarray) -> Belief | RangedBelief:
-    """The belief with the log ratios `look` ``(size,)`` added, the same for all ranges."""
-    if isinstance(belief, RangedBelief):
-        return replace(belief, shells=belief.shells + look)
-    return Belief(belief.coefficients + look)
 
 
 def _mode(direction: np.ndarray, weight: float) -> Mode:

@@ -39,8 +39,8 @@ def calibrate(options: Calibrate) -> int:
 
 
 def _print(best: Calibrated, out: Path) -> None:
-    reading = best.calibration
-    print(f"{best.perception}: floor {reading.floor}, neutral {reading.neutral}, temperature {reading.temperature}")
+    reading = best.as_json()["calibration"]
+    print(f"{best.perception}: " + ", ".join(f"{name} {value}" for name, value in reading.items()))
     print("  " + ", ".join(f"{name} {value}" for name, value in best.forgetting.items()))
     print(f"On the other half of the apartments ({len(best.found_by['judged by'])}), means with 95 % intervals:")
     print(f"  {'':13s}{'before':>24s}{'after':>24s}")

@@ -11,8 +11,10 @@ belief gave to the true direction, and the log of the probability that it gave t
 from __future__ import annotations
 
 import math
+import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -149,6 +151,15 @@ def record_episodes(
     if not found:
         raise EagorError(f"{perception} could be asked in none of {count} episodes; calibrate it where it knows words")
     return found
+
+
+def kept_recordings(folder: Path, perception: str, count: int, seed: int, left_out: Callable[[str], object]) -> Path:
+    """The file in `folder` that keeps `record_episodes` (a pickled list), which is made where it is missing."""
+    file = folder / f"{perception.replace('/', '-')}-{seed}-{count}.pickle"
+    if not file.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(pickle.dumps(record_episodes(perception, count, seed, left_out=left_out)))
+    return file
 
 
 def development_slots(count: int, seed: int) -> list[Slot]:

@@ -26,7 +26,7 @@ from eagor.errors import EagorError
 from eagor.evaluation.calibration import PARAMETERS, Score, score, short
 from eagor.perception.calibrated import FORGETTING, Calibrated, calibration_of
 from eagor.statistics import bootstrap_interval
-from eagor.tasks.methods import FLOOR
+from eagor.tasks.methods import BASE
 from eagor.tasks.play import Recording
 from eagor.tracker import TrackerConfig
 
@@ -34,8 +34,6 @@ DRAWS = 16  # settings in a round,
 ELITE = 4  # of which so many are kept
 SPREAD = 0.25  # standard deviation of the first round, of the range of each parameter,
 LEAST = 0.03  # ... and the smallest of any round
-
-BASE = TrackerConfig(floor=FLOOR)  # what is fitted besides the rest
 
 Map = Callable[[Callable[[Any], Any], Sequence[Any]], Any]
 
