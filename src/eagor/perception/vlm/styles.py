@@ -1,0 +1,49 @@
+"""How families of models want to be asked: the cell of their picture, their frame and order of coordinates."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from eagor.perception.vlm.boxes import Frame, Order
+
+
+@dataclass(frozen=True)
+class Style:
+    """How a family sees and answers.
+
+    Attributes:
+        family: its name, as in ``model_type`` of its configuration.
+        cell: pixels of one side of an image token; pictures are sent in multiples of it.
+        pixels: of a picture, unless the caller says otherwise.
+        frame: what its coordinates count.
+        order: of its coordinates.
+        grounded: whether it was trained to write boxes; the others are better asked yes or no.
+    """
+
+    family: str
+    cell: int
+    pixels: int
+    frame: Frame
+    order: Order = "xyxy"
+    grounded: bool = True
+
+
+_STYLES: tuple[tuple[str, Style], ...] = (
+    (r"qwen\W?2[._]?5\W?vl", Style("qwen2_5_vl", 28, 700 * 1400, "pixels")),
+    (r"qwen\W?2\W?vl", Style("qwen2_vl", 28, 700 * 1400, "thousand")),
+    (r"qwen\W?3[._]?5|qwen\W?3\W?vl", Style("qwen3_vl", 32, 704 * 1408, "thousand")),
+    (r"gemma\W?3", Style("gemma3", 56, 896 * 896, "thousand", "yxyx", grounded=False)),
+    (r"internvl", Style("internvl", 28, 448 * 896, "thousand")),
+    (r"llava", Style("llava", 14, 336 * 672, "unit", grounded=False)),
+    (r"janus", Style("janus", 16, 384 * 768, "unit", grounded=False)),
+)
+OTHER = Style("other", 28, 700 * 1400, "thousand")
+
+
+def style_of(model: str) -> Style:
+    """The style of a model by its name, such as ``Qwen/Qwen2.5-VL-7B-Instruct`` or ``qwen2.5vl:7b``; else `OTHER`."""
+    for pattern, style in _STYLES:
+        if re.search(pattern, model.lower()):
+            return style
+    return OTHER
