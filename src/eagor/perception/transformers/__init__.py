@@ -1,0 +1,190 @@
+"""Local models through transformers: frozen vision-language models and open-vocabulary localisers as perceptions.
+
+A model is named by its hub name or by a folder with ``config.json``; its family (`families`) decides how it is fed and
+read. Importing this module needs no torch; making a perception does: ``pip install eagor[vlm]``.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Literal, Protocol, get_args
+
+import numpy as np
+
+from eagor.errors import EagorError, QueryError
+from eagor.evidence import Calibration, Evidence
+from eagor.grids import Grid, PatchGrid
+from eagor.perception.transformers.families import Extractor, Family, family_of, known_families
+
+__all__ = ["Device", "Looker", "TransformersPerception", "family_of", "known_families"]
+
+Device = Literal["cpu", "cuda", "mps", "auto"]
+_VIEW_FIELD = math.radians(100)
+
+
+class Looker(Protocol):
+    """A loaded model that answers for images of one size; see `language.LanguageModel`."""
+
+    name: str
+    revision: str
+    family: Family
+
+    def size(self, aspect: float) -> tuple[int, int]: ...
+
+    def cells(self, aspect: float, extractor: Extractor) -> tuple[int, int]: ...
+
+    def look(
+        self, images: Sequence[np.ndarray], grids: Sequence[Grid], queries: Sequence[str], extractor: Extractor
+    ) -> tuple[np.ndarray, Any]: ...
+
+
+class TransformersPerception:
+    """Finds what a query names in panoramas, with a model that runs here.
+
+    Args:
+        model: hub name, or folder with ``config.json``, weights, tokenizer and image processor.
+        extractor: ``attention``, ``boxes``, ``both`` (boxes and attention from one call, half each) or ``views`` (tangent
+            views that cover the sphere); None for the family's default.
+        per_view: the extractor in each view; None for the family's default.
+        pixels: how many pixels an image (with ``views``: each view) has at most; None for the family's default.
+        seam: look twice, the panorama rolled by half a turn in between, so that nothing is cut by the seam. Views never
+            see one.
+        heads: file of localisation heads (`heads`), for attention; None for relative attention.
+        layers: layers that relative attention reads, ``"20,21,22"`` or numbers; None for the family's depth.
+        presence: multiply attention by the probability that the model answers yes when asked if the thing is there.
+        calibration: how responses become evidence.
+        revision: of a hub checkpoint.
+        device: ``cpu``, ``cuda``, ``mps``, ``cuda:1``, ``auto`` (spread over all GPUs by accelerate); None: CUDA where there is any.
+        dtype: ``float32``, ``bfloat16``, ``float16``; None: bfloat16 on a GPU, else float32.
+        max_tokens: that an answer may have.
+        batch: images run at once.
+
+    Raises `EagorError` if packages are missing, the model is of no known family, or an option does not fit it.
+    """
+
+    def __init__(
+        self,
+        model: str,
+        extractor: str | None = None,
+        per_view: str | None = None,
+        pixels: int | None = None,
+        seam: bool = True,
+        heads: str | None = None,
+        layers: str | int | Sequence[int] | None = None,
+        presence: bool = True,
+        calibration: Calibration | None = None,
+        revision: str | None = None,
+        device: str | None = None,
+        dtype: str | None = None,
+        max_tokens: int = 512,
+        batch: int = 8,
+    ) -> None:
+        from eagor.perception.transformers.loading import load_model
+
+        self.calibration = calibration
+        self.seam = bool(seam)
+        self.looker: Looker = load_model(
+            str(model),
+            pixels=pixels,
+            views=extractor == "views",
+            heads=heads,
+            layers=layers,
+            presence=bool(presence),
+            revision=revision,
+            device=device,
+            dtype=dtype,
+            most=int(max_tokens),
+            batch=int(batch),
+        )
+        family = self.looker.family
+        self.extractor = _chosen(extractor or family.extractor, family, "extractor")
+        self.per_view = _chosen(per_view or family.per_view, family, "per_view")
+        if self.per_view == "views":
+            raise EagorError("per_view = 'views'; wanted what to do in each view, such as 'attention' or 'boxes'")
+
+    @property
+    def family(self) -> Family:
+        """The model's family."""
+        return self.looker.family
+
+    def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
+        """Evidence for what `query` names in `panorama` ``(H, W, 3)`` uint8.
+
+        `Evidence.source` tells model, revision, extractor, pixels, token counts and milliseconds. Raises `QueryError` if
+        there are no words, `ImageError` for another image, `AnswerError` if the model's boxes cannot be read.
+        """
+        response, coverage, source = self._respond(panorama, [query])
+        whole = None if coverage is None or bool((coverage >= 1 - 1e-6).all()) else coverage
+        grid = PatchGrid(*response.shape[-2:])
+        return Evidence.from_response(response[0], grid, self.calibration, stamp, coverage=whole, source=source)
+
+    def respond(self, panorama: np.ndarray, queries: Sequence[str]) -> np.ndarray:
+        """Responses ``(Q, h, w)`` float32 in [0, 1] to several queries; each image is run through the model once."""
+        return self._respond(panorama, list(queries))[0]
+
+    def _respond(
+        self, panorama: np.ndarray, queries: list[str]
+    ) -> tuple[np.ndarray, np.ndarray | None, dict[str, object]]:
+        """Responses, coverage (None: the whole sphere) and what they cost."""
+        from eagor.perception.transformers.inputs import checked
+
+        began = time.perf_counter()
+        if not all(isinstance(query, str) and query.split() for query in queries):
+            raise QueryError(f"the queries are {queries!r}; wanted words for each, such as 'red chair'")
+        image = checked(panorama)
+        look = self._views if self.extractor == "views" else self._whole
+        response, coverage, source = look(image, queries)
+        known = {"model": self.looker.name, "revision": self.looker.revision, "family": self.family.name}
+        source = {**known, "extractor": self.extractor, **source}
+        source["milliseconds"] = 1000 * (time.perf_counter() - began)
+        return response, coverage, source
+
+    def _whole(self, image: np.ndarray, queries: list[str]) -> tuple[np.ndarray, None, dict[str, object]]:
+        from eagor.perception.vlm.seam import seamless
+        from eagor.perception.vlm.sizes import resized
+
+        aspect = image.shape[1] / image.shape[0]
+        size, extractor = self.looker.size(aspect), self.extractor
+        grid = PatchGrid(*self.looker.cells(aspect, extractor))
+        costs: list[Any] = []
+
+        def respond(picture: np.ndarray) -> np.ndarray:
+            found, cost = self.looker.look([picture], [grid], queries, extractor)
+            costs.append(cost)
+            return found[0]
+
+        picture = resized(image, size, wrap=True)
+        response = seamless(respond, picture, grid.width) if self.seam else respond(picture)
+        return response, None, {"pixels": list(size), **_sum(costs)}
+
+    def _views(self, image: np.ndarray, queries: list[str]) -> tuple[np.ndarray, np.ndarray, dict[str, object]]:
+        from eagor.perception.vlm.views import cut, lift, tangent_views
+
+        height, width = self.looker.size(1.0)
+        views = tangent_views(min(height, width), _VIEW_FIELD)
+        rows, cols = self.looker.cells(1.0, self.per_view)
+        grids = [replace(view, height=rows, width=cols) for view in views]
+        found, cost = self.looker.look([cut(image, view) for view in views], grids, queries, self.per_view)
+        # Cells as fine as in the middle of a view.
+        lines = max(12, min(90, round(math.pi * grids[0].focal)))
+        response, coverage = lift(list(found), views, PatchGrid(lines, 2 * lines))
+        return response, coverage, {"pixels": [height, width], "per_view": self.per_view, **_sum([cost])}
+
+
+def _chosen(name: str, family: Family, option: str) -> Extractor:
+    """`name` as an extractor that the family has."""
+    if name not in family.extractors or name not in get_args(Extractor):
+        raise EagorError(f"{option} = {name!r}; for {family.title} it can be {', '.join(family.extractors)}")
+    return name  # type: ignore[return-value]
+
+
+def _sum(costs: Sequence[Any]) -> dict[str, object]:
+    """Costs of several looks, added up."""
+    total: dict[str, int] = {}
+    for cost in costs:
+        for key, value in cost.as_source().items():
+            total[key] = total.get(key, 0) + value
+    return dict(total)

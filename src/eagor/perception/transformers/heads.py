@@ -1,0 +1,197 @@
+"""Localisation heads: the few attention heads of a frozen model that look at what is asked for.
+
+Found as by Kang et al. (arXiv 2503.06287): heads that attend to the image at all (their mass on it reaches the elbow of
+the sorted masses) are ranked by how often their maps are among the least scattered (spatial entropy of the connected
+parts). Here directions are known as well, so the shortlist is put in order by how much attention lies on the target.
+The result is a small JSON file per model.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from eagor.errors import EagorError
+from eagor.grids import PatchGrid
+from eagor.perception.transformers.attention import blurred, densities
+from eagor.sphere import angular_distance, unit
+
+TAKE = 3
+SHORTLIST = 10
+_EARLIEST = 2  # layers before this one attend to tokens, not yet to things
+_AIM = 0.7  # the response that a typical labelled target gets
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """A panorama ``(H, W, 3)`` uint8, a query, the direction ``(3,)`` of what it names, and its angular radius."""
+
+    panorama: np.ndarray
+    query: str
+    direction: np.ndarray
+    radius: float
+
+
+@dataclass(frozen=True)
+class Heads:
+    """Localisation heads of one model.
+
+    Attributes:
+        model: its name.
+        model_type: as in its configuration.
+        heads: (layer, head), best first.
+        saturation: the excess over an even spread at which the response is one half.
+        found_by: figures, for people.
+    """
+
+    model: str
+    model_type: str
+    heads: tuple[tuple[int, int], ...]
+    saturation: float
+    found_by: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def layers(self) -> tuple[int, ...]:
+        """The layers that the heads are in."""
+        return tuple(sorted({layer for layer, _ in self.heads}))
+
+    def write(self, file: Path) -> None:
+        """Store it as JSON. Raises `OSError` if the disk does not take it."""
+        part = file.with_name(file.name + ".part")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
+        part.replace(file)
+
+
+def read_heads(file: str | Path) -> Heads:
+    """The heads in a file. Raises `EagorError` if it cannot be read or is something else."""
+    try:
+        stored = json.loads(Path(file).read_text(encoding="utf-8"))
+        heads = tuple((int(layer), int(head)) for layer, head in stored["heads"])
+        found = Heads(
+            str(stored["model"]), str(stored["model_type"]), heads, float(stored["saturation"]),
+            dict(stored.get("found_by", {})),
+        )  # fmt: skip
+    except OSError as error:
+        raise EagorError(f"the heads {file} cannot be read ({error}); `eagor calibrate heads` makes them") from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise EagorError(
+            f"{file} holds no localisation heads ({type(error).__name__}: {error}); wanted what `eagor calibrate heads` "
+            "writes"
+        ) from error
+    if not heads or min(min(pair) for pair in heads) < 0 or not found.saturation > 0:
+        raise EagorError(f"{file} lists no usable heads: {heads}, saturation {found.saturation}")
+    return found
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What all heads did for one labelled panorama.
+
+    Attributes:
+        maps: layer to attention per cell ``(H, h, w)``.
+        mass: layer to the share of attention that went to the image ``(H,)``.
+        direction: of the target ``(3,)``.
+        radius: of the target, radians.
+    """
+
+    maps: dict[int, np.ndarray]
+    mass: dict[int, np.ndarray]
+    direction: np.ndarray
+    radius: float
+
+
+def fit_heads(observed: Iterable[Observed], model: str, model_type: str, take: int = TAKE) -> Heads:
+    """The localisation heads in what `eagor.perception.transformers.language` observed on labelled panoramas.
+
+    Raises `EagorError` if there is nothing to look at, or no head attends to the targets more than to the rest.
+    """
+    looks = list(observed)
+    if not looks:
+        raise EagorError("there are no labelled panoramas; localisation heads want some 20 or more")
+    layers = [layer for layer in looks[0].maps if layer >= _EARLIEST] or list(looks[0].maps)
+    names = [(layer, head) for layer in layers for head in range(len(looks[0].mass[layer]))]
+    mass = np.array([np.mean([look.mass[layer][head] for look in looks]) for layer, head in names])
+    attentive = [name for name, share in zip(names, mass, strict=True) if share >= elbow(mass)]
+    votes = dict.fromkeys(attentive, 0)
+    for look in looks:
+        scatter = {name: spatial_entropy(look.maps[name[0]][name[1]]) for name in attentive}
+        for name in sorted(scatter, key=lambda name: scatter[name])[:SHORTLIST]:
+            votes[name] += bool(np.isfinite(scatter[name]))
+    shortlist = sorted(attentive, key=lambda name: -votes[name])[:SHORTLIST]
+    gains = {name: float(np.median([_gain(look, name) for look in looks])) for name in shortlist}
+    chosen = [name for name in sorted(shortlist, key=lambda name: -gains[name]) if gains[name] > 1.0][:take]
+    if not chosen:
+        best = max(gains.values(), default=0.0)
+        raise EagorError(
+            f"no head of {model} looks at the labelled targets more than elsewhere (best: {best:.2f} times an even "
+            f"spread, over {len(looks)} panoramas). More panoramas, larger pictures, or another extractor"
+        )
+    peaks = [_peak(look, chosen) for look in looks]
+    saturation = max(float(np.median(peaks)) - 1.0, 0.1) * (1 - _AIM) / _AIM
+    figures = [{"head": list(name), "gain": gains[name], "votes": votes[name]} for name in chosen]
+    found_by = {"panoramas": len(looks), "attentive": len(attentive), "of": len(names), "heads": figures}
+    return Heads(model, model_type, tuple(chosen), saturation, found_by)
+
+
+def elbow(values: np.ndarray) -> float:
+    """The value at which sorted `values` bend most: farthest below the chord from the first to the last."""
+    rising = np.sort(np.asarray(values, dtype=float))
+    if len(rising) < 3 or rising[-1] <= rising[0]:
+        return float(rising[0])
+    along = np.linspace(0, 1, len(rising))
+    below = along - (rising - rising[0]) / (rising[-1] - rising[0])
+    return float(rising[int(below.argmax())])
+
+
+def spatial_entropy(cells: np.ndarray) -> float:
+    """How scattered a map ``(h, w)`` over a panorama is: entropy (nats) of the shares of its connected parts.
+
+    Parts are what exceeds twice the mean, joined across the seam and over corners. Infinite for a map that lights the
+    bottom row most (a habit of some heads, whatever is asked) or has no part at all.
+    """
+    lit = np.maximum(cells - 2 * cells.mean(), 0.0)
+    if not lit.any() or lit[-1].sum() > 0.5 * lit.sum():
+        return float("inf")
+    # Twice side by side, so that parts across the seam are whole in the middle; each part is counted by its mass.
+    labels, _ = ndimage.label(np.concatenate([lit, lit], axis=1) > 0, structure=np.ones((3, 3)))
+    width = cells.shape[1]
+    same = {}
+    for left, right in zip(labels[:, :width][lit > 0], labels[:, width:][lit > 0], strict=True):
+        same[_root(same, int(left))] = _root(same, int(right))
+    shares: dict[int, float] = {}
+    for label, value in zip(labels[:, :width][lit > 0], lit[lit > 0], strict=True):
+        root = _root(same, int(label))
+        shares[root] = shares.get(root, 0.0) + float(value)
+    p = np.array(list(shares.values())) / lit.sum()
+    return float(-(p * np.log(p)).sum())
+
+
+def _root(same: dict[int, int], label: int) -> int:
+    while same.get(label, label) != label:
+        label = same[label]
+    return label
+
+
+def _near(look: Observed, shape: tuple[int, int]) -> np.ndarray:
+    """Which cells ``(h, w)`` the target lies in: those within its radius, the nearest at least."""
+    angle = np.asarray(angular_distance(PatchGrid(*shape).directions, unit(np.asarray(look.direction, dtype=float))))
+    return (angle <= look.radius) | (angle <= angle.min() + 1e-12)
+
+
+def _gain(look: Observed, name: tuple[int, int]) -> float:
+    """The mean attention of a head on the target, in multiples of an even spread over the cells."""
+    cells = look.maps[name[0]][name[1]]
+    return float(densities(cells)[_near(look, cells.shape)].mean())
+
+
+def _peak(look: Observed, heads: Sequence[tuple[int, int]]) -> float:
+    """The highest blurred density on the target, of the mean over heads, as the response sees it."""
+    mean = np.mean([densities(look.maps[layer][head]) for layer, head in heads], axis=0)
+    return float(blurred(mean)[_near(look, mean.shape)].max())
