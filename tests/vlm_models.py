@@ -6,9 +6,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 import transformers
-from tokenizers import Tokenizer, decoders, models, pre_tokenizers
+from tokenizers import Tokenizer, decoders, models, pre_tokenizers, processors
+
+from eagor.grids import ErpGrid
+from eagor.perception.transformers.language import LanguageModel
+from eagor.perception.transformers.layout import Layout
+from eagor.perception.transformers.loading import load_model
+from eagor.perception.vlm.sizes import resized
+from eagor.sphere import angular_distance, direction
 
 LANGUAGE = ("qwen2_5_vl", "qwen3_vl", "gemma3", "llava", "janus", "internvl")
 LOCALISERS = ("owlv2", "grounding_dino", "clipseg")
@@ -163,6 +171,58 @@ def _internvl() -> tuple[Any, Any, Any]:
     return transformers.InternVLForConditionalGeneration(config), tokenizer, processor
 
 
+def _clip_tokenizer(longest: int) -> tuple[Any, dict[str, Any]]:
+    """Texts between a first and a last token, the last with the highest id, as CLIP models expect; and their sizes."""
+    tokenizer = tokenizer_with(["<pad>", "<first>", "<last>"], eos_token="<last>", bos_token="<first>")
+    ids = [(name, tokenizer.convert_tokens_to_ids(name)) for name in ("<first>", "<last>")]
+    tokenizer.backend_tokenizer.post_processor = processors.TemplateProcessing(
+        single="<first> $A <last>", special_tokens=ids
+    )
+    text = {
+        "vocab_size": len(tokenizer), "hidden_size": 32, "intermediate_size": 48, "num_hidden_layers": 2,
+        "num_attention_heads": 2, "max_position_embeddings": longest, "eos_token_id": ids[1][1],
+        "bos_token_id": ids[0][1], "pad_token_id": tokenizer.pad_token_id, "initializer_range": 0.2,
+    }  # fmt: skip
+    return tokenizer, text
+
+
+def _owlv2() -> tuple[Any, Any, Any]:
+    tokenizer, text = _clip_tokenizer(48)
+    vision = {**_SIGLIP, "image_size": 96, "patch_size": 16}
+    config = transformers.Owlv2Config(text_config=text, vision_config=vision, projection_dim=32)
+    processor = transformers.Owlv2ImageProcessorPil(size={"height": 96, "width": 96})
+    return transformers.Owlv2ForObjectDetection(config), tokenizer, processor
+
+
+def _clipseg() -> tuple[Any, Any, Any]:
+    tokenizer, text = _clip_tokenizer(48)
+    config = transformers.CLIPSegConfig(
+        text_config=text, vision_config={**_SIGLIP, "image_size": 96, "patch_size": 16}, projection_dim=32,
+        reduce_dim=16, decoder_num_attention_heads=2, decoder_intermediate_size=32, extract_layers=[0, 1],
+    )  # fmt: skip
+    processor = transformers.ViTImageProcessorPil(size={"height": 96, "width": 96})
+    return transformers.CLIPSegForImageSegmentation(config), tokenizer, processor
+
+
+def _grounding_dino() -> tuple[Any, Any, Any]:
+    tokenizer = tokenizer_with(["[PAD]", "[CLS]", "[SEP]"])
+    text = transformers.BertConfig(
+        vocab_size=len(tokenizer), hidden_size=32, num_hidden_layers=1, num_attention_heads=2, intermediate_size=48,
+        max_position_embeddings=256,
+    )  # fmt: skip
+    backbone = transformers.SwinConfig(
+        image_size=64, embed_dim=16, depths=[1, 1, 1, 1], num_heads=[2, 2, 2, 2], window_size=4,
+        out_features=["stage2", "stage3", "stage4"],
+    )  # fmt: skip
+    config = transformers.GroundingDinoConfig(
+        backbone_config=backbone, text_config=text, d_model=32, encoder_layers=1, decoder_layers=2,
+        encoder_attention_heads=2, decoder_attention_heads=2, encoder_ffn_dim=48, decoder_ffn_dim=48, num_queries=12,
+        disable_custom_kernels=True,
+    )  # fmt: skip
+    processor = transformers.GroundingDinoImageProcessorPil(size={"shortest_edge": 96, "longest_edge": 192})
+    return transformers.GroundingDinoForObjectDetection(config), tokenizer, processor
+
+
 MAKERS: dict[str, Callable[[], tuple[Any, Any, Any]]] = {
     "qwen2_5_vl": _qwen2_5_vl,
     "qwen3_vl": _qwen3_vl,
@@ -170,6 +230,9 @@ MAKERS: dict[str, Callable[[], tuple[Any, Any, Any]]] = {
     "llava": _llava,
     "janus": _janus,
     "internvl": _internvl,
+    "owlv2": _owlv2,
+    "grounding_dino": _grounding_dino,
+    "clipseg": _clipseg,
 }
 
 
@@ -181,3 +244,83 @@ def make(family: str, folder: Path, seed: int = 0) -> Path:
     tokenizer.save_pretrained(folder)
     processor.save_pretrained(folder)
     return folder
+
+
+# --- planted weights: one attention head that looks at red things ------------------------------------------------------
+
+HEAD = (LAYERS - 1, 1)  # (layer, head) that is planted; full attention in all families
+
+
+def marked(azimuth: float, elevation: float, radius: float = 0.3, rows: int = 128, seed: int = 0) -> np.ndarray:
+    """A grey panorama ``(rows, 2 rows, 3)`` uint8 with a little noise and a red disc in one direction (radians)."""
+    grid = ErpGrid(rows, 2 * rows)
+    image = np.random.default_rng(seed).integers(110, 146, size=(rows, 2 * rows, 3))
+    image[angular_distance(grid.directions, direction(azimuth, elevation)) < radius] = (255, 0, 0)
+    return image.astype(np.uint8)
+
+
+def redness(image: np.ndarray, layout: Layout) -> np.ndarray:
+    """How red each token's window of an image is, on average, in [0, 1]."""
+    red = np.clip((image[..., 0].astype(float) - image[..., 1:].max(axis=-1)) / 255, 0, 1)
+    red = np.where(red > 0.5, 1.0, 0.0)
+    found = []
+    for block in layout.blocks:
+        left, top, right, bottom = block.window
+        y = (top + (bottom - top) * (np.arange(4 * block.rows) + 0.5) / (4 * block.rows)) * image.shape[0]
+        x = (left + (right - left) * (np.arange(4 * block.cols) + 0.5) / (4 * block.cols)) * image.shape[1]
+        inside = ((y >= 0) & (y < len(red)))[:, None] & ((x >= 0) & (x < red.shape[1]))
+        rows, cols = np.clip(y, 0, len(red) - 1).astype(int), np.clip(x, 0, red.shape[1] - 1).astype(int)
+        values = np.where(inside, red[rows[:, None], cols], 0.0)
+        found.append(values.reshape(block.rows, 4, block.cols, 4).mean(axis=(1, 3)).ravel())
+    return np.concatenate(found)
+
+
+@torch.no_grad()
+def plant(language: LanguageModel, sharpness: float = 10.0) -> None:
+    """Change the weights of a tiny model so that head `HEAD` of the last token attends to red image tokens.
+
+    All layers pass their input on unchanged, so that the planted layer sees the image features and the last token as
+    they were embedded. Its keys hold how red a token is (a linear reading of the features, fitted here), its query
+    asks for that. The other heads attend evenly.
+    """
+    layers = language.model.model.language_model.layers
+    for layer in layers:
+        layer.self_attn.o_proj.weight.zero_()
+        layer.mlp.down_proj.weight.zero_()
+    images, wanted, planned = [], [], language.plan(2.0)
+    for seed in range(24):
+        rng = np.random.default_rng(100 + seed)
+        image = resized(marked(rng.uniform(-3, 3), rng.uniform(-0.9, 0.9), rng.uniform(0.2, 0.6), seed=seed), planned.size)
+        images.append(image)
+        wanted.append(redness(image, planned.layout))
+    seen: list[torch.Tensor] = []
+    hook = layers[HEAD[0]].input_layernorm.register_forward_hook(lambda _module, _inputs, out: seen.append(out))
+    prefix = language.share(images, planned)
+    prefix.continued().feed(language.prompt("red", planned).suffix)
+    hook.remove()
+    features, last = seen[0][:, prefix.columns].reshape(-1, seen[0].shape[-1]).double(), seen[1][0, -1].double()
+    goals = torch.tensor(np.stack([np.concatenate(wanted), np.ones(len(features))], axis=1))
+    ridge = 1e-3 * len(features) * torch.eye(features.shape[1], dtype=torch.float64)
+    reading = torch.linalg.solve(features.T @ features + ridge, features.T @ goals).T.float()  # (2, hidden)
+    attention = layers[HEAD[0]].self_attn
+    width = attention.head_dim
+    slow, other = width // 2 - 1, width // 2 - 2  # of the dimensions that turn least with the position
+    for part in (attention.q_proj, attention.k_proj):
+        part.weight.zero_()
+        if part.bias is not None:
+            part.bias.zero_()
+    group = HEAD[1] // (attention.q_proj.out_features // attention.k_proj.out_features)
+    attention.k_proj.weight[group * width + slow] = reading[0]
+    attention.k_proj.weight[group * width + other] = reading[1]  # a constant, for families that scale keys to one length
+    strength = sharpness / attention.scaling
+    if hasattr(attention, "q_norm"):  # there the norm sets the length of the query
+        weight = sharpness / (attention.scaling * width)
+        attention.q_norm.weight.fill_(weight - 1 if language.family.name == "gemma3" else weight)
+    attention.q_proj.weight[HEAD[1] * width + slow] = (strength * last / last.dot(last)).float()
+
+
+def language_model(folder: Path, **options: Any) -> LanguageModel:
+    """The model in a folder, as the perception has it inside."""
+    loaded = load_model(str(folder), **options)
+    assert isinstance(loaded, LanguageModel)
+    return loaded

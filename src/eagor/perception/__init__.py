@@ -8,8 +8,10 @@ their own under the entry-point group ``eagor.perceptions`` (a name, and a class
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -53,15 +55,24 @@ def known() -> dict[str, EntryPoint]:
 
 
 def load(spec: str, **options: Any) -> Perception:
-    """The perception that `spec` names: ``"colour"``, ``"replay:detections.jsonl"``, or an installed one.
+    """The perception that `spec` names: ``"colour"``, ``"replay:detections.jsonl"``, an installed one, or a model.
 
     Text after the first colon becomes the first argument of what makes the perception; `options` are passed on by
-    name. Raises `QueryError` for an unknown name, `EagorError` if it cannot be imported or does not take the arguments.
+    name. A folder with ``config.json``, or anything else with a slash in it, such as ``Qwen/Qwen2.5-VL-7B-Instruct``, is
+    a model that `eagor.perception.transformers` loads; options can follow in the text, as in
+    ``folder?extractor=boxes&pixels=627200``. Raises `QueryError` for an unknown name, `EagorError` if it cannot be
+    imported or does not take the arguments.
     """
     name, colon, text = str(spec).partition(":")
     choices = known()
     if name not in choices:
-        raise QueryError(f"there is no perception {name!r}; known are {', '.join(sorted(choices))}")
+        model, _, written = str(spec).partition("?")
+        if _names_a_model(model):
+            return _model(model, {**parse_options(written), **options})
+        raise QueryError(
+            f"there is no perception {name!r}; known are {', '.join(sorted(choices))}, folders with a model, and hub "
+            "names such as Qwen/Qwen2.5-VL-7B-Instruct"
+        )
     try:
         make: Callable[..., Perception] = choices[name].load()
     except (ImportError, AttributeError) as error:
@@ -77,6 +88,55 @@ def load(spec: str, **options: Any) -> Perception:
             f"It takes {name}{inspect.signature(make)}; the text after ':' is the first argument"
         ) from error
     return make(*arguments, **options)
+
+
+def parse_options(text: str) -> dict[str, Any]:
+    """Options written as ``extractor=boxes&pixels=627200``: true, false and numbers become what they say.
+
+    Raises `EagorError` for a part without a name or a value, or a name that comes twice.
+    """
+    found: dict[str, Any] = {}
+    for part in filter(None, text.split("&")):
+        name, _, value = part.partition("=")
+        if not name or not value or name in found:
+            raise EagorError(f"{part!r} in the options {text!r}; wanted name=value, each once, with & between them")
+        found[name] = _value(value)
+    return found
+
+
+def _value(text: str) -> Any:
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _names_a_model(text: str) -> bool:
+    """Whether `text` is a folder with a model in it, or looks like a path or a hub name."""
+    return (Path(text) / "config.json").is_file() or "/" in text.replace(os.sep, "/")
+
+
+def _model(name: str, options: dict[str, Any]) -> Perception:
+    """The model with this hub name or in this folder."""
+    from eagor.perception.transformers import TransformersPerception
+
+    folder = Path(name).expanduser()
+    if folder.is_dir() and not (folder / "config.json").is_file():
+        raise EagorError(f"the folder {name!r} has no config.json; wanted one that holds a model")
+    if not folder.is_dir() and name.startswith((".", "~", "/")):
+        raise EagorError(f"there is no folder {name!r}; wanted one that holds a model, or a hub name")
+    try:
+        inspect.signature(TransformersPerception).bind(name, **options)
+    except TypeError as error:
+        raise EagorError(
+            f"the model {name!r} cannot be taken with the options {sorted(options)}: {error}. It takes "
+            f"{', '.join([*inspect.signature(TransformersPerception).parameters][1:])}"
+        ) from error
+    return TransformersPerception(str(folder) if folder.is_dir() else name, **options)
 
 
 def check_perception(

@@ -23,6 +23,7 @@ __all__ = ["Device", "Looker", "TransformersPerception", "family_of", "known_fam
 
 Device = Literal["cpu", "cuda", "mps", "auto"]
 _VIEW_FIELD = math.radians(100)
+_WHOLE = 0.95  # coverage at the corners of views, from which on everything counts as seen
 
 
 class Looker(Protocol):
@@ -57,10 +58,11 @@ class TransformersPerception:
         presence: multiply attention by the probability that the model answers yes when asked if the thing is there.
         calibration: how responses become evidence.
         revision: of a hub checkpoint.
-        device: ``cpu``, ``cuda``, ``mps``, ``cuda:1``, ``auto`` (spread over all GPUs by accelerate); None: CUDA where there is any.
+        device: ``cpu``, ``cuda``, ``cuda:1``, ``mps``, or ``auto`` (spread over all GPUs by accelerate); None: CUDA if any.
         dtype: ``float32``, ``bfloat16``, ``float16``; None: bfloat16 on a GPU, else float32.
         max_tokens: that an answer may have.
         batch: images run at once.
+        threshold: score below which a localiser's boxes are dropped; None for the family's.
 
     Raises `EagorError` if packages are missing, the model is of no known family, or an option does not fit it.
     """
@@ -81,6 +83,7 @@ class TransformersPerception:
         dtype: str | None = None,
         max_tokens: int = 512,
         batch: int = 8,
+        threshold: float | None = None,
     ) -> None:
         from eagor.perception.transformers.loading import load_model
 
@@ -89,7 +92,7 @@ class TransformersPerception:
         self.looker: Looker = load_model(
             str(model),
             pixels=pixels,
-            views=extractor == "views",
+            extractor=extractor,
             heads=heads,
             layers=layers,
             presence=bool(presence),
@@ -98,6 +101,7 @@ class TransformersPerception:
             dtype=dtype,
             most=int(max_tokens),
             batch=int(batch),
+            threshold=threshold,
         )
         family = self.looker.family
         self.extractor = _chosen(extractor or family.extractor, family, "extractor")
@@ -117,7 +121,7 @@ class TransformersPerception:
         there are no words, `ImageError` for another image, `AnswerError` if the model's boxes cannot be read.
         """
         response, coverage, source = self._respond(panorama, [query])
-        whole = None if coverage is None or bool((coverage >= 1 - 1e-6).all()) else coverage
+        whole = None if coverage is None or bool((coverage >= _WHOLE).all()) else coverage
         grid = PatchGrid(*response.shape[-2:])
         return Evidence.from_response(response[0], grid, self.calibration, stamp, coverage=whole, source=source)
 

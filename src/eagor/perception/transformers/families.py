@@ -13,7 +13,7 @@ from eagor.errors import EagorError
 from eagor.perception.vlm.boxes import Frame
 
 Fit = Literal["exact", "squash", "pad", "tiles"]
-Extractor = Literal["attention", "boxes", "both", "views"]
+Extractor = Literal["attention", "boxes", "both", "mask", "views"]
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,10 @@ class Family:
         model_types: values of ``model_type`` in ``config.json`` that belong to it.
         title: the name that people know.
         fit: how an image becomes what the model sees. ``exact``: resized to whole cells, any aspect; ``squash``: to
-            the model's square; ``pad``: into the middle of the square, background around it; ``corner``-padded
-            localisers do that themselves; ``tiles``: cut into squares, and the whole once more, smaller, behind them.
-        extractor: how directions are read from it by default.
+            the model's square; ``pad``: into the square, background around it; ``tiles``: cut into squares, and the
+            whole once more, smaller, behind them.
+        extractor: how directions are read from it by default: ``attention``, ``boxes`` that it writes, ``both`` from one
+            call, the ``mask`` that it paints, or ``views``, one of these in tangent views that cover the sphere.
         per_view: the extractor in each view where views are taken.
         frame: coordinates of the boxes that it was trained to answer with; None where it was not.
         type_ids: the input that tells image tokens from text, without which the model runs and answers wrongly.
@@ -76,7 +77,7 @@ class Family:
     def extractors(self) -> tuple[Extractor, ...]:
         """What can be asked of it."""
         if self.localiser:
-            return ("attention", "views") if self.per_view == "attention" else ("boxes", "views")
+            return (self.per_view, "views")
         return ("attention", "boxes", "both", "views") if self.frame else ("attention", "views")
 
 
@@ -89,7 +90,7 @@ FAMILIES: tuple[Family, ...] = (
         model_types=("qwen2_5_vl",),
         title="Qwen2.5-VL",
         fit="exact",
-        extractor="both",
+        extractor="boxes",
         frame="pixels",
         type_ids="mm_token_type_ids",
         placeholder="<|image_pad|>",
@@ -109,7 +110,7 @@ FAMILIES: tuple[Family, ...] = (
         model_types=("qwen3_vl", "qwen3_vl_moe"),
         title="Qwen3-VL",
         fit="exact",
-        extractor="both",
+        extractor="boxes",
         frame="thousand",
         type_ids="mm_token_type_ids",
         placeholder="<|image_pad|>",
@@ -174,7 +175,7 @@ FAMILIES: tuple[Family, ...] = (
         placeholder="<IMG_CONTEXT>",
         expansion="<img><IMG_CONTEXT></img>",
         image_token="<IMG_CONTEXT>",
-        template=_CHATML.replace("{image}", "<IMG_CONTEXT>\n").replace("{text}<|im_end|>", "{text}<|im_end|>"),
+        template=_CHATML.replace("{image}", "<IMG_CONTEXT>\n"),
         checkpoints=(Checkpoint("OpenGVLab/InternVL3-2B-hf", 2.1), Checkpoint("OpenGVLab/InternVL3-8B-hf", 7.9)),
     ),
     Family(
@@ -209,6 +210,7 @@ FAMILIES: tuple[Family, ...] = (
         title="CLIPSeg",
         fit="squash",
         extractor="views",
+        per_view="mask",
         localiser=True,
         checkpoints=(Checkpoint("CIDAS/clipseg-rd64-refined", 0.151),),
     ),

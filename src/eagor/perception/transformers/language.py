@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from threading import RLock
 from typing import Any
 
@@ -14,6 +12,7 @@ import torch
 
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid
+from eagor.perception.transformers.account import Account
 from eagor.perception.transformers.attention import SATURATION, mean_over_heads, of_heads, relative, saturated
 from eagor.perception.transformers.capture import full_layers, prepare
 from eagor.perception.transformers.families import Extractor, Family
@@ -24,20 +23,6 @@ from eagor.perception.vlm.boxes import Box, parse_boxes
 from eagor.perception.vlm.drawing import drawn
 from eagor.perception.vlm.prompts import GENERAL, ask_boxes, ask_presence
 from eagor.perception.vlm.sizes import resized
-
-
-@dataclass
-class Account:
-    """What a look cost: images, image tokens, tokens of the questions and of the answers."""
-
-    images: int = 0
-    image_tokens: int = 0
-    prompt_tokens: int = 0
-    answer_tokens: int = 0
-
-    def as_source(self) -> dict[str, int]:
-        """As it stands in `Evidence.source`."""
-        return dict(vars(self))
 
 
 @dataclass
@@ -269,16 +254,3 @@ def _stops(model: Any, tokenizer: Any) -> list[int]:
     stops = getattr(model.generation_config, "eos_token_id", None)
     stops = stops if stops is not None else tokenizer.eos_token_id
     return [int(stop) for stop in (stops if isinstance(stops, list | tuple) else [stops]) if stop is not None]
-
-
-def revision_of(name: str, commit: str | None) -> str:
-    """The commit of a hub checkpoint; for a folder a digest of its configuration and of its weight files' sizes."""
-    if commit:
-        return str(commit)
-    folder = Path(name)
-    if not folder.is_dir():
-        return "unknown"
-    digest = hashlib.sha256((folder / "config.json").read_bytes())
-    for file in sorted(folder.glob("*.safetensors")):
-        digest.update(f"{file.name} {file.stat().st_size}".encode())
-    return f"folder:{digest.hexdigest()[:12]}"

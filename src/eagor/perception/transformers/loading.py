@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from eagor.errors import EagorError
+from eagor.perception.transformers.account import revision_of
 from eagor.perception.transformers.families import Family, family_of
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ def load_model(
     name: str,
     *,
     pixels: int | None = None,
-    views: bool = False,
+    extractor: str | None = None,
     heads: str | None = None,
     layers: str | int | Sequence[int] | None = None,
     presence: bool = True,
@@ -27,6 +28,7 @@ def load_model(
     dtype: str | None = None,
     most: int = 512,
     batch: int = 8,
+    threshold: float | None = None,
 ) -> Looker:
     """The model with this hub name or in this folder, in evaluation mode on its device; options as in the perception.
 
@@ -55,28 +57,49 @@ def load_model(
     processor = _loaded(
         name, "image processor", transformers.AutoImageProcessor.from_pretrained, revision, backend="pil"
     )
-    from eagor.perception.transformers.language import LanguageModel, revision_of
-
-    stamp = revision_of(name, getattr(config, "_commit_hash", None))
+    about: dict[str, Any] = {
+        "name": name,
+        "revision": revision_of(name, getattr(config, "_commit_hash", None)),
+        "family": family,
+        "model": model,
+        "tokenizer": tokenizer,
+        "processor": processor,
+        "batch": batch,
+    }
+    most_pixels = _pixels(pixels)
+    if family.localiser:
+        return _localiser(about, most_pixels, threshold, {"heads": heads, "layers": layers})
+    if threshold is not None:
+        raise EagorError(f"threshold = {threshold!r}; {family.title} has none, only localisers do")
     from eagor.perception.transformers.heads import read_heads
+    from eagor.perception.transformers.language import LanguageModel
 
     return LanguageModel(
-        name=name,
-        revision=stamp,
-        family=family,
-        model=model,
-        tokenizer=tokenizer,
-        processor=processor,
+        **about,
         heads=read_heads(heads) if heads else None,
         layers=_numbers(layers),
         presence=presence,
         most=most,
-        batch=batch,
-        pixels=_pixels(pixels) or (_VIEW_PIXELS if views or family.extractor == "views" else None),
+        pixels=most_pixels or (_VIEW_PIXELS if (extractor or family.extractor) == "views" else None),
     )
 
 
+def _localiser(about: dict[str, Any], pixels: int | None, threshold: float | None, foreign: dict[str, Any]) -> Looker:
+    """A localiser, once it is certain that no option for language models came with it."""
+    from eagor.perception.transformers.localisers import Localiser
+
+    given = sorted(key for key, value in foreign.items() if value is not None)
+    if given:
+        raise EagorError(f"{', '.join(given)} came for {about['family'].title}, which has no attention to read")
+    return Localiser(**about, pixels=pixels, threshold=None if threshold is None else float(threshold))
+
+
 def _class_for(transformers: Any, family: Family) -> Any:
+    """The class that loads a family's checkpoints."""
+    if family.name == "clipseg":
+        return transformers.CLIPSegForImageSegmentation
+    if family.localiser:
+        return transformers.AutoModelForZeroShotObjectDetection
     return transformers.AutoModelForImageTextToText
 
 
