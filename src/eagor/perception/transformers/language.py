@@ -112,7 +112,7 @@ class LanguageModel:
         shape = grids[0].shape
         found = np.zeros((len(images), len(queries), *shape), dtype=np.float32)
         with self.lock:
-            for part in chunks(len(images), self.batch):
+            for part in chunks(len(images), self.batch) if queries else ():
                 found[part] = self._look(images[part], grids[part], queries, extractor, account)
         return found, account
 
