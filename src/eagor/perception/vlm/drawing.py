@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from eagor.detections import MIN_SPREAD
+from eagor.detections import MIN_SPREAD, bump, moments
 from eagor.grids import Grid
 from eagor.perception.vlm.boxes import Box
 
@@ -14,6 +14,15 @@ from eagor.perception.vlm.boxes import Box
 def drawn(boxes: Sequence[Box], image: Grid, canvas: Grid, min_spread: float = MIN_SPREAD) -> np.ndarray:
     """The response ``canvas.shape`` float32 in [0, 1] of boxes in a picture with the geometry of `image`.
 
-    A whole panorama is any PatchGrid or ErpGrid (its size does not matter), a view its PerspectiveGrid. No box: zeros.
+    A whole panorama is any `PatchGrid` or `ErpGrid` (its size does not matter), a view its `PerspectiveGrid`. As in
+    `Evidence.from_boxes`, each box becomes the Gaussian with the mean direction and the second moments of its solid
+    angle, widened by `min_spread` (radians), times its score; the highest counts. No box: zeros.
     """
-    raise NotImplementedError
+    height, width = image.shape
+    response = np.zeros(canvas.shape)
+    for box in boxes:
+        corners = np.array([box.x0 * width, box.y0 * height, box.x1 * width, box.y1 * height])
+        centre, spread = moments(corners, image)
+        there = bump(canvas.directions, centre, spread + min_spread**2 * np.eye(2))
+        response = np.maximum(response, box.score * there)
+    return response.astype(np.float32)

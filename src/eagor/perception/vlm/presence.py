@@ -2,14 +2,41 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Sequence
 
-from eagor.perception.vlm.boxes import Token
+from eagor.errors import AnswerError
+from eagor.perception.vlm.boxes import shortened, without_thoughts
+from eagor.perception.vlm.tokens import Token
+
+_YES, _NO = ("yes", "true", "present", "visible"), ("no", "false", "none", "not", "absent")
+_WORDS = re.compile(r"[^\W\d_]+")
 
 
 def parse_presence(text: str, first: Sequence[Token] | None = None) -> float:
-    """The probability of yes; `first` holds the likeliest first tokens with their log probabilities.
+    """The probability in [0, 1] that a model's answer to `prompts.ask_presence` means yes.
 
-    Raises `AnswerError` if the answer is neither.
+    `first` holds the likeliest tokens at the place where the answer stands, with their log probabilities (`Sequence` of
+    (piece, log probability)): then the probability is the share of those that mean yes among those that mean yes or no.
+    Else it is 1 for yes and 0 for no. Raises `AnswerError` if the answer is neither.
     """
-    raise NotImplementedError
+    answer = without_thoughts(text)
+    shares = [0.0, 0.0]
+    for piece, log in first or ():
+        meant = _meant(piece)
+        if meant is not None:
+            shares[meant] += math.exp(min(float(log), 0.0))
+    if sum(shares) > 0:
+        return shares[1] / sum(shares)
+    for word in _WORDS.findall(answer.lower()):
+        meant = _meant(word)
+        if meant is not None:
+            return float(meant)
+    raise AnswerError(f"the model answered {shortened(text)}; wanted yes or no. Does it see images, and follow orders?")
+
+
+def _meant(word: str) -> bool | None:
+    """True for yes, False for no, None for neither."""
+    bare = "".join(_WORDS.findall(word.lower()))
+    return True if bare in _YES else False if bare in _NO else None
