@@ -27,8 +27,8 @@ def tangent_views(
 ) -> tuple[PerspectiveGrid, ...]:
     """Square views of `size` pixels and field `hfov` that cover all directions up to elevation +-`reach` (radians).
 
-    Every such direction lies at least `overlap` / 2 inside the border of some view, so that `lift` with that margin
-    covers it fully. The views stand in rings at even elevations (one view at each pole), the first of each ring
+    Views narrower by `overlap` would still cover them, so that `lift` with half of it as margin covers each direction
+    fully. The views stand in rings at even elevations (one view at each pole), the first of each ring
     towards azimuth 0; of such layouts the one with the fewest views is taken: 6, as a cube, for 100 degrees with
     10 of overlap. Raises `GridError` if the views are too narrow for the overlap, or wider than a plane can show.
     """
@@ -90,14 +90,12 @@ def _covered(points: np.ndarray, poses: Sequence[tuple[float, float]], inner: fl
 
 
 def _depth(rays: np.ndarray, half_width: float, half_height: float) -> np.ndarray:
-    """Angle (radians) of directions ``(..., 3)`` in a view's own frame inside its border; negative outside.
+    """How much narrower (radians, on each side) a view could be and still show directions ``(..., 3)``.
 
-    The sides of a view are great circles; the angles to them are those to their planes.
+    They are in the view's own frame; negative outside.
     """
     x, y, z = rays[..., 0], np.abs(rays[..., 1]), np.abs(rays[..., 2])
-    to_side = x * math.sin(half_width) - y * math.cos(half_width)
-    to_end = x * math.sin(half_height) - z * math.cos(half_height)
-    return np.arcsin(np.clip(np.minimum(to_side, to_end), -1.0, 1.0))
+    return np.minimum(half_width - np.arctan2(y, x), half_height - np.arctan2(z, x))
 
 
 def cut(panorama: np.ndarray, grid: PerspectiveGrid) -> np.ndarray:
@@ -135,7 +133,7 @@ def lift(
             the whole view.
         views: where they look.
         grid: the cells of the result.
-        margin: radians inside a view's border over which its weight rises from 0 to 1 (as sin^2).
+        margin: radians of a view's field, at each side, over which its weight rises from 0 to 1 (as sin^2).
 
     Returns the response ``(Q, h, w)`` float32, where views overlap the mean by weight, and the coverage ``(h, w)`` in
     [0, 1], the weight of the view that sees the cell best. Where coverage is 0 nothing was seen (response 0): pass it
