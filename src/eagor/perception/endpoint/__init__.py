@@ -212,9 +212,9 @@ class EndpointPerception:
         counted = [answer.prompt_tokens for answer in answers if answer.prompt_tokens]
         if style.frame == "pixels" and counted and min(counted) < cells:
             warnings.warn(
-                f"{model} read {min(counted)} tokens, but the picture of {plan.size[1]} x {plan.size[0]} alone has {cells}: "
-                "the server seems to shrink it, and boxes in its pixels are then off. Send fewer pixels (pixels=...) or "
-                "raise the server's limit (vLLM --mm-processor-kwargs)",
+                f"{model} read {min(counted)} tokens, but the picture of {plan.size[1]} x {plan.size[0]} alone has "
+                f"{cells}: the server seems to shrink it, and boxes in its pixels are then off. Send fewer pixels "
+                "(pixels=...) or raise the server's limit (vLLM --mm-processor-kwargs)",
                 UserWarning,
                 stacklevel=4,
             )

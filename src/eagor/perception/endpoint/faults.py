@@ -75,8 +75,8 @@ def explained(error: Any, asked: Asked, served: list[str] | None) -> EagorError:
 
     if isinstance(error, openai.APITimeoutError):
         return ServerError(
-            f"{asked.server} gave no answer within {asked.timeout:g} s ({_tries(asked)}). Allow more time (timeout=...), "
-            "fewer pixels or fewer requests at once (concurrency=...), or see whether the server is stuck"
+            f"{asked.server} gave no answer within {asked.timeout:g} s ({_tries(asked)}). Allow more time (timeout=...), send "
+            "fewer pixels, or fewer requests at once (concurrency=...), or see whether the server is stuck"
         )
     if isinstance(error, openai.APIConnectionError):
         return ServerError(
@@ -99,12 +99,12 @@ def explained(error: Any, asked: Asked, served: list[str] | None) -> EagorError:
     if status == 404 or _MODEL.search(said.lower()):
         if served and asked.model not in served:
             return QueryError(
-                f"{asked.server} has no model {asked.model!r} ({said}); it has {', '.join(map(repr, served))}. Name one "
-                "of these before the @"
+                f"{asked.server} has no model {asked.model!r} ({said}); it has {', '.join(map(repr, served))}. Name "
+                "one of these before the @"
             )
         return ServerError(
-            f"{asked.server} has no chat completions for {asked.model!r} (HTTP {status}: {said}). Is the model loaded, and "
-            "does the address end as the server wants it (mostly /v1)?"
+            f"{asked.server} has no chat completions for {asked.model!r} (HTTP {status}: {said}). Is the model loaded, "
+            "and does the address end as the server wants it (mostly /v1)?"
         )
     if status in (401, 403):
         return ServerError(

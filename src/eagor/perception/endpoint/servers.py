@@ -119,6 +119,7 @@ class Servers:
         while True:
             server = self._next(stop)
             failed: Exception | None = None
+            answer: Answer | None = None
             tries += 1
             refused = frozenset(server.refused)
             try:
@@ -132,8 +133,9 @@ class Servers:
                 failed = error
             finally:
                 self._done(server, failed)
-            if failed is None:
+            if answer is not None:
                 return answer
+            assert failed is not None
             feature = refused_feature(failed, question.features - refused)
             if feature:
                 server.refused.add(feature)

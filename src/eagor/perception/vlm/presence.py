@@ -19,7 +19,8 @@ def parse_presence(text: str, first: Sequence[Token] | None = None) -> float:
 
     `first` holds the likeliest tokens at the place where the answer stands, with their log probabilities (`Sequence` of
     (piece, log probability)): then the probability is the share of those that mean yes among those that mean yes or no;
-    where only one side is listed, what is not listed counts for the other. Else it is 1 for yes and 0 for no. Raises `AnswerError` if the answer is neither.
+    where only one side is listed, what is not listed counts for the other. Else it is 1 for yes and 0 for no. Raises
+    `AnswerError` if the answer is neither.
     """
     answer = without_thoughts(text)
     shares, listed = [0.0, 0.0], 0.0

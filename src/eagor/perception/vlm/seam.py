@@ -42,8 +42,8 @@ def seamless(respond: Callable[[np.ndarray], np.ndarray], panorama: np.ndarray, 
 def merged(first: np.ndarray, second: np.ndarray, roll: float = 0.5) -> np.ndarray:
     """Two responses ``(..., h, w)`` float32 to one panorama, both in its own frame, merged as `seamless` does.
 
-    `second` was seen in the panorama rolled to the right by the fraction `roll` of its width (near 1/2), and its columns
-    were rolled back already.
+    `second` was seen in the panorama rolled to the right by the fraction `roll` of its width (near 1/2), and its
+    columns were rolled back already.
     """
     fractions = (np.arange(first.shape[-1]) + 0.5) / first.shape[-1]
     weight, other = np.sin(math.pi * fractions) ** 2, np.sin(math.pi * (fractions + roll)) ** 2
