@@ -100,8 +100,8 @@ class Evidence:
         """Evidence from a response ``(..., H, W)`` in [0, 1] on `grid`.
 
         `coverage` ``(H, W)`` in [0, 1] (or bool) tells how far each cell was really looked at; by default the whole
-        grid was. `source` tells what produced the response. Raises `ResponseError` on another shape, an empty array, NaN, or values outside [0, 1].
-        An all-zero response is good input: we looked and saw nothing.
+        grid was. `source` tells what produced the response. Raises `ResponseError` on another shape, an empty array,
+        NaN, or values outside [0, 1]. An all-zero response is good input: we looked and saw nothing.
         """
         calibration = calibration or _DEFAULT
         response = _checked_shape(response, grid)

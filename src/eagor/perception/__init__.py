@@ -23,6 +23,7 @@ GROUP = "eagor.perceptions"
 # Known even where the package runs from a folder, without installed metadata.
 BUILT_IN = {
     "colour": "eagor.perception.colour:ColourPerception",
+    "endpoint": "eagor.perception.endpoint:from_text",
     "replay": "eagor.perception.replay:ReplayPerception",
     "scout": "eagor.perception.scout:ScoutPerception",
     "truth": "eagor.perception.truth:TruthPerception",

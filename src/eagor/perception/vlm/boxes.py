@@ -24,11 +24,15 @@ Frame = Literal["pixels", "thousand", "unit"]  # pixels of the image that the mo
 Order = Literal["xyxy", "yxyx"]
 
 _BOX_KEYS = (
-    "bbox_2d box_2d bbox2d box2d bbox box bounding_box boundingbox bndbox coordinates coords xyxy position location"
-).split()
-_LABEL_KEYS = "label name class category object description text".split()
-_SCORE_KEYS = "score confidence probability prob conf".split()
-_GENERIC = {*_BOX_KEYS, *"boxes bboxes objects detections results instances items answer output data".split()}
+    *("bbox_2d", "box_2d", "bbox2d", "box2d", "bbox", "box", "bounding_box", "boundingbox", "bndbox"),
+    *("coordinates", "coords", "xyxy", "position", "location"),
+)
+_LABEL_KEYS = ("label", "name", "class", "category", "object", "description", "text")
+_SCORE_KEYS = ("score", "confidence", "probability", "prob", "conf")
+_GENERIC = {
+    *_BOX_KEYS,
+    *("boxes", "bboxes", "objects", "detections", "results", "instances", "items", "answer", "output", "data"),
+}
 _CORNERS = ("xmin ymin xmax ymax", "x_min y_min x_max y_max", "x0 y0 x1 y1", "x1 y1 x2 y2", "left top right bottom")
 _SIDES = ("x y width height", "x y w h", "left top width height")
 _ABSENT = re.compile(
@@ -39,9 +43,7 @@ _ABSENT = re.compile(
     r"|\b(?:cannot|can't|can not|couldn't|could not|unable to) (?:be )?(?:see|seen|find|found|locate|located|detect)\b"
 )
 # Some chat templates open the thoughts themselves, so that the answer only closes them.
-_THOUGHTS = re.compile(
-    r"\A(?:(?!<think).)*</think(?:ing)?>|<think(?:ing)?>.*?(?:</think(?:ing)?>|\Z)", re.DOTALL
-)
+_THOUGHTS = re.compile(r"\A(?:(?!<think).)*</think(?:ing)?>|<think(?:ing)?>.*?(?:</think(?:ing)?>|\Z)", re.DOTALL)
 _PAST = 1.1  # coordinates beyond so many image sides are in another frame, not just careless
 
 
@@ -96,7 +98,8 @@ def parse_boxes(
     nodes = values(answer)
     found = [box for node in _joined(nodes) for box in _boxes(node, order, "", node.start)]
     if not found:
-        if any(_emptied(node) for node in nodes) or _ABSENT.search(answer.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'")):
+        said = answer.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'")
+        if any(_emptied(node) for node in nodes) or _ABSENT.search(said):
             return []
         raise AnswerError(
             f"the model answered {shortened(text)}; wanted boxes as a JSON list, [] if there are none. If it was cut "
@@ -185,8 +188,8 @@ def _four(node: Node, order: Order) -> tuple[Node, ...]:
         flat = flat if len(flat) == 4 and len(_numbers(node.value[0])) == 2 else ()
     if len(flat) not in (4, 5) or (len(flat) == 5 and not 0 <= flat[4].value <= 1):
         return ()
-    a, b, c, d = flat[:4]
-    return ((a, b, c, d) if order == "xyxy" else (b, a, d, c)) + flat[4:]
+    places = (0, 1, 2, 3) if order == "xyxy" else (1, 0, 3, 2)
+    return (*(flat[place] for place in places), *flat[4:])
 
 
 def _boxes_of_object(node: Node, order: Order, label: str, since: int) -> Iterator[_Found]:

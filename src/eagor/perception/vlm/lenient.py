@@ -61,7 +61,7 @@ def _value(text: str, place: int, depth: int) -> Node | None:
         return _string(text, place)
     number = _NUMBER.match(text, place)
     if number:
-        return Node(float(number.group()), place, number.end())
+        return Node(float(number.group()), place, number.end(), whole=number.end() < len(text))
     word = _WORD.match(text, place)
     if word is None:
         return None
@@ -97,12 +97,12 @@ def _collection(text: str, place: int, depth: int) -> Node:
         if at < len(text) and text[at] == closing:
             return Node(pairs if keyed else entries, place, at + 1)
         node = _value(text, at, depth + 1)
-        if node is None:
+        if node is None or _torn(node):
             return Node(pairs if keyed else entries, place, at, whole=False)
         at = _skip(text, node.end)
         if keyed and at < len(text) and text[at] in ":=":
             key, inner = str(node.value), _value(text, _skip(text, at + 1), depth + 1)
-            if inner is None:
+            if inner is None or _torn(inner):
                 return Node(pairs, place, at, whole=False)
             before = pairs.get(key)  # a key written twice holds both
             pairs[key] = Node([before, inner], before.start, inner.end) if before else inner
@@ -113,3 +113,8 @@ def _collection(text: str, place: int, depth: int) -> Node:
             entries.append(node)
         if not node.whole:
             return Node(pairs if keyed else entries, place, at, whole=False)
+
+
+def _torn(node: Node) -> bool:
+    """Whether `node` is a number at the end of a text that stops within a list: digits may be missing."""
+    return isinstance(node.value, float) and not node.whole

@@ -34,15 +34,19 @@ def seamless(respond: Callable[[np.ndarray], np.ndarray], panorama: np.ndarray, 
             "multiple first (eagor.perception.vlm.sizes)"
         )
     shift = cells // 2
-    looks = (image, np.roll(image, shift * (width // cells), axis=1))
-    first, second = (_checked(respond(look), cells) for look in looks)
-    return merged(first, np.roll(second, -shift, axis=-1), shift)
+    first = _checked(respond(image), cells)
+    second = _checked(respond(np.roll(image, shift * (width // cells), axis=1)), cells)
+    return merged(first, np.roll(second, -shift, axis=-1), shift / cells)
 
 
-def merged(first: np.ndarray, second: np.ndarray, shift: int) -> np.ndarray:
-    """Two responses ``(..., h, w)`` in the same frame; `second` was seen in a picture rolled right by `shift` cells."""
-    weight = np.sin(math.pi * (np.arange(first.shape[-1]) + 0.5) / first.shape[-1]) ** 2
-    other = np.roll(weight, -shift)
+def merged(first: np.ndarray, second: np.ndarray, roll: float = 0.5) -> np.ndarray:
+    """Two responses ``(..., h, w)`` float32 to one panorama, both in its own frame, merged as `seamless` does.
+
+    `second` was seen in the panorama rolled to the right by the fraction `roll` of its width (near 1/2), and its
+    columns were rolled back already.
+    """
+    fractions = (np.arange(first.shape[-1]) + 0.5) / first.shape[-1]
+    weight, other = np.sin(math.pi * fractions) ** 2, np.sin(math.pi * (fractions + roll)) ** 2
     share = weight / (weight + other)
     return (first * share + second * (1 - share)).astype(np.float32)
 

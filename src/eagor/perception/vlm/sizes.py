@@ -67,4 +67,5 @@ def resized(image: np.ndarray, size: tuple[int, int], wrap: bool = False) -> np.
         pad = _PAD * max(1, math.ceil(width / size[1]))
         image = image[:, np.arange(-pad, width + pad) % width]
     box = (pad, 0, pad + width, height)  # the filter reads beyond the box, where there is something to read
-    return np.asarray(Image.fromarray(np.ascontiguousarray(image)).resize(size[::-1], Image.Resampling.BICUBIC, box))
+    picture = Image.fromarray(np.ascontiguousarray(image))
+    return np.asarray(picture.resize((size[1], size[0]), Image.Resampling.BICUBIC, box))

@@ -15,30 +15,35 @@ class Style:
     Attributes:
         family: its name, as in ``model_type`` of its configuration.
         cell: pixels of one side of an image token; pictures are sent in multiples of it.
-        pixels: of a picture, unless the caller says otherwise.
+        pixels: of a panorama, unless the caller says otherwise.
+        view: pixels of one side of a (square) view.
         frame: what its coordinates count.
         order: of its coordinates.
+        aspect: width / height of a panorama as it is sent. Where processors bring everything to a square, some by
+            cutting the sides off, the panorama is squeezed beforehand: cells are then twice as wide as high.
         grounded: whether it was trained to write boxes; the others are better asked yes or no.
     """
 
     family: str
     cell: int
     pixels: int
+    view: int
     frame: Frame
     order: Order = "xyxy"
+    aspect: float = 2.0
     grounded: bool = True
 
 
 _STYLES: tuple[tuple[str, Style], ...] = (
-    (r"qwen\W?2[._]?5\W?vl", Style("qwen2_5_vl", 28, 700 * 1400, "pixels")),
-    (r"qwen\W?2\W?vl", Style("qwen2_vl", 28, 700 * 1400, "thousand")),
-    (r"qwen\W?3[._]?5|qwen\W?3\W?vl", Style("qwen3_vl", 32, 704 * 1408, "thousand")),
-    (r"gemma\W?3", Style("gemma3", 56, 896 * 896, "thousand", "yxyx", grounded=False)),
-    (r"internvl", Style("internvl", 28, 448 * 896, "thousand")),
-    (r"llava", Style("llava", 14, 336 * 672, "unit", grounded=False)),
-    (r"janus", Style("janus", 16, 384 * 768, "unit", grounded=False)),
+    (r"qwen\W?2[._]?5\W?vl", Style("qwen2_5_vl", 28, 700 * 1400, 560, "pixels")),
+    (r"qwen\W?2\W?vl", Style("qwen2_vl", 28, 700 * 1400, 560, "thousand")),
+    (r"qwen\W?3[._]?5|qwen\W?3\W?vl", Style("qwen3_vl", 32, 704 * 1408, 576, "thousand")),
+    (r"gemma\W?3", Style("gemma3", 56, 896 * 896, 896, "thousand", "yxyx", aspect=1.0, grounded=False)),
+    (r"internvl", Style("internvl", 28, 448 * 896, 448, "thousand")),
+    (r"llava\W?(?:v?1[._]?[56]|7b|13b|hf|\Z)", Style("llava", 14, 336 * 336, 336, "unit", aspect=1.0, grounded=False)),
+    (r"janus", Style("janus", 16, 384 * 384, 384, "unit", aspect=1.0, grounded=False)),
 )
-OTHER = Style("other", 28, 700 * 1400, "thousand")
+OTHER = Style("other", 28, 700 * 1400, 560, "thousand")
 
 
 def style_of(model: str) -> Style:

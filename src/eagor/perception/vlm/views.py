@@ -18,6 +18,7 @@ from eagor.perception.vlm.sizes import checked_picture, resized
 from eagor.sphere import direction, world_R_body
 
 OVERLAP = math.radians(10)
+_ROUNDING = 1e-6  # radians, or views: what neighbours that touch exactly may miss by
 _SAMPLES = 3  # along each side of a cell that responses are lifted to
 
 
@@ -26,16 +27,16 @@ def tangent_views(
 ) -> tuple[PerspectiveGrid, ...]:
     """Square views of `size` pixels and field `hfov` that cover all directions up to elevation +-`reach` (radians).
 
-    Every such direction lies at least `overlap` / 2 inside the border of some view, so that `lift` with that margin
-    covers it fully. The views stand in rings at even elevations (one view at each pole), the first of each ring
+    Views narrower by `overlap` would still cover them, so that `lift` with half of it as margin covers each direction
+    fully. The views stand in rings at even elevations (one view at each pole), the first of each ring
     towards azimuth 0; of such layouts the one with the fewest views is taken: 6, as a cube, for 100 degrees with
     10 of overlap. Raises `GridError` if the views are too narrow for the overlap, or wider than a plane can show.
     """
     inner = (hfov - overlap) / 2
-    if not (0 <= overlap < hfov <= math.radians(150) and inner >= math.radians(5) and 0 < reach <= math.pi / 2):
+    if not (0 <= overlap < hfov <= math.radians(150) and inner >= math.radians(15) and 0 < reach <= math.pi / 2):
         raise GridError(
             f"views of {math.degrees(hfov):g} degrees with {math.degrees(overlap):g} of overlap up to elevation "
-            f"{math.degrees(reach):g}; wanted fields up to 150, at least 10 wider than the overlap, and 0 < reach <= 90"
+            f"{math.degrees(reach):g}; wanted fields up to 150, at least 30 wider than the overlap, and 0 < reach <= 90"
         )
     poses = _poses(round(inner, 9), round(reach, 9))
     return tuple(PerspectiveGrid(size, size, hfov, world_R_body(yaw, -pitch)) for yaw, pitch in poses)
@@ -44,24 +45,30 @@ def tangent_views(
 @lru_cache(maxsize=16)
 def _poses(inner: float, reach: float) -> tuple[tuple[float, float], ...]:
     """(yaw left, pitch up) of the fewest views of half-angle `inner` that cover the sphere up to `reach`."""
-    columns = max(180, math.ceil(8 * math.pi / inner))
-    elevations, azimuths = np.linspace(-reach, reach, columns // 2 + 1), np.arange(columns) * (2 * math.pi / columns)
-    points = direction(*np.meshgrid(azimuths, elevations)).reshape(-1, 3)
     # Rings at the poles only where they are to be seen; a single ring may do for a narrow band.
-    layouts = [np.linspace(-math.pi / 2, math.pi / 2, rings) for rings in range(3, math.ceil(math.pi / inner) + 3)]
-    layouts += [np.linspace(-1, 1, rings) * max(reach - inner, 0.0) for rings in range(1, len(layouts) + 2)]
+    fewest = math.ceil(math.pi / (2 * inner) - _ROUNDING) + 1
+    layouts = [np.linspace(-math.pi / 2, math.pi / 2, rings) for rings in range(max(fewest, 3), fewest + 4)]
+    fewest = math.ceil(reach / inner - _ROUNDING)
+    layouts += [np.linspace(-1, 1, rings) * max(reach - inner, 0.0) for rings in range(max(fewest, 2), fewest + 4)]
+    layouts += [np.zeros(1)]
+    tests = [_points(reach, inner / per) for per in (4, 12, 40)]  # most layouts fail a coarse one already
     best: tuple[tuple[float, float], ...] = ()
     for rings in layouts:
-        around = 3  # views on the equator
-        while around <= 8 * math.pi / inner:
+        for around in range(math.ceil(math.pi / inner - _ROUNDING), 4 * math.ceil(math.pi / inner)):
             poses = _ring_poses(rings, around)
             if best and len(poses) >= len(best):
                 break
-            if _covered(points, poses, inner):
+            if all(_covered(points, poses, inner) for points in tests):
                 best = poses
                 break
-            around += 1
     return best
+
+
+def _points(reach: float, spacing: float) -> np.ndarray:
+    """Directions ``(n, 3)`` every `spacing` radians from the equator up to `reach`: the layouts are symmetric."""
+    elevations = np.linspace(0, reach, math.ceil(reach / spacing) + 1)
+    azimuths = np.arange(math.ceil(2 * math.pi / spacing)) * (2 * math.pi / math.ceil(2 * math.pi / spacing))
+    return direction(*np.meshgrid(azimuths, elevations)).reshape(-1, 3)
 
 
 def _ring_poses(rings: np.ndarray, around: int) -> tuple[tuple[float, float], ...]:
@@ -76,21 +83,19 @@ def _covered(points: np.ndarray, poses: Sequence[tuple[float, float]], inner: fl
     """Whether each of `points` ``(n, 3)`` lies at least within the inner field of one view."""
     left = points
     for yaw, pitch in poses:
-        left = left[_depth(left @ world_R_body(yaw, -pitch), inner, inner) < -1e-9]
+        left = left[_depth(left @ world_R_body(yaw, -pitch), inner, inner) < -_ROUNDING]
         if len(left) == 0:
             return True
     return False
 
 
 def _depth(rays: np.ndarray, half_width: float, half_height: float) -> np.ndarray:
-    """Angle (radians) of directions ``(..., 3)`` in a view's own frame inside its border; negative outside.
+    """How much narrower (radians, on each side) a view could be and still show directions ``(..., 3)``.
 
-    The sides of a view are great circles; the angles to them are those to their planes.
+    They are in the view's own frame; negative outside.
     """
     x, y, z = rays[..., 0], np.abs(rays[..., 1]), np.abs(rays[..., 2])
-    to_side = x * math.sin(half_width) - y * math.cos(half_width)
-    to_end = x * math.sin(half_height) - z * math.cos(half_height)
-    return np.arcsin(np.clip(np.minimum(to_side, to_end), -1.0, 1.0))
+    return np.minimum(half_width - np.arctan2(y, x), half_height - np.arctan2(z, x))
 
 
 def cut(panorama: np.ndarray, grid: PerspectiveGrid) -> np.ndarray:
@@ -108,13 +113,13 @@ def cut(panorama: np.ndarray, grid: PerspectiveGrid) -> np.ndarray:
     x, y, _ = ErpGrid(height, width).project(grid.directions)
     # Beyond a pole the picture goes on half a turn away: one such row above and one below.
     beyond = [np.roll(image[edge], width // 2, axis=0)[None] for edge in (0, -1)]
-    rows_ = np.concatenate([beyond[0], image, beyond[1]]).astype(np.float32)
+    canvas = np.concatenate([beyond[0], image, beyond[1]]).astype(np.float32)
     u, v = x - 0.5, np.clip(y, 0, height) + 0.5
     left, top = np.floor(u).astype(np.intp), np.clip(np.floor(v).astype(np.intp), 0, height)
     across, down = ((part[..., None]).astype(np.float32) for part in (u - left, v - top))
     left, right = left % width, (left + 1) % width
-    upper = rows_[top, left] * (1 - across) + rows_[top, right] * across
-    lower = rows_[top + 1, left] * (1 - across) + rows_[top + 1, right] * across
+    upper = canvas[top, left] * (1 - across) + canvas[top, right] * across
+    lower = canvas[top + 1, left] * (1 - across) + canvas[top + 1, right] * across
     return np.rint(upper * (1 - down) + lower * down).astype(np.uint8)
 
 
@@ -128,11 +133,11 @@ def lift(
             the whole view.
         views: where they look.
         grid: the cells of the result.
-        margin: radians inside a view's border over which its weight rises from 0 to 1 (as sin^2).
+        margin: radians of a view's field, at each side, over which its weight rises from 0 to 1 (as sin^2).
 
     Returns the response ``(Q, h, w)`` float32, where views overlap the mean by weight, and the coverage ``(h, w)`` in
-    [0, 1], the weight of the view that sees the cell best. Where coverage is 0 nothing was seen (response 0): pass it to
-    `Evidence.from_response`. Raises `ResponseError` if the responses do not fit the views.
+    [0, 1], the weight of the view that sees the cell best. Where coverage is 0 nothing was seen (response 0): pass it
+    to `Evidence.from_response`. Raises `ResponseError` if the responses do not fit the views.
     """
     arrays = [np.asarray(response) for response in responses]
     if len(arrays) != len(views) or not arrays:
