@@ -71,7 +71,9 @@ def _qwen2_5_vl() -> tuple[Any, Any, Any]:
 def _qwen_ids(tokenizer: Any) -> dict[str, int]:
     names = {"image": "<|image_pad|>", "video": "<|video_pad|>"}
     ids = {f"{kind}_token_id": tokenizer.convert_tokens_to_ids(name) for kind, name in names.items()}
-    edges = {f"vision_{edge}_token_id": tokenizer.convert_tokens_to_ids(f"<|vision_{edge}|>") for edge in ("start", "end")}
+    edges = {
+        f"vision_{edge}_token_id": tokenizer.convert_tokens_to_ids(f"<|vision_{edge}|>") for edge in ("start", "end")
+    }
     return {**ids, **edges}
 
 
@@ -249,7 +251,7 @@ def make(family: str, folder: Path, seed: int = 0) -> Path:
     return folder
 
 
-# --- planted weights: one attention head that looks at red things ------------------------------------------------------
+# --- planted weights: one attention head that looks at red things ----------------------------------------------------
 
 HEAD = (LAYERS - 1, 1)  # (layer, head) that is planted; full attention in all families
 
@@ -292,7 +294,9 @@ def plant(language: LanguageModel, sharpness: float = 10.0) -> None:
     images, wanted, planned = [], [], language.plan(2.0)
     for seed in range(16):
         rng = np.random.default_rng(100 + seed)
-        image = resized(marked(rng.uniform(-3, 3), rng.uniform(-0.9, 0.9), rng.uniform(0.2, 0.6), seed=seed), planned.size)
+        image = resized(
+            marked(rng.uniform(-3, 3), rng.uniform(-0.9, 0.9), rng.uniform(0.2, 0.6), seed=seed), planned.size
+        )
         images.append(image)
         wanted.append(redness(image, planned.layout))
     seen: list[torch.Tensor] = []
@@ -315,7 +319,9 @@ def plant(language: LanguageModel, sharpness: float = 10.0) -> None:
             part.bias.zero_()
     group = HEAD[1] // (attention.q_proj.out_features // attention.k_proj.out_features)
     attention.k_proj.weight[group * width + slow] = reading[0]
-    attention.k_proj.weight[group * width + other] = reading[1]  # a constant, for families that scale keys to one length
+    attention.k_proj.weight[group * width + other] = reading[
+        1
+    ]  # a constant, for families that scale keys to one length
     strength = sharpness / attention.scaling
     if hasattr(attention, "q_norm"):  # there the norm sets the length of the query
         weight = sharpness / (attention.scaling * width)

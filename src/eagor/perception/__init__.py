@@ -59,8 +59,8 @@ def load(spec: str, **options: Any) -> Perception:
     """The perception that `spec` names: ``"colour"``, ``"replay:detections.jsonl"``, an installed one, or a model.
 
     Text after the first colon becomes the first argument of what makes the perception; `options` are passed on by
-    name. A folder with ``config.json``, or anything else with a slash in it, such as ``Qwen/Qwen2.5-VL-7B-Instruct``, is
-    a model that `eagor.perception.transformers` loads; options can follow in the text, as in
+    name. A folder with ``config.json``, or anything else with a slash in it, such as ``Qwen/Qwen2.5-VL-7B-Instruct``,
+    is a model that `eagor.perception.transformers` loads; options can follow in the text, as in
     ``folder?extractor=boxes&pixels=627200``. Raises `QueryError` for an unknown name, `EagorError` if it cannot be
     imported or does not take the arguments.
     """

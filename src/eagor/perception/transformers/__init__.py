@@ -10,18 +10,17 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Protocol
 
 import numpy as np
 
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import Grid, PatchGrid
-from eagor.perception.transformers.families import Extractor, Family, family_of, known_families
+from eagor.perception.transformers.families import Extractor, Family, chosen, family_of, known_families
 
-__all__ = ["Device", "Looker", "TransformersPerception", "family_of", "known_families"]
+__all__ = ["Looker", "TransformersPerception", "family_of", "known_families"]
 
-Device = Literal["cpu", "cuda", "mps", "auto"]
 _VIEW_FIELD = math.radians(100)
 _WHOLE = 0.95  # coverage at the corners of views, from which on everything counts as seen
 
@@ -46,9 +45,10 @@ class TransformersPerception:
     """Finds what a query names in panoramas, with a model that runs here.
 
     Args:
-        model: hub name, or folder with ``config.json``, weights, tokenizer and image processor.
-        extractor: ``attention``, ``boxes``, ``both`` (boxes and attention from one call, half each) or ``views`` (tangent
-            views that cover the sphere); None for the family's default.
+        model: hub name, or folder with ``config.json``, weights, tokenizer and image processor; or a model that is
+            loaded already (`loading.load_model`): then only extractors, seam and calibration are options.
+        extractor: ``attention``, ``boxes``, ``both`` (boxes and attention from one call, half each), ``mask``, or
+            ``views`` (tangent views that cover the sphere); None for the family's default.
         per_view: the extractor in each view; None for the family's default.
         pixels: how many pixels an image (with ``views``: each view) has at most; None for the family's default.
         seam: look twice, the panorama rolled by half a turn in between, so that nothing is cut by the seam. Views never
@@ -58,7 +58,8 @@ class TransformersPerception:
         presence: multiply attention by the probability that the model answers yes when asked if the thing is there.
         calibration: how responses become evidence.
         revision: of a hub checkpoint.
-        device: ``cpu``, ``cuda``, ``cuda:1``, ``mps``, or ``auto`` (spread over all GPUs by accelerate); None: CUDA if any.
+        device: ``cpu``, ``cuda``, ``cuda:1``, ``mps``, or ``auto`` (spread over all GPUs by accelerate); None: CUDA
+            where there is any.
         dtype: ``float32``, ``bfloat16``, ``float16``; None: bfloat16 on a GPU, else float32.
         max_tokens: that an answer may have.
         batch: images run at once.
@@ -69,7 +70,7 @@ class TransformersPerception:
 
     def __init__(
         self,
-        model: str,
+        model: str | Looker,
         extractor: str | None = None,
         per_view: str | None = None,
         pixels: int | None = None,
@@ -85,27 +86,29 @@ class TransformersPerception:
         batch: int = 8,
         threshold: float | None = None,
     ) -> None:
-        from eagor.perception.transformers.loading import load_model
-
         self.calibration = calibration
         self.seam = bool(seam)
-        self.looker: Looker = load_model(
-            str(model),
-            pixels=pixels,
-            extractor=extractor,
-            heads=heads,
-            layers=layers,
-            presence=bool(presence),
-            revision=revision,
-            device=device,
-            dtype=dtype,
-            most=int(max_tokens),
-            batch=int(batch),
-            threshold=threshold,
-        )
-        family = self.looker.family
-        self.extractor = _chosen(extractor or family.extractor, family, "extractor")
-        self.per_view = _chosen(per_view or family.per_view, family, "per_view")
+        if isinstance(model, str):
+            from eagor.perception.transformers.loading import load_model
+
+            model = load_model(
+                model,
+                extractor=extractor,
+                per_view=per_view,
+                pixels=pixels,
+                heads=heads,
+                layers=layers,
+                presence=bool(presence),
+                revision=revision,
+                device=device,
+                dtype=dtype,
+                most=int(max_tokens),
+                batch=int(batch),
+                threshold=threshold,
+            )
+        self.looker = model
+        self.extractor: Extractor = chosen(extractor or self.family.extractor, self.family, "extractor")
+        self.per_view: Extractor = chosen(per_view or self.family.per_view, self.family, "per_view")
         if self.per_view == "views":
             raise EagorError("per_view = 'views'; wanted what to do in each view, such as 'attention' or 'boxes'")
 
@@ -117,8 +120,8 @@ class TransformersPerception:
     def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for what `query` names in `panorama` ``(H, W, 3)`` uint8.
 
-        `Evidence.source` tells model, revision, extractor, pixels, token counts and milliseconds. Raises `QueryError` if
-        there are no words, `ImageError` for another image, `AnswerError` if the model's boxes cannot be read.
+        `Evidence.source` tells model, revision, extractor, pixels, token counts and milliseconds. Raises `QueryError`
+        if there are no words, `ImageError` for another image, `AnswerError` if the model's boxes cannot be read.
         """
         response, coverage, source = self._respond(panorama, [query])
         whole = None if coverage is None or bool((coverage >= _WHOLE).all()) else coverage
@@ -176,13 +179,6 @@ class TransformersPerception:
         lines = max(12, min(90, round(math.pi * grids[0].focal)))
         response, coverage = lift(list(found), views, PatchGrid(lines, 2 * lines))
         return response, coverage, {"pixels": [height, width], "per_view": self.per_view, **_sum([cost])}
-
-
-def _chosen(name: str, family: Family, option: str) -> Extractor:
-    """`name` as an extractor that the family has."""
-    if name not in family.extractors or name not in get_args(Extractor):
-        raise EagorError(f"{option} = {name!r}; for {family.title} it can be {', '.join(family.extractors)}")
-    return name  # type: ignore[return-value]
 
 
 def _sum(costs: Sequence[Any]) -> dict[str, object]:

@@ -1,8 +1,8 @@
 """Attention of the last token, captured while the model runs as usual.
 
-A registered attention function lets scaled dot-product attention do the work, and in chosen layers computes one row once
-more: the softmax of the last query over all keys, of which the image's are kept. Beside the model's own work that is
-nothing, and no attention matrix ever exists: what is kept per layer is ``(batch, heads, image tokens)``.
+A registered attention function lets scaled dot-product attention do the work, and in chosen layers computes one row
+once more: the softmax of the last query over all keys, of which the image's are kept. Beside the model's own work that
+is nothing, and no attention matrix ever exists: what is kept per layer is ``(batch, heads, image tokens)``.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from eagor.errors import EagorError
 from eagor.perception.vlm.boxes import Frame
@@ -40,8 +40,8 @@ class Family:
         fit: how an image becomes what the model sees. ``exact``: resized to whole cells, any aspect; ``squash``: to
             the model's square; ``pad``: into the square, background around it; ``tiles``: cut into squares, and the
             whole once more, smaller, behind them.
-        extractor: how directions are read from it by default: ``attention``, ``boxes`` that it writes, ``both`` from one
-            call, the ``mask`` that it paints, or ``views``, one of these in tangent views that cover the sphere.
+        extractor: how directions are read from it by default: ``attention``, ``boxes`` that it writes, ``both`` from
+            one call, the ``mask`` that it paints, or ``views``, one of these in tangent views that cover the sphere.
         per_view: the extractor in each view where views are taken.
         frame: coordinates of the boxes that it was trained to answer with; None where it was not.
         type_ids: the input that tells image tokens from text, without which the model runs and answers wrongly.
@@ -215,6 +215,13 @@ FAMILIES: tuple[Family, ...] = (
         checkpoints=(Checkpoint("CIDAS/clipseg-rd64-refined", 0.151),),
     ),
 )
+
+
+def chosen(name: str, family: Family, option: str) -> Extractor:
+    """`name` as an extractor of the family; `option` is for errors. Raises `EagorError`, which lists them."""
+    if name not in family.extractors:
+        raise EagorError(f"{option} = {name!r}; for {family.title} it can be {', '.join(family.extractors)}")
+    return cast(Extractor, name)
 
 
 def known_families() -> tuple[Family, ...]:

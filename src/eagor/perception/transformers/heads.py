@@ -82,8 +82,8 @@ def read_heads(file: str | Path) -> Heads:
         raise EagorError(f"the heads {file} cannot be read ({error}); `eagor calibrate heads` makes them") from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise EagorError(
-            f"{file} holds no localisation heads ({type(error).__name__}: {error}); wanted what `eagor calibrate heads` "
-            "writes"
+            f"{file} holds no localisation heads ({type(error).__name__}: {error}); wanted what "
+            "`eagor calibrate heads` writes"
         ) from error
     if not heads or min(min(pair) for pair in heads) < 0 or not found.saturation > 0:
         raise EagorError(f"{file} lists no usable heads: {heads}, saturation {found.saturation}")
@@ -160,8 +160,9 @@ def spatial_entropy(cells: np.ndarray) -> float:
     if not lit.any() or lit[-1].sum() > 0.5 * lit.sum():
         return float("inf")
     # Twice side by side, so that parts across the seam are whole in the middle; each part is counted by its mass.
-    labels, _ = ndimage.label(np.concatenate([lit, lit], axis=1) > 0, structure=np.ones((3, 3)))
     width = cells.shape[1]
+    labels = np.zeros((len(lit), 2 * width), dtype=np.int32)
+    ndimage.label(np.concatenate([lit, lit], axis=1) > 0, structure=np.ones((3, 3)), output=labels)
     same = {}
     for left, right in zip(labels[:, :width][lit > 0], labels[:, width:][lit > 0], strict=True):
         same[_root(same, int(left))] = _root(same, int(right))

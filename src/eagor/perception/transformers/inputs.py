@@ -48,7 +48,7 @@ class Plan:
 def plan(family: Family, config: Any, aspect: float, pixels: int | None = None) -> Plan:
     """How an image with `aspect` (width over height) is fed to a model with this configuration.
 
-    `pixels`: how many it has at most, where the family leaves a choice. Raises `ImageError` if that is less than a cell.
+    `pixels`: how many it has at most, where the family leaves a choice. Raises `ImageError` if no cell fits in them.
     """
     vision = config.vision_config
     if family.fit == "exact":
@@ -119,9 +119,7 @@ def pictures(images: Sequence[np.ndarray], plan: Plan, processor: Any) -> dict[s
         if image.shape[:2] != plan.size:
             raise ImageError(f"an image is {image.shape[:2]}; the plan wants {plan.size}. Resize it first")
         squares += [image] if plan.square is None else _squares(image, plan, processor)
-    switches = dict.fromkeys(
-        ("do_resize", "do_center_crop", "do_pad", "do_pan_and_scan", "crop_to_patches"), False
-    )
+    switches = dict.fromkeys(("do_resize", "do_center_crop", "do_pad", "do_pan_and_scan", "crop_to_patches"), False)
     known = {name: value for name, value in switches.items() if hasattr(processor, name)}
     made = processor(images=squares, return_tensors="pt", **known)
     return {name: made[name] for name in ("pixel_values", "image_grid_thw") if name in made}

@@ -235,7 +235,9 @@ class LanguageModel:
         assert rows is not None
         kept = {layer: tensor[0].cpu().numpy().astype(np.float64) for layer, tensor in rows.rows.items()}
         maps = {layer: planned.layout.cells(row) for layer, row in kept.items()}
-        return Observed(maps, {layer: row.sum(axis=-1) for layer, row in kept.items()}, example.direction, example.radius)
+        return Observed(
+            maps, {layer: row.sum(axis=-1) for layer, row in kept.items()}, example.direction, example.radius
+        )
 
 
 def _answers(tokenizer: Any) -> tuple[list[int], list[int]]:

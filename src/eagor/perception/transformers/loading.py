@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from eagor.errors import EagorError
 from eagor.perception.transformers.account import revision_of
-from eagor.perception.transformers.families import Family, family_of
+from eagor.perception.transformers.families import Family, chosen, family_of
 
 if TYPE_CHECKING:
     from eagor.perception.transformers import Looker
@@ -20,6 +20,7 @@ def load_model(
     *,
     pixels: int | None = None,
     extractor: str | None = None,
+    per_view: str | None = None,
     heads: str | None = None,
     layers: str | int | Sequence[int] | None = None,
     presence: bool = True,
@@ -44,6 +45,9 @@ def load_model(
         ) from error
     config = _loaded(name, "config.json", transformers.AutoConfig.from_pretrained, revision)
     family = family_of(config, name)
+    # What cannot be is said before gigabytes are read.
+    chosen(extractor or family.extractor, family, "extractor")
+    chosen(per_view or family.per_view, family, "per_view")
     where = device or ("cuda" if torch.cuda.is_available() else "cpu")
     kind = _dtype(torch, dtype or ("float32" if where in ("cpu", "mps") else "bfloat16"))
     options: dict[str, Any] = {"dtype": kind}

@@ -159,7 +159,9 @@ def _grounding_dino(
     """Boxes per image and query; words and image are mixed early, so that each query is a run of its own."""
     found: list[list[list[Box]]] = [[] for _ in pixels]
     for word in words:
-        tokens = localiser.tokens([f"{word.lower().rstrip('.')}."] * len(pixels), localiser.model.config.max_text_len, True)
+        tokens = localiser.tokens(
+            [f"{word.lower().rstrip('.')}."] * len(pixels), localiser.model.config.max_text_len, True
+        )
         account.prompt_tokens += tokens["input_ids"].numel()
         out = localiser.model(pixel_values=pixels, **tokens)
         account.image_tokens += out.encoder_last_hidden_state_vision.shape[:2].numel()
@@ -195,8 +197,11 @@ def _photo(word: str) -> str:
 
 
 def _corners(boxes: torch.Tensor, share: tuple[float, float]) -> np.ndarray:
-    """Boxes ``(..., 4)`` centre x, y, width, height in a square as corners in fractions of the picture in its corner."""
-    x, y, width, height = boxes.float().cpu().numpy().astype(np.float64).transpose(-1, *range(boxes.ndim - 1))
+    """Corners, in fractions of the picture, of boxes ``(..., 4)``: centre x, y, width, height, fractions of a square.
+
+    `share`: of the square's height and width that the picture fills, from its upper left corner.
+    """
+    x, y, width, height = np.moveaxis(boxes.float().cpu().numpy().astype(np.float64), -1, 0)
     left, right = (np.clip(edge / share[1], 0.0, 1.0) for edge in (x - width / 2, x + width / 2))
     top, bottom = (np.clip(edge / share[0], 0.0, 1.0) for edge in (y - height / 2, y + height / 2))
     return np.stack([left, top, right, bottom], axis=-1)
@@ -206,4 +211,5 @@ def _kept(corners: np.ndarray, scores: np.ndarray, word: str, least: float) -> l
     """Boxes with area and a score of at least `least`, best first, and no more than can matter."""
     good = np.flatnonzero((scores >= least) & (corners[:, 2] > corners[:, 0]) & (corners[:, 3] > corners[:, 1]))
     best = good[np.argsort(-scores[good], kind="stable")][:_MOST]
-    return [Box(*map(float, corners[i]), word, float(scores[i])) for i in best]
+    found = [(*corners[i].tolist(), float(scores[i])) for i in best]
+    return [Box(x0, y0, x1, y1, word, score) for x0, y0, x1, y1, score in found]

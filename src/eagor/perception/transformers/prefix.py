@@ -70,13 +70,11 @@ class Running:
             steps = torch.arange(ids.shape[1], device=ids.device) + self.position
             positions["position_ids"] = steps.expand(3, prefix.batch, -1)
             self.position += ids.shape[1]
-        out = prefix.model(
-            input_ids=ids, past_key_values=self.cache, use_cache=True, logits_to_keep=1, **positions
-        )
+        out = prefix.model(input_ids=ids, past_key_values=self.cache, use_cache=True, logits_to_keep=1, **positions)
         return out.logits[:, -1].float()
 
     def ask(self, ids: torch.Tensor, layers: Sequence[int]) -> tuple[torch.Tensor, Capture | None]:
-        """Feed a question ``(1, T)``; logits of the answer's first token, and the last token's attention in `layers`."""
+        """Feed a question ``(1, T)``: logits of the answer's first token, the last token's attention in `layers`."""
         if not layers:
             return self.feed(ids), None
         with capturing(self.prefix.model, layers, self.prefix.columns) as capture:
@@ -130,7 +128,9 @@ def _copied(cache: Any) -> Any:
     Layers that grow by concatenation leave the old tensors alone, so their copy can share them; the rest is copied.
     """
     new = copy.copy(cache)
-    new.layers = [copy.copy(layer) if isinstance(layer, DynamicLayer) else copy.deepcopy(layer) for layer in cache.layers]
+    new.layers = [
+        copy.copy(layer) if isinstance(layer, DynamicLayer) else copy.deepcopy(layer) for layer in cache.layers
+    ]
     return new
 
 
