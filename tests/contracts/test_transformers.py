@@ -24,6 +24,7 @@ from eagor.perception.transformers.capture import Capture, capturing, full_layer
 from eagor.perception.transformers.heads import Heads, Labelled, elbow, fit_heads, read_heads, spatial_entropy
 from eagor.perception.transformers.layout import Block, Layout
 from eagor.perception.transformers.prefix import Decoded, Running
+from eagor.perception.vlm.seam import seamless
 from eagor.perception.vlm.sizes import resized
 from eagor.sphere import angular_distance, direction
 
@@ -438,6 +439,16 @@ def test_the_seam_costs_nothing(planted_models, family):
     assert peak_error(back, math.pi / cols + math.pi, 0.1) < 1.05
 
 
+@languages
+def test_both_looks_at_the_seam_in_one_batch_are_two_looks(random_models, family):
+    language = random_models(family)
+    planned = language.plan(2.0)
+    picture = resized(noise(), planned.size, wrap=True)
+    single = perception_of(language, seam=False)
+    wanted = seamless(lambda image: single.respond(image, ["red chair"]), picture, planned.shape[1])
+    np.testing.assert_allclose(perception_of(language).respond(picture, ["red chair"]), wanted, atol=1e-5)
+
+
 @pytest.mark.parametrize("family", ["qwen2_5_vl", "gemma3", "internvl"])
 def test_views_point_at_red_things_too(planted_models, family):
     language = planted_models(family)
@@ -615,12 +626,15 @@ def test_the_scale_is_fixed_and_the_blur_goes_around():
 def test_localisation_heads_are_found_where_they_were_planted(planted_models, tmp_path, family):
     language = planted_models(family)
     places = [(0.5, 0.2), (-1.2, -0.3), (2.5, 0.1), (-2.8, 0.4)]
-    looks = [
-        language.observe(Labelled(vlm_models.marked(*place, seed=i), "red thing", direction(*place), RADIUS))
+    examples = [
+        Labelled(vlm_models.marked(*place, seed=i), "red thing", direction(*place), RADIUS)
         for i, place in enumerate(places)
     ]
-    found = fit_heads(looks, "tiny", family)
+    looks = [language.observe(example) for example in examples]
+    found = language.find_heads(iter(examples))
     assert found.heads[0] == vlm_models.HEAD
+    assert (found.model, found.model_type) == (language.name, family)
+    assert found == fit_heads(looks, language.name, family)
     found.write(tmp_path / "heads.json")
     assert read_heads(tmp_path / "heads.json") == found
     perception = perception_of(language)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from threading import RLock
 from typing import Any
@@ -16,7 +16,7 @@ from eagor.perception.transformers.account import Account
 from eagor.perception.transformers.attention import SATURATION, mean_over_heads, of_heads, relative, saturated
 from eagor.perception.transformers.capture import full_layers, prepare
 from eagor.perception.transformers.families import Extractor, Family
-from eagor.perception.transformers.heads import Heads, Labelled, Observed
+from eagor.perception.transformers.heads import TAKE, Heads, Labelled, Observed, fit_heads
 from eagor.perception.transformers.inputs import Plan, pictures, plan, prompt, template_of
 from eagor.perception.transformers.prefix import Prefix, chunks, share
 from eagor.perception.vlm.boxes import Box, parse_boxes
@@ -222,6 +222,10 @@ class LanguageModel:
                 parse_boxes(text, self.family.frame, planned.size, tokens=list(zip(pieces, logs, strict=True)))
             )
         return found
+
+    def find_heads(self, examples: Iterable[Labelled], take: int = TAKE) -> Heads:
+        """The localisation heads of this model, found on labelled panoramas. Raises `EagorError` if there are none."""
+        return fit_heads((self.observe(example) for example in examples), self.name, self.model.config.model_type, take)
 
     @torch.inference_mode()
     def observe(self, example: Labelled) -> Observed:
