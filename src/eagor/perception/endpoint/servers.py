@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import threading
 import time
+import weakref
 from collections.abc import Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
@@ -64,6 +65,7 @@ class Servers:
             http = openai.DefaultHttpxClient(trust_env=not inside, timeout=timeout)
             client = openai.OpenAI(base_url=url, api_key=key, timeout=timeout, max_retries=0, http_client=http)
             self._servers.append(_Server(url, client))
+        weakref.finalize(self, _close, [server.client for server in self._servers])
 
     def model(self) -> str:
         """The model's name; where none was given, that of the only model that the first server has.
@@ -105,11 +107,6 @@ class Servers:
             with self._free:
                 self._free.notify_all()
             pool.shutdown(wait=False, cancel_futures=True)
-
-    def close(self) -> None:
-        """Give the connections back."""
-        for server in self._servers:
-            server.client.close()
 
     def _ask(self, question: Question, stop: threading.Event) -> Answer:
         """One answer, after as many tries as it takes and is allowed."""
@@ -190,6 +187,12 @@ class Servers:
             return _names(server)
         except (openai.OpenAIError, ValueError, AttributeError, TypeError):
             return None
+
+
+def _close(clients: Sequence[Any]) -> None:
+    """Give the connections back."""
+    for client in clients:
+        client.close()
 
 
 def _names(server: _Server) -> list[str]:
