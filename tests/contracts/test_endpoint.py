@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 import pytest
 from contract_server import FAULTS, ContractServer, Reply, Request, reddish, wait_until
+from served_model import IMAGE_TOKENS, served, write_model
 
 from eagor.errors import AnswerError, EagorError, ImageError, QueryError, ServerError
 from eagor.evidence import Calibration, Evidence
@@ -543,3 +544,40 @@ def test_naming_one_imports_no_client():
     code = "import sys, eagor.perception as p; p.load('endpoint:m@http://a'); print(' '.join(sys.modules))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env={**os.environ})
     assert not {"openai", "torch", "transformers", "httpx"} & set(run.stdout.split())
+
+
+# --- a real server ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def gemma(tmp_path_factory):
+    """`transformers serve` with a tiny Gemma-3 that writes the same box about every picture: (address, name)."""
+    for package in ("transformers", "fastapi", "uvicorn"):
+        pytest.importorskip(package)
+    folder = tmp_path_factory.mktemp("gemma3")
+    write_model(folder, "[[250, 400, 350, 500]]")
+    with served(folder) as url:
+        yield url, str(folder)
+
+
+def test_transformers_serve_gemma3(gemma):
+    """It ignores the schema and the wish for probabilities; the box that it writes arrives where it belongs."""
+    url, name = gemma
+    options = {"frame": "thousand", "order": "xyxy", "extractor": "boxes", "pixels": 224 * 224}
+    evidence = EndpointPerception(name, (url,), seam=False, **options)(ball(0, 0), "red ball")
+    assert error_deg(evidence, 180 - 360 * 0.3, 90 - 180 * 0.45) < 1.5
+    source = evidence.source
+    assert source is not None
+    assert source["prompt_tokens"] > IMAGE_TOKENS
+    assert (source["requests"], source["probabilities"]) == (1, False)
+    # The same box in the rolled picture is a thing half a turn away: each is found in one look of two.
+    both = EndpointPerception(name, (url,), **options).respond(ball(0, 0), ["red ball"])[0]
+    ahead, behind = both[38:43, 52:56].max(), both[38:43, 142:146].max()
+    assert ahead == pytest.approx(behind, abs=1e-3)
+    assert ahead == pytest.approx(math.sin(0.3 * math.pi) ** 2, abs=0.03)
+
+
+def test_transformers_serve_gemma3_is_not_understood_where_it_answers_something_else(gemma):
+    url, name = gemma
+    with pytest.raises(AnswerError, match=r"answered '\[\[250, 400, 350, 500\]\]'; wanted yes or no"):
+        EndpointPerception(name, (url,), extractor="views", pixels=112 * 112)(ball(0, 0), "red ball")

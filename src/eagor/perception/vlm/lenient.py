@@ -14,7 +14,7 @@ _SPACE = re.compile(r"(?:\s|//[^\n]*|#[^\n]*)*")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _WORD = re.compile(r"[^\s,:\[\](){}\"'<>]+")
 _STRING = {quote: re.compile(rf"(?:[^{quote}\\]|\\.)*", re.DOTALL) for quote in "\"'"}
-_ESCAPE = re.compile(r"\\(u[0-9a-fA-F]{4}|x[0-9a-fA-F]{2}|.|\Z)", re.DOTALL)
+_ESCAPE = re.compile(r"\\(u[0-9a-fA-F]{4}|U00[0-9a-fA-F]{6}|x[0-9a-fA-F]{2}|.|\Z)", re.DOTALL)
 _CLOSING = {"[": "]", "(": ")", "{": "}"}
 _CONSTANTS = {"true": True, "false": False, "null": None, "none": None, "nan": None}
 _DEEPEST = 40  # lists within lists; deeper ones are no answer
@@ -88,7 +88,7 @@ def _unescaped(written: str) -> str:
 def _letter(match: re.Match[str]) -> str:
     code = match.group(1)
     if len(code) > 1:
-        return chr(int(code[1:], 16))
+        return chr(min(int(code[1:], 16), 0x10FFFF))
     return {"n": "\n", "t": "\t", "r": "\r", "b": "\b", "f": "\f"}.get(code, code)
 
 
