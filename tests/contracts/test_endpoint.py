@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from eagor.evidence import Calibration, Evidence
 from eagor.grids import ErpGrid
 from eagor.perception import check_perception, load
 from eagor.perception.endpoint import EndpointPerception, from_text
-from eagor.perception.endpoint.servers import LONGEST_REST
+from eagor.perception.endpoint.faults import retry_after
 from eagor.sphere import angular_distance, direction
 
 openai = pytest.importorskip("openai")
@@ -334,6 +335,11 @@ def test_passing_failures_are_tried_again(server):
             r"392 x 196 pixels .* too long .*context length is 512.*pixels=.*max-model",
         ),
         ("400 context llama.cpp", ServerError, r"too long .*llama.cpp -c"),
+        ("400 context vllm", ServerError, "too long .*is longer than the maximum model length"),
+        ("400 context ollama", ServerError, "too long .*num_ctx"),
+        ("400 image vllm", ServerError, "takes no images: At most 0 image"),
+        ("400 image ollama", ServerError, "takes no images: this model is missing data"),
+        ("404 model ollama", QueryError, "has no model 'qwen'.*it has 'a', 'b'"),
         ("400 image", ServerError, r"takes no images: Qwen2.5-7B is not a multimodal model\. Serve"),
         ("500 image llama.cpp", ServerError, "takes no images: .*--mmproj"),
         ("400 other", ServerError, r"refused the request \(tried once; HTTP 400\): temperature must be positive"),
@@ -343,7 +349,7 @@ def test_passing_failures_are_tried_again(server):
     ],
 )
 def test_lasting_failures_say_what_to_change(server, fault, kind, says):
-    server.models = ("a", "b") if fault == "404 model" else ("qwen",)
+    server.models = ("a", "b") if "404 model" in fault else ("qwen",)
     server.lasting = fault
     with pytest.raises(kind, match=says):
         asking(server, "qwen", frame="pixels", cell=28, retries=2, timeout=0.2, seam=False)(ball(0, 0), "red ball")
@@ -463,8 +469,14 @@ def test_one_failure_ends_the_look(server):
     assert server.tries <= 3
 
 
-def test_rests_are_bounded():
-    assert 0 < LONGEST_REST <= 60
+@pytest.mark.parametrize(
+    ("header", "seconds"),
+    [("2", 2), ("0.5", 0.5), ("900", 60), ("-3", 0), ("Wed, 21 Oct 2026", 0), (None, 0)],
+)
+def test_a_server_may_say_when_to_come_back(header, seconds):
+    response = SimpleNamespace(headers={} if header is None else {"retry-after": header})
+    assert retry_after(SimpleNamespace(response=response)) == seconds
+    assert retry_after(SimpleNamespace()) == 0
 
 
 # --- names and options -----------------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from eagor.errors import EagorError, QueryError, ServerError
 from eagor.perception.endpoint.faults import Asked, explained, message, refused_feature, retry_after, worth_retrying
 from eagor.perception.endpoint.messages import Answer, Question, read_answer
 
+DEFAULT_SERVER = "http://localhost:8000/v1"
 LONGEST_REST = 30.0  # seconds that a failing server is left alone at most, unless it asks for more
 _CONNECT = 10.0  # seconds to reach a server
 
@@ -201,3 +202,16 @@ def _names(server: _Server) -> list[str]:
 
 class _Stopped(ServerError):
     """This request was given up because another one failed."""
+
+
+def checked_address(url: str) -> str:
+    """`url` with ``/v1`` where it has no path. Raises `EagorError` if it is none."""
+    text = str(url).strip().rstrip("/")
+    try:
+        parts = urlsplit(text)
+        valid = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
+    except ValueError:
+        parts, valid = None, False
+    if not (parts and valid):
+        raise EagorError(f"{url!r} is no address of a server; wanted one such as {DEFAULT_SERVER}")
+    return text if parts.path else text + "/v1"
