@@ -75,8 +75,8 @@ def explained(error: Any, asked: Asked, served: list[str] | None) -> EagorError:
 
     if isinstance(error, openai.APITimeoutError):
         return ServerError(
-            f"{asked.server} gave no answer within {asked.timeout:g} s ({_tries(asked)}). Allow more time (timeout=...), send "
-            "fewer pixels, or fewer requests at once (concurrency=...), or see whether the server is stuck"
+            f"{asked.server} gave no answer within {asked.timeout:g} s ({_tries(asked)}). Allow more time "
+            "(timeout=...), send fewer pixels, or fewer requests at once (concurrency=...), or see whether it is stuck"
         )
     if isinstance(error, openai.APIConnectionError):
         return ServerError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import threading
 import time
+import weakref
 from collections.abc import Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from eagor.errors import EagorError, QueryError, ServerError
 from eagor.perception.endpoint.faults import Asked, explained, message, refused_feature, retry_after, worth_retrying
 from eagor.perception.endpoint.messages import Answer, Question, read_answer
 
+DEFAULT_SERVER = "http://localhost:8000/v1"
 LONGEST_REST = 30.0  # seconds that a failing server is left alone at most, unless it asks for more
 _CONNECT = 10.0  # seconds to reach a server
 
@@ -64,6 +66,7 @@ class Servers:
             http = openai.DefaultHttpxClient(trust_env=not inside, timeout=timeout)
             client = openai.OpenAI(base_url=url, api_key=key, timeout=timeout, max_retries=0, http_client=http)
             self._servers.append(_Server(url, client))
+        weakref.finalize(self, _close, [server.client for server in self._servers])
 
     def model(self) -> str:
         """The model's name; where none was given, that of the only model that the first server has.
@@ -105,11 +108,6 @@ class Servers:
             with self._free:
                 self._free.notify_all()
             pool.shutdown(wait=False, cancel_futures=True)
-
-    def close(self) -> None:
-        """Give the connections back."""
-        for server in self._servers:
-            server.client.close()
 
     def _ask(self, question: Question, stop: threading.Event) -> Answer:
         """One answer, after as many tries as it takes and is allowed."""
@@ -192,9 +190,28 @@ class Servers:
             return None
 
 
+def _close(clients: Sequence[Any]) -> None:
+    """Give the connections back."""
+    for client in clients:
+        client.close()
+
+
 def _names(server: _Server) -> list[str]:
     return [str(model.id) for model in server.client.models.list().data]
 
 
 class _Stopped(ServerError):
     """This request was given up because another one failed."""
+
+
+def checked_address(url: str) -> str:
+    """`url` with ``/v1`` where it has no path. Raises `EagorError` if it is none."""
+    text = str(url).strip().rstrip("/")
+    try:
+        parts = urlsplit(text)
+        valid = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
+    except ValueError:
+        parts, valid = None, False
+    if not (parts and valid):
+        raise EagorError(f"{url!r} is no address of a server; wanted one such as {DEFAULT_SERVER}")
+    return text if parts.path else text + "/v1"

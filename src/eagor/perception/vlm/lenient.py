@@ -13,6 +13,8 @@ from typing import Any
 _SPACE = re.compile(r"(?:\s|//[^\n]*|#[^\n]*)*")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _WORD = re.compile(r"[^\s,:\[\](){}\"'<>]+")
+_STRING = {quote: re.compile(rf"(?:[^{quote}\\]|\\.)*", re.DOTALL) for quote in "\"'"}
+_ESCAPE = re.compile(r"\\(u[0-9a-fA-F]{4}|U00[0-9a-fA-F]{6}|x[0-9a-fA-F]{2}|.|\Z)", re.DOTALL)
 _CLOSING = {"[": "]", "(": ")", "{": "}"}
 _CONSTANTS = {"true": True, "false": False, "null": None, "none": None, "nan": None}
 _DEEPEST = 40  # lists within lists; deeper ones are no answer
@@ -70,17 +72,24 @@ def _value(text: str, place: int, depth: int) -> Node | None:
 
 
 def _string(text: str, place: int) -> Node:
-    quote, letters, at = text[place], [], place + 1
-    while at < len(text):
-        if text[at] == "\\" and at + 1 < len(text):
-            letters.append(text[at + 1])
-            at += 2
-        elif text[at] == quote:
-            return Node("".join(letters), place, at + 1)
-        else:
-            letters.append(text[at])
-            at += 1
-    return Node("".join(letters), place, at, whole=False)
+    match = _STRING[text[place]].match(text, place + 1)
+    end = match.end() if match else place + 1
+    return Node(_unescaped(text[place + 1 : end]), place, min(end + 1, len(text)), whole=end < len(text))
+
+
+def _unescaped(written: str) -> str:
+    """The letters that a string in JSON or Python means."""
+    if "\\" not in written:
+        return written
+    meant = _ESCAPE.sub(_letter, written)
+    return meant.encode("utf-16", "surrogatepass").decode("utf-16", "replace")  # joins pairs of surrogates
+
+
+def _letter(match: re.Match[str]) -> str:
+    code = match.group(1)
+    if len(code) > 1:
+        return chr(min(int(code[1:], 16), 0x10FFFF))
+    return {"n": "\n", "t": "\t", "r": "\r", "b": "\b", "f": "\f"}.get(code, code)
 
 
 def _collection(text: str, place: int, depth: int) -> Node:

@@ -35,12 +35,15 @@ class Style:
 
 
 _STYLES: tuple[tuple[str, Style], ...] = (
-    (r"qwen\W?2[._]?5\W?vl", Style("qwen2_5_vl", 28, 700 * 1400, 560, "pixels")),
-    (r"qwen\W?2\W?vl", Style("qwen2_vl", 28, 700 * 1400, 560, "thousand")),
-    (r"qwen\W?3[._]?5|qwen\W?3\W?vl", Style("qwen3_vl", 32, 704 * 1408, 576, "thousand")),
-    (r"gemma\W?3", Style("gemma3", 56, 896 * 896, 896, "thousand", "yxyx", aspect=1.0, grounded=False)),
+    (r"qwen[\W_]?2[._]?5[\W_]?vl", Style("qwen2_5_vl", 28, 700 * 1400, 560, "pixels")),
+    (r"qwen[\W_]?2[\W_]?vl", Style("qwen2_vl", 28, 700 * 1400, 560, "thousand")),
+    (r"qwen[\W_]?3[._]?5|qwen[\W_]?3[\W_]?vl", Style("qwen3_vl", 32, 704 * 1408, 576, "thousand")),
+    (r"gemma[\W_]?3", Style("gemma3", 56, 896 * 896, 896, "thousand", "yxyx", aspect=1.0, grounded=False)),
     (r"internvl", Style("internvl", 28, 448 * 896, 448, "thousand")),
-    (r"llava\W?(?:v?1[._]?[56]|7b|13b|hf|\Z)", Style("llava", 14, 336 * 336, 336, "unit", aspect=1.0, grounded=False)),
+    (
+        r"llava[\W_]?(?:v?1[._]?[56]|7b|13b|hf|\Z)",
+        Style("llava", 14, 336 * 336, 336, "unit", aspect=1.0, grounded=False),
+    ),
     (r"janus", Style("janus", 16, 384 * 384, 384, "unit", aspect=1.0, grounded=False)),
 )
 OTHER = Style("other", 28, 700 * 1400, 560, "thousand")
