@@ -220,6 +220,29 @@ def test_no_attention_matrix_is_ever_made(random_models, family):
     assert watch.found > 0  # it would have been seen
 
 
+@given(
+    batch=st.integers(1, 3), groups=st.integers(1, 3), shared=st.integers(1, 3), queries=st.integers(1, 4),
+    past=st.integers(0, 6), width=st.integers(1, 5), kind=st.sampled_from(["none", "bool", "added"]),
+    seed=st.integers(0, 99),
+)  # fmt: skip
+def test_a_row_is_the_last_of_the_matrix(batch, groups, shared, queries, past, width, kind, seed):
+    draw = torch.Generator().manual_seed(seed)
+    keys, heads = queries + past, groups * shared
+    query = torch.randn(batch, heads, queries, width, generator=draw)
+    key = torch.randn(batch, groups, keys, width, generator=draw)
+    seen = torch.rand(batch, 1, queries, keys, generator=draw) < 0.7
+    seen[..., -1] = True
+    added = torch.zeros(seen.shape).masked_fill(~seen, -1e9)
+    columns = torch.arange(keys)[:: 1 + seed % 2]
+    capture = Capture(columns)
+    capture.record(4, query, key, {"none": None, "bool": seen, "added": added}[kind], None)
+    full = query @ key.repeat_interleave(shared, dim=1).transpose(-1, -2) / math.sqrt(width)
+    full = (full if kind == "none" else full + added).softmax(dim=-1)
+    torch.testing.assert_close(capture.rows[4], full[:, :, -1, columns], atol=1e-6, rtol=1e-5)
+    capture.record(4, 2 * query, key, None, None)  # only the first pass counts
+    torch.testing.assert_close(capture.rows[4], full[:, :, -1, columns], atol=1e-6, rtol=1e-5)
+
+
 def test_layers_that_cannot_be_read_are_refused(random_models):
     language = random_models("gemma3")
     assert full_layers(language.model) == [vlm_models.LAYERS - 1]

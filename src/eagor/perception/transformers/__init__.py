@@ -136,12 +136,12 @@ class TransformersPerception:
         self, panorama: np.ndarray, queries: list[str]
     ) -> tuple[np.ndarray, np.ndarray | None, dict[str, object]]:
         """Responses, coverage (None: the whole sphere) and what they cost."""
-        from eagor.perception.transformers.inputs import checked
+        from eagor.perception.vlm.sizes import checked_picture
 
         began = time.perf_counter()
         if not all(isinstance(query, str) and query.split() for query in queries):
             raise QueryError(f"the queries are {queries!r}; wanted words for each, such as 'red chair'")
-        image = checked(panorama)
+        image = checked_picture(panorama)
         look = self._views if self.extractor == "views" else self._whole
         response, coverage, source = look(image, queries)
         known = {"model": self.looker.name, "revision": self.looker.revision, "family": self.family.name}

@@ -101,17 +101,6 @@ def _tiled(side: int, tokens: int, aspect: float, pixels: int) -> Plan:
     return Plan((rows * side, cols * side), layout, side, len(blocks) * side * side)
 
 
-def checked(image: np.ndarray) -> np.ndarray:
-    """`image`, once it is certain to be uint8 ``(H, W, 3)``. Raises `ImageError`."""
-    image = np.asarray(image)
-    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[-1] != 3 or image.size == 0:
-        raise ImageError(
-            f"the image is {image.dtype} of shape {image.shape}; wanted uint8 sRGB (H, W, 3). Files: "
-            "eagor.worlds.panorama.read_panorama"
-        )
-    return image
-
-
 def pictures(images: Sequence[np.ndarray], plan: Plan, processor: Any) -> dict[str, torch.Tensor]:
     """The image tensors for images ``plan.size`` (already resized), by the names that the model takes."""
     squares: list[np.ndarray] = []
