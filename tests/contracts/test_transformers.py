@@ -427,6 +427,30 @@ def test_planted_cells_come_back_at_their_directions(random_models, monkeypatch,
         assert float(angular_distance(looks, direction(azimuth, elevation))) < 0.01 * math.pi / rows
 
 
+@languages
+def test_relative_attention_leaves_out_what_is_looked_at_anyway(random_models, monkeypatch, family):
+    """A cell that soaks up attention whatever is asked, and one that the question alone draws attention to."""
+    language = random_models(family)
+    planned = language.plan(2.0)
+    sink, target = (0, 0), (planned.shape[0] - 1, planned.shape[1] // 2)
+    asked = []  # the question of no content comes first
+
+    def record(capture, layer, query, *_):
+        rows = np.ones(planned.layout.count)
+        for index in range(planned.layout.count):
+            cells = planned.layout.cells(np.eye(1, planned.layout.count, index)[0])
+            rows[index] += 200 * cells[sink] + (20 * cells[target] if asked else 0)
+        asked.append(layer)
+        row = torch.tensor(rows / rows.sum() / 2, dtype=torch.float32)
+        capture.rows[layer] = row.expand(query.shape[0], query.shape[1], -1)
+
+    monkeypatch.setattr(Capture, "record", record)
+    response = perception_of(language, seam=False).respond(noise(), ["red chair"])[0]
+    assert np.unravel_index(response.argmax(), response.shape) == target
+    assert len(asked) == 2
+    assert response[sink] < 0.1 * response[target]
+
+
 # --- the whole path --------------------------------------------------------------------------------------------------
 
 
@@ -624,6 +648,11 @@ def test_relative_attention_is_one_where_the_question_made_no_difference():
     general = rng.random((2, 6, 12)) ** 6
     np.testing.assert_allclose(relative(general, general), 1)
     assert saturated(relative(general, general)).max() == 0
+    more = general.copy()
+    more[:, 4, 7] += 0.5
+    ratio = relative(more, general)
+    assert (ratio > 1).sum() == 2
+    np.testing.assert_allclose(ratio[:, 4, 7], 1 + 0.5 / (general[:, 4, 7] + np.median(general, axis=(1, 2))))
     empty = np.zeros((1, 6, 12))
     asked = empty.copy()
     asked[0, 2, 3] = 1e-3
