@@ -5,8 +5,9 @@
 Random weights at real sizes: what a model answers does not matter here, how long it takes does. A plain call is
 ``generate()`` under scaled dot-product attention: image, question, and an answer of so many tokens (two boxes take
 about 50). The contestants take turns; the table gives the fastest runs (other work on the machine only adds), their
-ratio to the plain call's, the ratio of the medians, and the memory that each took beside the weights at its peak. On a CPU choose ``--model reduced``; ratios there say little about a GPU, where
-decoding is bound by the memory's bandwidth and reading the image by arithmetic.
+ratio to the plain call's, the ratio of the medians, and the memory that each took beside the weights at its peak. On a
+CPU choose ``--model reduced``; ratios there say little about a GPU, where decoding is bound by the memory's bandwidth
+and reading the image by arithmetic.
 """
 
 from __future__ import annotations
