@@ -1,11 +1,12 @@
 """Fit the settings of every filter on development episodes: same episodes, same number of trials, same aim for each.
 
-    python benchmarks/fit.py [--perception truth] [--methods eagor vmf ...] [--trials 48] [--workers 2] [--folder DIR]
+    python benchmarks/fit.py [--perception scout] [--methods eagor vmf ...] [--trials 48] [--workers 2] [--folder DIR]
 
 Waypoint Following and Target Tracking are open loop: their episodes are recorded once (poses and responses), and every
-trial reads the recordings. A trial is a random draw from the method's space; the first is the setting in use now. All
-trials see the episodes of half of the apartments; the best eighth of them is judged by the other half, and that ranking
-is printed, with intervals over apartments. Seeds are of development apartments only; others are refused.
+trial reads the recordings, which are those of ``eagor calibrate`` and of benchmarks/estimator.py. A trial is a random
+draw from the method's space; the first is the setting in use now. All trials see the episodes of half of the
+apartments; the best eighth of them is judged by the other half, and that ranking is printed, with intervals over
+apartments. Seeds are of development apartments only; others are refused.
 
 The aim is one number, in degrees: waypoint (error + TC) + tracking (error + TC), each a mean over episodes. It asks for
 what a user sees: to be right, and not to jump.
@@ -31,19 +32,15 @@ from typing import Any
 
 import numpy as np
 
-from eagor.errors import EagorError
+from eagor.evaluation.calibration import TASKS, Recorder, kept_recordings
 from eagor.statistics import bootstrap_interval
-from eagor.tasks.episodes import PER_PLACE, slots
-from eagor.tasks.places import DEVELOPMENT
-from eagor.tasks.play import RULES, Player, Recording
-from eagor.tasks.rules import Camera, Disturbances, as_dict
+from eagor.tasks.play import Recording
 
 AIMS = (("waypoint", "mae"), ("waypoint", "tc"), ("tracking", "error"), ("tracking", "tc"))
 SHOWN = {
     "waypoint": ("L1", "L2", "L3", "L4", "occ", "seam", "tc"),
     "tracking": ("error", "tc", "time_lost", "recovery"),
 }
-EPISODES = {"waypoint": 80, "tracking": 60}
 
 Settings = dict[str, Any]
 Rng = np.random.Generator
@@ -75,35 +72,18 @@ SPACES: dict[str, Callable[[Rng], Settings]] = {
         "keep": 1 - _log(rng, 0.01, 0.2),
         "wander": _log(rng, 4, 20),
         "restless": _log(rng, 0.001, 0.1),
+        "persistence": 1 - _log(rng, 0.05, 1),
     },
 }
-
-
-def record(task: str, perception: str, seed: int, count: int) -> list[Recording]:
-    """The development episodes of a task; what cannot be planned is told and left out."""
-    if seed not in DEVELOPMENT or seed + count // PER_PLACE not in DEVELOPMENT:
-        raise EagorError(f"seed {seed}: fitting is for the apartments {DEVELOPMENT.start} to {DEVELOPMENT.stop - 1}")
-    player = _player(task, perception)
-    found = []
-    for slot in slots(task, count, seed):
-        try:
-            found.append(player.record(player.plan(slot)))
-        except EagorError as error:
-            print(f"  {task} {slot.id} left out: {error}", file=sys.stderr)
-    return found
-
-
-def _player(task: str, perception: str) -> Player:
-    config = {"task": task, "perception": perception, "rules": as_dict(RULES[task]()), "rows": 256}
-    return Player(config | {"camera": as_dict(Camera()), "disturbances": as_dict(Disturbances())})
 
 
 class Judge:
     """Plays methods on the recordings of a folder; each process makes its own."""
 
-    def __init__(self, folder: str, perception: str) -> None:
-        self.recordings = {task: pickle.loads((Path(folder) / f"{task}.pickle").read_bytes()) for task in EPISODES}
-        self.players = {task: _player(task, perception) for task in EPISODES}
+    def __init__(self, file: str, perception: str) -> None:
+        recordings: list[Recording] = pickle.loads(Path(file).read_bytes())
+        self.recordings = {task: [r for r in recordings if r.episode.slot.task == task] for task in TASKS}
+        self.players = Recorder(perception).players
 
     def scores(self, name: str, half: int) -> dict[str, list[tuple[int, dict[str, Any]]]]:
         """For each task (apartment, metrics) of the episodes in even or odd apartments."""
@@ -122,9 +102,9 @@ class Judge:
 _judge: Judge
 
 
-def _begin(folder: str, perception: str) -> None:
+def _begin(file: str, perception: str) -> None:
     global _judge
-    _judge = Judge(folder, perception)
+    _judge = Judge(file, perception)
 
 
 def _try(job: tuple[str, int]) -> tuple[str, dict[str, list[tuple[int, dict[str, Any]]]]]:
@@ -156,8 +136,9 @@ def _mean(rows: list[tuple[int, dict[str, Any]]], column: str) -> tuple[float, f
 
 def main() -> int:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--perception", default="truth")
+    arguments.add_argument("--perception", default="scout")
     arguments.add_argument("--methods", nargs="+", default=list(SPACES), choices=list(SPACES))
+    arguments.add_argument("--episodes", type=int, default=60)
     arguments.add_argument("--trials", type=int, default=48)
     arguments.add_argument("--seed", type=int, default=100, help="first apartment, of the development fifth")
     arguments.add_argument("--workers", type=int, default=2)
@@ -167,14 +148,9 @@ def main() -> int:
     report: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(options.folder or scratch)
-        folder.mkdir(parents=True, exist_ok=True)
-        for offset, (task, count) in enumerate(EPISODES.items()):
-            file = folder / f"{task}.pickle"
-            if not file.exists():
-                seed = options.seed + 100 * offset
-                print(f"recording {count} episodes of {task}, apartments from {seed}", flush=True)
-                file.write_bytes(pickle.dumps(record(task, options.perception, seed, count)))
-        jobs = multiprocessing.get_context("spawn").Pool(options.workers, _begin, (str(folder), options.perception))
+        print(f"{options.episodes} episodes of {', '.join(TASKS)}, apartments from {options.seed}", flush=True)
+        file = kept_recordings(folder, options.perception, options.episodes, options.seed, left_out=print)
+        jobs = multiprocessing.get_context("spawn").Pool(options.workers, _begin, (str(file), options.perception))
         with jobs as pool:
             for base in options.methods:
                 names = list(trials(base, options.trials, options.seed))

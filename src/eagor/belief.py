@@ -202,6 +202,10 @@ class Belief(Reading):
         """Itself: it holds nothing but directions (beliefs over more answer with what they know of directions)."""
         return self
 
+    def plus(self, log_ratios: Array) -> Belief:
+        """With log ratios ``(..., size)`` added, as coefficients."""
+        return replace(self, coefficients=self.coefficients + log_ratios)
+
     def predict(self, new_R_old: Array) -> Belief:
         """After the body has turned: ``new_R_old @ direction_old = direction_new``, ``(..., 3, 3)``, exact."""
         rotated = rotation.rotate(self.degree, as_float(self.coefficients), check_rotation(new_R_old))

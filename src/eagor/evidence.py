@@ -36,7 +36,11 @@ class Calibration:
 
     - `floor` (epsilon): the probability of missing a visible target; it bounds what one empty look can take away.
     - `neutral` (l0): the response that says nothing.
-    - `temperature` (beta): a factor that tempers evidence which repeats itself from frame to frame.
+    - `temperature` (beta): a factor that tempers evidence which is surer of itself than it should be.
+    - `persistence`: how far one look repeats the one before it, in [0, 1), for who follows a target over time. A
+      detector that is wrong about a thing that stands there is wrong in the same direction again. Of each look at it
+      the share 1 - persistence adds up; the rest counts only while it is the newest (what is new in a series of looks
+      whose errors follow an autoregression of first order).
     - `scale_to_max`: divide each response by its own maximum first. Only the published profile does so: it turns
       "nothing here" into a detection.
     """
@@ -44,13 +48,16 @@ class Calibration:
     floor: float = 0.4
     neutral: float = 0.05
     temperature: float = 3.0
+    persistence: float = 0.0
     scale_to_max: bool = False
 
     def __post_init__(self) -> None:
-        if not (0 < self.floor <= 1 and 0 <= self.neutral <= 1 and 0 < self.temperature < math.inf):
+        fits = 0 < self.floor <= 1 and 0 <= self.neutral <= 1 and 0 < self.temperature < math.inf
+        if not (fits and 0 <= self.persistence < 1):
             raise ResponseError(
-                f"Calibration(floor={self.floor!r}, neutral={self.neutral!r}, temperature={self.temperature!r}): "
-                "wanted 0 < floor <= 1, 0 <= neutral <= 1 and temperature > 0"
+                f"Calibration(floor={self.floor!r}, neutral={self.neutral!r}, temperature={self.temperature!r}, "
+                f"persistence={self.persistence!r}): wanted 0 < floor <= 1, 0 <= neutral <= 1, temperature > 0 and "
+                "0 <= persistence < 1"
             )
 
     @classmethod

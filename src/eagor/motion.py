@@ -119,28 +119,46 @@ class StillOrMoving(Reading):
         moving = self.moving + changed * (1 - 2 * self.moving)
         return StillOrMoving(still, self.wanderer.after(elapsed, wander, keep), moving)
 
-    def update(self, still: Belief | RangedBelief, look: np.ndarray) -> StillOrMoving:
-        """With the log ratios `look` ``(size,)`` of one more look; `still` is the first case with that look added."""
-        grid, wanderer = decoding_grid(self.degree), self.wanderer
-        log_ratio = RealHarmonics(self.degree).synthesise(look, grid)
+    def update(
+        self,
+        still: Belief | RangedBelief,
+        look: np.ndarray,
+        share: float = 1.0,
+        passing: np.ndarray | None = None,
+    ) -> StillOrMoving:
+        """With the log ratios `look` ``(size,)`` of one more look.
+
+        `still` is the first case with `share` of the look added to it, which is what remains of one where looks repeat
+        each other, and `passing` is what the look before it counted besides, until now. A wanderer is looked at afresh,
+        and its memory is short: it takes the whole look.
+        """
+        grid, wanderer, basis = decoding_grid(self.degree), self.wanderer, RealHarmonics(self.degree)
+        log_ratio = basis.synthesise(look, grid)
         before = self._stays
+        expected = before if passing is None else before + basis.synthesise(passing, grid)
         gains = [
             log_integral(found + log_ratio, grid.weights) - log_integral(found, grid.weights)
-            for found in (before, wanderer.field)
+            for found in (expected, wanderer.field)
         ]
         odds = math.log(self.moving) - math.log1p(-self.moving) + gains[1] - gains[0]
         moving = 1 / (1 + math.exp(min(max(-odds, math.log(SURE)), -math.log(SURE))))
         roamed = replace(wanderer, looks=wanderer.looks + look, evidence=wanderer.evidence + gains[1])
         # A look adds the same to every range, so that it adds as much to the field over all of them.
-        return StillOrMoving(still, roamed, min(max(moving, SURE), 1 - SURE), before + log_ratio)
+        return StillOrMoving(still, roamed, min(max(moving, SURE), 1 - SURE), before + share * log_ratio)
+
+    def capped(self, most: float) -> StillOrMoving:
+        """With the log-odds of the first case scaled so that its peak rises at most `most` nats above a typical one."""
+        height = float(self._stays.max()) - float(np.median(self._stays))
+        if height <= most:
+            return self
+        return StillOrMoving(self.still.forget(most / height), self.wanderer, self.moving)
 
     def plus(self, look: np.ndarray) -> StillOrMoving:
-        """With log ratios `look` ``(size,)`` that count in either case, and say nothing about which it is."""
-        ranged = isinstance(self.still, RangedBelief)
-        part: Any = "shells" if ranged else "coefficients"
-        still = replace(self.still, **{part: getattr(self.still, part) + look})
-        shown = self._stays + RealHarmonics(self.degree).synthesise(look, decoding_grid(self.degree))
-        return StillOrMoving(still, replace(self.wanderer, looks=self.wanderer.looks + look), self.moving, shown)
+        """With log ratios `look` ``(size,)``, or ``(K, size)`` by range, that count in the first case while new."""
+        stays = None
+        if look.ndim == 1:
+            stays = self._stays + RealHarmonics(self.degree).synthesise(look, decoding_grid(self.degree))
+        return StillOrMoving(self.still.plus(look), self.wanderer, self.moving, stays)
 
     @cached_property
     def _stays(self) -> np.ndarray:

@@ -112,6 +112,13 @@ def refine(grid: ErpGrid, flat: np.ndarray, best: int) -> tuple[np.ndarray, floa
     return moved / math.sqrt(float(moved @ moved)), sigma
 
 
+def neighbours(grid: ErpGrid, cell: int) -> np.ndarray:
+    """The flat indices ``(9,)`` of a cell and the eight around it, across seam and poles."""
+    row, column = divmod(cell, grid.width)
+    rows, columns = _stencil(grid)[row]
+    return rows * grid.width + (column + columns) % grid.width
+
+
 @lru_cache(maxsize=16)
 def _stencil(grid: ErpGrid) -> np.ndarray:
     """For each row, nine neighbours ``(H, 2, 9)``: their rows, and their column offsets.

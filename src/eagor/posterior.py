@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from eagor.grids import ErpGrid, ErpWindow
-from eagor.peaks import peak_on_grid, refine
+from eagor.peaks import neighbours, peak_on_grid, refine
 
 CELLS_PER_SIGMA = 3.0  # grid spacing against the width of the sharpest peak: integrals converge long before that
 CELLS_FOR_REGIONS = 8.0  # ... but the border of a region of 90 % is only as sharp as the cells that it cuts
@@ -176,6 +176,15 @@ class Posterior:
         """The direction of highest density ``(3,)``."""
         return peak_on_grid(self.grid, self.coarse)
 
+    def peak_near(self, direction: np.ndarray, angle: float) -> tuple[np.ndarray, float] | None:
+        """The highest peak within `angle` radians of `direction` ``(3,)``, and f there; None if there is none."""
+        flat = self.coarse.reshape(-1)
+        near = np.flatnonzero(self.grid.directions.reshape(-1, 3) @ direction >= math.cos(angle))
+        best = int(near[flat[near].argmax()])
+        if flat[neighbours(self.grid, best)].max() > flat[best]:
+            return None  # f still rises where the cone ends
+        return refine(self.grid, flat, best)[0], float(flat[best])
+
     def mass_above(self, value: float) -> float:
         """The probability of all directions where f exceeds `value`."""
         return float(self.probability[self.values > value].sum())
@@ -184,13 +193,21 @@ class Posterior:
         """Differential entropy in nats; log(4 pi) = 2.53 for the uniform belief."""
         return self.log_total - float(np.sum(self.probability * self.values))
 
-    def cone(self, mass: float) -> float:
-        """Half-angle (radians) of the cone about the mode that holds `mass`."""
-        cosine, probability = self._all(lambda part: part.cells.directions) @ self.mode, self.probability
+    def cone(self, mass: float, about: np.ndarray | None = None) -> float:
+        """Half-angle (radians) of the cone about the mode, or `about` a direction, that holds `mass`."""
+        cosine, probability = self._cosines(about), self.probability
         order = np.argsort(-cosine)
         cosine, probability = cosine[order], probability[order]
         reached = np.cumsum(probability) - probability / 2
         return math.acos(min(1.0, float(np.interp(mass, reached, cosine))))
+
+    def within(self, angle: float, about: np.ndarray | None = None) -> float:
+        """The probability of the cone of half-angle `angle` (radians) about the mode, or `about` a direction."""
+        return float(self.probability[self._cosines(about) >= math.cos(angle)].sum())
+
+    def _cosines(self, about: np.ndarray | None) -> np.ndarray:
+        """Cosines ``(n,)`` of the angles between all cells and a direction, or the mode."""
+        return self._all(lambda part: part.cells.directions) @ (self.mode if about is None else about)
 
     def level(self, mass: float) -> tuple[float, float]:
         """The value of f above which `mass` lies, and the solid angle above it.

@@ -121,11 +121,15 @@ class RangedBelief(Reading):
     def update(self, evidence: Evidence | Sequence[Evidence]) -> RangedBelief:
         """With one more look added: the same for all shells, or one `Evidence` per shell if it tells ranges apart."""
         if isinstance(evidence, Evidence):
-            return replace(self, shells=self.shells + evidence.coefficients(self.degree)[..., None, :])
+            return self.plus(evidence.coefficients(self.degree)[..., None, :])
         if len(evidence) != len(self.ranges):
             raise EagorError(f"got evidence for {len(evidence)} shells; wanted one, or {len(self.ranges)}")
         added = [look.coefficients(self.degree) for look in evidence]
-        return replace(self, shells=self.shells + namespace(self.shells).stack(added, axis=-2))
+        return self.plus(namespace(self.shells).stack(added, axis=-2))
+
+    def plus(self, log_ratios: Array) -> RangedBelief:
+        """With log ratios added, as coefficients: ``(size,)`` for all ranges alike, or ``(..., K, size)``."""
+        return replace(self, shells=self.shells + log_ratios)
 
     def forget(self, factor: float) -> RangedBelief:
         """With all log-odds scaled by `factor` in [0, 1]."""

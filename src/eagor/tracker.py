@@ -29,6 +29,8 @@ from eagor.posterior import MIN_WEIGHT, PROMINENCE, RIVAL
 from eagor.ranged import RangedBelief, height_prior, log_ranges
 from eagor.sphere import azimuth_elevation
 
+HOLD = math.radians(20)  # a peak within this of where it was before is the same one: near things move by parallax
+
 Status = Literal["searching", "tracking", "ambiguous", "stale"]
 
 
@@ -48,12 +50,14 @@ class TrackerConfig:
     - `wander`: radians per square root of a second by which a target wanders if it does not stand still; both cases
       are believed in side by side (`eagor.motion`). 0: every target stands still.
     - `restless`: changes per second between standing still and wandering.
-    - `persistence`: how far a look repeats the one before it, in [0, 1). A detector that is wrong is wrong in the same
-      direction again. Of each look the share 1 - persistence adds up; the rest counts only while it is the newest (what
-      is new in a series of looks whose errors follow an autoregression of first order).
+    - `surest`: nats by which the best direction of a target that stands still may rise above a typical one; beyond, all
+      its log-odds are scaled down. Looks share their mistakes, and things get moved: nothing is ever surer than that.
     - `history`: seconds for which poses and evidence are kept, so that late evidence finds its place.
     - `stale_after`: seconds without evidence after which an estimate is stale.
     - `found_at`: nats by which the best direction must stand above a uniform belief; below, we are searching.
+    - `switch_at`: nats. The answer stays with the peak that it named last until another rises above that by so much: an
+      answer that jumps to and fro between equals is of no use to anybody.
+    - `present_at`: probability of presence below which we are searching, however far a direction stands out.
     - `ambiguous_below`: if no mode holds this share of the belief, the answer is ambiguous. So it is if a second one
       rises nearly as high (`eagor.posterior.RIVAL`), whatever their weights: looks that repeat each other make any
       small difference decisive, and two things that both look like the target stay two.
@@ -64,32 +68,34 @@ class TrackerConfig:
     calibration: Calibration | None = None
     ranges: Sequence[float] | None = field(default_factory=lambda: tuple(log_ranges(count=20).tolist()))
     floor: float | None = None
-    keep_per_second: float = 0.97
+    keep_per_second: float = 0.98
     diffusion: float = 0.0
-    wander: float = math.radians(8)
+    wander: float = math.radians(10)
     restless: float = 0.003
-    persistence: float = 0.0
+    surest: float = 12.0
     history: float = 10.0
     stale_after: float = 5.0
+    switch_at: float = 1.0
     found_at: float = 1.5
+    present_at: float = 0.3
     ambiguous_below: float = 0.65
 
     def __post_init__(self) -> None:
         least = min(self.diffusion, self.wander, self.restless, self.history)
-        shares = 0 < self.keep_per_second <= 1 and 0 <= self.persistence < 1
-        if not (shares and least >= 0 and self.wander < math.pi):
+        if not (0 < self.keep_per_second <= 1 and least >= 0 and self.wander < math.pi and self.surest > 0):
             raise EagorError(
                 f"keep_per_second = {self.keep_per_second}, diffusion = {self.diffusion}, wander = {self.wander}, "
-                f"restless = {self.restless}, persistence = {self.persistence}, history = {self.history}; wanted 0 < "
-                "keep_per_second <= 1, diffusion and wander >= 0 (rad per sqrt s), restless >= 0 (per s), 0 <= "
-                "persistence < 1 and history >= 0 (s)"
+                f"restless = {self.restless}, surest = {self.surest}, history = {self.history}; wanted 0 < "
+                "keep_per_second <= 1, diffusion and wander >= 0 (rad per sqrt s), restless >= 0 (per s), surest > 0 "
+                "(nats) and history >= 0 (s)"
             )
 
     @classmethod
     def paper(cls) -> TrackerConfig:
         """The published recursion: degree 7, log(l + 1e-3) scaled to the frame's maximum, spherical mean."""
         published = Calibration.paper()
-        return cls(degree=7, decode="mean", calibration=published, ranges=None, keep_per_second=1.0, wander=0.0)
+        memory = {"keep_per_second": 1.0, "wander": 0.0}
+        return cls(degree=7, decode="mean", calibration=published, ranges=None, present_at=0.0, **memory)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +113,8 @@ class Estimate:
     """The answer at one time, in the body frame of that time. Each part is computed when it is first asked for.
 
     `stamp`: the time asked for; `age`: seconds since the newest evidence was captured (infinite before any);
-    `reading`: the belief behind the answer, in the axes of the WORLD; `world_R_body`: the pose that turns it.
+    `reading`: the belief behind the answer, in the axes of the WORLD; `world_R_body`: the pose that turns it; `named`:
+    the peak that was the answer to the newest evidence, in the axes of the world.
     """
 
     stamp: float
@@ -115,13 +122,18 @@ class Estimate:
     reading: Belief | RangedBelief | StillOrMoving
     world_R_body: np.ndarray
     config: TrackerConfig
+    named: np.ndarray | None = None
 
     @cached_property
     def direction(self) -> np.ndarray:
-        """Where it is ``(3,)``: the mode of the belief, or its published mean; forward while nothing is known."""
+        """Where it is ``(3,)``: a mode of the belief, or its published mean; forward while nothing is known."""
         if self.config.decode == "mean":
             return to_numpy(self.reading.direction_belief().mean_direction()) @ self.world_R_body
-        return self.reading.posterior.mode @ self.world_R_body  # body_R_world @ mode
+        return self._peak @ self.world_R_body  # body_R_world @ peak
+
+    @cached_property
+    def _peak(self) -> np.ndarray:
+        return _held(self.reading, self.named, self.config.switch_at)
 
     @property
     def azimuth(self) -> float:
@@ -145,8 +157,12 @@ class Estimate:
 
     @cached_property
     def credible_angle(self) -> float:
-        """Half-angle (radians) of the cone about the mode that holds 90 % of the belief."""
-        return self.reading.credible_angle(0.9)
+        """Half-angle (radians) of the cone about the peak that is the answer which holds 90 % of the belief."""
+        return self.reading.posterior.cone(0.9, self._peak)
+
+    def within(self, angle: float) -> float:
+        """Probability that the target is around and within `angle` radians of that peak: how far to trust it."""
+        return self.presence * self.reading.posterior.within(angle, self._peak)
 
     def mass_above(self, direction: np.ndarray) -> float:
         """The mass of the smallest credible region that reaches `direction` ``(3,)``, body frame."""
@@ -179,7 +195,7 @@ class Estimate:
         """Whether there is an answer: searching, tracking, ambiguous, or stale (nothing new for too long)."""
         known = not math.isinf(self.age)
         stale = known and self.age > self.config.stale_after
-        if not known or self.reading.posterior.gain < self.config.found_at:
+        if not known or self.reading.posterior.gain < self.config.found_at or self.presence < self.config.present_at:
             return "stale" if stale else "searching"
         if stale:
             return "stale"
@@ -190,33 +206,33 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """One evidence in world axes: when, from where, and its coefficients."""
+    """One evidence in world axes: when, from where, its coefficients, and how far it repeats the one before it."""
 
     stamp: float
     position: np.ndarray | None
     coefficients: np.ndarray
+    persistence: float
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
     """A target's belief in world axes, about the place where the body stood at `stamp`.
 
-    `newest`: the part of the newest look that is in the belief only while it is the newest.
+    `newest` ``(size,)``, or ``(K, size)`` once the body has moved on: the part of the newest look that is in the belief
+    only while it is the newest; `named`: the peak that was
+    the answer to it.
     """
 
     belief: Belief | RangedBelief | StillOrMoving
     stamp: float
     position: np.ndarray | None
     newest: np.ndarray | None = None
+    named: np.ndarray | None = None
 
-    @property
+    @cached_property
     def reading(self) -> Belief | RangedBelief | StillOrMoving:
         """The belief with what the newest look says."""
-        if self.newest is None:
-            return self.belief
-        if isinstance(self.belief, StillOrMoving):
-            return self.belief.plus(self.newest)
-        return _plus(self.belief, self.newest)
+        return self.belief if self.newest is None else self.belief.plus(self.newest)
 
 
 class DirectionTracker:
@@ -261,12 +277,12 @@ class DirectionTracker:
         pose, position = self._poses.at(stamp)
         found = to_numpy(evidence.coefficients(self.config.degree)).astype(np.float64)
         turned = RealHarmonics(self.config.degree).rotate(found, pose)
-        look = _Look(stamp, position, turned)
+        look = _Look(stamp, position, turned, evidence.calibration.persistence)
         state = self._states.get(target)
         if state is None or look.stamp >= state.stamp or not self._linear(state):
             self._absorb_in_order(target, look)
         else:  # adding commutes: the late look only has to be forgotten for as long as it was under way
-            share = (1 - self.config.persistence) * self.config.keep_per_second ** (state.stamp - look.stamp)
+            share = (1 - look.persistence) * self.config.keep_per_second ** (state.stamp - look.stamp)
             faded = share * look.coefficients
             self._states[target] = replace(state, belief=Belief(state.belief.coefficients + faded))  # type: ignore[union-attr]
 
@@ -278,7 +294,7 @@ class DirectionTracker:
         pose, _ = self._poses.at(now)
         state = self._advanced(target, now)
         age = now - self._states[target].stamp if target in self._states else math.inf
-        return Estimate(now, age, state.reading, pose, self.config)
+        return Estimate(now, age, state.reading, pose, self.config, state.named)
 
     def belief(self, now: float, target: str = "target") -> Belief:
         """The belief over directions at time `now`, in the body frame of that time."""
@@ -318,15 +334,22 @@ class DirectionTracker:
 
     def _added(self, state: _State | None, look: _Look) -> _State:
         """The state after one look."""
+        passing = None
         if state is None:
             state = _State(self._blank(look.position), look.stamp, look.position)
         else:
-            state = self._moved(state, look.stamp, look.position)
-        newest = self.config.persistence * look.coefficients if self.config.persistence > 0 else None
-        lasting = look.coefficients if newest is None else look.coefficients - newest
-        still = _plus(_still(state.belief), lasting)
-        whole = state.belief.update(still, lasting) if isinstance(state.belief, StillOrMoving) else still
-        return _State(whole, look.stamp, state.position, newest)
+            passing = state.newest
+            state = self._moved(replace(state, newest=None), look.stamp, look.position)
+        newest = look.persistence * look.coefficients if look.persistence > 0 else None
+        share = 1 - look.persistence
+        still = _still(state.belief).plus(share * look.coefficients)
+        whole: Belief | RangedBelief | StillOrMoving = still
+        if isinstance(state.belief, StillOrMoving):
+            whole = state.belief.update(still, look.coefficients, share, passing).capped(self.config.surest)
+        found = _State(whole, look.stamp, state.position, newest)
+        if self.config.switch_at == 0 or self.config.decode == "mean":
+            return found
+        return replace(found, named=_held(found.reading, state.named, self.config.switch_at))
 
     def _blank(self, position: np.ndarray | None) -> Belief | RangedBelief | StillOrMoving:
         if position is None or self.config.ranges is None:
@@ -365,8 +388,18 @@ class DirectionTracker:
         whole = still
         if isinstance(state.belief, StillOrMoving):
             whole = state.belief.after(still, elapsed, self.config.wander, self.config.restless, keep)
-        newest = None if state.newest is None else keep * state.newest
-        return _State(whole, stamp, position if position is not None else state.position, newest)
+        newest = state.newest
+        if newest is not None:
+            newest = keep * (self._carried(newest, moved) if isinstance(still, RangedBelief) else newest)
+        return _State(whole, stamp, position if position is not None else state.position, newest, state.named)
+
+    def _carried(self, newest: np.ndarray, moved: np.ndarray | None) -> np.ndarray:
+        """The newest look's passing part after a step: what lies near moves more than what lies far."""
+        if moved is None or not moved.any():
+            return newest
+        ranges = np.asarray(self.config.ranges)
+        shells = np.broadcast_to(newest, (len(ranges), newest.shape[-1])).copy()
+        return RangedBelief(shells, ranges).predict(np.eye(3), moved).shells
 
     def _advanced(self, target: str, now: float) -> _State:
         state = self._states.get(target)
@@ -393,11 +426,13 @@ def _still(belief: Belief | RangedBelief | StillOrMoving) -> Belief | RangedBeli
     return belief.still if isinstance(belief, StillOrMoving) else belief
 
 
-def _plus(belief: Belief | RangedBelief, look: np.ndarray) -> Belief | RangedBelief:
-    """The belief with the log ratios `look` ``(size,)`` added, the same for all ranges."""
-    if isinstance(belief, RangedBelief):
-        return replace(belief, shells=belief.shells + look)
-    return Belief(belief.coefficients + look)
+def _held(reading: Belief | RangedBelief | StillOrMoving, named: np.ndarray | None, margin: float) -> np.ndarray:
+    """The peak ``(3,)`` that is the answer: the one that was `named` before, unless another is higher by `margin`."""
+    posterior = reading.posterior
+    kept = None if named is None or margin == 0 else posterior.peak_near(named, HOLD)
+    if kept is None or kept[1] < float(posterior.coarse.max()) - margin:
+        return posterior.mode
+    return kept[0]
 
 
 def _mode(direction: np.ndarray, weight: float) -> Mode:

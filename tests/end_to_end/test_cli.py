@@ -281,6 +281,15 @@ def test_track_prints_one_line_per_frame(series, tmp_path):
     assert len(list(pictures.iterdir())) == 2
 
 
+def test_a_known_floor_changes_distances_and_has_to_be_below(three):
+    images, write = three
+    poses = write("stamp,yaw_deg,pitch_deg,roll_deg,x,y,z\n0,0,0,0,0,0,1\n1,0,0,0,0.1,0,1\n2,0,0,0,0.2,0,1\n")
+    words = ("track", images, "red", "--poses", poses)
+    unknown, known = (answer(*words, *more)["frames"][-1] for more in ((), ("--floor", "0")))
+    assert unknown["distance_m"] != known["distance_m"]
+    assert "floor" in refused(*words, "--floor", "1.5")
+
+
 def test_a_corrupt_frame_is_left_out_and_the_rest_is_kept(three, tmp_path):
     images, write = three
     (images / "b.png").write_bytes(b"torn")
@@ -393,7 +402,7 @@ def test_the_demo_leaves_a_report(tmp_path):
     found = answer("demo", "--seed", "3", "--episode", "1", "--out", tmp_path)
     assert set(found["methods"]) >= {"centroid", "eagor_paper", "eagor"}
     for metrics in found["methods"].values():
-        assert 1 <= metrics["steps"] <= 120
+        assert 1 <= metrics["steps"] <= 500
         assert metrics["success"] in (0, 1)
     page = Path(found["report"]).read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 3
@@ -415,6 +424,23 @@ def test_a_bench_run_goes_on_where_it_stopped_and_is_reported(tmp_path):
     page = Path(answer("bench", "report", tmp_path / "run")["report"])
     assert page.is_file()
     assert (tmp_path / "run" / "tables.csv").is_file()
+
+
+def test_a_calibration_is_fitted_written_and_taken(room, tmp_path):
+    out = tmp_path / "made" / "truth.json"
+    words = ("calibrate", "--perception", "truth", "--episodes", "8", "--trials", "2", "--out", out)
+    found = answer(*words)
+    assert {"floor", "neutral", "temperature", "persistence"} == set(found["calibration"])
+    assert {"keep_per_second", "wander", "restless"} == set(found["forgetting"])
+    assert len(found["found_by"]["apartments"]) == 2
+    assert json.loads(out.read_text())["calibration"] == found["calibration"]
+    run = ("bench", "run", "tracking", "--perception", "truth", "--episodes", "1", "--seed", "1", "--methods", "eagor")
+    assert answer(*run, "--calibration", out, "--out", tmp_path / "run")["episodes"] == 1
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["calibrated"]["forgetting"] == found["forgetting"]
+    assert answer("locate", room, "red ball", "--calibration", out)["modes"]
+    assert "results" in refused("calibrate", "--perception", "truth", "--seed", "2000")
+    assert "--trials 0" in refused("calibrate", "--perception", "truth", "--trials", "0")
+    assert "eagor calibrate" in refused("locate", room, "red ball", "--calibration", tmp_path / "none.json")
 
 
 # --- words -----------------------------------------------------------------------------------------------------------

@@ -156,9 +156,9 @@ def test_the_sections_are_those_of_the_task(written):
     _, text, summary = written
     ids = set(Page(text).ids)
     wanted = {
-        "waypoint": {"ordering", "turns", "seam", "coverage", "variants"},
-        "navigation": {"ordering", "steps", "seam", "strata", "coverage", "failed"},
-        "tracking": {"steps", "strata", "coverage"},
+        "waypoint": {"parts", "ordering", "turns", "seam", "coverage", "variants"},
+        "navigation": {"parts", "ordering", "steps", "seam", "strata", "coverage", "failed"},
+        "tracking": {"parts", "steps", "strata", "coverage"},
     }
     assert ids == wanted[summary["task"]] | {"figures", "episodes"}
     if summary["task"] == "waypoint":

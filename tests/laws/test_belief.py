@@ -166,6 +166,19 @@ def test_modes_are_the_targets_strongest_first_and_weights_share_the_belief():
     assert len(belief.modes(2)[0]) == 2
 
 
+def test_a_peak_is_found_near_where_it_was():
+    first, second = direction(0.4, 0.1), direction(-2.9, -0.3)
+    posterior = Belief.uniform(15).update(look(first, second, scores=[0.9, 0.6])).posterior
+    for place in (first, second):
+        near = rotation((0, 0, 1), 0.15) @ place
+        found, height = posterior.peak_near(near, 0.35)
+        assert np.degrees(angular_distance(found, place)) < 1.5
+        assert height <= posterior.coarse.max()
+    slope = rotation((0, 0, 1), 0.3) @ first
+    assert posterior.peak_near(slope, 0.1) is None, "there it still rises where the cone ends"
+    assert posterior.within(0.3, second) < posterior.within(0.3) == posterior.within(0.3, posterior.mode)
+
+
 @given(SEEDS, rotations())
 @settings(max_examples=15)
 def test_modes_turn_with_the_body(seed, R):

@@ -103,14 +103,19 @@ def test_a_prior_over_heights_is_a_likelihood_ratio_of_mean_one(camera):
     assert expecting.log_density(level) > blank.log_density(level) + 0.3
 
 
-def test_one_look_below_the_horizon_tells_a_distance_where_the_floor_is_known():
-    look = Evidence.from_points([direction(0.4, math.radians(-12))], 200.0, [0.9])
+def test_looks_below_the_horizon_tell_a_distance_where_the_floor_is_known():
     blank = RangedBelief.uniform(15, log_ranges(count=20))
     expecting = RangedBelief(blank.shells, blank.ranges, height_prior(15, blank.ranges, camera=1.25))
-    without, found = blank.update(look), expecting.update(look)
-    assert found.distance_spread() < 0.9 * without.distance_spread()
-    near = expecting.update(Evidence.from_points([direction(0.4, math.radians(-35))], 200.0, [0.9]))
-    assert near.distance() < 0.6 * found.distance()
+
+    def looked(belief, depression):
+        for _ in range(4):
+            belief = belief.update(Evidence.from_points([direction(0.4, -math.radians(depression))], 200.0, [0.9]))
+        return belief
+
+    assert looked(blank, 12).distance() == pytest.approx(blank.distance(), rel=1e-3), "without a floor, nothing"
+    far, near = looked(expecting, 12), looked(expecting, 45)
+    assert near.distance() < 0.6 * far.distance()
+    assert near.distance_spread() < 0.75 * blank.distance_spread()
 
 
 @given(rotations())
@@ -120,7 +125,7 @@ def test_a_prior_turns_with_the_body(R):
     blank = RangedBelief.uniform(7)
     belief = RangedBelief(blank.shells, blank.ranges, height_prior(7, blank.ranges, 1.25)).update(look)
     turned = belief.predict(R)
-    assert np.degrees(angular_distance(turned.mode(), R @ belief.mode())) < 0.1
+    assert np.degrees(angular_distance(turned.mode(), R @ belief.mode())) < 0.3
     assert turned.distance() == pytest.approx(belief.distance(), rel=1e-3)
 
 

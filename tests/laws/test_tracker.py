@@ -1,6 +1,7 @@
 """Evidence late, early and out of order; poses at any rate; several targets; honest answers."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,6 +22,10 @@ FLAT = {"ranges": None, "degree": 7, "wander": 0.0}  # all that happens commutes
 
 def look(target, stamp, score=0.9, concentration=60.0):
     return Evidence.from_points([target], concentration, [score], stamp=stamp)
+
+
+def repeating(evidence, persistence):
+    return evidence.with_calibration(replace(evidence.calibration, persistence=persistence))
 
 
 def noise(seed, stamp):
@@ -159,6 +164,28 @@ def test_the_status_says_what_is_known():
     assert later.age == pytest.approx(2.5)
 
 
+def test_a_direction_may_stand_out_and_nothing_be_there():
+    """Weak responses that keep to one place make a mode; presence says that it is not the thing."""
+    weak = {t: look(direction(0.5, 0.0), float(t), score=0.06) for t in range(40)}
+    tracker = DirectionTracker(TrackerConfig(ranges=None, keep_per_second=1.0, calibration=Calibration(0.02, 0.2, 1.0)))
+    for one in weak.values():
+        tracker.observe(one)
+    estimate = tracker.estimate(39.0)
+    assert estimate.reading.posterior.gain > tracker.config.found_at
+    assert estimate.presence < 0.1
+    assert estimate.status == "searching"
+
+
+def test_trust_is_presence_times_what_lies_about_the_answer():
+    tracker = DirectionTracker(TrackerConfig(ranges=None))
+    for t in range(3):
+        tracker.observe(look(direction(0.5, 0.0), float(t)))
+    estimate = tracker.estimate(2.0)
+    assert estimate.within(math.pi) == pytest.approx(estimate.presence)
+    assert estimate.within(estimate.credible_angle) == pytest.approx(0.9 * estimate.presence, rel=0.03)
+    assert estimate.within(0.1) < estimate.within(0.3) < estimate.presence
+
+
 @pytest.mark.parametrize("looks", [1, 5, 40])
 def test_two_things_alike_stay_two_however_often_we_look(looks):
     """Repeated looks turn a small difference in score into any odds; that is no reason to stop asking."""
@@ -171,6 +198,52 @@ def test_two_things_alike_stay_two_however_often_we_look(looks):
     assert len(estimate.modes) == 2
     for place, mode in zip(places, estimate.modes, strict=True):
         assert np.degrees(angular_distance(place, mode.direction)) < 2
+
+
+def test_the_answer_stays_until_another_is_clearly_higher():
+    one, other = direction(0.5, 0.0), direction(-2.0, 0.1)
+    config = TrackerConfig(ranges=None, wander=0.0, keep_per_second=1.0)
+    calm, restless = DirectionTracker(config), DirectionTracker(replace(config, switch_at=0.0))
+
+    def told(scores, stamp):
+        look = Evidence.from_points([one, other], 60.0, scores, stamp=stamp)
+        for tracker in (calm, restless):
+            tracker.observe(look)
+        return [tracker.estimate(stamp).direction for tracker in (calm, restless)]
+
+    assert all(np.degrees(angular_distance(said, one)) < 2 for said in told([0.9, 0.8], 0.0))
+    held, highest = told([0.8, 0.95], 1.0)
+    assert np.degrees(angular_distance(held, one)) < 2
+    assert np.degrees(angular_distance(highest, other)) < 2
+    assert calm.estimate(1.0).within(math.pi) == pytest.approx(calm.estimate(1.0).presence)
+    for k in range(6):
+        held, _ = told([0.2, 0.95], 2.0 + k)
+    assert np.degrees(angular_distance(held, other)) < 2, "by now it is clearly higher"
+
+
+@pytest.mark.parametrize("changes", [{}, {"ranges": None}])
+def test_nothing_is_ever_surer_than_the_configuration_allows(changes):
+    """However long a thing was in one place, it is found in another within a few looks."""
+    old, new, found = direction(0.5, -0.1), direction(-2.0, -0.1), {}
+    for surest in (8.0, 1e6):
+        tracker = DirectionTracker(TrackerConfig(**changes, surest=surest, restless=0.0, keep_per_second=1.0))
+        for t in range(60):
+            tracker.rotate(float(t), np.eye(3), np.zeros(3))
+            tracker.observe(repeating(look(old if t < 50 else new, float(t)), 0.5))
+        found[surest] = tracker.estimate(59.0)
+        still = tracker._states["target"].belief.still.posterior.coarse
+        assert (still.max() - np.median(still) <= 8.01) == (surest == 8.0)
+    assert np.degrees(angular_distance(found[8.0].direction, new)) < 2
+
+
+def test_asking_does_not_change_the_answer():
+    quiet, asked = DirectionTracker(), DirectionTracker()
+    for k in range(8):
+        for tracker in (quiet, asked):
+            tracker.observe(noise(k, float(k)))
+        asked.estimate(float(k))
+        asked.estimate(k + 0.5)
+    assert np.array_equal(quiet.estimate(8.0).direction, asked.estimate(8.0).direction)
 
 
 def test_what_was_learnt_fades_and_wanders():
@@ -187,18 +260,18 @@ def test_what_was_learnt_fades_and_wanders():
 @pytest.mark.parametrize("count", [1, 2, 7])
 def test_looks_that_repeat_each_other_add_up_in_part(count):
     """Of n looks alike, whose errors persist by p, n (1 - p) + p count."""
-    tracker = DirectionTracker(TrackerConfig(**FLAT, keep_per_second=1.0, persistence=0.6))
+    tracker = DirectionTracker(TrackerConfig(**FLAT, keep_per_second=1.0))
     for t in range(count):
-        tracker.observe(look(direction(0.5, 0.0), float(t)))
+        tracker.observe(repeating(look(direction(0.5, 0.0), float(t)), 0.6))
     one = look(direction(0.5, 0.0), 0.0).coefficients(7)
-    assert np.allclose(tracker.belief(count - 1.0).coefficients, (0.4 * count + 0.6) * one)
+    assert np.allclose(tracker.belief(count - 1.0).coefficients, (0.4 * count + 0.6) * one, atol=1e-5)
 
 
 @pytest.mark.parametrize("changes", [FLAT, {"degree": 7}, {"degree": 7, "wander": 0.0}])
 def test_late_equals_on_time_where_looks_repeat_each_other(changes):
-    config = TrackerConfig(**changes, persistence=0.5)
+    config = TrackerConfig(**changes)
     on_time, late = DirectionTracker(config), DirectionTracker(config)
-    looks = [look(direction(0.3 * t, 0.0), float(t)) for t in range(4)]
+    looks = [repeating(look(direction(0.3 * t, 0.0), float(t)), 0.5) for t in range(4)]
     for one in looks:
         on_time.observe(one)
     for index in (0, 2, 3, 1):
@@ -291,8 +364,6 @@ def test_a_corrected_pose_of_the_same_time_replaces_the_first():
         {"keep_per_second": 2.0},
         {"diffusion": -1.0},
         {"history": -1},
-        {"persistence": 1.0},
-        {"persistence": -0.1},
     ],
 )
 def test_impossible_settings_are_refused(changes):

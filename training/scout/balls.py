@@ -13,7 +13,6 @@ import numpy as np
 from data import HEIGHTS, moments
 
 from eagor.queries import COLOURS
-from eagor.sphere import azimuth_elevation
 from eagor.tasks.tracking import RADIUS
 from eagor.worlds.ball import PAINTS, Ball, with_ball
 from eagor.worlds.render import Frame
@@ -83,7 +82,6 @@ def _painted(
     ]
     range_ = np.where(np.isin(ids, nearer), np.float32(0), np.float32(np.inf))
     centre = np.array([away * math.cos(azimuth), away * math.sin(azimuth), radius - eye])
-    assert abs(float(azimuth_elevation(centre)[0]) - azimuth) < 1e-6
     frame = Frame(rgb=rgb, range=range_, ids=ids.astype(np.int32))
     painted = with_ball(frame, np.zeros(3), np.eye(3), Ball(centre, radius, colour), name)
     return painted if painted.ids is not None and (painted.ids == name).any() else None

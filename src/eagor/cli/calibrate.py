@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING
 
 from eagor.cli import terminal
 from eagor.cli.options import Calibrate
-from eagor.errors import QueryError, WorldError
 
 if TYPE_CHECKING:
     from eagor.perception.calibrated import Calibrated
-    from eagor.tasks.play import Recording
 
 
 def calibrate(options: Calibrate) -> int:
     """Run the command; returns its exit code."""
-    from eagor.evaluation.calibration import Recorder, development_slots
+    from eagor.evaluation.calibration import record_episodes
     from eagor.evaluation.fitting import DRAWS, fit
 
     if min(options.workers, options.trials, options.episodes) < 1:
@@ -24,22 +22,10 @@ def calibrate(options: Calibrate) -> int:
             f"--workers {options.workers} --trials {options.trials} --episodes {options.episodes}; wanted 1 or more"
         )
     out = options.out or Path(f"calibration-{options.perception.partition(':')[0]}.json")
-    slots, recorder = development_slots(options.episodes, options.seed), Recorder(options.perception, options.rows)
-    recordings: list[Recording] = []
-    strange: set[str] = set()
-    with terminal.progress("looking", len(slots)) as advance:
-        for slot in slots:
-            try:
-                if slot.task not in strange:
-                    recordings.append(recorder.record(slot))
-            except WorldError as error:
-                terminal.warning(f"{slot.task} {slot.id} is left out: {error}")
-            except QueryError as error:
-                strange.add(slot.task)
-                terminal.warning(f"{slot.task} is left out: {error}")
-            advance()
-    if not recordings:
-        raise terminal.RunError(f"no episode could be looked at with {options.perception}")
+    with terminal.progress("looking", options.episodes) as advance:
+        recordings = record_episodes(
+            options.perception, options.episodes, options.seed, options.rows, advance, terminal.warning
+        )
     terminal.log(f"{len(recordings)} episodes; trying {options.trials} settings, {DRAWS} at a time")
     with terminal.progress("fitting", options.trials) as advance:
         # Each round's best is kept, so that a fit that is stopped early is not lost.
@@ -53,12 +39,17 @@ def calibrate(options: Calibrate) -> int:
 
 
 def _print(best: Calibrated, out: Path) -> None:
-    reading = best.calibration
-    print(f"{best.perception}: floor {reading.floor}, neutral {reading.neutral}, temperature {reading.temperature}")
+    reading = best.as_json()["calibration"]
+    print(f"{best.perception}: " + ", ".join(f"{name} {value}" for name, value in reading.items()))
     print("  " + ", ".join(f"{name} {value}" for name, value in best.forgetting.items()))
     print(f"On the other half of the apartments ({len(best.found_by['judged by'])}), means with 95 % intervals:")
     print(f"  {'':13s}{'before':>24s}{'after':>24s}")
     for name, after in best.found_by["after"].items():
-        columns = (best.found_by["before"][name], after)
-        print(f"  {name:13s}" + "".join(f"{a:9.2f} [{b:5.2f} {c:5.2f}]" for a, b, c in columns))
+        print(f"  {name:13s}" + "".join(map(_cell, (best.found_by["before"][name], after))))
     print(f"Written to {out}; other commands take it as --calibration {out}")
+
+
+def _cell(values: list[float | None]) -> str:
+    mean, *ends = values
+    interval = "" if None in ends else " [{:5.2f} {:5.2f}]".format(*ends)
+    return f"{mean:9.2f}{interval:15s}"

@@ -8,7 +8,9 @@ from typing import Any
 
 from eagor.cli import terminal
 from eagor.cli.options import Demo
+from eagor.perception import load
 from eagor.tasks.episodes import PER_PLACE, Slot
+from eagor.tasks.eyes import rows_of
 from eagor.tasks.methods import DESCRIPTIONS, NAMES, TrackerMethod
 from eagor.tasks.places import APARTMENT, SEEDS
 from eagor.tasks.play import Player
@@ -67,18 +69,18 @@ def demo(options: Demo) -> int:
 
 def play(seed: int, index: int, perception: str, say: bool = False) -> Search:
     """Every method through one episode of navigation."""
-    rules = NavigationRules()
+    rules, seeing = NavigationRules(), load(perception)
     config = {
         "task": "navigation",
         "perception": perception,
         "rules": as_dict(rules),
         "camera": as_dict(Camera()),
         "disturbances": as_dict(Disturbances()),
-        "rows": 256,
+        "rows": rows_of(seeing),
     }
     slot = Slot("navigation", APARTMENT, seed, index, index)
     estimates: list[Estimate] = []
-    player = Player(config)
+    player = Player(config, seeing)
     if say:
         print(f"Building {APARTMENT} {seed} and looking for something to search ...", flush=True)
     episode = player.plan(slot)

@@ -63,6 +63,8 @@ class Track(Common):
     stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch nose DOWN); also x,y,z (metres) and frame (file name)."""
     perception: Name = "colour"
     """Who looks: colour, replay:FILE.jsonl, or an installed one."""
+    floor: Annotated[float | None, arg(metavar="Z")] = None
+    """Height of the floor in the poses' world, metres, where it is known: things stand on it, which tells distances."""
     calibration: Annotated[Path | None, arg(metavar="FILE.json")] = None
     """How responses are read and forgotten, from `eagor calibrate`."""
     compare: bool = False
@@ -87,8 +89,9 @@ class Demo(Common):
     """Of the apartment, 0 to 9999. The search that is shown without being asked for was chosen for what it shows."""
     episode: Whole = 1
     """Which search in it, 0 to 4."""
-    perception: Name = "truth"
-    """Who looks: truth (a noisy detector, made from what the simulator knows), or another perception."""
+    perception: Name = "scout"
+    """Who looks: scout (a small network that sees the pictures), truth (a noisy detector, made from what the simulator
+    knows), or another perception."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,9 +100,9 @@ class BenchRun(Common):
 
     task: Annotated[Literal["waypoint", "navigation", "tracking"], Positional]
     """Name the direction along a route; walk to the thing; follow a moving ball."""
-    perception: Name = "truth"
-    """Who looks. truth: a noisy detector made from what the simulator knows (truth:ideal has no noise,
-    truth:miss=0.5,spread=4 its own)."""
+    perception: Name = "scout"
+    """Who looks: scout, a small network that sees the pictures; truth, a noisy detector made from what the simulator
+    knows (truth:ideal has no noise, truth:miss=0.5,spread=4 its own); or another."""
     methods: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
     """Which methods (default: all eight); variants as eagor:degree=7,decode=mean; in navigation also oracle."""
     episodes: Whole = 20
@@ -157,7 +160,7 @@ class Calibrate(Common):
     out: Annotated[Path | None, arg(metavar="FILE.json")] = None
     """Where the calibration goes (default: calibration-PERCEPTION.json). Other commands take it as --calibration."""
     episodes: Whole = 60
-    """How many to look at, half of them routes past a thing, half of them balls; five of each in an apartment."""
+    """How many to look at: routes past a thing and balls in turn, two of each in an apartment."""
     seed: Whole = 100
     """The first apartment; 0 to 1999 are for choosing parameters."""
     trials: Whole = 96

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from eagor.cli import terminal
@@ -17,7 +18,7 @@ from eagor.cli.following import Result, follow
 from eagor.cli.looking import checked_query, find_frames, make_perception, tracker_config
 from eagor.cli.methods import NAMES
 from eagor.cli.options import Track
-from eagor.cli.poses import pair, read_poses
+from eagor.cli.poses import Step, pair, read_poses
 from eagor.cli.words import signed
 from eagor.sphere import azimuth_elevation
 
@@ -31,7 +32,7 @@ def track(options: Track) -> int:
     query = checked_query(options.words[-1])
     images = find_frames([Path(word) for word in options.words[:-1]])
     steps = pair(read_poses(options.poses), images, options.poses)
-    config = tracker_config(options.degree, options.calibration)
+    config = replace(tracker_config(options.degree, options.calibration), floor=_checked_floor(options.floor, steps))
     perception = make_perception(options.perception)
     entries, bad, looked = [], 0, 0
     with ExitStack() as stack:
@@ -84,6 +85,16 @@ def _line(result: Result) -> str:
         azimuth, elevation = azimuth_elevation(direction)
         line += f"{signed(float(azimuth)) + '/' + signed(float(elevation)):>15}"
     return line.rstrip()
+
+
+def _checked_floor(floor: float | None, steps: Sequence[Step]) -> float | None:
+    """The floor's height, once every pose that has a position is above it."""
+    heights = [float(step.pose.position[2]) for step in steps if step.pose.position is not None]
+    if floor is not None and heights and min(heights) <= floor:
+        raise terminal.UsageError(
+            f"--floor {floor:g}: the camera comes down to z = {min(heights):g} m; wanted below it"
+        )
+    return floor
 
 
 @contextmanager

@@ -11,16 +11,19 @@ belief gave to the true direction, and the log of the probability that it gave t
 from __future__ import annotations
 
 import math
+import pickle
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from eagor.errors import EagorError
+from eagor.errors import EagorError, QueryError, WorldError
 from eagor.evidence import Evidence
 from eagor.metrics import angular_error_deg
 from eagor.perception import load
-from eagor.tasks.episodes import PER_PLACE, Slot, slots
-from eagor.tasks.eyes import rows_of
+from eagor.tasks.episodes import Slot
+from eagor.tasks.eyes import is_privileged, rows_of
 from eagor.tasks.places import APARTMENT, DEVELOPMENT, load_place
 from eagor.tasks.play import MASS, RULES, Player, Recording
 from eagor.tasks.rules import Camera, Disturbances, as_dict
@@ -29,6 +32,7 @@ from eagor.tracker import DirectionTracker, TrackerConfig
 from eagor.worlds.ball import PAINTS
 
 TASKS = ("waypoint", "tracking")
+PER_PLACE = 2  # episodes of each task in an apartment: many apartments tell more than many episodes in one
 EVERY = 3  # steps between the readings that are scored: neighbours say nearly the same
 SMALLEST = 1e-9  # a probability of presence below it counts as this
 
@@ -56,11 +60,11 @@ class Parameter:
 PARAMETERS = (
     Parameter("floor", 0.01, 1.0),
     Parameter("neutral", 0.003, 0.3),
-    Parameter("temperature", 0.03, 10.0),
+    Parameter("temperature", 0.03, 30.0),
     Parameter("keep_per_second", 0.002, 0.3, flipped=True),
     Parameter("wander", math.radians(2), math.radians(25)),
     Parameter("restless", 1e-4, 0.1),
-    Parameter("persistence", 0.1, 1.0, flipped=True),
+    Parameter("persistence", 0.05, 1.0, flipped=True),
 )
 
 
@@ -111,22 +115,66 @@ class Recorder:
         """
         player, rng = self.players[slot.task], slot.rng("absent")
         episode = player.plan(slot)
-        other = str(load_place(slot.world, slot.seed, player.camera.radius).missing(rng))
+        other = str(
+            load_place(slot.world, slot.seed, player.camera.radius).missing(rng, is_privileged(player.perception))
+        )
         if isinstance(episode, TrackingEpisode):
             other = f"{rng.choice(sorted({*PAINTS} - {episode.colour}))} ball"
         return player.record(episode, other)
 
 
+def record_episodes(
+    perception: str,
+    count: int,
+    seed: int,
+    rows: int | None = None,
+    advance: Callable[[], object] = lambda: None,
+    left_out: Callable[[str], object] = lambda why: None,
+) -> list[Recording]:
+    """The recordings of `development_slots`; `left_out` is told of what cannot be planned, and of unknown words.
+
+    A task whose words the perception does not know is left out whole. Raises `EagorError` if nothing is left.
+    """
+    recorder, slots = Recorder(perception, rows), development_slots(count, seed)
+    found: list[Recording] = []
+    strange: set[str] = set()
+    for slot in slots:
+        try:
+            if slot.task not in strange:
+                found.append(recorder.record(slot))
+        except WorldError as error:
+            left_out(f"{slot.task} {slot.id} is left out: {error}")
+        except QueryError as error:
+            strange.add(slot.task)
+            left_out(f"{slot.task} is left out: {error}")
+        advance()
+    if not found:
+        raise EagorError(f"{perception} could be asked in none of {count} episodes; calibrate it where it knows words")
+    return found
+
+
+def kept_recordings(folder: Path, perception: str, count: int, seed: int, left_out: Callable[[str], object]) -> Path:
+    """The file in `folder` that keeps `record_episodes` (a pickled list), which is made where it is missing."""
+    file = folder / f"{perception.replace('/', '-')}-{seed}-{count}.pickle"
+    if not file.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(pickle.dumps(record_episodes(perception, count, seed, left_out=left_out)))
+    return file
+
+
 def development_slots(count: int, seed: int) -> list[Slot]:
-    """`count` slots, half of them of each task. Raises `EagorError` for apartments that results are taken from."""
-    last = seed + (count + 1) // 2 // PER_PLACE
+    """`count` slots, `PER_PLACE` of each task in an apartment. Raises `EagorError` where results are taken from."""
+    last = seed + (count - 1) // (PER_PLACE * len(TASKS))
     if seed not in DEVELOPMENT or last not in DEVELOPMENT:
         raise EagorError(
-            f"{count} episodes from seed {seed}: calibrating is for the apartments {DEVELOPMENT.start} to "
-            f"{DEVELOPMENT.stop - 1}; the others are for results"
+            f"{count} episodes from apartment {seed} on reach apartment {last}; wanted all between {DEVELOPMENT.start} "
+            f"and {DEVELOPMENT.stop - 1}: the others are for results"
         )
-    found = [list(slots(task, (count + 1) // 2, seed, APARTMENT)) for task in TASKS]
-    return [slot for pair in zip(*found, strict=True) for slot in pair][:count]
+    found = []
+    for number in range(count):
+        place, index = divmod(number // len(TASKS), PER_PLACE)
+        found.append(Slot(TASKS[number % len(TASKS)], APARTMENT, seed + place, index, number // len(TASKS)))
+    return found
 
 
 def score(recording: Recording, config: TrackerConfig, regions: bool = False) -> Score:

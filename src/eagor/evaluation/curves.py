@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor.evaluation.samples import Record, finished, mean_intervals
+from eagor.evaluation.samples import Record, apartment, finished, mean_intervals, numbers
 from eagor.metrics import seam_crossings
 from eagor.sphere import direction
 
@@ -34,7 +34,7 @@ class Curve:
 
 def errors(record: Record, method: str) -> np.ndarray:
     """Direction error at each step, degrees; NaN where there was nothing to point at."""
-    return _numbers(record["methods"][method]["trace"]["error_deg"])
+    return numbers(record["methods"][method]["trace"]["error_deg"])
 
 
 def turns(record: Record, method: str) -> list[int]:
@@ -47,7 +47,7 @@ def crossings(record: Record, method: str) -> list[int]:
     """The steps at which the true bearing crosses the seam; of the method's own way, where each goes its own."""
     if "truth" in record:
         return [int(k) for k in np.flatnonzero(record["truth"]["seam"])]
-    azimuth = np.radians(_numbers(record["methods"][method]["trace"]["true_azimuth_deg"]))
+    azimuth = np.radians(numbers(record["methods"][method]["trace"]["true_azimuth_deg"]))
     return [int(k) for k in np.flatnonzero(seam_crossings(direction(azimuth, 0 * azimuth)))]
 
 
@@ -71,13 +71,13 @@ def around(
             windows.append(window)
         if windows:
             rows.append(_mean(np.array(windows)))
-            labels.append(_group(record))
+            labels.append(apartment(record))
     return _curve(range(-before, after + 1), rows, labels)
 
 
 def by_step(records: Sequence[Record], method: str) -> Curve | None:
     """Error of `method` at each step. It ends where fewer than half of the episodes go on."""
-    found = [(errors(record, method), _group(record)) for record in _of(records, method)]
+    found = [(errors(record, method), apartment(record)) for record in _of(records, method)]
     longest = max((len(values) for values, _ in found), default=0)
     rows = [np.pad(values, (0, longest - len(values)), constant_values=np.nan) for values, _ in found]
     return _curve(range(longest), rows, [label for _, label in found])
@@ -91,11 +91,11 @@ def reliability(records: Sequence[Record], method: str) -> Curve | None:
     """
     rows, labels = [], []
     for record in _of(records, method):
-        stated = _numbers(record["methods"][method]["trace"].get("mass_above") or [])
+        stated = numbers(record["methods"][method]["trace"].get("mass_above") or [])
         stated = stated[np.isfinite(stated)]
         if len(stated):
             rows.append(np.array([100 * float((stated < level).mean()) for level in LEVELS]))
-            labels.append(_group(record))
+            labels.append(apartment(record))
     return _curve([round(100 * level) for level in LEVELS], rows, labels)
 
 
@@ -107,24 +107,16 @@ def coverage(records: Sequence[Record], method: str, visible: bool) -> Curve | N
     rows, labels = [], []
     for record in _of(records, method):
         trace = record["methods"][method]["trace"]
-        inside = _numbers(trace.get("inside") or [])
+        inside = numbers(trace.get("inside") or [])
         seen = np.array(record.get("truth", trace)["visible"], dtype=bool)
         if len(inside) and len(here := inside[(seen == visible) & np.isfinite(inside)]):
             rows.append(np.array([100 * here.mean()]))
-            labels.append(_group(record))
+            labels.append(apartment(record))
     return _curve([0], rows, labels)
 
 
 def _of(records: Sequence[Record], method: str) -> list[Record]:
     return [record for record in finished(records) if method in record["methods"]]
-
-
-def _group(record: Record) -> object:
-    return record["episode"].get("seed", record["episode"]["id"])
-
-
-def _numbers(values: Sequence[float | bool | None]) -> np.ndarray:
-    return np.array([np.nan if value is None else float(value) for value in values])
 
 
 def _mean(rows: np.ndarray) -> np.ndarray:

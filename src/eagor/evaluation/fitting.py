@@ -24,10 +24,9 @@ import numpy as np
 from eagor._version import __version__
 from eagor.errors import EagorError
 from eagor.evaluation.calibration import PARAMETERS, Score, score, short
-from eagor.evidence import Calibration
-from eagor.perception.calibrated import FORGETTING, Calibrated
+from eagor.perception.calibrated import FORGETTING, Calibrated, calibration_of
 from eagor.statistics import bootstrap_interval
-from eagor.tasks.methods import FLOOR
+from eagor.tasks.methods import BASE
 from eagor.tasks.play import Recording
 from eagor.tracker import TrackerConfig
 
@@ -35,8 +34,6 @@ DRAWS = 16  # settings in a round,
 ELITE = 4  # of which so many are kept
 SPREAD = 0.25  # standard deviation of the first round, of the range of each parameter,
 LEAST = 0.03  # ... and the smallest of any round
-
-BASE = TrackerConfig(floor=FLOOR)  # what is fitted besides the rest
 
 Map = Callable[[Callable[[Any], Any], Sequence[Any]], Any]
 
@@ -89,8 +86,7 @@ def _settings_now(recordings: Sequence[Recording]) -> np.ndarray:
 
 def _calibrated(perception: str, places: np.ndarray, found_by: dict[str, Any]) -> Calibrated:
     values = {p.name: short(p.value(float(place))) for p, place in zip(PARAMETERS, places, strict=True)}
-    reading = Calibration(values["floor"], values["neutral"], values["temperature"])
-    return Calibrated(perception, reading, {key: values[key] for key in FORGETTING}, found_by)
+    return Calibrated(perception, calibration_of(values), {key: values[key] for key in FORGETTING}, found_by)
 
 
 def _rounds(
@@ -124,9 +120,11 @@ def _judged(file: Path, count: int, places: np.ndarray, run: Map) -> dict[str, A
     scores: list[Score] = list(run(partial(_one, file, places), list(range(count))))
     groups = [found.seed for found in scores]
 
-    def line(values: list[float]) -> list[float]:
+    def line(values: list[float]) -> list[float | None]:
         known = [(value, group) for value, group in zip(values, groups, strict=True) if not math.isnan(value)]
         kept, of = zip(*known, strict=True)
+        if len(set(of)) < 2:
+            return [round(float(np.mean(kept)), 3), None, None]  # one apartment says nothing about the spread
         interval = bootstrap_interval(kept, np.random.default_rng(0), groups=of)
         return [round(float(value), 3) for value in (np.mean(kept), interval.low, interval.high)]
 

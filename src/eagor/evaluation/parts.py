@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor.evaluation.samples import Record, finished, mean_intervals
+from eagor.evaluation.samples import Record, apartment, finished, mean_intervals, numbers
 
 UNSEEN, IN_SIGHT, HIDDEN = "before it was first seen", "in sight", "hidden again"
 PARTS = (UNSEEN, IN_SIGHT, HIDDEN)
@@ -32,7 +32,7 @@ class Part:
 
 def error_in(records: Sequence[Record], method: str, part: str) -> Part | None:
     """Direction error, degrees, over the steps of one part. None where no episode has any."""
-    return _over(records, method, lambda trace, truth: (_numbers(trace["error_deg"]), _parts(truth) == part))
+    return _over(records, method, lambda trace, truth: (numbers(trace["error_deg"]), _parts(truth) == part))
 
 
 def distance_error(records: Sequence[Record], method: str) -> Part | None:
@@ -43,11 +43,11 @@ def distance_error(records: Sequence[Record], method: str) -> Part | None:
     """
 
     def read(trace: dict, truth: dict) -> tuple[np.ndarray, np.ndarray]:
-        stated, true = _numbers(trace.get("distance_m") or []), _numbers(truth.get("range_m") or trace["true_range_m"])
+        stated, true = numbers(trace.get("distance_m") or []), numbers(truth.get("range_m") or trace["true_range_m"])
         if not len(stated):
             return np.zeros(0), np.zeros(0, dtype=bool)
         moved = _baselines(np.array(truth["pose"])[:, :3], np.array(truth["visible"], dtype=bool))
-        asked = (moved > BASELINE * true) & (true > 0) & np.isfinite(_numbers(trace["error_deg"]))
+        asked = (moved > BASELINE * true) & (true > 0) & np.isfinite(numbers(trace["error_deg"]))
         return 100 * np.abs(stated - true) / np.where(true > 0, true, np.nan), asked
 
     return _over(records, method, read)
@@ -63,11 +63,11 @@ def _over(
         trace = record["methods"][method]["trace"]
         values, chosen = read(trace, record.get("truth", trace))
         chosen = chosen & np.isfinite(values)
-        steps += int(np.isfinite(_numbers(trace["error_deg"])).sum())
+        steps += int(np.isfinite(numbers(trace["error_deg"])).sum())
         if chosen.any():
             used += int(chosen.sum())
             means.append(float(values[chosen].mean()))
-            groups.append(record["episode"].get("seed", record["episode"]["id"]))
+            groups.append(apartment(record))
     if not means:
         return None
     low, high = mean_intervals(np.array(means)[:, None], groups)
@@ -86,7 +86,3 @@ def _baselines(positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
     apart = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
     apart[~seen], apart[:, ~seen] = 0.0, 0.0
     return np.maximum.accumulate(np.tril(apart).max(axis=1))
-
-
-def _numbers(values: Sequence[float | bool | None]) -> np.ndarray:
-    return np.array([np.nan if value is None else float(value) for value in values])

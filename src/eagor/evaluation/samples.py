@@ -56,6 +56,16 @@ class Sample:
     groups: dict[str, Any]
 
 
+def apartment(record: Record) -> Any:
+    """Which episodes belong together: those of one apartment."""
+    return record["episode"].get("seed", record["episode"]["id"])
+
+
+def numbers(values: Sequence[float | bool | None]) -> np.ndarray:
+    """A list of a trace as an array, NaN where it has nothing."""
+    return np.array([np.nan if value is None else float(value) for value in values])
+
+
 def finished(records: Iterable[Record]) -> list[Record]:
     """The records that hold a result."""
     return [record for record in records if record["status"] == "ok"]

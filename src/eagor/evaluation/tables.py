@@ -12,7 +12,19 @@ from typing import Any
 
 from eagor.errors import EagorError
 from eagor.evaluation.published import COLUMNS, OURS, TITLES, Column, compared_with, is_ablation, is_rival, ordered
-from eagor.evaluation.samples import Cell, Gap, Record, Sample, cell, finished, gap, holm, method_names, sample
+from eagor.evaluation.samples import (
+    Cell,
+    Gap,
+    Record,
+    Sample,
+    apartment,
+    cell,
+    finished,
+    gap,
+    holm,
+    method_names,
+    sample,
+)
 
 STRATA = {
     "navigation": {"visible": "Target in sight at the start", "way": "Way to the target"},
@@ -52,7 +64,7 @@ def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any
     return {
         "task": task,
         "episodes": len({record["episode"]["id"] for record in good}),
-        "apartments": len({record["episode"].get("seed", record["episode"]["id"]) for record in good}),
+        "apartments": len({apartment(record) for record in good}),
         "failed": len(records) - len(good),
         **cells,
         "reference": reference,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,8 @@ from eagor.errors import EagorError
 from eagor.evidence import Calibration
 from eagor.tracker import TrackerConfig
 
-READING = ("floor", "neutral", "temperature")  # fields of `Calibration`
-FORGETTING = ("keep_per_second", "wander", "restless", "persistence")  # fields of `TrackerConfig`, SI units, radians
+READING = ("floor", "neutral", "temperature", "persistence")  # fields of `Calibration`
+FORGETTING = ("keep_per_second", "wander", "restless")  # fields of `TrackerConfig`, SI units, radians
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,11 @@ class Calibrated:
         part.replace(file)
 
 
+def calibration_of(values: Mapping[str, float]) -> Calibration:
+    """The calibration with these numbers. Raises `KeyError` if one of `READING` is missing."""
+    return Calibration(values["floor"], values["neutral"], values["temperature"], values["persistence"])
+
+
 def from_json(stored: Any, source: str) -> Calibrated:
     """The calibration in what `as_json` gave; `source` is for errors. Raises `EagorError` for anything else."""
     try:
@@ -54,8 +60,7 @@ def from_json(stored: Any, source: str) -> Calibrated:
         unknown = sorted((reading.keys() - {*READING}) | (forgetting.keys() - {*FORGETTING}))
         if unknown:
             raise EagorError(f"{source} sets {', '.join(unknown)}; known are {', '.join((*READING, *FORGETTING))}")
-        read = Calibration(reading["floor"], reading["neutral"], reading["temperature"])
-        found = Calibrated(str(stored["perception"]), read, forgetting, stored.get("found_by", {}))
+        found = Calibrated(str(stored["perception"]), calibration_of(reading), forgetting, stored.get("found_by", {}))
         found.config()  # complains about numbers that are out of range
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, EagorError):

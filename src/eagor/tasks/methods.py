@@ -33,6 +33,7 @@ from eagor.tracker import DirectionTracker, Estimate, TrackerConfig
 PARTICLES = 2000
 REWIND = 64  # steps that a filter can be rewound by
 FLOOR = 0.0  # metres: z of the floor in the worlds' odometry
+BASE = TrackerConfig(floor=FLOOR)  # our tracker, where nothing else is said
 
 # What each is, for reports; the order of tables.
 DESCRIPTIONS = {
@@ -196,9 +197,10 @@ def make_method(
         )
     settings = _settings(name, fitted(perception, base)) | _settings(name, text)
     try:
-        if base == "eagor":
-            return TrackerMethod(DirectionTracker(tracker_config(ours or TrackerConfig(), settings, calibration)))
-        return _MAKERS[base](settings, rng, calibration)
+        if base in _FILTERS:
+            return _filter(base, settings, rng)
+        config = TrackerConfig.paper() if base == "eagor_paper" else ours or TrackerConfig()
+        return TrackerMethod(DirectionTracker(tracker_config(config, settings, calibration)))
     except KeyError as error:
         known = ", ".join(SETTINGS[base]) or "none"
         raise EagorError(f"method {name!r}: there is no setting {error}; known for {base}: {known}") from None
@@ -214,7 +216,20 @@ def _settings(name: str, text: str) -> dict[str, str]:
 
 
 _READING = ("floor", "neutral", "temperature")
-_OURS = ("degree", "decode", *_READING, "keep", "shells", "diffusion", "wander", "restless", "persistence", "heights")
+_REPEATING = (*_READING, "persistence")
+_OURS = (
+    "degree",
+    "decode",
+    *_REPEATING,
+    "keep",
+    "shells",
+    "diffusion",
+    "wander",
+    "restless",
+    "heights",
+    "surest",
+    "switch",
+)
 _ANGLES = ("noise", "diffusion", "roughening", "kernel")  # typed in degrees
 SETTINGS: dict[str, tuple[str, ...]] = {
     "centroid": (),
@@ -234,8 +249,8 @@ def tracker_config(
     """`config` with settings from text; raises KeyError for one that there is not, ValueError for what is no number.
 
     degree, decode, keep (per second), shells (0: directions only), heights (0: it is not known where the floor is),
-    diffusion and wander (degrees per root second), restless (changes per second), persistence, and floor, neutral and
-    temperature, which change `calibration` where the config has none of its own.
+    diffusion and wander (degrees per root second), restless (changes per second), surest and switch (nats), and floor,
+    neutral, temperature and persistence, which change `calibration` where the config has none of its own.
     """
     if unknown := [key for key in settings if key not in _OURS]:
         raise KeyError(unknown[0])
@@ -250,13 +265,15 @@ def tracker_config(
     if "keep" in numbers:
         changes["keep_per_second"] = numbers["keep"]
     changes |= {key: math.radians(numbers[key]) for key in ("diffusion", "wander") if key in numbers}
-    changes |= {key: numbers[key] for key in ("restless", "persistence") if key in numbers}
+    if "restless" in numbers:
+        changes["restless"] = numbers["restless"]
+    changes |= {field: numbers[key] for key, field in (("switch", "switch_at"), ("surest", "surest")) if key in numbers}
     if "heights" in numbers:
         changes["floor"] = FLOOR if numbers["heights"] else None
     if "shells" in numbers:
         count = int(numbers["shells"])
         changes["ranges"] = tuple(log_ranges(count=count).tolist()) if count else None
-    reading = {key: numbers[key] for key in ("floor", "neutral", "temperature") if key in numbers}
+    reading = {key: numbers[key] for key in _REPEATING if key in numbers}
     if reading:
         changes["calibration"] = replace(
             config.calibration or calibration or Calibration(), scale_to_max=False, **reading
@@ -264,26 +281,17 @@ def tracker_config(
     return replace(config, **changes)
 
 
-def _filter(base: str, make: Callable[[np.random.Generator], Any]) -> Callable[..., Method]:
-    def made(settings: dict[str, str], rng: np.random.Generator, calibration: Calibration | None) -> Method:
-        if unknown := [key for key in settings if key not in SETTINGS[base]]:
-            raise KeyError(unknown[0])
-        state = make(rng)
-        numbers = {key: float(value) for key, value in settings.items()}
-        changes: dict[str, Any] = {
-            key: math.radians(value) if key in _ANGLES else value
-            for key, value in numbers.items()
-            if key not in _READING
-        }
-        if reading := {key: numbers[key] for key in _READING if key in numbers}:
-            changes["calibration"] = replace(state.calibration, **reading)
-        return FilterMethod(replace(state, **changes) if changes else state)
-
-    return made
-
-
-def _published(settings: dict[str, str], rng: np.random.Generator, calibration: Calibration | None) -> Method:
-    return TrackerMethod(DirectionTracker(tracker_config(TrackerConfig.paper(), settings, calibration)))
+def _filter(base: str, settings: dict[str, str], rng: np.random.Generator) -> Method:
+    if unknown := [key for key in settings if key not in SETTINGS[base]]:
+        raise KeyError(unknown[0])
+    state: Any = _FILTERS[base](rng)
+    numbers = {key: float(value) for key, value in settings.items()}
+    changes: dict[str, Any] = {
+        key: math.radians(value) if key in _ANGLES else value for key, value in numbers.items() if key not in _READING
+    }
+    if reading := {key: numbers[key] for key in _READING if key in numbers}:
+        changes["calibration"] = replace(state.calibration, **reading)
+    return FilterMethod(replace(state, **changes) if changes else state)
 
 
 _FILTERS: dict[str, Callable[[np.random.Generator], DirectionFilter]] = {
@@ -293,8 +301,4 @@ _FILTERS: dict[str, Callable[[np.random.Generator], DirectionFilter]] = {
     "vmf": lambda rng: VonMisesFisherFilter(),
     "grid_filter": lambda rng: HistogramFilter(),
     "particle_filter": lambda rng: ParticleFilter.uniform(PARTICLES, rng),
-}
-_MAKERS: dict[str, Callable[..., Method]] = {
-    **{base: _filter(base, make) for base, make in _FILTERS.items()},
-    "eagor_paper": _published,
 }

@@ -51,13 +51,16 @@ class Place:
                 names[members[0]] = query  # one of several chairs by its colour
         return names
 
-    def missing(self, rng: np.random.Generator) -> Query:
-        """A query that nothing here answers: of a category that is not here, or one that is, in another colour."""
+    def missing(self, rng: np.random.Generator, known: bool = False) -> Query:
+        """A query that nothing here answers: of a category that is not here, or one that is, in another colour.
+
+        `known`: only of categories that are here.
+        """
         from eagor.worlds.apartment import CATEGORIES
 
         here = {thing.category for thing in self.scene.instances} - {*UNTARGETED}
         absent = sorted({*CATEGORIES} - {*UNTARGETED} - here)
-        if absent and (rng.random() < 0.5 or not here):
+        if absent and not (known and here) and (rng.random() < 0.5 or not here):
             return Query(str(rng.choice(absent)))
         category = str(rng.choice(sorted(here)))
         taken = {thing.colour for thing in self.scene.instances if thing.category == category}

@@ -25,10 +25,9 @@ from eagor.tasks import navigation, tracking, waypoint
 from eagor.tasks.environments import MapFreeNavigationEnv, PlaceEnv, TargetTrackingEnv, WaypointFollowingEnv
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.eyes import Eye, is_privileged, open_eye
-from eagor.tasks.methods import FLOOR, ORACLE, Method, make_method
+from eagor.tasks.methods import BASE, ORACLE, Method, make_method
 from eagor.tasks.policy import Policy
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, TrackingRules, WaypointRules, from_dict
-from eagor.tracker import TrackerConfig
 
 MASS = 0.9  # of the credible regions whose coverage is measured
 RULES = {"waypoint": WaypointRules, "navigation": NavigationRules, "tracking": TrackingRules}
@@ -92,8 +91,7 @@ class Player:
         self.disturbances = from_dict(Disturbances, config["disturbances"])
         self.rules: Any = from_dict(RULES[self.task], config["rules"])
         given = config.get("calibrated")
-        base = TrackerConfig(floor=FLOOR)
-        self.ours = from_json(given, "the run's calibration").config(base) if given else base
+        self.ours = from_json(given, "the run's calibration").config(BASE) if given else BASE
         rows = None if is_privileged(perception) else int(config["rows"])
         self.env: PlaceEnv = _ENVIRONMENTS[self.task](
             rules=self.rules, camera=self.camera, disturbances=self.disturbances, panorama=rows

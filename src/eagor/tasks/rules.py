@@ -59,7 +59,7 @@ class Disturbances:
 class NavigationRules:
     """Map-Free Navigation: start facing away, go a fixed step along the estimate, until the target is reached.
 
-    - `max_steps`: then the episode is over, and lost.
+    - `max_steps`: then the episode is over, and lost (Habitat's limit).
     - `success_distance`: geodesic metres to the target's footprint, strict as in Habitat.
     - `stop`: "reach": the episode ends as soon as that distance is reached (the paper names no stop action);
       "call": the agent has to call stop there (Habitat's rule).
@@ -73,7 +73,7 @@ class NavigationRules:
     - `visible_pixels`: so many pixels of a 64 x 128 panorama make a target visible.
     """
 
-    max_steps: int = 120
+    max_steps: int = 500
     success_distance: float = 1.0
     stop: Literal["reach", "call"] = "reach"
     sliding: bool = True

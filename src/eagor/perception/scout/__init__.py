@@ -28,6 +28,7 @@ from eagor.queries import parse_query
 FOLDER = Path(__file__).parent
 ROWS = 160  # of the picture that the network sees
 STRIDE = 4  # pixels of that picture to a cell of the response
+CALIBRATION = Calibration(floor=0.1, neutral=0.02, temperature=3.0, persistence=0.8)
 COARSEST = 16  # rolls by a multiple of so many of its pixels roll the response
 
 
@@ -39,10 +40,10 @@ class ScoutPerception:
     high in the middle of a thing, not all over it, and low everywhere where the thing is not in view.
 
     Attributes:
-        calibration: how responses become evidence; None for the default of `Evidence`.
+        calibration: how responses become evidence (default: as fitted on development apartments).
     """
 
-    calibration: Calibration | None = None
+    calibration: Calibration = CALIBRATION
 
     @property
     def rows(self) -> int:

@@ -1,0 +1,312 @@
+"""What each part of the estimator is worth with a perception that really looks: ours, variants of it, and rivals.
+
+    python benchmarks/estimator.py [--perception scout] [--groups reading memory ...] [--episodes 60] [--seed 900]
+                                   [--workers 2] [--folder DIR] [--json FILE]
+
+Waypoint Following and Target Tracking are open loop: their episodes are recorded once, in development apartments
+(others are refused), and every variant meets the same looks. The table gives means over episodes, and for each variant
+the difference to `eagor` as it ships, paired by episode, with a 95 % interval over apartments; + and - mark differences
+beyond chance (uncorrected: this table is for finding things out, the reports test).
+
+Some variants are no options of the product, because they did not win; they live here: linear pooling of responses,
+responses as shares of their sum (a detection and a false alarm compete for each frame), and a range cue from the true
+foot of the target, which no perception here gives: the most that seeing the floor contact could bring.
+"""
+
+from __future__ import annotations
+
+import os
+
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import argparse
+import json
+import math
+import multiprocessing
+import pickle
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor.evaluation import parts
+from eagor.evaluation.calibration import TASKS, Recorder, kept_recordings
+from eagor.evidence import Evidence
+from eagor.harmonics import RealHarmonics
+from eagor.peaks import decoding_grid
+from eagor.ranged import RangedBelief
+from eagor.statistics import bootstrap_interval
+from eagor.tasks.methods import TrackerMethod
+from eagor.tasks.places import load_place
+from eagor.tasks.play import Player, Recording
+from eagor.tracker import _still
+
+Reading = Callable[[Evidence], Evidence]
+OURS = "eagor"
+
+
+def linear(gain: float) -> Reading:
+    """Responses summed, not their logarithms."""
+
+    def read(look: Evidence) -> Evidence:
+        return replace(look, log_ratio=(gain * (look.response - look.calibration.neutral)).astype(np.float32))
+
+    return read
+
+
+def shares(false: float, clutter: float, temperature: float) -> Reading:
+    """A frame shows the target once, or (with probability `false`) says nothing: its cells compete.
+
+    r = temperature * log(false + (1 - false) 4 pi l / (integral of l + clutter)).
+    """
+
+    def read(look: Evidence) -> Evidence:
+        response = np.asarray(look.response, dtype=np.float64)
+        share = 4 * math.pi * response / ((response * look.grid.weights).sum() + clutter)
+        return replace(look, log_ratio=(temperature * np.log(false + (1 - false) * share)).astype(np.float32))
+
+    return read
+
+
+READINGS: dict[str, Reading] = {
+    "linear gain=4": linear(4.0),
+    "linear gain=12": linear(12.0),
+    "shares false=0.5 clutter=0.1 temperature=0.5": shares(0.5, 0.1, 0.5),
+    "shares false=0.3 clutter=0.03 temperature=0.25": shares(0.3, 0.03, 0.25),
+}
+CONTACT = "true floor contact"
+GROUPS: dict[str, tuple[str, ...]] = {
+    "rivals": ("centroid", "cent_circ", "grid", "eagor_paper", "vmf", "grid_filter", "particle_filter"),
+    "reading": (
+        *(f"{OURS}:temperature={beta}" for beta in (0.3, 0.6, 1.2, 2.5)),
+        *(f"{OURS}:floor={floor}" for floor in (0.03, 0.1, 0.3, 0.8)),
+        *READINGS,
+    ),
+    "degree": tuple(f"{OURS}:degree={degree}" for degree in (5, 7, 11, 21, 31)),
+    "memory": (
+        *(f"{OURS}:keep={keep}" for keep in (1, 0.99, 0.95, 0.9, 0.8)),
+        *(f"{OURS}:persistence={share}" for share in (0, 0.2, 0.4, 0.6, 0.8)),
+        *(f"{OURS}:surest={nats}" for nats in (6, 9, 15, 1000)),
+        f"{OURS}:wander=0",
+        f"{OURS}:wander=0,diffusion=3",
+        *(f"{OURS}:wander={angle}" for angle in (4, 8, 16)),
+        *(f"{OURS}:restless={rate}" for rate in (0.0003, 0.003, 0.03)),
+    ),
+    "range": (
+        f"{OURS}:shells=0",
+        *(f"{OURS}:shells={count}" for count in (8, 14, 30)),
+        f"{OURS}:heights=0",
+        CONTACT,
+    ),
+    "decoding": (f"{OURS}:decode=mean", *(f"{OURS}:switch={nats}" for nats in (0, 0.5, 2, 4))),
+}
+# What is shown, w: of Waypoint Following, t: of Target Tracking; which side is better, "" where neither is.
+COLUMNS = {
+    **dict.fromkeys(("w.error", "w.sight", "w.hidden", "w.L4", "w.TC"), "low"),
+    **{"w.cover": "", "w.dist": "low", "w.log": "high"},
+    **dict.fromkeys(("t.error", "t.TC", "t.recov"), "low"),
+    **{"t.cover": "", "t.log": "high"},
+}
+
+
+@dataclass
+class Scored:
+    """A method that notes the log density that it gave to each truth it was asked about."""
+
+    method: Any
+    noted: list[float]
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.method, name)
+
+    def mass_above(self, direction: np.ndarray) -> float | None:
+        if isinstance(self.method, TrackerMethod):
+            estimate = self.method.estimate
+            self.noted.append(float(estimate.reading.log_density(estimate.world_R_body @ direction)))
+        elif (density := getattr(self.method.filter, "log_density", None)) is not None:
+            self.noted.append(float(density(np.asarray(direction)[None])[0]))
+        return self.method.mass_above(direction)
+
+
+@dataclass
+class Contact(TrackerMethod):
+    """Ours, told the range of the target's foot with 15 % of error whenever a look has its peak at the target."""
+
+    feet: dict[float, tuple[np.ndarray, float]] | None = None  # by stamp: direction, world axes, and range
+
+    def see(self, evidence: Evidence) -> None:
+        super().see(evidence)
+        told = (self.feet or {}).get(float(evidence.stamp or 0.0))
+        state = self.tracker._states["target"]
+        still = _still(state.belief)
+        if told is None or not isinstance(still, RangedBelief):
+            return
+        direction, distance = told
+        pose, _ = self.tracker._poses.at(state.stamp)
+        response = np.asarray(evidence.response)
+        peak = pose @ evidence.grid.directions.reshape(-1, 3)[int(response.argmax())]
+        if float(peak @ direction) < math.cos(math.radians(12)):
+            return
+        fits = np.exp(-0.5 * (np.log(still.ranges / distance) / 0.15) ** 2)
+        near = _bump(still.degree, tuple(direction.tolist()))
+        told_still = replace(still, shells=still.shells + np.log(0.1 + 0.9 * fits)[:, None] * near)
+        belief = told_still if state.belief is still else replace(state.belief, still=told_still, field_of_still=None)
+        self.tracker._states["target"] = replace(state, belief=belief)
+
+
+def _bump(degree: int, direction: tuple[float, ...]) -> np.ndarray:
+    """Coefficients of a cap of 15 degrees about a direction."""
+    grid = decoding_grid(degree)
+    cosine = grid.directions @ np.array(direction)
+    return RealHarmonics(degree).analyse(np.exp((cosine - 1) / math.radians(15) ** 2), grid)
+
+
+def feet(recording: Recording, place_radius: float) -> dict[float, tuple[np.ndarray, float]]:
+    """Where the target is, and how far away its foot stands, at each step at which it is in sight."""
+    slot = recording.episode.slot
+    scene = load_place(slot.world, slot.seed, place_radius).scene
+    if recording.episode.targets[0] >= len(scene.instances):
+        return {}  # a ball, which is no part of the scene
+    centre, found = scene.instances[recording.episode.targets[0]].centre, {}
+    for moment, seen in zip(recording.moments, recording.truth["visible"], strict=True):
+        offset = centre - moment.position
+        away = float(np.linalg.norm(offset))
+        if seen and away > 0:
+            found[moment.stamp] = (offset / away, away)
+    return found
+
+
+def play(recording: Recording, player: Player, variant: str) -> dict[str, Any]:
+    """The record of one episode with one variant, laid out as the records of a run."""
+    slot = recording.episode.slot
+    if variant in READINGS:
+        read = READINGS[variant]
+        moments = tuple(
+            replace(moment, evidence=read(moment.evidence)) if moment.evidence is not None else moment
+            for moment in recording.moments
+        )
+        recording = replace(recording, moments=moments)
+    method: Any = player.method(OURS if variant in READINGS or variant == CONTACT else variant, slot)
+    if variant == CONTACT:
+        method = Contact(method.tracker, feet=feet(recording, player.camera.radius))
+    scored = Scored(method, [])
+    judged = player.judge(recording, scored)  # type: ignore[arg-type]
+    judged["metrics"]["log"] = float(np.mean(scored.noted)) if scored.noted else None
+    return {
+        "status": "ok",
+        "task": slot.task,
+        "episode": {"id": slot.id, "seed": slot.seed},
+        "truth": recording.truth,
+        "methods": {variant: judged},
+    }
+
+
+def figures(record: dict[str, Any], variant: str) -> dict[str, float]:
+    """The columns of one record; those without a case are left out."""
+    metrics, task = record["methods"][variant]["metrics"], record["task"]
+    made = {part: parts.error_in([record], variant, part) for part in parts.PARTS}
+    away = parts.distance_error([record], variant)
+    if task == "waypoint":
+        found = {"w.error": metrics["mae"], "w.L4": metrics["L4"], "w.TC": metrics["tc"], "w.log": metrics["log"]}
+        found |= {"w.sight": made[parts.IN_SIGHT], "w.hidden": made[parts.HIDDEN], "w.dist": away}
+        found["w.cover"] = None if metrics["coverage"] is None else 100 * metrics["coverage"]
+    else:
+        found = {"t.error": metrics["error"], "t.TC": metrics["tc"], "t.recov": metrics["recovery"]}
+        found |= {
+            "t.log": metrics["log"],
+            "t.cover": None if metrics["coverage"] is None else 100 * metrics["coverage"],
+        }
+    plain = {key: value.mean if isinstance(value, parts.Part) else value for key, value in found.items()}
+    return {key: float(value) for key, value in plain.items() if value is not None}
+
+
+_work: tuple[list[Recording], dict[str, Player]]
+
+
+def _begin(file: str, perception: str) -> None:
+    global _work
+    players = Recorder(perception).players
+    _work = (pickle.loads(Path(file).read_bytes()), players)
+
+
+def _play(job: tuple[int, str]) -> tuple[int, str, dict[str, float]]:
+    index, variant = job
+    recording = _work[0][index]
+    return index, variant, figures(play(recording, _work[1][recording.episode.slot.task], variant), variant)
+
+
+def compared(
+    values: dict[int, dict[str, float]], base: dict[int, dict[str, float]], seeds: Sequence[int], column: str
+) -> tuple[float, float, float, float] | None:
+    """Mean of a column, and the paired difference to the base with its interval; None where there is no case."""
+    here = {index: row[column] for index, row in values.items() if column in row}
+    if not here:
+        return None
+    both = [index for index in here if column in base[index]]
+    gaps = [here[index] - base[index][column] for index in both]
+    if len({seeds[index] for index in both}) < 2:
+        return float(np.mean(list(here.values()))), float(np.mean(gaps or [math.nan])), math.nan, math.nan
+    interval = bootstrap_interval(gaps, np.random.default_rng(0), groups=[seeds[index] for index in both])
+    return float(np.mean(list(here.values()))), float(np.mean(gaps)), interval.low, interval.high
+
+
+def show(group: str, names: Sequence[str], found: dict[str, dict[int, dict[str, float]]], seeds: Sequence[int]) -> Any:
+    """Print one group; returns it as JSON."""
+    print(f"\n{group}\n  " + " ".join(f"{column:>8s}" for column in COLUMNS))
+    kept = {}
+    for name in names:
+        cells, kept[name] = [], {}
+        for column, better in COLUMNS.items():
+            cell = compared(found[name], found[OURS], seeds, column)
+            if cell is None:
+                cells.append(f"{'–':>8s}")
+                continue
+            kept[name][column] = cell
+            sure = name != OURS and better and (cell[2] > 0 or cell[3] < 0)
+            cells.append(f"{cell[0]:7.2f}{('+' if (cell[1] > 0) == (better == 'high') else '-') if sure else ' '}")
+        print("  " + " ".join(cells) + f"  {name}", flush=True)
+    return kept
+
+
+def main() -> int:
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--perception", default="scout")
+    arguments.add_argument("--groups", nargs="+", default=list(GROUPS), choices=list(GROUPS))
+    arguments.add_argument("--variants", nargs="+", default=[], help="further ones, as bench --methods takes them")
+    arguments.add_argument("--episodes", type=int, default=60)
+    arguments.add_argument("--seed", type=int, default=900, help="first apartment, of the development fifth")
+    arguments.add_argument("--workers", type=int, default=2)
+    arguments.add_argument("--folder", help="keeps the recordings, and takes those that lie there")
+    arguments.add_argument("--json", metavar="FILE")
+    options = arguments.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(options.folder or scratch)
+        print(f"{options.episodes} episodes of {', '.join(TASKS)}, apartments from {options.seed}", flush=True)
+        file = kept_recordings(folder, options.perception, options.episodes, options.seed, left_out=print)
+        recordings: list[Recording] = pickle.loads(file.read_bytes())
+        seeds = [recording.episode.slot.seed for recording in recordings]
+        groups = {group: GROUPS[group] for group in options.groups} | {"further": tuple(options.variants)}
+        report: dict[str, Any] = {}
+        context = multiprocessing.get_context("spawn")
+        with context.Pool(options.workers, _begin, (str(file), options.perception)) as pool:
+            found: dict[str, dict[int, dict[str, float]]] = {}
+            for group, names in groups.items():
+                wanted = [name for name in (OURS, *names) if name not in found]
+                jobs = [(index, name) for name in wanted for index in range(len(recordings))]
+                for index, name, row in pool.imap(_play, jobs):
+                    found.setdefault(name, {})[index] = row
+                if names:
+                    report[group] = show(group, (OURS, *names), found, seeds)
+        print("\n+ better, - worse than eagor as it ships (a 95 % interval of the paired difference excludes 0)")
+        if options.json:
+            Path(options.json).write_text(json.dumps(report, indent=1), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
