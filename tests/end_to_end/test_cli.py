@@ -214,7 +214,7 @@ def test_locate_replays_what_a_detector_wrote(room, tmp_path):
         (["nowhere.png", "red"], "no file"),
         (["ROOM", "chair"], "names no colour"),
         (["ROOM", "  "], "no words"),
-        (["ROOM", "red", "--perception", "clairvoyance"], "known are colour, replay"),
+        (["ROOM", "red", "--perception", "clairvoyance"], "known are colour, endpoint, replay, scout, truth, folders"),
         (["ROOM", "red", "--perception", "replay"], "replay:FILE.jsonl"),
         (["ROOM", "red", "--perception", "replay:nowhere.jsonl"], "cannot be read"),
         (["ROOM", "red", "--degree", "0"], "1 to 63"),
