@@ -26,10 +26,10 @@ import transformers
 from tokenizers import Tokenizer, decoders, models, pre_tokenizers, trainers
 
 from eagor.perception.transformers.capture import capturing
-from eagor.perception.transformers.families import family_of
 from eagor.perception.transformers.heads import Heads
 from eagor.perception.transformers.inputs import pictures, typed
 from eagor.perception.transformers.language import LanguageModel
+from eagor.perception.vlm.families import family_of
 from eagor.perception.vlm.prompts import GENERAL, ask_boxes, ask_presence
 
 # Hidden size, layers, heads, key-value heads, intermediate size; and of the vision tower hidden size, layers, heads,

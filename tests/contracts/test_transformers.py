@@ -4,6 +4,7 @@ import json
 import math
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,15 +22,16 @@ from eagor.perception import check_perception, load, parse_options
 from eagor.perception.transformers import TransformersPerception, family_of, inputs, known_families, prefix
 from eagor.perception.transformers.attention import densities, relative, saturated
 from eagor.perception.transformers.capture import Capture, capturing, full_layers
-from eagor.perception.transformers.heads import Heads, Labelled, elbow, fit_heads, read_heads, spatial_entropy
+from eagor.perception.transformers.heads import Heads, elbow, fit_heads, read_heads, spatial_entropy
 from eagor.perception.transformers.layout import Block, Layout
 from eagor.perception.transformers.prefix import Decoded, Running
+from eagor.perception.vlm.labelled import Labelled
 from eagor.perception.vlm.seam import seamless
 from eagor.perception.vlm.sizes import resized
 from eagor.sphere import angular_distance, direction
 
 LANGUAGE, LOCALISERS = vlm_models.LANGUAGE, vlm_models.LOCALISERS
-BOXES = ("qwen2_5_vl", "qwen3_vl")
+BOXES = ("qwen2_5_vl", "qwen3_vl", "internvl")
 PIXELS = {"qwen2_5_vl": 168 * 336, "qwen3_vl": 192 * 384, "internvl": 112 * 224}
 RADIUS = 0.3
 languages = pytest.mark.parametrize("family", LANGUAGE)
@@ -588,7 +590,7 @@ def red_box(family):
             return "[]"
         rows, cols = np.flatnonzero(red.any(axis=1)), np.flatnonzero(red.any(axis=0))
         box = np.array([cols[0], rows[0], cols[-1] + 1, rows[-1] + 1], dtype=float)
-        if family == "qwen3_vl":
+        if family != "qwen2_5_vl":
             box *= 1000 / np.array([*image.shape[1::-1], *image.shape[1::-1]])
         return "```json\n" + json.dumps([{"bbox_2d": np.rint(box).astype(int).tolist(), "label": "red"}]) + "\n```"
 
@@ -621,7 +623,8 @@ def test_boxes_are_scored_by_the_probability_of_their_tokens(random_models, monk
             writing(patch, language, red_box(family), log)
             image = vlm_models.marked(0.5, 0.0, 0.2, seed=96)
             peaks.append(perception_of(language, "boxes", seam=False).respond(image, ["red thing"]).max())
-    assert 0.3 < peaks[1] < 0.8 < peaks[0] < 1
+    assert 0.2 < peaks[1] / peaks[0] < 0.8
+    assert 0.2 < peaks[0] < 1
 
 
 @pytest.mark.parametrize("family", BOXES)
@@ -683,7 +686,7 @@ def test_localisation_heads_are_found_where_they_were_planted(planted_models, tm
         for i, place in enumerate(places)
     ]
     looks = [language.observe(example) for example in examples]
-    found = language.find_heads(iter(examples))
+    found = perception_of(language).find_heads(iter(examples))
     assert found.heads[0] == vlm_models.HEAD
     assert (found.model, found.model_type) == (language.name, family)
     assert found == fit_heads(looks, language.name, family)
@@ -697,7 +700,7 @@ def test_localisation_heads_are_found_where_they_were_planted(planted_models, tm
         language.heads = before
     assert peak_error(response, -1.0, 0.0) < 1.05
     assert 0.2 < response.max() < 1
-    blind = [type(look)(look.maps, look.mass, -np.asarray(look.direction), 0.05) for look in looks]
+    blind = [replace(look, direction=-np.asarray(look.direction), radius=0.05) for look in looks]
     with pytest.raises(EagorError, match="no head of tiny"):
         fit_heads(blind, "tiny", family)
 
@@ -901,7 +904,7 @@ def test_what_cannot_be_loaded_says_why(folders, tmp_path, monkeypatch):
     with pytest.raises(EagorError, match=r"Qwen/Nothing.*no network"):
         load("Qwen/Nothing")
     monkeypatch.setitem(sys.modules, "transformers", None)
-    with pytest.raises(EagorError, match=r"pip install eagor\[vlm\]"):
+    with pytest.raises(EagorError, match=r"pip install 'eagor\[vlm\]'"):
         load(str(folder))
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import re
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -61,7 +62,7 @@ def load(spec: str, **options: Any) -> Perception:
     Text after the first colon becomes the first argument of what makes the perception; `options` are passed on by
     name. A folder with ``config.json``, or anything else with a slash in it, such as ``Qwen/Qwen2.5-VL-7B-Instruct``,
     is a model that `eagor.perception.transformers` loads; options can follow in the text, as in
-    ``folder?extractor=boxes&pixels=627200``. Raises `QueryError` for an unknown name, `EagorError` if it cannot be
+    ``folder?extractor=boxes&pixels=401408``. Raises `QueryError` for an unknown name, `EagorError` if it cannot be
     imported or does not take the arguments.
     """
     name, colon, text = str(spec).partition(":")
@@ -69,7 +70,7 @@ def load(spec: str, **options: Any) -> Perception:
     if name not in choices:
         model, _, written = str(spec).partition("?")
         if _names_a_model(model):
-            return _model(model, {**parse_options(written), **options})
+            return _model(model, parse_options(written) | options)
         raise QueryError(
             f"there is no perception {name!r}; known are {', '.join(sorted(choices))}, folders with a model, and hub "
             "names such as Qwen/Qwen2.5-VL-7B-Instruct"
@@ -91,8 +92,29 @@ def load(spec: str, **options: Any) -> Perception:
     return make(*arguments, **options)
 
 
+def is_model(spec: str) -> bool:
+    """Whether `spec` names a model, on this machine or on a server, as `load` would read it."""
+    name = str(spec).partition(":")[0]
+    return name == "endpoint" if name in known() else _names_a_model(str(spec).partition("?")[0])
+
+
+def short_name(spec: str) -> str:
+    """`spec` in few letters that file names can have: ``scout``, ``Qwen2.5-VL-7B-Instruct``, ``endpoint-qwen2.5vl-7b``.
+
+    Different specs can have the same.
+    """
+    name, _, text = str(spec).partition(":")
+    if name == "endpoint":
+        place = text.partition("?")[0]
+        model = place.rpartition("@")[0] or ("" if "://" in place else place)
+        name = f"endpoint-{model.rstrip('/').rpartition('/')[2]}" if model else name
+    elif name not in known():
+        name = Path(str(spec).partition("?")[0]).expanduser().resolve().name
+    return re.sub(r"[^\w.+-]+", "-", name).strip("-.") or "perception"
+
+
 def parse_options(text: str) -> dict[str, Any]:
-    """Options written as ``extractor=boxes&pixels=627200``: true, false and numbers become what they say.
+    """Options written as ``extractor=boxes&pixels=401408``: true, false and numbers become what they say.
 
     Raises `EagorError` for a part without a name or a value, or a name that comes twice.
     """

@@ -8,6 +8,7 @@ import threading
 import time
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, get_args
 
@@ -146,6 +147,24 @@ class EndpointPerception:
         elapsed = 1000 * (time.perf_counter() - started)
         return Look(responses, coverage, self._source(plan, model, [*answers, *again], elapsed))
 
+    def check(self) -> None:
+        """One look at a grey picture, before a long run: is there a server, and does it know model, key and pictures?
+
+        Raises what a look raises, but for an answer that cannot be read: there is nothing to see.
+        """
+        rows = self.rows
+        with suppress(AnswerError):
+            self.look(np.full((rows, 2 * rows, 3), 128, dtype=np.uint8), ["chair"])
+
+    @property
+    def rows(self) -> int:
+        """Rows of a panorama that shows the model as much as it is sent; errors as for a call if no model is named."""
+        model = self._servers.model()
+        style = self.style(model)
+        if self._extractor(style) == "boxes":
+            return self._size(style)[0]
+        return round(math.pi * self.views(model)[0].focal)
+
     @property
     def grid(self) -> PatchGrid:
         """The cells of the responses: 2 degrees each way."""
@@ -170,10 +189,13 @@ class EndpointPerception:
     def _plan(self, panorama: np.ndarray, queries: Sequence[str], model: str) -> Plan:
         style = self.style(model)
         if self._extractor(style) == "boxes":
-            size = exact_size(style.cell, self.pixels or style.pixels, style.aspect)
-            return boxes_plan(panorama, queries, style, size, self.seam, self._manner)
+            return boxes_plan(panorama, queries, style, self._size(style), self.seam, self._manner)
         margin = math.radians(self.overlap_deg) / 2
         return views_plan(panorama, queries, style, self.views(model), margin, self.per_view == "boxes", self._manner)
+
+    def _size(self, style: Style) -> tuple[int, int]:
+        """(height, width) of the panorama as it is sent for boxes."""
+        return exact_size(style.cell, self.pixels or style.pixels, style.aspect)
 
     @property
     def _manner(self) -> Manner:

@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import Calibration, Evidence
-from eagor.grids import Grid, PatchGrid
-from eagor.perception.transformers.families import Extractor, Family, chosen, family_of, known_families
+from eagor.grids import Grid, PatchGrid, PerspectiveGrid
+from eagor.perception.vlm.families import Extractor, Family, chosen, family_of, known_families
+
+if TYPE_CHECKING:
+    from eagor.perception.transformers.heads import Heads
+    from eagor.perception.vlm.labelled import Labelled
 
 __all__ = ["Looker", "TransformersPerception", "family_of", "known_families"]
 
@@ -53,7 +57,8 @@ class TransformersPerception:
         pixels: how many pixels an image (with ``views``: each view) has at most; None for the family's default.
         seam: look twice, the panorama rolled by half a turn in between, so that nothing is cut by the seam. Views never
             see one.
-        heads: file of localisation heads (`heads`), for attention; None for relative attention.
+        heads: file of localisation heads (`heads`), for attention; None for relative attention. With it, attention is
+            the default of every family that does not want views.
         layers: layers that relative attention reads, ``"20,21,22"`` or numbers; None for the family's depth.
         presence: multiply attention by the probability that the model answers yes when asked if the thing is there.
         calibration: how responses become evidence.
@@ -107,7 +112,7 @@ class TransformersPerception:
                 threshold=threshold,
             )
         self.looker = model
-        self.extractor: Extractor = chosen(extractor or self.family.extractor, self.family, "extractor")
+        self.extractor: Extractor = chosen(extractor or self.family.default(heads), self.family, "extractor")
         self.per_view: Extractor = chosen(per_view or self.family.per_view, self.family, "per_view")
         if self.per_view == "views":
             raise EagorError("per_view = 'views'; wanted what to do in each view, such as 'attention' or 'boxes'")
@@ -116,6 +121,14 @@ class TransformersPerception:
     def family(self) -> Family:
         """The model's family."""
         return self.looker.family
+
+    @property
+    def rows(self) -> int:
+        """Rows of a panorama that shows the model as much as it can see."""
+        if self.extractor == "views":
+            views = self._cut()
+            return round(math.pi * views[0].focal)
+        return self.looker.size(2.0)[0]
 
     def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for what `query` names in `panorama` ``(H, W, 3)`` uint8.
@@ -131,6 +144,26 @@ class TransformersPerception:
     def respond(self, panorama: np.ndarray, queries: Sequence[str]) -> np.ndarray:
         """Responses ``(Q, h, w)`` float32 in [0, 1] to several queries; each image is run through the model once."""
         return self._respond(panorama, list(queries))[0]
+
+    def find_heads(self, examples: Iterable[Labelled], take: int = 3) -> Heads:
+        """The localisation heads of this model, found on labelled panoramas, which are looked at as a call would.
+
+        Of nine panoramas or more every third is held out, and only tells how far the heads are off. Raises `EagorError`
+        for a model without attention to read, or if no head looks at the targets.
+        """
+        if "attention" not in self.family.extractors:
+            raise EagorError(f"{self.family.title} has no attention heads to find; wanted a vision-language model")
+        from eagor.perception.transformers.heads import fit_heads, judged
+
+        model: Any = self.looker
+        views = self._cut() if self.extractor == "views" else ()
+        looks = []
+        for example in examples:
+            best = max(views, key=lambda view: float(view.body_R_view[:, 0] @ example.direction), default=None)
+            looks.append(model.observe(example, best))
+        held_out = looks[2::3] if len(looks) >= 9 else []
+        kept = [look for look in looks if not any(look is other for other in held_out)]
+        return judged(fit_heads(kept, model.name, model.model.config.model_type, take), held_out)
 
     def _respond(
         self, panorama: np.ndarray, queries: list[str]
@@ -166,11 +199,17 @@ class TransformersPerception:
             response = merged(found[0], np.roll(found[1], -shift, axis=-1), shift / grid.width)
         return response, None, {"pixels": list(size), **cost.as_source()}
 
+    def _cut(self) -> tuple[PerspectiveGrid, ...]:
+        """The views that are cut out of a panorama."""
+        from eagor.perception.vlm.views import tangent_views
+
+        return tangent_views(min(self.looker.size(1.0)), _VIEW_FIELD)
+
     def _views(self, image: np.ndarray, queries: list[str]) -> tuple[np.ndarray, np.ndarray, dict[str, object]]:
-        from eagor.perception.vlm.views import cut, lift, tangent_views
+        from eagor.perception.vlm.views import cut, lift
 
         height, width = self.looker.size(1.0)
-        views = tangent_views(min(height, width), _VIEW_FIELD)
+        views = self._cut()
         rows, cols = self.looker.cells(1.0, self.per_view)
         grids = [replace(view, height=rows, width=cols) for view in views]
         found, cost = self.looker.look([cut(image, view) for view in views], grids, queries, self.per_view)

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -18,24 +19,15 @@ import numpy as np
 from scipy import ndimage
 
 from eagor.errors import EagorError
-from eagor.grids import PatchGrid
+from eagor.grids import Grid, PatchGrid
 from eagor.perception.transformers.attention import blurred, densities
 from eagor.sphere import angular_distance, unit
 
 TAKE = 3
 SHORTLIST = 10
 _EARLIEST = 2  # layers before this one attend to tokens, not yet to things
+_LEAST = 1.05  # times an even spread: what a head puts on the targets at least; below, it is rounding or luck
 _AIM = 0.7  # the response that a typical labelled target gets
-
-
-@dataclass(frozen=True)
-class Labelled:
-    """A panorama ``(H, W, 3)`` uint8, a query, the direction ``(3,)`` of what it names, and its angular radius."""
-
-    panorama: np.ndarray
-    query: str
-    direction: np.ndarray
-    radius: float
 
 
 @dataclass(frozen=True)
@@ -90,21 +82,44 @@ def read_heads(file: str | Path) -> Heads:
     return found
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Observed:
-    """What all heads did for one labelled panorama.
+    """What all heads did for one labelled panorama, or for the view of it that shows the target best.
 
     Attributes:
         maps: layer to attention per cell ``(H, h, w)``.
         mass: layer to the share of attention that went to the image ``(H,)``.
+        grid: the cells.
         direction: of the target ``(3,)``.
         radius: of the target, radians.
     """
 
     maps: dict[int, np.ndarray]
     mass: dict[int, np.ndarray]
+    grid: Grid
     direction: np.ndarray
     radius: float
+
+    @property
+    def wrap(self) -> bool:
+        """Whether left and right of the picture meet."""
+        return isinstance(self.grid, PatchGrid)
+
+    @cached_property
+    def near(self) -> np.ndarray:
+        """Which cells ``(h, w)`` the target lies in: those within its radius, the nearest at least."""
+        angle = np.asarray(angular_distance(self.grid.directions, unit(np.asarray(self.direction, dtype=float))))
+        return (angle <= self.radius) | (angle <= angle.min() + 1e-12)
+
+    def mean(self, heads: Sequence[tuple[int, int]]) -> np.ndarray:
+        """The map ``(h, w)`` of some (layer, head) together, as the response sees it before it is bounded."""
+        return blurred(np.mean([densities(self.maps[layer][head]) for layer, head in heads], axis=0), self.wrap)
+
+    def error(self, heads: Sequence[tuple[int, int]]) -> float:
+        """The angle (radians) between the target and where these heads look most."""
+        cells = self.mean(heads)
+        best = self.grid.directions[np.unravel_index(np.argmax(cells), cells.shape)]
+        return float(angular_distance(best, unit(np.asarray(self.direction, dtype=float))))
 
 
 def fit_heads(observed: Iterable[Observed], model: str, model_type: str, take: int = TAKE) -> Heads:
@@ -121,23 +136,32 @@ def fit_heads(observed: Iterable[Observed], model: str, model_type: str, take: i
     attentive = [name for name, share in zip(names, mass, strict=True) if share >= elbow(mass)]
     votes = dict.fromkeys(attentive, 0)
     for look in looks:
-        scatter = {name: spatial_entropy(look.maps[name[0]][name[1]]) for name in attentive}
+        scatter = {name: spatial_entropy(look.maps[name[0]][name[1]], look.wrap) for name in attentive}
         for name in sorted(scatter, key=lambda name: scatter[name])[:SHORTLIST]:
             votes[name] += bool(np.isfinite(scatter[name]))
     shortlist = sorted(attentive, key=lambda name: -votes[name])[:SHORTLIST]
     gains = {name: float(np.median([_gain(look, name) for look in looks])) for name in shortlist}
-    chosen = [name for name in sorted(shortlist, key=lambda name: -gains[name]) if gains[name] > 1.0][:take]
+    chosen = [name for name in sorted(shortlist, key=lambda name: -gains[name]) if gains[name] > _LEAST][:take]
     if not chosen:
         best = max(gains.values(), default=0.0)
         raise EagorError(
             f"no head of {model} looks at the labelled targets more than elsewhere (best: {best:.2f} times an even "
             f"spread, over {len(looks)} panoramas). More panoramas, larger pictures, or another extractor"
         )
-    peaks = [_peak(look, chosen) for look in looks]
+    peaks = [float(look.mean(chosen)[look.near].max()) for look in looks]
     saturation = max(float(np.median(peaks)) - 1.0, 0.1) * (1 - _AIM) / _AIM
     figures = [{"head": list(name), "gain": gains[name], "votes": votes[name]} for name in chosen]
     found_by = {"panoramas": len(looks), "attentive": len(attentive), "of": len(names), "heads": figures}
     return Heads(model, model_type, tuple(chosen), saturation, found_by)
+
+
+def judged(found: Heads, held_out: Sequence[Observed]) -> Heads:
+    """`found` with how far these heads are off (degrees) on panoramas that they were not found on."""
+    if not held_out:
+        return found
+    errors = np.degrees([look.error(found.heads) for look in held_out])
+    figures = {"panoramas": len(errors), "median_error_deg": round(float(np.median(errors)), 2)}
+    return replace(found, found_by=found.found_by | {"held_out": figures})
 
 
 def elbow(values: np.ndarray) -> float:
@@ -150,11 +174,11 @@ def elbow(values: np.ndarray) -> float:
     return float(rising[int(below.argmax())])
 
 
-def spatial_entropy(cells: np.ndarray) -> float:
+def spatial_entropy(cells: np.ndarray, wrap: bool = True) -> float:
     """How scattered a map ``(h, w)`` over a panorama is: entropy (nats) of the shares of its connected parts.
 
-    Parts are what exceeds twice the mean, joined across the seam and over corners. Infinite for a map that lights the
-    bottom row most (a habit of some heads, whatever is asked) or has no part at all.
+    Parts are what exceeds twice the mean, joined over corners and, with `wrap`, across the seam. Infinite for a
+    map that lights the bottom row most (a habit of some heads, whatever is asked) or has no part at all.
     """
     lit = np.maximum(cells - 2 * cells.mean(), 0.0)
     if not lit.any() or lit[-1].sum() > 0.5 * lit.sum():
@@ -162,9 +186,10 @@ def spatial_entropy(cells: np.ndarray) -> float:
     # Twice side by side, so that parts across the seam are whole in the middle; each part is counted by its mass.
     width = cells.shape[1]
     labels = np.zeros((len(lit), 2 * width), dtype=np.int32)
-    ndimage.label(np.concatenate([lit, lit], axis=1) > 0, structure=np.ones((3, 3)), output=labels)
+    ndimage.label(np.concatenate([lit, lit if wrap else 0 * lit], axis=1) > 0, structure=np.ones((3, 3)), output=labels)
     same = {}
-    for left, right in zip(labels[:, :width][lit > 0], labels[:, width:][lit > 0], strict=True):
+    pairs = zip(labels[:, :width][lit > 0], labels[:, width:][lit > 0], strict=True) if wrap else ()
+    for left, right in pairs:
         same[_root(same, int(left))] = _root(same, int(right))
     shares: dict[int, float] = {}
     for label, value in zip(labels[:, :width][lit > 0], lit[lit > 0], strict=True):
@@ -180,19 +205,6 @@ def _root(same: dict[int, int], label: int) -> int:
     return label
 
 
-def _near(look: Observed, shape: tuple[int, int]) -> np.ndarray:
-    """Which cells ``(h, w)`` the target lies in: those within its radius, the nearest at least."""
-    angle = np.asarray(angular_distance(PatchGrid(*shape).directions, unit(np.asarray(look.direction, dtype=float))))
-    return (angle <= look.radius) | (angle <= angle.min() + 1e-12)
-
-
 def _gain(look: Observed, name: tuple[int, int]) -> float:
     """The mean attention of a head on the target, in multiples of an even spread over the cells."""
-    cells = look.maps[name[0]][name[1]]
-    return float(densities(cells)[_near(look, cells.shape)].mean())
-
-
-def _peak(look: Observed, heads: Sequence[tuple[int, int]]) -> float:
-    """The highest blurred density on the target, of the mean over heads, as the response sees it."""
-    mean = np.mean([densities(look.maps[layer][head]) for layer, head in heads], axis=0)
-    return float(blurred(mean)[_near(look, mean.shape)].max())
+    return float(densities(look.maps[name[0]][name[1]])[look.near].mean())

@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 from eagor.errors import EagorError, ImageError
-from eagor.perception.transformers.families import Family
 from eagor.perception.transformers.layout import Block, Layout
+from eagor.perception.vlm.families import Family
 from eagor.perception.vlm.sizes import exact_size, resized
 
 _MOST_TILES = 12

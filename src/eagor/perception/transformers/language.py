@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from threading import RLock
 from typing import Any
 
@@ -11,18 +11,20 @@ import numpy as np
 import torch
 
 from eagor.errors import EagorError
-from eagor.grids import Grid, PatchGrid
+from eagor.grids import Grid, PatchGrid, PerspectiveGrid
 from eagor.perception.transformers.account import Account
 from eagor.perception.transformers.attention import SATURATION, mean_over_heads, of_heads, relative, saturated
 from eagor.perception.transformers.capture import full_layers, prepare
-from eagor.perception.transformers.families import Extractor, Family
-from eagor.perception.transformers.heads import TAKE, Heads, Labelled, Observed, fit_heads
+from eagor.perception.transformers.heads import Heads, Observed
 from eagor.perception.transformers.inputs import Plan, pictures, plan, prompt, template_of
 from eagor.perception.transformers.prefix import Prefix, chunks, share
 from eagor.perception.vlm.boxes import Box, parse_boxes
 from eagor.perception.vlm.drawing import drawn
+from eagor.perception.vlm.families import Extractor, Family
+from eagor.perception.vlm.labelled import Labelled
 from eagor.perception.vlm.prompts import GENERAL, ask_boxes, ask_presence
 from eagor.perception.vlm.sizes import resized
+from eagor.perception.vlm.views import cut
 
 
 @dataclass
@@ -223,24 +225,29 @@ class LanguageModel:
             )
         return found
 
-    def find_heads(self, examples: Iterable[Labelled], take: int = TAKE) -> Heads:
-        """The localisation heads of this model, found on labelled panoramas. Raises `EagorError` if there are none."""
-        return fit_heads((self.observe(example) for example in examples), self.name, self.model.config.model_type, take)
-
     @torch.inference_mode()
-    def observe(self, example: Labelled) -> Observed:
-        """What all heads of all layers of full attention do for a labelled panorama, for `fit_heads`."""
-        aspect = example.panorama.shape[1] / example.panorama.shape[0]
+    def observe(self, example: Labelled, view: PerspectiveGrid | None = None) -> Observed:
+        """What all heads of all layers of full attention do for a labelled panorama, or a view of it, for `fit_heads`.
+
+        They are asked what `look` asks them with the extractor ``attention``.
+        """
+        aspect = 1.0 if view is not None else example.panorama.shape[1] / example.panorama.shape[0]
         planned = self.plan(aspect)
+        picture = resized(example.panorama, planned.size, wrap=True) if view is None else cut(example.panorama, view)
+        rows, cols = planned.shape
+        grid = PatchGrid(rows, cols) if view is None else replace(view, height=rows, width=cols)
         with self.lock:
-            prefix = self.share([resized(example.panorama, planned.size, wrap=True)], planned)
+            prefix = self.share([resized(picture, planned.size)], planned)
             suffix = self.prompt(ask_presence(example.query), planned).suffix
-            _, rows = prefix.continued().ask(suffix, full_layers(self.model))
-        assert rows is not None
-        kept = {layer: tensor[0].cpu().numpy().astype(np.float64) for layer, tensor in rows.rows.items()}
-        maps = {layer: planned.layout.cells(row) for layer, row in kept.items()}
+            _, captured = prefix.continued().ask(suffix, full_layers(self.model))
+        assert captured is not None
+        kept = {layer: tensor[0].cpu().numpy() for layer, tensor in captured.rows.items()}
         return Observed(
-            maps, {layer: row.sum(axis=-1) for layer, row in kept.items()}, example.direction, example.radius
+            maps={layer: planned.layout.cells(row) for layer, row in kept.items()},
+            mass={layer: row.sum(axis=-1) for layer, row in kept.items()},
+            grid=grid,
+            direction=example.direction,
+            radius=example.radius,
         )
 
 

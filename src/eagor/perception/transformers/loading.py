@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from eagor.errors import EagorError
 from eagor.perception.transformers.account import revision_of
-from eagor.perception.transformers.families import Family, chosen, family_of
+from eagor.perception.vlm.families import Family, chosen, family_of
 
 if TYPE_CHECKING:
     from eagor.perception.transformers import Looker
-
-_VIEW_PIXELS = 448 * 448
 
 
 def load_model(
@@ -41,13 +39,19 @@ def load_model(
     except ImportError as error:
         raise EagorError(
             f"{name} needs torch and transformers ({error}). On a CPU machine install torch==2.13.0 first, then "
-            "pip install eagor[vlm] (and no torchvision)"
+            "pip install 'eagor[vlm]' (and no torchvision)"
         ) from error
+    if int(transformers.__version__.partition(".")[0]) < 5:
+        raise EagorError(
+            f"{name} needs transformers 5.23 or newer; this is {transformers.__version__}: pip install -U 'eagor[vlm]'"
+        )
     config = _loaded(name, "config.json", transformers.AutoConfig.from_pretrained, revision)
     family = family_of(config, name)
     # What cannot be is said before gigabytes are read.
-    chosen(extractor or family.extractor, family, "extractor")
-    chosen(per_view or family.per_view, family, "per_view")
+    how = chosen(extractor or family.default(heads), family, "extractor")
+    each = chosen(per_view or family.per_view, family, "per_view")
+    if heads and not family.localiser and (each if how == "views" else how) == "boxes":
+        raise EagorError(f"heads = {heads!r} came with the extractor {how!r}, which reads boxes; use attention or both")
     where = device or ("cuda" if torch.cuda.is_available() else "cpu")
     kind = _dtype(torch, dtype or ("float32" if where in ("cpu", "mps") else "bfloat16"))
     options: dict[str, Any] = {"dtype": kind}
@@ -84,7 +88,7 @@ def load_model(
         layers=_numbers(layers),
         presence=presence,
         most=most,
-        pixels=most_pixels or (_VIEW_PIXELS if (extractor or family.extractor) == "views" else None),
+        pixels=most_pixels or (family.view_pixels if how == "views" else None),
     )
 
 
@@ -130,7 +134,7 @@ def _pixels(pixels: Any) -> int | None:
     if pixels is None:
         return None
     if int(pixels) < 1:
-        raise EagorError(f"pixels = {pixels!r}; wanted how many an image has at most, such as 627200 (560 x 1120)")
+        raise EagorError(f"pixels = {pixels!r}; wanted how many an image has at most, such as 980000 (700 x 1400)")
     return int(pixels)
 
 

@@ -17,10 +17,10 @@ import torch
 
 from eagor.grids import Grid
 from eagor.perception.transformers.account import Account
-from eagor.perception.transformers.families import Extractor, Family
 from eagor.perception.transformers.prefix import chunks
 from eagor.perception.vlm.boxes import Box
 from eagor.perception.vlm.drawing import drawn
+from eagor.perception.vlm.families import Extractor, Family
 from eagor.perception.vlm.prompts import phrase
 
 _FINEST = 180  # columns of the cells that boxes are drawn on, at most

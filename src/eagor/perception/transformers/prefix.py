@@ -15,8 +15,8 @@ import torch
 from transformers.cache_utils import DynamicLayer
 
 from eagor.perception.transformers.capture import Capture, capturing
-from eagor.perception.transformers.families import Family
 from eagor.perception.transformers.inputs import Prompt, check_typed, typed
+from eagor.perception.vlm.families import Family
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""How families of models want to be asked: the cell of their picture, their frame and order of coordinates."""
+"""How a model on a server is asked, by its name alone: the cell of its picture, frame and order of its coordinates."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 
 from eagor.perception.vlm.boxes import Frame, Order
+from eagor.perception.vlm.families import FAMILIES, Family
 
 
 @dataclass(frozen=True)
@@ -13,14 +14,13 @@ class Style:
     """How a family sees and answers.
 
     Attributes:
-        family: its name, as in ``model_type`` of its configuration.
+        family: its name, as in `families`.
         cell: pixels of one side of an image token; pictures are sent in multiples of it.
         pixels: of a panorama, unless the caller says otherwise.
         view: pixels of one side of a (square) view.
         frame: what its coordinates count.
         order: of its coordinates.
-        aspect: width / height of a panorama as it is sent. Where processors bring everything to a square, some by
-            cutting the sides off, the panorama is squeezed beforehand: cells are then twice as wide as high.
+        aspect: width / height of a panorama as it is sent (see `families.Served`).
         grounded: whether it was trained to write boxes; the others are better asked yes or no.
     """
 
@@ -34,24 +34,33 @@ class Style:
     grounded: bool = True
 
 
-_STYLES: tuple[tuple[str, Style], ...] = (
-    (r"qwen[\W_]?2[._]?5[\W_]?vl", Style("qwen2_5_vl", 28, 700 * 1400, 560, "pixels")),
-    (r"qwen[\W_]?2[\W_]?vl", Style("qwen2_vl", 28, 700 * 1400, 560, "thousand")),
-    (r"qwen[\W_]?3[._]?5|qwen[\W_]?3[\W_]?vl", Style("qwen3_vl", 32, 704 * 1408, 576, "thousand")),
-    (r"gemma[\W_]?3", Style("gemma3", 56, 896 * 896, 896, "thousand", "yxyx", aspect=1.0, grounded=False)),
-    (r"internvl", Style("internvl", 28, 448 * 896, 448, "thousand")),
-    (
-        r"llava[\W_]?(?:v?1[._]?[56]|7b|13b|hf|\Z)",
-        Style("llava", 14, 336 * 336, 336, "unit", aspect=1.0, grounded=False),
-    ),
-    (r"janus", Style("janus", 16, 384 * 384, 384, "unit", aspect=1.0, grounded=False)),
-)
+# Qwen2-VL, which runs on servers only, and what is asked of models that no name tells anything about.
+_QWEN2_VL = re.compile(r"qwen[\W_]?2[\W_]?vl")
 OTHER = Style("other", 28, 700 * 1400, 560, "thousand")
 
 
 def style_of(model: str) -> Style:
     """The style of a model by its name, such as ``Qwen/Qwen2.5-VL-7B-Instruct`` or ``qwen2.5vl:7b``; else `OTHER`."""
-    for pattern, style in _STYLES:
-        if re.search(pattern, model.lower()):
-            return style
+    name = model.lower()
+    for family in FAMILIES:
+        if family.served and re.search(family.served.pattern, name):
+            return _style(family)
+    if _QWEN2_VL.search(name):
+        return Style("qwen2_vl", 28, 700 * 1400, 560, "thousand")
     return OTHER
+
+
+def _style(family: Family) -> Style:
+    served = family.served
+    assert served is not None
+    frame = family.frame or served.frame
+    return Style(
+        family.name,
+        served.cell,
+        family.pixels,
+        served.view,
+        frame,
+        served.order,
+        served.aspect,
+        family.frame is not None,
+    )

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, cast
 
 from eagor.errors import EagorError
-from eagor.perception.vlm.boxes import Frame
+from eagor.perception.vlm.boxes import Frame, Order
 
 Fit = Literal["exact", "squash", "pad", "tiles"]
 Extractor = Literal["attention", "boxes", "both", "mask", "views"]
@@ -25,8 +25,33 @@ class Checkpoint:
 
     @property
     def gigabytes(self) -> float:
-        """Memory (1e9 bytes) that it takes in 16 bits, with a fifth added for what runs beside the weights."""
+        """Memory (1e9 bytes) that it takes in 16 bits, with a fifth added for what runs beside the weights.
+
+        An estimate from the number of parameters; `benchmarks/vlm_latency.py` measures.
+        """
         return 2.4 * self.billions
+
+
+@dataclass(frozen=True)
+class Served:
+    """How a family is asked where it runs on a server, which tells nothing about it but its name.
+
+    Attributes:
+        pattern: regular expression that finds the family in lower-case names such as ``qwen2.5vl:7b``.
+        cell: pixels of one side of an image token; pictures are sent in multiples of it.
+        view: pixels of one side of a (square) view.
+        aspect: width / height of a panorama as it is sent. Where processors bring everything to a square, some by
+            cutting the sides off, the panorama is squeezed beforehand: cells are then twice as wide as high.
+        frame: coordinates that a family which was not trained to write boxes is asked for all the same.
+        order: of its coordinates.
+    """
+
+    pattern: str
+    cell: int
+    view: int
+    aspect: float = 2.0
+    frame: Frame = "thousand"
+    order: Order = "xyxy"
 
 
 @dataclass(frozen=True)
@@ -54,6 +79,7 @@ class Family:
             measured.
         pixels: how many pixels an image has at most, by default, where the family leaves a choice.
         checkpoints: some published ones.
+        served: how it is asked on a server; None where servers of chats do not run it.
     """
 
     name: str
@@ -70,8 +96,18 @@ class Family:
     image_token: str = ""
     template: str = ""
     depth: float = 0.6
-    pixels: int = 627_200
+    pixels: int = 700 * 1400
     localiser: bool = False
+    served: Served | None = None
+
+    @property
+    def view_pixels(self) -> int | None:
+        """How many pixels a view has at most, by default; None where the family leaves no choice."""
+        return self.served.view**2 if self.served else None
+
+    def default(self, heads: str | None = None) -> Extractor:
+        """The extractor where none is named; with a file of localisation heads one that reads them."""
+        return "attention" if heads and self.extractor == "boxes" and not self.localiser else self.extractor
 
     @property
     def extractors(self) -> tuple[Extractor, ...]:
@@ -99,6 +135,7 @@ FAMILIES: tuple[Family, ...] = (
         template="<|im_start|>system\nYou are a helpful assistant.<|im_end|>\n"
         + _CHATML.replace("{image}", _QWEN_IMAGE),
         depth=22 / 28,
+        served=Served(r"qwen[\W_]?2[._]?5[\W_]?vl", cell=28, view=560),
         checkpoints=(
             Checkpoint("Qwen/Qwen2.5-VL-3B-Instruct", 3.75),
             Checkpoint("Qwen/Qwen2.5-VL-7B-Instruct", 8.29),
@@ -118,7 +155,8 @@ FAMILIES: tuple[Family, ...] = (
         image_token="<|image_pad|>",
         template=_CHATML.replace("{image}", _QWEN_IMAGE),
         depth=22 / 28,
-        pixels=819_200,
+        pixels=704 * 1408,
+        served=Served(r"qwen[\W_]?3[._]?5|qwen[\W_]?3[\W_]?vl", cell=32, view=576),
         checkpoints=(
             Checkpoint("Qwen/Qwen3-VL-2B-Instruct", 2.13),
             Checkpoint("Qwen/Qwen3-VL-4B-Instruct", 4.44),
@@ -136,6 +174,8 @@ FAMILIES: tuple[Family, ...] = (
         expansion="\n\n<start_of_image><image_soft_token><end_of_image>\n\n",
         image_token="<image_soft_token>",
         template="<bos><start_of_turn>user\n<start_of_image>{text}<end_of_turn>\n<start_of_turn>model\n",
+        pixels=896 * 896,
+        served=Served(r"gemma[\W_]?3", cell=56, view=896, aspect=1.0, order="yxyx"),
         checkpoints=(Checkpoint("google/gemma-3-4b-it", 4.3), Checkpoint("google/gemma-3-12b-it", 12.2)),
     ),
     Family(
@@ -149,6 +189,8 @@ FAMILIES: tuple[Family, ...] = (
         image_token="<image>",
         template="USER: <image>\n{text} ASSISTANT:",
         depth=14 / 32,
+        pixels=336 * 336,
+        served=Served(r"llava[\W_]?(?:v?1[._]?[56]|7b|13b|hf|\Z)", cell=14, view=336, aspect=1.0, frame="unit"),
         checkpoints=(Checkpoint("llava-hf/llava-1.5-7b-hf", 7.06), Checkpoint("llava-hf/llava-1.5-13b-hf", 13.4)),
     ),
     Family(
@@ -161,6 +203,8 @@ FAMILIES: tuple[Family, ...] = (
         expansion="<begin_of_image><image_placeholder><end_of_image>",
         image_token="<image_placeholder>",
         template="<|User|>: <image_placeholder>\n{text}\n\n<|Assistant|>:",
+        pixels=384 * 384,
+        served=Served(r"janus", cell=16, view=384, aspect=1.0, frame="unit"),
         checkpoints=(
             Checkpoint("deepseek-community/Janus-Pro-1B", 2.1),
             Checkpoint("deepseek-community/Janus-Pro-7B", 7.4),
@@ -171,11 +215,14 @@ FAMILIES: tuple[Family, ...] = (
         model_types=("internvl",),
         title="InternVL",
         fit="tiles",
-        extractor="attention",
+        extractor="boxes",
+        frame="thousand",
         placeholder="<IMG_CONTEXT>",
         expansion="<img><IMG_CONTEXT></img>",
         image_token="<IMG_CONTEXT>",
         template=_CHATML.replace("{image}", "<IMG_CONTEXT>\n"),
+        pixels=448 * 896,
+        served=Served(r"internvl", cell=28, view=448),
         checkpoints=(Checkpoint("OpenGVLab/InternVL3-2B-hf", 2.1), Checkpoint("OpenGVLab/InternVL3-8B-hf", 7.9)),
     ),
     Family(
