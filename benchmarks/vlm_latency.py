@@ -205,7 +205,7 @@ def main() -> None:
     asked = parser.parse_args()
     gpu = asked.device.startswith("cuda")
     size = asked.model or ("qwen2_5_vl_7b" if gpu else "reduced")
-    pixels = asked.pixels or (627_200 if gpu else 224 * 448)
+    pixels = asked.pixels or (700 * 1400 if gpu else 224 * 448)
     torch.set_num_threads(asked.threads)
     torch.manual_seed(0)
     transformers.logging.set_verbosity_error()

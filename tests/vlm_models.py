@@ -21,6 +21,7 @@ from eagor.sphere import angular_distance, direction
 LANGUAGE = ("qwen2_5_vl", "qwen3_vl", "gemma3", "llava", "janus", "internvl")
 LOCALISERS = ("owlv2", "grounding_dino", "clipseg")
 LAYERS = 3
+PIXELS = {"qwen2_5_vl": 168 * 336, "qwen3_vl": 192 * 384, "internvl": 112 * 224}  # of small pictures
 LOCAL = 0.06  # deviation of the vision towers' weights: small, so that a token is about its own place most of all
 
 TEXT: dict[str, Any] = {

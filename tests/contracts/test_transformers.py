@@ -32,7 +32,7 @@ from eagor.sphere import angular_distance, direction
 
 LANGUAGE, LOCALISERS = vlm_models.LANGUAGE, vlm_models.LOCALISERS
 BOXES = ("qwen2_5_vl", "qwen3_vl", "internvl")
-PIXELS = {"qwen2_5_vl": 168 * 336, "qwen3_vl": 192 * 384, "internvl": 112 * 224}
+PIXELS = vlm_models.PIXELS
 RADIUS = 0.3
 languages = pytest.mark.parametrize("family", LANGUAGE)
 

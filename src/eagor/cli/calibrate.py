@@ -64,6 +64,8 @@ def heads(options: Calibrate) -> int:
         )
     count = options.episodes if options.labels is None else len(labelled_lines(options.labels))
     perception: Any = load(options.perception)
+    if "attention" not in perception.family.extractors:
+        raise terminal.UsageError(f"{perception.family.title} has no attention heads to read; wanted a language model")
     if options.labels is None:
         from eagor.evaluation.labelled import apartment_labels
         from eagor.tasks.eyes import rows_of

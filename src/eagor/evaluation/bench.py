@@ -13,7 +13,7 @@ from eagor.evaluation import ledger
 from eagor.evaluation.workers import Outcome, Unit, run_units
 from eagor.perception.calibrated import Calibrated
 from eagor.tasks.episodes import slots
-from eagor.tasks.eyes import rows_of, shared
+from eagor.tasks.eyes import release, rows_of, shared
 from eagor.tasks.fitted import fitted
 from eagor.tasks.methods import NAMES, ORACLE, make_method
 from eagor.tasks.places import APARTMENT, DEVELOPMENT
@@ -110,11 +110,11 @@ def start(
     units = run.units()
     ledger.begin(folder, config)
     if workers > 1:
-        shared.cache_clear()  # each worker makes its own; ours would only take room beside them
+        release()  # each worker makes its own; ours would only take room beside them
     try:
         return run_units(units, WORK, config, folder, workers, on_done=on_done, retry_failed=retry_failed)
     finally:
-        shared.cache_clear()
+        release()
 
 
 def variants(task: str) -> tuple[str, ...]:

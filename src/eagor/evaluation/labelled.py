@@ -32,6 +32,10 @@ def apartment_labels(count: int, seed: int, rows: int) -> Iterator[Labelled]:
             f"{count} panoramas from apartment {seed} on reach apartment {last}; wanted all between "
             f"{DEVELOPMENT.start} and {DEVELOPMENT.stop - 1}: the others are for results"
         )
+    return _labels(count, seed, rows)
+
+
+def _labels(count: int, seed: int, rows: int) -> Iterator[Labelled]:
     camera, grid = Camera(), ErpGrid(LOOK_ROWS, 2 * LOOK_ROWS)
     for number in range(count):
         apartment, index = divmod(number, PER_PLACE)

@@ -6,6 +6,8 @@ needs no picture, so that none is rendered for it.
 
 from __future__ import annotations
 
+import gc
+import sys
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, Protocol
@@ -99,13 +101,22 @@ def open_eye(perception: Any, things: Sequence[Named], seed: int) -> Eye:
 def shared(perception: str) -> Perception:
     """The perception of this name, made once per process however many ask: a model may take minutes and gigabytes.
 
-    ``shared.cache_clear()`` lets go of it. Raises as `eagor.perception.load`, and what a server has against it.
+    `release` lets go of it. Raises as `eagor.perception.load`, and what a server has against it.
     """
     made = load(perception)
     check = getattr(made, "check", None)
     if check is not None:
         check()
     return made
+
+
+def release() -> None:
+    """Let go of the perception that `shared` keeps, and of its room on a GPU."""
+    shared.cache_clear()
+    gc.collect()
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_available():
+        torch.cuda.empty_cache()
 
 
 def rows_of(perception: Any) -> int:
