@@ -345,7 +345,7 @@ class DirectionTracker:
         still = _still(state.belief).plus(share * look.coefficients)
         whole: Belief | RangedBelief | StillOrMoving = still
         if isinstance(state.belief, StillOrMoving):
-            whole = state.belief.update(still, look.coefficients, share, passing).capped(self.config.surest)
+            whole = state.belief.update(still, look.coefficients, share, passing).capped(self.config.surest, newest)
         found = _State(whole, look.stamp, state.position, newest)
         if self.config.switch_at == 0 or self.config.decode == "mean":
             return found

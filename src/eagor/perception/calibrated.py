@@ -13,7 +13,7 @@ from eagor.evidence import Calibration
 from eagor.tracker import TrackerConfig
 
 READING = ("floor", "neutral", "temperature", "persistence")  # fields of `Calibration`
-FORGETTING = ("keep_per_second", "wander", "restless")  # fields of `TrackerConfig`, SI units, radians
+FORGETTING = ("keep_per_second", "wander", "restless", "surest")  # fields of `TrackerConfig`: SI, radians, nats
 
 
 @dataclass(frozen=True)
