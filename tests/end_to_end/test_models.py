@@ -18,8 +18,7 @@ from eagor.errors import EagorError, FormatError
 from eagor.evaluation.labelled import apartment_labels
 from eagor.grids import ErpGrid
 from eagor.perception import is_model, load, short_name
-from eagor.perception.transformers import loading
-from eagor.perception.transformers.heads import Heads
+from eagor.perception.transformers import TransformersPerception, loading
 from eagor.perception.transformers.language import LanguageModel
 from eagor.perception.vlm.families import FAMILIES, Checkpoint
 from eagor.perception.vlm.labelled import Labelled, cap_radius, read_labelled
@@ -28,6 +27,10 @@ from eagor.tasks.eyes import rows_of, shared
 
 QWEN = "qwen2_5_vl"
 SMALL = "pixels=25088&seam=false"  # 112 x 224 pixels, 32 tokens
+EXAMPLES = [
+    Labelled(vlm_models.marked(*place, seed=index), "red thing", np.asarray(direction(*place)), 0.3)
+    for index, place in enumerate([(0.5, 0.2), (-1.2, -0.3), (2.5, 0.1), (-2.8, 0.4), (1.5, 0.0), (-0.4, -0.1)])
+]
 RUNS = {"waypoint": "leg_steps=4", "navigation": "max_steps=3", "tracking": "steps=6"}
 
 
@@ -52,7 +55,9 @@ def planted(tmp_path_factory):
             language = vlm_models.language_model(place, extractor="attention", presence=False, pixels=pixels)
             vlm_models.plant(language)
             language.model.save_pretrained(place)
-            Heads("planted", family, (vlm_models.HEAD,), 3.0).write(place / "heads.json")
+            found = TransformersPerception(language, "attention", "attention").find_heads(EXAMPLES, 1)
+            assert found.heads == (vlm_models.HEAD,)
+            found.write(place / "heads.json")
             made[family] = place
         return made[family]
 
@@ -271,8 +276,9 @@ def test_models_that_are_not_there(refused, panorama, tmp_path):
 
 
 def test_packages_that_are_not_there(refused, planted, panorama, monkeypatch):
+    folder = planted(QWEN)
     monkeypatch.setitem(sys.modules, "transformers", None)
-    assert "pip install 'eagor[vlm]'" in refused(2, "locate", panorama, "red thing", "--perception", planted(QWEN))
+    assert "pip install 'eagor[vlm]'" in refused(2, "locate", panorama, "red thing", "--perception", folder)
     monkeypatch.setattr("eagor.perception.endpoint.naming.find_spec", lambda name: None)
     assert "pip install 'eagor[endpoint]'" in refused(2, "locate", panorama, "red", "--perception", "endpoint:qwen")
 
@@ -505,7 +511,6 @@ def test_doctor_says_what_to_install(eagor, monkeypatch):
 
 
 def test_an_old_transformers_is_named(refused, planted, panorama, monkeypatch):
-    import transformers
-
+    folder = planted(QWEN)
     monkeypatch.setattr(transformers, "__version__", "4.57.1")
-    assert "transformers 5.23 or newer" in refused(2, "locate", panorama, "red", "--perception", planted(QWEN))
+    assert "transformers 5.23 or newer" in refused(2, "locate", panorama, "red", "--perception", folder)
