@@ -200,3 +200,8 @@ class StillOrMoving(Reading):
             return np.logaddexp(a + offsets[0], b + offsets[1])
 
         return evaluate
+
+
+def standing(belief: Belief | RangedBelief | StillOrMoving) -> Belief | RangedBelief:
+    """The belief about a target that stands still."""
+    return belief.still if isinstance(belief, StillOrMoving) else belief

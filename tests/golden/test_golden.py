@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
 from eagor.sphere import angular_distance, world_R_body
-from eagor.tracker import DirectionTracker, TrackerConfig
+from eagor.tracker import DirectionTracker
 
 
 def walk(config, steps=24):

@@ -8,12 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor.belief import Belief
+from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
 from eagor.motion import ANYWHERE, StillOrMoving, Wanderer
 from eagor.peaks import decoding_grid
 from eagor.ranged import RangedBelief, log_ranges
 from eagor.sphere import angular_distance, direction, rotation, unit
-from eagor.tracker import DirectionTracker, TrackerConfig
+from eagor.tracker import DirectionTracker
 
 DEGREE = 11
 GRID = decoding_grid(DEGREE)

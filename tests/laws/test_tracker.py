@@ -11,11 +11,12 @@ from strategies import rotations
 
 from eagor.belief import Belief
 from eagor.errors import EagorError, PoseError, RotationError, TimeError
+from eagor.estimate import TrackerConfig
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PatchGrid
 from eagor.posterior import typical
 from eagor.sphere import angular_distance, direction, rotation, world_R_body
-from eagor.tracker import DirectionTracker, TrackerConfig
+from eagor.tracker import DirectionTracker
 
 GRID = PatchGrid(12, 24)
 FLAT = {"ranges": None, "degree": 7, "wander": 0.0}  # all that happens commutes with adding

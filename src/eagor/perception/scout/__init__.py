@@ -28,7 +28,7 @@ from eagor.queries import parse_query
 FOLDER = Path(__file__).parent
 ROWS = 160  # of the picture that the network sees
 STRIDE = 4  # pixels of that picture to a cell of the response
-CALIBRATION = Calibration(floor=0.1, neutral=0.02, temperature=3.0, persistence=0.8)
+CALIBRATION = Calibration(floor=0.1, neutral=0.02, temperature=3.0, persistence=0.65)
 COARSEST = 16  # rolls by a multiple of so many of its pixels roll the response
 
 
