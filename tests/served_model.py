@@ -79,7 +79,7 @@ def write_model(folder: Path, says: str) -> None:
 
 
 @contextmanager
-def served(folder: Path, seconds: float = 120.0) -> Iterator[str]:
+def served(folder: Path, seconds: float = 600.0) -> Iterator[str]:
     """The address of ``transformers serve`` with the model in `folder`, on a free port of this machine."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
