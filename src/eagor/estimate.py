@@ -58,11 +58,11 @@ class TrackerConfig:
     calibration: Calibration | None = None
     ranges: Sequence[float] | None = field(default_factory=lambda: tuple(log_ranges(count=20).tolist()))
     floor: float | None = None
-    keep_per_second: float = 0.98
+    keep_per_second: float = 0.99
     diffusion: float = 0.0
-    wander: float = math.radians(10)
-    restless: float = 0.003
-    surest: float = 12.0
+    wander: float = math.radians(9)
+    restless: float = 0.001
+    surest: float = 15.0
     history: float = 10.0
     stale_after: float = 5.0
     switch_at: float = 1.0
