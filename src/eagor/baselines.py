@@ -94,6 +94,18 @@ class CircularCentroid(_PerFrame):
         return direction(mean, np.sum(share * elevation))
 
 
+class Plain(_PerFrame):
+    """The direction of the strongest response, per frame: what a model that is simply asked would answer."""
+
+    def _read(self, share: np.ndarray, grid: Grid) -> np.ndarray:
+        best = share >= 0.999 * share.max()
+        # Several cells that are equally strong (a whole view in which the thing is said to be): their middle.
+        middle = np.sum((grid.weights * best)[..., None] * grid.directions, axis=(0, 1)) / np.sum(grid.weights * best)
+        if np.linalg.norm(middle) < 0.5:  # they are scattered: no middle
+            return grid.directions[np.unravel_index(np.argmax(share), share.shape)]
+        return unit(middle)
+
+
 @dataclass(frozen=True, eq=False)
 class GridFilter:
     """The published Grid: a panorama of summed log(l + 1e-3), resampled bilinearly at each turn, read at its maximum.

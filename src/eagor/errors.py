@@ -47,3 +47,11 @@ class FormatError(EagorError):
 
 class WorldError(EagorError):
     """A simulated world cannot be built, read or walked in as asked."""
+
+
+class AnswerError(EagorError):
+    """What a model answered cannot be read."""
+
+
+class ServerError(EagorError):
+    """A server that a model runs on cannot be reached, or refuses what is asked of it."""

@@ -13,6 +13,7 @@ large areas of evidence.)
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,7 +81,9 @@ class Evidence:
     """One look: log-likelihood ratios ``(..., H, W)`` on a grid, when it was taken, and what it covered.
 
     Make it with `from_response`, `from_boxes`, `from_mask` or `from_points`. `stamp` is the time of CAPTURE in seconds
-    (None where time plays no role). Values are never changed after construction.
+    (None where time plays no role). `source` tells what produced it, where a perception says so (model, revision,
+    resolved pixels, token counts, milliseconds, ...; plain values for people and reports, not read by anything here).
+    Values are never changed after construction.
     """
 
     log_ratio: Array
@@ -89,6 +92,7 @@ class Evidence:
     stamp: float | None = None
     seen: Region | None = None
     peak: float = 1.0  # what the response was divided by (scale_to_max)
+    source: Mapping[str, object] | None = None
 
     @classmethod
     def from_response(
@@ -98,12 +102,13 @@ class Evidence:
         calibration: Calibration | None = None,
         stamp: float | None = None,
         coverage: np.ndarray | None = None,
+        source: Mapping[str, object] | None = None,
     ) -> Evidence:
         """Evidence from a response ``(..., H, W)`` in [0, 1] on `grid`.
 
         `coverage` ``(H, W)`` in [0, 1] (or bool) tells how far each cell was really looked at; by default the whole
-        grid was. Raises `ResponseError` on another shape, an empty array, NaN, or values outside [0, 1].
-        An all-zero response is good input: we looked and saw nothing.
+        grid was. `source` tells what produced the response. Raises `ResponseError` on another shape, an empty array,
+        NaN, or values outside [0, 1]. An all-zero response is good input: we looked and saw nothing.
         """
         calibration = calibration or _DEFAULT
         response = _checked_shape(response, grid)
@@ -120,7 +125,7 @@ class Evidence:
             coverage = _checked_coverage(coverage, grid)
             mask = coverage > 0
             log_ratio = log_ratio * namespace(log_ratio).asarray(coverage, dtype=log_ratio.dtype)
-        return cls(log_ratio, grid, calibration, stamp, region(grid, mask), peak if peak > 0 else 1.0)
+        return cls(log_ratio, grid, calibration, stamp, region(grid, mask), peak if peak > 0 else 1.0, source)
 
     @classmethod
     def from_mask(
@@ -230,7 +235,7 @@ class Evidence:
         """The same look, read with another calibration (coverage masks are kept, partial coverage becomes full)."""
         if calibration == self.calibration:
             return self
-        read = Evidence.from_response(self.response, self.grid, calibration, self.stamp)
+        read = Evidence.from_response(self.response, self.grid, calibration, self.stamp, source=self.source)
         if self.seen is None or not self.seen[-1]:
             return read
         return replace(read, seen=self.seen, log_ratio=read.log_ratio * (taper(0, self.seen, read.log_ratio) > 0))

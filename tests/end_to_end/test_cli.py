@@ -214,7 +214,7 @@ def test_locate_replays_what_a_detector_wrote(room, tmp_path):
         (["nowhere.png", "red"], "no file"),
         (["ROOM", "chair"], "names no colour"),
         (["ROOM", "  "], "no words"),
-        (["ROOM", "red", "--perception", "clairvoyance"], "known are colour, replay"),
+        (["ROOM", "red", "--perception", "clairvoyance"], "known are colour, endpoint, replay, scout, truth, folders"),
         (["ROOM", "red", "--perception", "replay"], "replay:FILE.jsonl"),
         (["ROOM", "red", "--perception", "replay:nowhere.jsonl"], "cannot be read"),
         (["ROOM", "red", "--degree", "0"], "1 to 63"),
@@ -431,7 +431,7 @@ def test_a_calibration_is_fitted_written_and_taken(room, tmp_path):
     words = ("calibrate", "--perception", "truth", "--episodes", "8", "--trials", "2", "--out", out)
     found = answer(*words)
     assert {"floor", "neutral", "temperature", "persistence"} == set(found["calibration"])
-    assert {"keep_per_second", "wander", "restless"} == set(found["forgetting"])
+    assert {"keep_per_second", "wander", "restless", "surest"} == set(found["forgetting"])
     assert len(found["found_by"]["apartments"]) == 2
     assert json.loads(out.read_text())["calibration"] == found["calibration"]
     run = ("bench", "run", "tracking", "--perception", "truth", "--episodes", "1", "--seed", "1", "--methods", "eagor")

@@ -16,6 +16,7 @@ from eagor.baselines import (
     GridFilter,
     HistogramFilter,
     ParticleFilter,
+    Plain,
     Published,
     VonMisesFisherFilter,
     concentration,
@@ -32,6 +33,7 @@ GRID = PatchGrid(37, 74)
 FINE = ErpGrid(90, 180)
 
 RIVALS = {
+    "plain": Plain,
     "centroid": Centroid,
     "circular": CircularCentroid,
     "grid": GridFilter,
@@ -40,7 +42,7 @@ RIVALS = {
     "histogram": HistogramFilter,
     "particles": lambda: ParticleFilter.uniform(2000, np.random.default_rng(3)),
 }
-FILTERS = [name for name in RIVALS if name not in ("centroid", "circular")]
+FILTERS = [name for name in RIVALS if name not in ("plain", "centroid", "circular")]
 OURS = {"belief": lambda: Belief.uniform(7), "ranged": lambda: RangedBelief.uniform(5, np.geomspace(1, 8, 4))}
 
 # Degrees by which an answer may miss a clean static target after ten looks. The published grid is read at the centre of
@@ -236,6 +238,25 @@ def test_a_per_frame_method_ignores_what_was_not_looked_at(kind):
     response = blob([0, 1, 0]).response
     evidence = Evidence.from_response(response, GRID, coverage=seen, calibration=Calibration(neutral=0.3))
     assert degrees(kind().update(evidence).direction(), [0, 1, 0]) < 1
+
+
+@given(directions())
+def test_the_plain_answer_is_the_strongest_response_wherever_it_is(target):
+    response = 0.7 * np.exp(50 * (FINE.directions @ target - 1)) + 0.3 * np.exp(50 * (FINE.directions @ -target - 1))
+    found = Plain().update(Evidence.from_response(response, FINE)).direction()
+    assert angular_distance(found, target) < math.radians(2)
+
+
+def test_the_plain_answer_is_the_middle_of_what_is_equally_strong():
+    whole_view = np.zeros(GRID.shape)
+    near = angular_distance(GRID.directions, direction(3.0, 0.4)) < 0.5  # across the seam
+    whole_view[near] = 0.9
+    found = Plain().update(Evidence.from_response(whole_view, GRID)).direction()
+    assert angular_distance(found, direction(3.0, 0.4)) < math.radians(2)
+    two = np.zeros(GRID.shape)
+    two[18, 9] = two[18, 46] = 0.9  # half a turn apart: one of them, not the middle
+    found = Plain().update(Evidence.from_response(two, GRID)).direction()
+    assert min(angular_distance(found, GRID.directions[18, 9]), angular_distance(found, GRID.directions[18, 46])) < 1e-6
 
 
 def test_the_published_mean_is_pulled_away_by_clutter_where_the_others_are_not():

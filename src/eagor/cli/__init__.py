@@ -5,8 +5,8 @@ Each command is a frozen dataclass in `eagor.cli.options` and a function in a mo
 Exit codes:
 
 - 0: fine.
-- 1: the run failed, after the input had been found good (nothing could be looked at, a result could not be written,
-  a bug).
+- 1: the run failed, after the input had been found good (nothing could be looked at, a server did not answer, a model
+  answered what cannot be read, a result could not be written, a bug).
 - 2: usage: an option, a query or an input file is not what was wanted. Nothing was computed.
 - 3: finished, but some frames could not be run; what could be is in the output.
 - 130: interrupted (Ctrl-C). 141: the reader of the output went away (``eagor track ... | head``).
@@ -26,13 +26,18 @@ from importlib import import_module
 # as long where cores are shared). It reads this when NumPy is first imported; who sets it, decides.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+if not sys.stderr.isatty():  # read by transformers: where nobody watches, no bars of what is being loaded
+    os.environ.setdefault("HF_HUB_DISABLE_PROGRESS_BARS", "1")
+
 from eagor._version import __version__
 from eagor.cli import terminal
-from eagor.errors import EagorError
+from eagor.errors import AnswerError, EagorError, ServerError
 
 DESCRIPTION = """In which direction is the thing I asked for, and how sure are we, while the camera turns and moves?
 
 Azimuth is positive to the LEFT, elevation positive up, both in degrees; the middle of a panorama is forward."""
+
+_NO_FAULT_OF_THE_INPUT = (terminal.RunError, ServerError, AnswerError)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -58,7 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             traceback.print_exc()
         known = isinstance(error, EagorError | OSError)
         terminal.error(str(error) if known else f"{type(error).__name__}: {error} (a bug; --debug shows where)")
-        return 2 if isinstance(error, EagorError) and not isinstance(error, terminal.RunError) else 1
+        return 2 if isinstance(error, EagorError) and not isinstance(error, _NO_FAULT_OF_THE_INPUT) else 1
 
 
 def _run(arguments: list[str]) -> int:

@@ -20,11 +20,12 @@ def bench(options: Bench) -> int:
 def run(options: BenchRun) -> int:
     """``eagor bench run``."""
     from eagor.evaluation import bench, ledger, tables
+    from eagor.perception import short_name
     from eagor.perception.calibrated import read_calibrated
-    from eagor.tasks.methods import NAMES
+    from eagor.tasks.methods import default_methods
     from eagor.tasks.rules import Disturbances
 
-    methods = bench.named(options.methods) or NAMES
+    methods = bench.named(options.methods) or default_methods(options.perception)
     if options.ablations:
         methods += tuple(name for name in bench.variants(options.task) if name not in methods)
     disturbances = Disturbances.walking(options.latency) if options.walking else Disturbances(latency=options.latency)
@@ -40,7 +41,7 @@ def run(options: BenchRun) -> int:
         calibrated=read_calibrated(options.calibration) if options.calibration else None,
         settings=_settings(options.set),
     )
-    out = options.out or Path("runs") / f"{options.task}-{options.perception.partition(':')[0]}-{options.seed}"
+    out = options.out or Path("runs") / f"{options.task}-{short_name(options.perception)}-{options.seed}"
     if options.workers < 1:
         raise terminal.UsageError(f"--workers {options.workers}; wanted 1 or more")
     units = wanted.units()

@@ -1,27 +1,39 @@
-"""``eagor calibrate``: record development episodes, fit, and write the calibration."""
+"""``eagor calibrate``: record development episodes, fit, and write the calibration; or find localisation heads."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from eagor.cli import terminal
 from eagor.cli.options import Calibrate
+from eagor.errors import EagorError
 
 if TYPE_CHECKING:
     from eagor.perception.calibrated import Calibrated
+    from eagor.perception.vlm.labelled import Labelled
 
 
 def calibrate(options: Calibrate) -> int:
     """Run the command; returns its exit code."""
+    return heads(options) if options.what == "heads" else responses(options)
+
+
+def responses(options: Calibrate) -> int:
+    """``eagor calibrate``."""
+    if options.labels is not None:
+        raise terminal.UsageError(f"--labels {options.labels} is for eagor calibrate heads")
     from eagor.evaluation.calibration import record_episodes
     from eagor.evaluation.fitting import DRAWS, fit
+    from eagor.perception import short_name
 
     if min(options.workers, options.trials, options.episodes) < 1:
         raise terminal.UsageError(
             f"--workers {options.workers} --trials {options.trials} --episodes {options.episodes}; wanted 1 or more"
         )
-    out = options.out or Path(f"calibration-{options.perception.partition(':')[0]}.json")
+    out = options.out or Path(f"calibration-{short_name(options.perception)}.json")
     with terminal.progress("looking", options.episodes) as advance:
         recordings = record_episodes(
             options.perception, options.episodes, options.seed, options.rows, advance, terminal.warning
@@ -36,6 +48,59 @@ def calibrate(options: Calibrate) -> int:
     else:
         _print(best, out)
     return terminal.OK
+
+
+def heads(options: Calibrate) -> int:
+    """``eagor calibrate heads``."""
+    from eagor.perception import is_model, load, short_name
+    from eagor.perception.vlm.labelled import labelled_lines, read_labelled
+
+    if min(options.episodes, options.take) < 1:
+        raise terminal.UsageError(f"--episodes {options.episodes} --take {options.take}; wanted 1 or more")
+    if not is_model(options.perception) or options.perception.startswith("endpoint"):
+        raise terminal.UsageError(
+            f"--perception {options.perception} has no attention heads to read; wanted a model on this machine: a "
+            "folder, or a hub name such as Qwen/Qwen2.5-VL-7B-Instruct"
+        )
+    count = options.episodes if options.labels is None else len(labelled_lines(options.labels))
+    perception: Any = load(options.perception)
+    if "attention" not in perception.family.extractors:
+        raise terminal.UsageError(f"{perception.family.title} has no attention heads to read; wanted a language model")
+    if options.labels is None:
+        from eagor.evaluation.labelled import apartment_labels
+        from eagor.tasks.eyes import rows_of
+
+        examples = apartment_labels(count, options.seed, options.rows or rows_of(perception))
+    else:
+        examples = read_labelled(options.labels)
+    out = options.out or Path(f"heads-{short_name(options.perception)}.json")
+    with terminal.progress("looking", count) as advance:
+        try:
+            found = perception.find_heads(_counted(examples, advance), options.take)
+        except EagorError as error:
+            if type(error) is EagorError:  # the labels are fine, but no head is: no fault of the input
+                raise terminal.RunError(str(error)) from error
+            raise
+    found.write(out)
+    if options.json:
+        terminal.emit(asdict(found) | {"out": str(out)})
+        return terminal.OK
+    print(f"{found.model}: {len(found.heads)} heads, found on {found.found_by['panoramas']} panoramas")
+    for entry in found.found_by["heads"]:
+        layer, head = entry["head"]
+        print(f"  layer {layer:3d}, head {head:3d}: {entry['gain']:.1f} times an even spread on the target")
+    if held_out := found.found_by.get("held_out"):
+        print(f"On {held_out['panoramas']} others they are off by {held_out['median_error_deg']:.1f} degrees (median)")
+    model, _, written = options.perception.partition("?")
+    rest = "&".join(part for part in written.split("&") if part and not part.startswith("heads="))
+    print(f'Written to {out}; use them as --perception "{model}?heads={out}{"&" if rest else ""}{rest}"')
+    return terminal.OK
+
+
+def _counted(examples: Iterator[Labelled], advance: Callable[[], None]) -> Iterator[Labelled]:
+    for example in examples:
+        yield example
+        advance()
 
 
 def _print(best: Calibrated, out: Path) -> None:

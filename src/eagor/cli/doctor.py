@@ -1,4 +1,4 @@
-"""``eagor doctor``: what is installed here, and what is not."""
+"""``eagor doctor``: what is installed here, what is not, and which models could run."""
 
 from __future__ import annotations
 
@@ -9,25 +9,30 @@ from importlib.util import find_spec
 from typing import Any
 
 from eagor._version import __version__
-from eagor.cli import terminal
+from eagor.cli import machine, terminal
 from eagor.cli.options import Doctor
 from eagor.perception import known
 
 PACKAGES = ("numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich")
-OPTIONAL = {"torch": "tensors on a GPU, and models; see the extra 'vlm'"}
+OPTIONAL = {
+    "torch": "tensors on a GPU, and local models: the extra 'vlm'",
+    "transformers": "local models: the extra 'vlm'",
+    "openai": "models on servers: the extra 'endpoint'",
+}
 
 
 def doctor(options: Doctor) -> int:
     """Run the command; exit code 1 if something that the package needs is missing."""
     found = {name: _version(name) for name in PACKAGES}
     optional = {name: _version(name) if find_spec(name) else None for name in OPTIONAL}
+    here = machine.machine()
     perceptions = {name: _state(name) for name in sorted(known())}
     cpu = {"name": _processor(), "cores": _cores()}
     healthy = all(found.values())
     if options.json:
         result: dict[str, Any] = {"eagor": __version__, "python": platform.python_version()}
         result |= {"platform": platform.platform(), "cpu": cpu, "packages": found, "optional": optional}
-        terminal.emit(result | {"perceptions": perceptions, "healthy": healthy})
+        terminal.emit(result | machine.report(here) | {"perceptions": perceptions, "healthy": healthy})
         return terminal.OK if healthy else terminal.FAILED
     print(f"eagor        {__version__}")
     print(f"python       {platform.python_version()} on {platform.platform()}")
@@ -37,6 +42,8 @@ def doctor(options: Doctor) -> int:
         print(f"{name:12} " + (optional[name] or f"not installed ({use})"))
     for label, (name, state) in zip(["perceptions", *[""] * len(perceptions)], perceptions.items(), strict=False):
         print(f"{label:12} {name}: {state}")
+    for label, text in machine.lines(here):
+        print(f"{label:12} {text}")
     print("all there" if healthy else "something is missing: install eagor again with pip")
     return terminal.OK if healthy else terminal.FAILED
 

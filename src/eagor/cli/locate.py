@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ from eagor.cli.looking import (
 from eagor.cli.options import Locate
 from eagor.cli.words import STATUS, in_words, signed
 from eagor.estimate import Estimate
+from eagor.evidence import Evidence
+from eagor.perception import short_name
 from eagor.sphere import azimuth_elevation
 from eagor.tracker import DirectionTracker
 
@@ -47,7 +50,7 @@ def locate(options: Locate) -> int:
     if options.picture is not None:
         _draw(options, options.picture, panorama, belief, estimate, [d for d, _ in modes])
     if options.json:
-        terminal.emit(_as_json(options, estimate, modes))
+        terminal.emit(_as_json(options, estimate, modes) | _sources(looks))
     else:
         _print(options, estimate, modes)
     return terminal.OK
@@ -71,6 +74,12 @@ def _as_json(options: Locate, estimate: Estimate, modes: list[tuple[np.ndarray, 
     }
 
 
+def _sources(looks: Sequence[Evidence]) -> dict[str, Any]:
+    """What the looks say about what produced them (model, pixels, tokens, milliseconds), where they do."""
+    source = next((look.source for look in looks if look.source is not None), None)
+    return {} if source is None else {"source": dict(source)}
+
+
 def mode_as_json(direction: np.ndarray, weight: float) -> dict[str, float]:
     """One mode for ``--json``."""
     azimuth, elevation = azimuth_elevation(direction)
@@ -82,7 +91,7 @@ def mode_as_json(direction: np.ndarray, weight: float) -> dict[str, float]:
 
 
 def _print(options: Locate, estimate: Estimate, modes: list[tuple[np.ndarray, float]]) -> None:
-    print(f"{options.query}, in {options.panorama.name}, as {options.perception.partition(':')[0]} sees it")
+    print(f"{options.query}, in {options.panorama.name}, as {short_name(options.perception)} sees it")
     print(f"  status          {estimate.status}: {STATUS[estimate.status]}")
     print(f"  direction       {in_words(estimate.azimuth, estimate.elevation)}")
     print(f"  azimuth         {signed(estimate.azimuth)} deg (positive to the left)")

@@ -36,8 +36,9 @@ class Locate(Common):
     query: Annotated[str, Positional, arg(metavar="QUERY")]
     """What to look for, in words."""
     perception: Name = "colour"
-    """Who looks: colour (the colour that the query names), replay:FILE.jsonl (what a detector wrote), or an
-    installed one; `eagor doctor` lists them."""
+    """Who looks: colour (the colour that the query names), replay:FILE.jsonl (what a detector wrote), a model (FOLDER,
+    Qwen/Qwen2.5-VL-7B-Instruct, endpoint:MODEL@http://HOST:PORT/v1, options after ?), or an installed one; `eagor
+    doctor` lists them."""
     modes: Annotated[int, arg(metavar="K")] = 3
     """At most so many candidate directions."""
     degree: Whole = 15
@@ -62,7 +63,7 @@ class Track(Common):
     """The camera's poses: a CSV file with the columns stamp,qw,qx,qy,qz (world_R_body) or
     stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch nose DOWN); also x,y,z (metres) and frame (file name)."""
     perception: Name = "colour"
-    """Who looks: colour, replay:FILE.jsonl, or an installed one."""
+    """Who looks: colour, replay:FILE.jsonl, a model (as for locate), or an installed one."""
     floor: Annotated[float | None, arg(metavar="Z")] = None
     """Height of the floor in the poses' world, metres, where it is known: things stand on it, which tells distances."""
     calibration: Annotated[Path | None, arg(metavar="FILE.json")] = None
@@ -102,9 +103,11 @@ class BenchRun(Common):
     """Name the direction along a route; walk to the thing; follow a moving ball."""
     perception: Name = "scout"
     """Who looks: scout, a small network that sees the pictures; truth, a noisy detector made from what the simulator
-    knows (truth:ideal has no noise, truth:miss=0.5,spread=4 its own); or another."""
+    knows (truth:ideal has no noise, truth:miss=0.5,spread=4 its own); a model (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct,
+    endpoint:MODEL@http://HOST:PORT/v1); or another."""
     methods: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
-    """Which methods (default: all eight); variants as eagor:degree=7,decode=mean; in navigation also oracle."""
+    """Which methods (default: all eight, and plain, the model's own answer, where a vision-language model looks);
+    variants as eagor:degree=7,decode=mean; in navigation also oracle."""
     episodes: Whole = 20
     """How many; five in each apartment."""
     seed: Whole = 2000
@@ -151,16 +154,24 @@ class Bench:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(Common):
-    """Fit how a perception's responses are read, and how fast what it saw is forgotten, by log score."""
+    """Fit how a perception's responses are read and forgotten, by log score; or find a model's localisation heads."""
 
     runs: ClassVar[str] = "eagor.cli.calibrate:calibrate"
 
+    what: Annotated[Literal["responses", "heads"], Positional] = "responses"
+    """responses: of any perception, read by log score. heads: of a local model (Qwen2.5-VL, Gemma 3, ...)."""
     perception: Name = "scout"
-    """Whose responses."""
+    """Whose responses, or whose heads (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, options after ?)."""
     out: Annotated[Path | None, arg(metavar="FILE.json")] = None
-    """Where the calibration goes (default: calibration-PERCEPTION.json). Other commands take it as --calibration."""
+    """Where the calibration goes (default: calibration-PERCEPTION.json; other commands take it as --calibration), or
+    the heads (default: heads-MODEL.json; models take it as FOLDER?heads=FILE.json)."""
+    labels: Annotated[Path | None, arg(metavar="FILE.jsonl")] = None
+    """heads: panoramas of your own and where the things are in them (docs/models.md), instead of apartments."""
+    take: Whole = 3
+    """heads: how many."""
     episodes: Whole = 60
-    """How many to look at: routes past a thing and balls in turn, two of each in an apartment."""
+    """How many to look at. responses: routes past a thing and balls in turn, two of each in an apartment; heads:
+    panoramas, four in an apartment."""
     seed: Whole = 100
     """The first apartment; 0 to 1999 are for choosing parameters."""
     trials: Whole = 96
@@ -173,7 +184,7 @@ class Calibrate(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor(Common):
-    """What is installed here: versions, perceptions, processor."""
+    """What is installed here, which models this machine could run, and what to install for them."""
 
     runs: ClassVar[str] = "eagor.cli.doctor:doctor"
 

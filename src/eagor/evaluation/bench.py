@@ -13,7 +13,7 @@ from eagor.evaluation import ledger
 from eagor.evaluation.workers import Outcome, Unit, run_units
 from eagor.perception.calibrated import Calibrated
 from eagor.tasks.episodes import slots
-from eagor.tasks.eyes import rows_of
+from eagor.tasks.eyes import release, rows_of, shared
 from eagor.tasks.fitted import fitted
 from eagor.tasks.methods import NAMES, ORACLE, make_method
 from eagor.tasks.places import APARTMENT, DEVELOPMENT
@@ -46,7 +46,6 @@ class Run:
         """Everything that decides the results, as the JSON of run.json. Raises `EagorError` for what does not exist."""
         import numpy as np
 
-        from eagor.perception import load
         from eagor.worlds.apartment import VERSION
 
         if self.task not in RULES:
@@ -75,7 +74,7 @@ class Run:
                 name: text for name in self.methods if (text := fitted(self.perception, name.partition(":")[0]))
             },
             "world": self.world,
-            "rows": self.rows or rows_of(load(self.perception)),
+            "rows": self.rows or rows_of(shared(self.perception)),
             **({"calibrated": self.calibrated.as_json()} if self.calibrated else {}),
             **values,
             "versions": {"eagor": __version__, "apartment": VERSION},
@@ -110,7 +109,12 @@ def start(
     config = run.config()  # makes the perception: one that cannot be made is no failure of an episode
     units = run.units()
     ledger.begin(folder, config)
-    return run_units(units, WORK, config, folder, workers, on_done=on_done, retry_failed=retry_failed)
+    if workers > 1:
+        release()  # each worker makes its own; ours would only take room beside them
+    try:
+        return run_units(units, WORK, config, folder, workers, on_done=on_done, retry_failed=retry_failed)
+    finally:
+        release()
 
 
 def variants(task: str) -> tuple[str, ...]:

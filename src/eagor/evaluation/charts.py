@@ -26,6 +26,7 @@ STYLES = {
     "grid_filter": ("10 4", "plus"),
     "particle_filter": ("1 3", "ring"),
     "oracle": ("", "ring"),
+    "plain": ("1 2", "diamond"),
 }
 SHAPES = ("circle", "square", "triangle", "diamond", "down", "cross", "plus", "ring")
 SPARE = 8  # colours for series that are no methods

@@ -10,14 +10,17 @@ from collections.abc import Sequence
 
 from eagor.evaluation.sheets import Box, Row, Sheet
 
-# Eight hues that stay apart for the colour-blind and have at least 3:1 contrast on their ground (after Okabe and Ito).
+# Eight hues that stay apart for the colour-blind and have at least 3:1 contrast on their ground (after Okabe and Ito),
+# and those of methods that are rarely among them.
 _LIGHT = {
     "eagor": "#005fa3", "eagor_paper": "#c44e00", "centroid": "#a8467f", "cent_circ": "#866400", "grid": "#007a5a",
     "vmf": "#2f3440", "grid_filter": "#3d84c6", "particle_filter": "#71767f", "oracle": "#2f3440",
+    "plain": "#a3333d",
 }  # fmt: skip
 _DARK = {
     "eagor": "#5cb8f5", "eagor_paper": "#ff8f45", "centroid": "#e79bca", "cent_circ": "#e8d44d", "grid": "#34cfa3",
     "vmf": "#e9ebf0", "grid_filter": "#9fb6ff", "particle_filter": "#a4a9b3", "oracle": "#e9ebf0",
+    "plain": "#f28b92",
 }  # fmt: skip
 
 

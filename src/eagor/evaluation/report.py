@@ -129,6 +129,7 @@ def _facts(config: dict[str, Any], records: Sequence[Record], summary: dict[str,
     shown_before = {"task", "perception", "world", "rows", "seed", "episodes", "development", "methods"}
     pairs.append(("Methods", ", ".join(summary["methods"])))
     pairs += [(name.capitalize(), _words(value)) for name, value in config.items() if name not in shown_before]
+    pairs += _looked(records)
     hours = sum(float(record.get("seconds") or 0.0) for record in records) / 3600
     pairs.append(
         ("Computing time", f"{hours:.2f} process hours" if hours >= 0.1 else f"{60 * hours:.1f} process minutes")
@@ -141,6 +142,24 @@ def _facts(config: dict[str, Any], records: Sequence[Record], summary: dict[str,
         )
     )
     return pairs
+
+
+def _looked(records: Sequence[Record]) -> list[tuple[str, str]]:
+    """Which model looked, how long a look took, and how many answers could not be read, where the records say so."""
+    accounts = [r["looked"] for r in finished(records) if "looked" in r]
+    accounts += [m["looked"] for r in finished(records) for m in r["methods"].values() if "looked" in m]
+    if not accounts:
+        return []
+    looks, unread = (sum(account[key] for account in accounts) for key in ("looks", "unread"))
+    times = [account["milliseconds"] for account in accounts if account["milliseconds"] is not None]
+    models = sorted(
+        {f"{s.get('model')} ({s.get('revision') or 'revision unknown'})" for a in accounts if (s := a["source"])}
+    )
+    cost = f"; {sum(times) / len(times):.0f} ms each on average" if times else ""
+    return [
+        ("Model", ", ".join(models) or "unknown"),
+        ("Looks", f"{looks}, of which {unread} with an answer that could not be read{cost}"),
+    ]
 
 
 def _words(value: Any) -> str:

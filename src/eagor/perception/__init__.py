@@ -8,8 +8,11 @@ their own under the entry-point group ``eagor.perceptions`` (a name, and a class
 from __future__ import annotations
 
 import inspect
+import os
+import re
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -21,6 +24,7 @@ GROUP = "eagor.perceptions"
 # Known even where the package runs from a folder, without installed metadata.
 BUILT_IN = {
     "colour": "eagor.perception.colour:ColourPerception",
+    "endpoint": "eagor.perception.endpoint:from_text",
     "replay": "eagor.perception.replay:ReplayPerception",
     "scout": "eagor.perception.scout:ScoutPerception",
     "truth": "eagor.perception.truth:TruthPerception",
@@ -53,15 +57,24 @@ def known() -> dict[str, EntryPoint]:
 
 
 def load(spec: str, **options: Any) -> Perception:
-    """The perception that `spec` names: ``"colour"``, ``"replay:detections.jsonl"``, or an installed one.
+    """The perception that `spec` names: ``"colour"``, ``"replay:detections.jsonl"``, an installed one, or a model.
 
     Text after the first colon becomes the first argument of what makes the perception; `options` are passed on by
-    name. Raises `QueryError` for an unknown name, `EagorError` if it cannot be imported or does not take the arguments.
+    name. A folder with ``config.json``, or anything else with a slash in it, such as ``Qwen/Qwen2.5-VL-7B-Instruct``,
+    is a model that `eagor.perception.transformers` loads; options can follow in the text, as in
+    ``folder?extractor=boxes&pixels=401408``. Raises `QueryError` for an unknown name, `EagorError` if it cannot be
+    imported or does not take the arguments.
     """
     name, colon, text = str(spec).partition(":")
     choices = known()
     if name not in choices:
-        raise QueryError(f"there is no perception {name!r}; known are {', '.join(sorted(choices))}")
+        model, _, written = str(spec).partition("?")
+        if _names_a_model(model):
+            return _model(model, parse_options(written) | options)
+        raise QueryError(
+            f"there is no perception {name!r}; known are {', '.join(sorted(choices))}, folders with a model, and hub "
+            "names such as Qwen/Qwen2.5-VL-7B-Instruct"
+        )
     try:
         make: Callable[..., Perception] = choices[name].load()
     except (ImportError, AttributeError) as error:
@@ -77,6 +90,76 @@ def load(spec: str, **options: Any) -> Perception:
             f"It takes {name}{inspect.signature(make)}; the text after ':' is the first argument"
         ) from error
     return make(*arguments, **options)
+
+
+def is_model(spec: str) -> bool:
+    """Whether `spec` names a model, on this machine or on a server, as `load` would read it."""
+    name = str(spec).partition(":")[0]
+    return name == "endpoint" if name in known() else _names_a_model(str(spec).partition("?")[0])
+
+
+def short_name(spec: str) -> str:
+    """`spec` in few letters that file names can have: ``scout``, ``Qwen2.5-VL-7B-Instruct``, ``endpoint-qwen2.5vl-7b``.
+
+    Different specs can have the same.
+    """
+    name, _, text = str(spec).partition(":")
+    if name == "endpoint":
+        place = text.partition("?")[0]
+        model = place.rpartition("@")[0] or ("" if "://" in place else place)
+        name = f"endpoint-{model.rstrip('/').rpartition('/')[2]}" if model else name
+    elif name not in known():
+        name = Path(str(spec).partition("?")[0]).expanduser().resolve().name
+    return re.sub(r"[^\w.+-]+", "-", name).strip("-.") or "perception"
+
+
+def parse_options(text: str) -> dict[str, Any]:
+    """Options written as ``extractor=boxes&pixels=401408``: true, false and numbers become what they say.
+
+    Raises `EagorError` for a part without a name or a value, or a name that comes twice.
+    """
+    found: dict[str, Any] = {}
+    for part in filter(None, text.split("&")):
+        name, _, value = part.partition("=")
+        if not name or not value or name in found:
+            raise EagorError(f"{part!r} in the options {text!r}; wanted name=value, each once, with & between them")
+        found[name] = _value(value)
+    return found
+
+
+def _value(text: str) -> Any:
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _names_a_model(text: str) -> bool:
+    """Whether `text` is a folder with a model in it, or looks like a path or a hub name."""
+    return (Path(text) / "config.json").is_file() or "/" in text.replace(os.sep, "/")
+
+
+def _model(name: str, options: dict[str, Any]) -> Perception:
+    """The model with this hub name or in this folder."""
+    from eagor.perception.transformers import TransformersPerception
+
+    folder = Path(name).expanduser()
+    if folder.is_dir() and not (folder / "config.json").is_file():
+        raise EagorError(f"the folder {name!r} has no config.json; wanted one that holds a model")
+    if not folder.is_dir() and name.startswith((".", "~", "/")):
+        raise EagorError(f"there is no folder {name!r}; wanted one that holds a model, or a hub name")
+    try:
+        inspect.signature(TransformersPerception).bind(name, **options)
+    except TypeError as error:
+        raise EagorError(
+            f"the model {name!r} cannot be taken with the options {sorted(options)}: {error}. It takes "
+            f"{', '.join([*inspect.signature(TransformersPerception).parameters][1:])}"
+        ) from error
+    return TransformersPerception(str(folder) if folder.is_dir() else name, **options)
 
 
 def check_perception(

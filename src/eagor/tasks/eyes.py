@@ -6,13 +6,17 @@ needs no picture, so that none is rendered for it.
 
 from __future__ import annotations
 
+import gc
+import sys
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
 
+from eagor.errors import AnswerError
 from eagor.evidence import Evidence
-from eagor.perception import Perception
+from eagor.perception import Perception, load
 from eagor.queries import Named
 
 ROWS = 256  # of the panoramas, for perceptions that do not say
@@ -23,7 +27,13 @@ class Eye(Protocol):
 
     privileged: bool  # whether it reads instance ids instead of the panorama
 
-    def look(self, image: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray) -> Evidence: ...
+    def look(self, image: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray) -> Evidence | None:
+        """What is seen; None where a model's answer could not be read."""
+        ...
+
+    def account(self) -> dict[str, Any]:
+        """What looked and what it cost, for the record of the episode; empty where the perception does not say."""
+        ...
 
 
 class PixelEye:
@@ -33,9 +43,37 @@ class PixelEye:
 
     def __init__(self, perception: Perception) -> None:
         self.perception = perception
+        self.source: dict[str, Any] = {}
+        self.milliseconds: list[float] = []
+        self.looks = 0
+        self.unread: list[AnswerError] = []
 
-    def look(self, image: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray) -> Evidence:
-        return self.perception(image, query, stamp=stamp)
+    def look(self, image: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray) -> Evidence | None:
+        """One answer among hundreds that cannot be read costs its step, not the episode."""
+        self.looks += 1
+        try:
+            evidence = self.perception(image, query, stamp=stamp)
+        except AnswerError as error:
+            self.unread.append(error)
+            return None
+        if evidence.source is not None:
+            self.source = dict(evidence.source)
+            self.milliseconds.append(float(self.source.pop("milliseconds", 0.0)))
+        return evidence
+
+    def account(self) -> dict[str, Any]:
+        """Looks, how many answers could not be read, the mean time of a look, and the source of the last one.
+
+        Raises `AnswerError` if more than half of the answers could not be read: that is no result.
+        """
+        if 2 * len(self.unread) > self.looks:
+            raise AnswerError(
+                f"{len(self.unread)} of {self.looks} answers could not be read; the last: {self.unread[-1]}"
+            )
+        if not (self.source or self.unread):
+            return {}
+        mean = round(float(np.mean(self.milliseconds)), 1) if self.milliseconds else None
+        return {"looks": self.looks, "unread": len(self.unread), "milliseconds": mean, "source": self.source}
 
 
 class PrivilegedEye:
@@ -49,11 +87,36 @@ class PrivilegedEye:
     def look(self, image: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray) -> Evidence:
         return self.episode(image, query, stamp=stamp, world_R_body=world_R_body)
 
+    def account(self) -> dict[str, Any]:
+        return {}
+
 
 def open_eye(perception: Any, things: Sequence[Named], seed: int) -> Eye:
     """`perception` for one episode among `things` (whose places are the instance ids); `seed` is of its mistakes."""
     begin = getattr(perception, "episode", None)
     return PixelEye(perception) if begin is None else PrivilegedEye(begin(things, seed))
+
+
+@lru_cache(maxsize=1)
+def shared(perception: str) -> Perception:
+    """The perception of this name, made once per process however many ask: a model may take minutes and gigabytes.
+
+    `release` lets go of it. Raises as `eagor.perception.load`, and what a server has against it.
+    """
+    made = load(perception)
+    check = getattr(made, "check", None)
+    if check is not None:
+        check()
+    return made
+
+
+def release() -> None:
+    """Let go of the perception that `shared` keeps, and of its room on a GPU."""
+    shared.cache_clear()
+    gc.collect()
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_available():
+        torch.cuda.empty_cache()
 
 
 def rows_of(perception: Any) -> int:

@@ -22,11 +22,13 @@ from eagor.baselines import (
     GridFilter,
     HistogramFilter,
     ParticleFilter,
+    Plain,
     VonMisesFisherFilter,
 )
 from eagor.errors import EagorError, TimeError
 from eagor.estimate import Estimate, TrackerConfig
 from eagor.evidence import Calibration, Evidence
+from eagor.perception import is_model
 from eagor.ranged import log_ranges
 from eagor.tasks.fitted import fitted
 from eagor.tracker import DirectionTracker
@@ -48,6 +50,8 @@ DESCRIPTIONS = {
     "eagor": "our tracker: belief over direction and distance, standing or wandering, degree 15, read at its mode",
 }
 NAMES = tuple(DESCRIPTIONS)
+PLAIN = "plain"  # a model that is asked anew at each step, and nothing else: what vision-language models are without us
+EVERY = (PLAIN, *NAMES)
 ORACLE = "oracle"  # is told the true direction: the ceiling that geometry and policy leave
 
 
@@ -178,6 +182,11 @@ class TrackerMethod:
         return self.estimate.distance
 
 
+def default_methods(perception: str) -> tuple[str, ...]:
+    """The methods that are compared where nothing else is said; with vision-language models the plain model as well."""
+    return EVERY if is_model(perception) else NAMES
+
+
 def make_method(
     name: str,
     rng: np.random.Generator,
@@ -192,9 +201,9 @@ def make_method(
     start from `ours` (default: the default tracker).
     """
     base, _, text = name.partition(":")
-    if base not in NAMES:
+    if base not in EVERY:
         raise EagorError(
-            f"there is no method {base!r}; known are {', '.join(NAMES)}, and variants such as eagor:degree=7"
+            f"there is no method {base!r}; known are {', '.join(EVERY)}, and variants such as eagor:degree=7"
         )
     settings = _settings(name, fitted(perception, base)) | _settings(name, text)
     try:
@@ -233,6 +242,7 @@ _OURS = (
 )
 _ANGLES = ("noise", "diffusion", "roughening", "kernel")  # typed in degrees
 SETTINGS: dict[str, tuple[str, ...]] = {
+    "plain": (),
     "centroid": (),
     "cent_circ": (),
     "grid": (),
@@ -296,6 +306,7 @@ def _filter(base: str, settings: dict[str, str], rng: np.random.Generator) -> Me
 
 
 _FILTERS: dict[str, Callable[[np.random.Generator], DirectionFilter]] = {
+    "plain": lambda rng: Plain(),
     "centroid": lambda rng: Centroid(),
     "cent_circ": lambda rng: CircularCentroid(),
     "grid": lambda rng: GridFilter(),

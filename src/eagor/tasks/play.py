@@ -24,7 +24,7 @@ from eagor.sphere import azimuth_elevation
 from eagor.tasks import navigation, tracking, waypoint
 from eagor.tasks.environments import MapFreeNavigationEnv, PlaceEnv, TargetTrackingEnv, WaypointFollowingEnv
 from eagor.tasks.episodes import Episode, Slot
-from eagor.tasks.eyes import Eye, is_privileged, open_eye
+from eagor.tasks.eyes import Eye, is_privileged, open_eye, shared
 from eagor.tasks.methods import BASE, ORACLE, Method, make_method
 from eagor.tasks.policy import Policy
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, TrackingRules, WaypointRules, from_dict
@@ -58,7 +58,8 @@ class Recording:
     """An open-loop episode of n steps.
 
     `truth`: lists for the record; `directions` ``(n, 3)``: the target's, body frame (held while it is away);
-    `rotations` ``(n - 1, 3, 3)`` and `translations` ``(n - 1, 3)``: the camera's true motions.
+    `rotations` ``(n - 1, 3, 3)`` and `translations` ``(n - 1, 3)``: the camera's true motions;
+    `looked`: what the perception says about itself and its cost.
     """
 
     episode: Episode
@@ -67,6 +68,7 @@ class Recording:
     directions: np.ndarray
     rotations: np.ndarray
     translations: np.ndarray
+    looked: dict[str, Any] | None = None
 
 
 class Player:
@@ -79,9 +81,7 @@ class Player:
 
     def __init__(self, config: dict[str, Any], perception: Any = None) -> None:
         if perception is None:
-            from eagor.perception import load
-
-            perception = load(config["perception"])
+            perception = shared(config["perception"])
         self.config = config
         self.task: str = config["task"]
         if self.task not in RULES:
@@ -114,7 +114,8 @@ class Player:
             return body | {"methods": {name: self._navigate(episode, name, watch) for name in names}}
         recording = self.record(episode)
         judged = {name: self.judge(recording, self.method(name, slot)) for name in names}
-        return body | {"truth": recording.truth, "methods": judged}
+        looked = {"looked": recording.looked} if recording.looked else {}
+        return body | looked | {"truth": recording.truth, "methods": judged}
 
     def method(self, name: str, slot: Slot) -> Method:
         """A fresh method of this name, as it is for this perception."""
@@ -126,8 +127,11 @@ class Player:
         seed = int(episode.slot.rng("perception").integers(1 << 31))
         return observation, info, open_eye(self.perception, info["instances"]["labels"], seed)
 
-    def _look(self, eye: Eye, observation: dict, info: dict, query: str = "") -> Evidence:
-        """The evidence of this step about the episode's query, or another; stamped with the time of capture."""
+    def _look(self, eye: Eye, observation: dict, info: dict, query: str = "") -> Evidence | None:
+        """The evidence of this step about the episode's query, or another; stamped with the time of capture.
+
+        None where an answer could not be read.
+        """
         stamp = info["num_steps"] * self.camera.seconds
         image = info["instances"]["ids"] if eye.privileged else observation["panorama"]
         return eye.look(image, query or info["query"], stamp, info["truth"]["world_R_body"])
@@ -138,7 +142,7 @@ class Player:
         method = None if name == ORACLE else self.method(name, episode.slot)
         trace: dict[str, list[Any]] = defaultdict(list)
         policy = Policy(self.camera.step, self.rules.detour)
-        waiting: list[Evidence] = []
+        waiting: list[Evidence | None] = []
         directions, over = [], False
         while not over:
             waiting.append(self._look(eye, observation, info))
@@ -166,7 +170,8 @@ class Player:
             "shortest_m": episode.shortest,
             "collisions": info["collisions"]["count"],
         }
-        return {"metrics": _rounded(found), "trace": dict(trace)}
+        looked = eye.account()
+        return {"metrics": _rounded(found), "trace": dict(trace)} | ({"looked": looked} if looked else {})
 
     def record(self, episode: Episode, other: str = "") -> Recording:
         """An open-loop episode as every method will meet it: poses, responses, and what was true.
@@ -179,7 +184,7 @@ class Player:
         )
         truth: dict[str, list[Any]] = defaultdict(list)
         moments, directions, poses, places = [], [], [], []
-        waiting: list[Evidence] = []
+        waiting: list[Evidence | None] = []
         over = False
         while True:
             waiting.append(self._look(eye, observation, info))
@@ -202,7 +207,7 @@ class Player:
         true_directions = np.array(directions)
         truth["seam"] = metrics.seam_crossings(true_directions).tolist()
         motion = metrics.ego_motion(np.array(poses), np.array(places))
-        return Recording(episode, dict(truth), tuple(moments), true_directions, *motion)
+        return Recording(episode, dict(truth), tuple(moments), true_directions, *motion, eye.account() or None)
 
     def judge(self, recording: Recording, method: Method, regions: bool = True) -> dict[str, Any]:
         """What a method makes of a recorded episode: metrics and trace.

@@ -1,0 +1,150 @@
+"""What models could run on this machine: its memory, its GPUs, what is installed, and what to install."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from eagor.perception.vlm.families import FAMILIES, Checkpoint
+
+LOCAL = {"torch": "2.6", "transformers": "5.23", "accelerate": "1.10"}  # the extra vlm: oldest versions that will do
+SERVED = {"openai": "1.98"}  # the extra endpoint
+_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # of a container
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Memory in units of 1e9 bytes; None where it is not known. `gpus`: name and memory of each."""
+
+    memory: float | None
+    gpus: tuple[tuple[str, float], ...]
+
+    def place(self, checkpoint: Checkpoint) -> str:
+        """Where a checkpoint can run, or what it lacks."""
+        largest = max((memory for _, memory in self.gpus), default=0.0)
+        together = sum(memory for _, memory in self.gpus)
+        if checkpoint.gigabytes <= largest:
+            return "GPU"
+        if checkpoint.gigabytes <= together:
+            return "all GPUs (device=auto)"
+        if self.memory is None:
+            return "unknown: the size of the memory is"
+        if 2 * checkpoint.gigabytes <= self.memory:  # 32 bits
+            return "CPU"
+        if checkpoint.gigabytes <= self.memory:
+            return "CPU (dtype=bfloat16)"
+        return "too large"
+
+
+def machine() -> Machine:
+    """This one. GPUs are asked for through torch, where it is installed."""
+    return Machine(_memory(), _gpus())
+
+
+def report(here: Machine) -> dict[str, Any]:
+    """For ``--json``: the machine, each family with its checkpoints and where they can run, and what to install."""
+    families = [
+        {
+            "name": family.name,
+            "title": family.title,
+            "extractors": list(family.extractors),
+            "default": family.extractor,
+            "checkpoints": [
+                {"name": one.name, "needs_gb": round(one.gigabytes, 1), "runs_on": here.place(one)}
+                for one in family.checkpoints
+            ],
+        }
+        for family in FAMILIES
+    ]
+    machine = asdict(here) | {"gpus": [{"name": name, "memory": memory} for name, memory in here.gpus]}
+    return {"machine": machine, "families": families, "install": missing()}
+
+
+def lines(here: Machine) -> list[tuple[str, str]]:
+    """For people: label and text."""
+    gpus = ", ".join(f"{name} with {memory:.0f} GB" for name, memory in here.gpus) or "no GPU"
+    memory = "memory unknown" if here.memory is None else f"{here.memory:.0f} GB"
+    found = [("memory", f"{memory}; {gpus}")]
+    for label, family in zip(["models", *[""] * len(FAMILIES)], FAMILIES, strict=False):
+        sizes = [f"{one.name} ({_gigabytes(one)}: {here.place(one)})" for one in family.checkpoints]
+        found.append((label, f"{family.title}, {family.extractor}: {', '.join(sizes)}"))
+    steps = missing()
+    found += zip(["to install", *[""] * len(steps)], steps, strict=False)
+    return found
+
+
+def missing() -> list[str]:
+    """What to install, change or remove, so that models run here; empty where nothing is."""
+    steps = []
+    if short := [name for name, least in LOCAL.items() if not _reaches(name, least)]:
+        first = "pip install torch==2.13.0 first where there is no GPU, then " if "torch" in short else ""
+        steps.append(f"local models lack {', '.join(map(_wanted, short))}: {first}pip install 'eagor[vlm]'")
+    if short := [name for name, least in SERVED.items() if not _reaches(name, least)]:
+        steps.append(f"models on servers lack {', '.join(map(_wanted, short))}: pip install 'eagor[endpoint]'")
+    if find_spec("torch") and find_spec("torchvision"):
+        try:
+            import torchvision  # noqa: F401  # pyright: ignore[reportMissingImports]
+        except Exception as error:  # a build for another torch may raise anything
+            steps.append(
+                f"torchvision does not fit this torch ({type(error).__name__}), and without it nothing here is lost: "
+                "pip uninstall torchvision"
+            )
+    return steps
+
+
+def _wanted(name: str) -> str:
+    number, least = _version(name), (LOCAL | SERVED)[name]
+    return name if number is None else f"{name} {least} or newer (there is {number})"
+
+
+def _reaches(name: str, least: str) -> bool:
+    number = _version(name)
+    return number is not None and _parts(number) >= _parts(least)
+
+
+def _parts(number: str) -> tuple[int, ...]:
+    return tuple(int("".join(c for c in part if c.isdigit()) or 0) for part in number.split("+")[0].split(".")[:3])
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _memory() -> float | None:
+    """Of the machine, or what its container may use."""
+    try:
+        found = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (ValueError, OSError, AttributeError):
+        return None
+    for file in _LIMITS:
+        try:
+            text = Path(file).read_text(encoding="ascii").strip()
+        except OSError:
+            continue
+        if text.isdigit():
+            found = min(found, float(text))
+    return round(found / 1e9, 1)
+
+
+def _gpus() -> tuple[tuple[str, float], ...]:
+    if find_spec("torch") is None:
+        return ()
+    try:
+        import torch
+
+        count = torch.cuda.device_count()
+        found = [torch.cuda.get_device_properties(index) for index in range(count)]
+    except Exception:  # a broken driver or installation is no reason to say nothing else
+        return ()
+    return tuple((str(one.name), round(one.total_memory / 1e9, 1)) for one in found)
+
+
+def _gigabytes(checkpoint: Checkpoint) -> str:
+    return f"{checkpoint.gigabytes:.0f} GB" if checkpoint.gigabytes >= 1 else f"{checkpoint.gigabytes:.1f} GB"

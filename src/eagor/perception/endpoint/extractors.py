@@ -1,0 +1,129 @@
+"""What is asked about a panorama, and how the answers become a response.
+
+Each extractor is a plan: the pictures and questions of one look at a panorama, and what the answers, in the order of
+the questions, amount to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from eagor.detections import WHOLE_SPHERE, canvas_of
+from eagor.grids import Grid, PerspectiveGrid
+from eagor.perception.endpoint.messages import Answer, Picture, Question
+from eagor.perception.vlm.boxes import parse_boxes
+from eagor.perception.vlm.drawing import drawn
+from eagor.perception.vlm.presence import parse_presence
+from eagor.perception.vlm.prompts import ask_boxes, ask_presence, boxes_schema
+from eagor.perception.vlm.seam import merged
+from eagor.perception.vlm.sizes import resized
+from eagor.perception.vlm.styles import Style
+from eagor.perception.vlm.views import cut, lift
+
+GRID = WHOLE_SPHERE  # where all responses come
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How all questions of a perception are sent."""
+
+    max_tokens: int
+    image_format: Literal["png", "jpeg"]
+
+
+@dataclass(frozen=True)
+class Item:
+    """One question and how its answer is read: into a response on the cells that the picture stands for."""
+
+    question: Question
+    read: Callable[[Answer], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One look: what is asked, and the response ``(Q, h, w)`` and coverage ``(h, w)`` on `GRID` of what was read.
+
+    `combine` takes the readings in the order of `items`.
+    """
+
+    items: tuple[Item, ...]
+    combine: Callable[[Sequence[np.ndarray]], tuple[np.ndarray, np.ndarray]]
+    size: tuple[int, int]  # (height, width) of the pictures
+    pictures: int
+
+
+def boxes_plan(
+    panorama: np.ndarray, queries: Sequence[str], style: Style, size: tuple[int, int], seam: bool, manner: Manner
+) -> Plan:
+    """Boxes in the whole panorama at `size`; with `seam` in the rolled panorama, too."""
+    image = resized(panorama, size, wrap=True)
+    cells = max(1, size[1] // style.cell)
+    shift = cells // 2 * style.cell if seam else 0
+    rolls = (0, shift) if shift else (0,)
+    items: list[Item] = []
+    for roll in rolls:
+        picture = Picture(np.roll(image, roll, axis=1) if roll else image, manner.image_format)
+        for query in queries:
+            items.append(_boxes_item(picture, query, style, GRID, GRID, manner.max_tokens, roll / size[1]))
+
+    def combine(read: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        looks = [np.stack(read[start : start + len(queries)]) for start in range(0, len(read), len(queries))]
+        response = looks[0] if len(looks) == 1 else merged(looks[0], looks[1], shift / size[1])
+        return response, np.ones(GRID.shape)
+
+    return Plan(tuple(items), combine, size, len(rolls))
+
+
+def views_plan(
+    panorama: np.ndarray,
+    queries: Sequence[str],
+    style: Style,
+    views: Sequence[PerspectiveGrid],
+    margin: float,
+    boxes: bool,
+    manner: Manner,
+) -> Plan:
+    """Boxes in, or the presence in, each of several views of the panorama."""
+    items: list[Item] = []
+    for view in views:
+        picture = Picture(cut(panorama, view), manner.image_format)
+        for query in queries:
+            if boxes:
+                items.append(_boxes_item(picture, query, style, view, canvas_of(view), manner.max_tokens))
+            else:
+                question = Question(picture, ask_presence(query), manner.max_tokens, alternatives=True)
+                items.append(Item(question, _presence))
+
+    def combine(read: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        count = len(queries)
+        responses = [np.stack(read[start : start + count]) for start in range(0, len(read), count)]
+        return lift(responses, views, GRID, margin)
+
+    return Plan(tuple(items), combine, views[0].shape, len(views))
+
+
+def _boxes_item(
+    picture: Picture,
+    query: str,
+    style: Style,
+    image: Grid,
+    canvas: Grid,
+    max_tokens: int,
+    roll: float = 0.0,
+) -> Item:
+    text, schema = ask_boxes(query, style.frame, style.order), boxes_schema(style.frame, style.order)
+
+    def read(answer: Answer) -> np.ndarray:
+        found = parse_boxes(answer.text, style.frame, picture.size, style.order, answer.tokens)
+        return drawn(found, image, canvas, roll=roll)
+
+    return Item(Question(picture, text, max_tokens, schema), read)
+
+
+def _presence(answer: Answer) -> np.ndarray:
+    """The probability of presence, as the one cell of a view."""
+    return np.full((1, 1), parse_presence(answer.text, answer.verdict))

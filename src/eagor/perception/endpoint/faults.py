@@ -1,0 +1,139 @@
+"""What can go wrong between us and a server, in words that say what to change."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Set
+from dataclasses import dataclass
+from typing import Any
+
+from eagor.errors import EagorError, QueryError, ServerError
+
+RETRIED = {408, 409, 425, 429, 500, 502, 503, 504, 529}
+# What servers (vLLM, SGLang, Ollama, llama.cpp, transformers serve, hosted ones) write when they refuse a request.
+_CONTEXT = re.compile(
+    r"context (?:length|size|window)|maximum (?:model|context|allowed)? ?length|max_model_len|exceeds? .{0,40}context"
+    r"|(?:prompt|input) .{0,60}(?:too long|longer than|exceeds)|too many tokens|exceed_context|context_length_exceeded"
+)
+_NO_IMAGES = re.compile(
+    r"not a multimodal model|(?:does not|doesn't|not) support(?:ed|s)?\W.{0,30}(?:image|vision|multimodal)"
+    r"|(?:image|vision|multimodal).{0,40}(?:not supported|unsupported|not enabled|mmproj)|mmproj|unknown part type"
+    r"|missing data required for image|(?:at most 0|0) image|image_url.{0,40}(?:invalid|not allowed|unexpected)"
+    r"|content must be a string|image_url is only supported"
+)
+_MODEL = re.compile(
+    r"\bmodel\b.{0,200}(?:not (?:found|exist)|does not exist|doesn't exist|unknown|not available|not loaded)"
+)
+_FEATURES = {
+    "response_format": re.compile(r"response_format|json_schema|\bschema\b|grammar|guided|structured"),
+    "logprobs": re.compile(r"logprob"),
+}
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the failed request was about, for the text of an error."""
+
+    model: str
+    server: str
+    image: tuple[int, int]
+    timeout: float
+    tries: int
+
+
+def refused_feature(error: Any, used: Set[str]) -> str | None:
+    """The optional feature among `used` that a server says it does not know, None if that is not what is wrong."""
+    if getattr(error, "status_code", None) not in (400, 404, 422, 500, 501):
+        return None
+    said = message(error).lower()
+    return next((name for name, words in _FEATURES.items() if name in used and words.search(said)), None)
+
+
+def worth_retrying(error: Any) -> bool:
+    """Whether the same request may succeed later, or on another server."""
+    import openai
+
+    if isinstance(error, openai.APIConnectionError):  # timeouts are among them
+        return True
+    said = message(error).lower()
+    hopeless = _CONTEXT.search(said) or _NO_IMAGES.search(said)
+    return getattr(error, "status_code", None) in RETRIED and not hopeless
+
+
+def retry_after(error: Any) -> float:
+    """Seconds that the server asks us to wait, at most a minute; 0 where it says nothing."""
+    headers = getattr(getattr(error, "response", None), "headers", None) or {}
+    try:
+        return min(max(float(headers.get("retry-after", 0)), 0.0), 60.0)
+    except ValueError:
+        return 0.0
+
+
+def explained(error: Any, asked: Asked, served: list[str] | None) -> EagorError:
+    """The error to raise for what the client raised; `served` are the names of the server's models, where known."""
+    import openai
+
+    if isinstance(error, openai.APITimeoutError):
+        return ServerError(
+            f"{asked.server} gave no answer within {asked.timeout:g} s ({_tries(asked)}). Allow more time "
+            "(timeout=...), send fewer pixels, or fewer requests at once (concurrency=...), or see whether it is stuck"
+        )
+    if isinstance(error, openai.APIConnectionError):
+        return ServerError(
+            f"no server answers at {asked.server} ({_cause(error)}; {_tries(asked)}). Start one, for example "
+            f"`vllm serve {asked.model or 'MODEL'}`, or check the host, the port and the path (most end in /v1)"
+        )
+    status, said = getattr(error, "status_code", None), message(error)
+    height, width = asked.image
+    if _CONTEXT.search(said.lower()):
+        return ServerError(
+            f"the picture of {width} x {height} pixels and the question are too long for {asked.model} as served at "
+            f"{asked.server}: {said}. Send fewer pixels (pixels=...) or start the server with a longer context "
+            "(vLLM --max-model-len, llama.cpp -c, Ollama num_ctx)"
+        )
+    if _NO_IMAGES.search(said.lower()):
+        return ServerError(
+            f"{asked.model} as served at {asked.server} takes no images: {said}. Serve a vision-language model "
+            "(llama.cpp: with its --mmproj file)"
+        )
+    if status == 404 or _MODEL.search(said.lower()):
+        if served and asked.model not in served:
+            return QueryError(
+                f"{asked.server} has no model {asked.model!r} ({said}); it has {', '.join(map(repr, served))}. Name "
+                "one of these before the @"
+            )
+        return ServerError(
+            f"{asked.server} has no chat completions for {asked.model!r} (HTTP {status}: {said}). Is the model loaded, "
+            "and does the address end as the server wants it (mostly /v1)?"
+        )
+    if status in (401, 403):
+        return ServerError(
+            f"{asked.server} wants a key, or does not accept it (HTTP {status}: {said}). Put it in an environment "
+            "variable and name that with key=VARIABLE"
+        )
+    if status is not None:
+        return ServerError(f"{asked.server} refused the request ({_tries(asked)}; HTTP {status}): {said}")
+    return ServerError(
+        f"{asked.server} answered with something that is no chat completion ({type(error).__name__}: {said}); is it an "
+        "OpenAI-compatible server, and does the address end in /v1?"
+    )
+
+
+def message(error: Any) -> str:
+    """What a server wrote about an error, on one line."""
+    body = getattr(error, "body", None)
+    for key in ("error", "message", "detail"):
+        if isinstance(body, dict) and key in body:
+            body = body[key]
+    text = str(body if isinstance(body, str | list | dict) and body else error)
+    line = " ".join(text.split())
+    return line if len(line) <= 300 else line[:297] + "..."
+
+
+def _cause(error: BaseException) -> str:
+    cause = error.__cause__ or error
+    return f"{type(cause).__name__}: {' '.join(str(cause).split()) or 'no reason given'}"
+
+
+def _tries(asked: Asked) -> str:
+    return "tried once" if asked.tries == 1 else f"tried {asked.tries} times"

@@ -1,0 +1,144 @@
+"""Requests and answers of a chat completion: a picture as a data URI, a question, what came back."""
+
+from __future__ import annotations
+
+import base64
+import io
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from PIL import Image
+
+from eagor.errors import AnswerError
+from eagor.perception.vlm.boxes import without_thoughts
+from eagor.perception.vlm.presence import means
+from eagor.perception.vlm.tokens import Token
+
+LIKELIEST = 10  # tokens whose probabilities are asked for at each place
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """An image ``(H, W, 3)`` uint8 as it is sent; encoded once, however many questions there are about it."""
+
+    image: np.ndarray
+    format: Literal["png", "jpeg"] = "png"
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width)."""
+        return self.image.shape[0], self.image.shape[1]
+
+    @cached_property
+    def uri(self) -> str:
+        """The picture as a data URI: PNG, exact to the bit, or JPEG, a fraction of its length."""
+        file = io.BytesIO()
+        how: dict[str, Any] = {"compress_level": 1} if self.format == "png" else {"quality": 95, "subsampling": 0}
+        Image.fromarray(np.ascontiguousarray(self.image)).save(file, self.format, **how)
+        return f"data:image/{self.format};base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """One request: a picture, words, and how the answer is wanted."""
+
+    picture: Picture
+    text: str
+    max_tokens: int
+    schema: dict[str, Any] | None = None
+    alternatives: bool = False  # whether to ask for the likeliest tokens, not only for those of the answer
+    temperature: float = 0.0
+
+    @property
+    def features(self) -> set[str]:
+        """What a server may not know."""
+        return {"logprobs", "response_format"} if self.schema else {"logprobs"}
+
+    def warmer(self, temperature: float) -> Question:
+        """The same question, to be answered with some chance."""
+        return replace(self, temperature=temperature)
+
+    def body(self, model: str, refused: frozenset[str]) -> dict[str, Any]:
+        """The arguments of ``chat.completions.create``, without the features that the server refused.
+
+        The picture comes first: servers that keep the work on equal beginnings then do it once for all questions.
+        """
+        content = [
+            {"type": "image_url", "image_url": {"url": self.picture.uri}},
+            {"type": "text", "text": self.text},
+        ]
+        body: dict[str, Any] = {
+            "model": model,
+            "messages": [{"role": "user", "content": content}],
+            "temperature": self.temperature,
+            "max_tokens": self.max_tokens,
+        }
+        if "logprobs" not in refused:
+            body["logprobs"] = True
+            if self.alternatives:
+                body["top_logprobs"] = LIKELIEST
+        if self.schema and "response_format" not in refused:
+            named = {"name": "answer", "schema": self.schema, "strict": True}
+            body["response_format"] = {"type": "json_schema", "json_schema": named}
+        return body
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a server answered.
+
+    `tokens` are the answer's pieces with their log probabilities, `likeliest` the alternatives at each piece; both are
+    empty where the server gives none. Counts are None where it does not tell.
+    """
+
+    text: str
+    tokens: tuple[Token, ...]
+    likeliest: tuple[tuple[Token, ...], ...]
+    model: str
+    revision: str | None
+    prompt_tokens: int | None
+    completion_tokens: int | None
+    requests: int
+
+    @property
+    def verdict(self) -> tuple[Token, ...]:
+        """The alternatives at the first piece after any thoughts that means yes or no; () where there is none."""
+        pieces = "".join(piece for piece, _ in self.tokens)
+        bare, place = without_thoughts(pieces), 0
+        for (piece, log), others in zip(self.tokens, self.likeliest, strict=True):
+            said = bare[place : place + len(piece)]
+            place += len(piece)
+            if said.strip() and means(said) is not None:
+                return others or ((piece, log),)
+        return ()
+
+
+def read_answer(completion: Any, requests: int) -> Answer:
+    """The answer in what the client returned.
+
+    Raises `AnswerError` if it is empty, `AttributeError` or `TypeError` if it is no chat completion at all.
+    """
+    choice = completion.choices[0] if completion.choices else None
+    usage = completion.usage
+    text = (choice.message.content or "") if choice else ""
+    if not text.strip():
+        why = f"it stopped because of {choice.finish_reason!r}" if choice else "no choices"
+        counted = getattr(usage, "completion_tokens", None)
+        raise AnswerError(
+            f"{completion.model} gave an empty answer ({why}, {counted} tokens). If it thinks before it answers, allow "
+            "more tokens (max_tokens=...) or turn that off; else look at the server's chat template for this model"
+        )
+    given = getattr(getattr(choice, "logprobs", None), "content", None) or ()
+    given = [entry for entry in given if entry.logprob is not None]
+    return Answer(
+        text,
+        tuple((entry.token, entry.logprob) for entry in given),
+        tuple(tuple((other.token, other.logprob) for other in entry.top_logprobs or ()) for entry in given),
+        completion.model or "",
+        getattr(completion, "system_fingerprint", None),
+        getattr(usage, "prompt_tokens", None),
+        getattr(usage, "completion_tokens", None),
+        requests,
+    )

@@ -1,0 +1,270 @@
+"""The perception itself: one look at a panorama is a plan, its questions, their answers, and one response."""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+import time
+import warnings
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from eagor.errors import AnswerError, EagorError
+from eagor.evidence import Calibration, Evidence
+from eagor.grids import PatchGrid, PerspectiveGrid
+from eagor.perception.endpoint.extractors import GRID, Manner, Plan, boxes_plan, views_plan
+from eagor.perception.endpoint.messages import Answer
+from eagor.perception.endpoint.servers import DEFAULT_SERVER, Limits, Servers, checked_address
+from eagor.perception.vlm.boxes import Frame, Order
+from eagor.perception.vlm.prompts import phrase
+from eagor.perception.vlm.sizes import checked_picture, exact_size
+from eagor.perception.vlm.styles import Style, style_of
+from eagor.perception.vlm.views import tangent_views
+
+_CONNECTING = threading.Lock()
+_SECOND_TRY = 0.5  # temperature when an answer could not be read: at 0 it would be the same again
+
+
+@dataclass(frozen=True)
+class Look:
+    """What came of one look: responses ``(Q, h, w)``, coverage ``(h, w)``, and what produced them."""
+
+    responses: np.ndarray
+    coverage: np.ndarray
+    source: dict[str, object]
+
+
+@dataclass(frozen=True)
+class EndpointPerception:
+    """Asks a vision-language model that runs on one or several OpenAI-compatible servers.
+
+    Nothing is connected to before the first look. Copies that are pickled connect anew.
+
+    Attributes:
+        model: its name as the server knows it; empty for the only model that the first server has.
+        servers: addresses, mostly ending in ``/v1``; requests are shared out among them.
+        extractor: ``boxes``, ``views``, or empty for what suits the model.
+        per_view: what ``views`` asks: ``presence`` (yes or no) or ``boxes``.
+        pixels: of the panorama (``boxes``) or of one view (``views``); 0 for the model's usual number.
+        cell: pixels of one side of the model's image tokens; 0 for what its name tells (`vlm.styles`).
+        frame: what the coordinates of its boxes count; empty for what its name tells.
+        order: of the coordinates of its boxes; empty for what its name tells.
+        seam: whether ``boxes`` looks at the rolled panorama, too.
+        hfov_deg: field of a view, degrees.
+        overlap_deg: how much of it neighbours share.
+        reach_deg: views cover elevations up to this, degrees; beyond, nothing was seen.
+        image_format: ``png``, or ``jpeg`` where sending is slow.
+        max_tokens: of an answer.
+        concurrency: requests at once to each server.
+        timeout: seconds for one answer.
+        retries: more tries of a request that failed for a reason that may pass.
+        backoff: seconds before the first of them; doubled for each further one.
+        key: the name of the environment variable that holds the server's key, if it wants one.
+        calibration: how responses become evidence; None for the default of `Evidence`.
+
+    Raises `EagorError` for values that make no sense.
+    """
+
+    model: str = ""
+    servers: tuple[str, ...] = (DEFAULT_SERVER,)
+    extractor: Literal["", "boxes", "views"] = ""
+    per_view: Literal["presence", "boxes"] = "presence"
+    pixels: int = 0
+    cell: int = 0
+    frame: Frame | Literal[""] = ""
+    order: Order | Literal[""] = ""
+    seam: bool = True
+    hfov_deg: float = 100.0
+    overlap_deg: float = 10.0
+    reach_deg: float = 90.0
+    image_format: Literal["png", "jpeg"] = "png"
+    max_tokens: int = 1024
+    concurrency: int = 4
+    timeout: float = 120.0
+    retries: int = 3
+    backoff: float = 0.5
+    key: str = ""
+    calibration: Calibration | None = None
+
+    def __post_init__(self) -> None:
+        for name, choices in _CHOICES.items():
+            if getattr(self, name) not in choices:
+                wanted = ", ".join(choice or "nothing" for choice in choices)
+                raise EagorError(f"{name} is {getattr(self, name)!r}; wanted {wanted}")
+        least = {"pixels": 0, "cell": 0, "max_tokens": 1, "concurrency": 1, "retries": 0, "backoff": 0}
+        for name, lowest in least.items():
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= lowest):
+                raise EagorError(f"{name} is {getattr(self, name)!r}; wanted {lowest} or more")
+        if not 0 < self.timeout < math.inf:
+            raise EagorError(f"timeout is {self.timeout!r}; wanted seconds, more than 0")
+        if not self.servers:
+            raise EagorError("no server is named; wanted addresses such as " + DEFAULT_SERVER)
+        object.__setattr__(self, "servers", tuple(checked_address(url) for url in self.servers))
+
+    def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
+        """Evidence for the thing that `query` names in `panorama` ``(H, W, 3)`` uint8, with its `source`.
+
+        Raises `QueryError` if the query is empty or the server lacks the model, `ImageError` for another image,
+        `ServerError` if the server cannot be reached or refuses, `AnswerError` if its answer is empty or unreadable.
+        """
+        look = self.look(panorama, [query])
+        return Evidence.from_response(
+            look.responses[0], self.grid, self.calibration, stamp, coverage=look.coverage, source=look.source
+        )
+
+    def respond(self, panorama: np.ndarray, queries: Sequence[str]) -> np.ndarray:
+        """Responses ``(Q, h, w)`` float32 in [0, 1] on `grid` to several queries, asked side by side.
+
+        0 where nothing was seen, too (see `look`). Errors as for a call.
+        """
+        return self.look(panorama, queries).responses
+
+    def look(self, panorama: np.ndarray, queries: Sequence[str]) -> Look:
+        """`respond`, with the coverage and the source: model, pixels, tokens, requests, milliseconds."""
+        started = time.perf_counter()
+        image = checked_picture(panorama)
+        words = [phrase(query) for query in queries]
+        if not words:
+            return Look(np.zeros((0, *GRID.shape), np.float32), np.ones(GRID.shape), {})
+        model = self._servers.model()
+        plan = self._plan(image, words, model)
+        answers = self._servers.ask([item.question for item in plan.items])
+        readings, again = [], []
+        for item, answer in zip(plan.items, answers, strict=True):
+            try:
+                readings.append(item.read(answer))
+            except AnswerError:
+                (second,) = self._servers.ask([item.question.warmer(_SECOND_TRY)])
+                again.append(second)
+                readings.append(item.read(second))
+        self._warn_if_shrunk(plan, model, answers)
+        responses, coverage = plan.combine(readings)
+        elapsed = 1000 * (time.perf_counter() - started)
+        return Look(responses, coverage, self._source(plan, model, [*answers, *again], elapsed))
+
+    def check(self) -> None:
+        """One look at a grey picture, before a long run: is there a server, and does it know model, key and pictures?
+
+        Raises what a look raises, but for an answer that cannot be read: there is nothing to see.
+        """
+        rows = self.rows
+        with suppress(AnswerError):
+            self.look(np.full((rows, 2 * rows, 3), 128, dtype=np.uint8), ["chair"])
+
+    @property
+    def rows(self) -> int:
+        """Rows of a panorama that shows the model as much as it is sent; errors as for a call if no model is named."""
+        model = self._servers.model()
+        style = self.style(model)
+        if self._extractor(style) == "boxes":
+            return self._size(style)[0]
+        return round(math.pi * self.views(model)[0].focal)
+
+    @property
+    def grid(self) -> PatchGrid:
+        """The cells of the responses: 2 degrees each way."""
+        return GRID
+
+    def style(self, model: str) -> Style:
+        """How `model` sees and answers: by its name, with what this perception was told."""
+        known = style_of(model)
+        told = {name: getattr(self, name) for name in ("cell", "frame", "order") if getattr(self, name)}
+        return replace(known, **told)
+
+    def views(self, model: str) -> tuple[PerspectiveGrid, ...]:
+        """The views that ``views`` cuts for `model`."""
+        style = self.style(model)
+        side, _ = exact_size(style.cell, self.pixels or style.view**2, 1.0)
+        angles = (math.radians(degrees) for degrees in (self.hfov_deg, self.overlap_deg, self.reach_deg))
+        return tangent_views(side, *angles)
+
+    def _extractor(self, style: Style) -> str:
+        return self.extractor or ("boxes" if style.grounded else "views")
+
+    def _plan(self, panorama: np.ndarray, queries: Sequence[str], model: str) -> Plan:
+        style = self.style(model)
+        if self._extractor(style) == "boxes":
+            return boxes_plan(panorama, queries, style, self._size(style), self.seam, self._manner)
+        margin = math.radians(self.overlap_deg) / 2
+        return views_plan(panorama, queries, style, self.views(model), margin, self.per_view == "boxes", self._manner)
+
+    def _size(self, style: Style) -> tuple[int, int]:
+        """(height, width) of the panorama as it is sent for boxes."""
+        return exact_size(style.cell, self.pixels or style.pixels, style.aspect)
+
+    @property
+    def _manner(self) -> Manner:
+        return Manner(self.max_tokens, self.image_format)
+
+    @property
+    def _servers(self) -> Servers:
+        """The connections, made at the first look and shared by all threads."""
+        with _CONNECTING:
+            if "_connected" not in self.__dict__:
+                self.__dict__["_connected"] = self._connect()
+            return self.__dict__["_connected"]
+
+    def _connect(self) -> Servers:
+        key = os.environ.get(self.key, "") if self.key else ""
+        if self.key and not key:
+            raise EagorError(f"the environment variable {self.key}, which should hold the server's key, is not set")
+        limits = Limits(self.concurrency, self.timeout, self.retries, self.backoff)
+        return Servers(self.servers, self.model, key or "none", limits)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def _warn_if_shrunk(self, plan: Plan, model: str, answers: Sequence[Answer]) -> None:
+        """Boxes in pixels are off if the server resizes the picture; its count of tokens shows that."""
+        style = self.style(model)
+        cells = plan.size[0] * plan.size[1] // style.cell**2
+        counted = [answer.prompt_tokens for answer in answers if answer.prompt_tokens]
+        if style.frame == "pixels" and counted and min(counted) < cells:
+            warnings.warn(
+                f"{model} read {min(counted)} tokens, but the picture of {plan.size[1]} x {plan.size[0]} alone has "
+                f"{cells}: the server seems to shrink it, and boxes in its pixels are then off. Send fewer pixels "
+                "(pixels=...) or raise the server's limit (vLLM --mm-processor-kwargs)",
+                UserWarning,
+                stacklevel=4,
+            )
+
+    def _source(self, plan: Plan, model: str, answers: Sequence[Answer], milliseconds: float) -> dict[str, object]:
+        style = self.style(model)
+        served = {answer.model for answer in answers if answer.model}
+        revisions = {answer.revision for answer in answers if answer.revision}
+        return {
+            "perception": "endpoint",
+            "model": model,
+            "served_as": ", ".join(sorted(served)),
+            "revision": ", ".join(sorted(revisions)) or None,
+            "servers": list(self.servers),
+            "family": style.family,
+            "extractor": self._extractor(style),
+            "height": plan.size[0],
+            "width": plan.size[1],
+            "pictures": plan.pictures,
+            "requests": sum(answer.requests for answer in answers),
+            "prompt_tokens": _sum([answer.prompt_tokens for answer in answers]),
+            "completion_tokens": _sum([answer.completion_tokens for answer in answers]),
+            "probabilities": any(answer.tokens for answer in answers),
+            "milliseconds": round(milliseconds, 3),
+        }
+
+
+_CHOICES: dict[str, tuple[str, ...]] = {
+    "extractor": ("", "boxes", "views"),
+    "per_view": ("presence", "boxes"),
+    "frame": ("", *get_args(Frame)),
+    "order": ("", *get_args(Order)),
+    "image_format": ("png", "jpeg"),
+}
+
+
+def _sum(counts: Sequence[int | None]) -> int | None:
+    """The sum, None if any server did not tell."""
+    return None if any(count is None for count in counts) else sum(count or 0 for count in counts)

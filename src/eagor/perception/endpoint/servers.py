@@ -1,0 +1,217 @@
+"""Several servers as one: where the next request goes, how many are under way, and what happens when one fails."""
+
+from __future__ import annotations
+
+import random
+import threading
+import time
+import weakref
+from collections.abc import Sequence
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import urlsplit
+
+from eagor.errors import EagorError, QueryError, ServerError
+from eagor.perception.endpoint.faults import Asked, explained, message, refused_feature, retry_after, worth_retrying
+from eagor.perception.endpoint.messages import Answer, Question, read_answer
+
+DEFAULT_SERVER = "http://localhost:8000/v1"
+LONGEST_REST = 30.0  # seconds that a failing server is left alone at most, unless it asks for more
+_CONNECT = 10.0  # seconds to reach a server
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How patiently, and how hard, servers are asked."""
+
+    concurrency: int = 4  # requests at once to each server
+    timeout: float = 120.0  # seconds for one answer
+    retries: int = 3  # more tries of a request that failed for a reason that may pass
+    backoff: float = 0.5  # seconds that a server rests after its first failure; doubled with each further one
+
+
+@dataclass(eq=False)
+class _Server:
+    url: str
+    client: Any
+    busy: int = 0
+    failures: int = 0  # in a row
+    rests_until: float = 0.0
+    refused: set[str] = field(default_factory=set)  # optional features that it does not know
+
+
+class Servers:
+    """Sends questions to OpenAI-compatible servers that all serve the same model.
+
+    A server that fails rests for a while, the longer the more often in a row, and what it was asked goes elsewhere if
+    there is an elsewhere. Safe to use from several threads, which then share the limits.
+
+    Raises `EagorError` without the openai package.
+    """
+
+    def __init__(self, urls: Sequence[str], model: str, key: str, limits: Limits) -> None:
+        try:
+            import openai
+        except ImportError as error:
+            raise EagorError("a served model needs the openai package: pip install 'eagor[endpoint]'") from error
+        self._limits = limits
+        self._model = model
+        self._free = threading.Condition()
+        timeout = openai.Timeout(limits.timeout, connect=min(_CONNECT, limits.timeout))
+        self._servers = []
+        for url in urls:
+            # A proxy knows no way to this machine itself.
+            inside = urlsplit(url).hostname in ("localhost", "127.0.0.1", "::1")
+            http = openai.DefaultHttpxClient(trust_env=not inside, timeout=timeout)
+            client = openai.OpenAI(base_url=url, api_key=key, timeout=timeout, max_retries=0, http_client=http)
+            self._servers.append(_Server(url, client))
+        weakref.finalize(self, _close, [server.client for server in self._servers])
+
+    def model(self) -> str:
+        """The model's name; where none was given, that of the only model that the first server has.
+
+        Raises `ServerError` if that server does not answer, `QueryError` if it has several models or none.
+        """
+        if not self._model:
+            import openai
+
+            first = self._servers[0]
+            try:
+                names = _names(first)
+            except (openai.OpenAIError, ValueError, AttributeError, TypeError) as error:
+                raise explained(error, self._asked(first, (0, 0), 1), None) from error
+            if len(names) != 1:
+                raise QueryError(f"{first.url} has {len(names)} models ({', '.join(names)}); name one before the @")
+            self._model = names[0]
+        return self._model
+
+    def ask(self, questions: Sequence[Question]) -> list[Answer]:
+        """The answers to `questions`, in their order; as many at once as the limits allow.
+
+        Raises the first error (`ServerError`, `QueryError`, `AnswerError`); what is not yet sent then stays unsent.
+        """
+        self.model()
+        if not questions:
+            return []
+        stop = threading.Event()
+        workers = min(len(questions), self._limits.concurrency * len(self._servers))
+        pool = ThreadPoolExecutor(workers, thread_name_prefix="eagor-endpoint")
+        try:
+            futures = [pool.submit(self._ask, question, stop) for question in questions]
+            done, _ = wait(futures, return_when=FIRST_EXCEPTION)
+            for future in done:
+                future.result()
+            return [future.result() for future in futures]
+        finally:  # all done, or one failed, or interrupted: then nobody waits for what is under way
+            stop.set()
+            with self._free:
+                self._free.notify_all()
+            pool.shutdown(wait=False, cancel_futures=True)
+
+    def _ask(self, question: Question, stop: threading.Event) -> Answer:
+        """One answer, after as many tries as it takes and is allowed."""
+        import openai
+
+        most, tries = self._limits.retries + len(self._servers), 0
+        while True:
+            server = self._next(stop)
+            failed: Exception | None = None
+            answer: Answer | None = None
+            tries += 1
+            refused = frozenset(server.refused)
+            try:
+                body = question.body(self._model, refused)
+                answer = read_answer(server.client.chat.completions.create(**body), tries)
+            except openai.OpenAIError as error:
+                failed = error
+            except (ValueError, AttributeError, TypeError) as error:  # what came is no chat completion
+                if isinstance(error, EagorError):
+                    raise
+                failed = error
+            finally:
+                self._done(server, failed)
+            if answer is not None:
+                return answer
+            assert failed is not None
+            feature = refused_feature(failed, question.features - refused)
+            if feature:
+                server.refused.add(feature)
+                tries -= 1
+            elif tries >= most or not worth_retrying(failed):
+                asked = self._asked(server, question.picture.size, tries)
+                raise explained(failed, asked, self._names_after(failed, server)) from failed
+
+    def _next(self, stop: threading.Event) -> _Server:
+        """The least busy server that has room and does not rest, once there is one."""
+        with self._free:
+            while True:
+                if stop.is_set():
+                    raise _Stopped("another request of the same look failed")
+                now = time.monotonic()
+                room = [server for server in self._servers if server.busy < self._limits.concurrency]
+                ready = [server for server in room if server.rests_until <= now]
+                if ready:
+                    server = min(ready, key=lambda s: (s.failures, s.busy))
+                    server.busy += 1
+                    return server
+                self._free.wait(min((server.rests_until - now for server in room), default=None))
+
+    def _done(self, server: _Server, failed: Exception | None) -> None:
+        """Note how a request went."""
+        with self._free:
+            server.busy -= 1
+            now = time.monotonic()
+            if failed is None:
+                server.failures = 0
+                server.rests_until = 0.0
+            elif worth_retrying(failed) and server.rests_until <= now:  # failures at the same time count once
+                pause = self._limits.backoff * 2**server.failures
+                pause = min(pause, LONGEST_REST) * random.uniform(0.75, 1.25)  # not all clients at once
+                server.failures = min(server.failures + 1, 20)
+                server.rests_until = now + max(pause, retry_after(failed))
+            self._free.notify_all()
+
+    def _asked(self, server: _Server, image: tuple[int, int], tries: int) -> Asked:
+        return Asked(self._model, server.url, image, self._limits.timeout, tries)
+
+    def _names_after(self, failed: Exception, server: _Server) -> list[str] | None:
+        """The models that a server has, where the failure may be about their names."""
+        wrong = getattr(failed, "status_code", None) in (400, 404, 422) and "model" in message(failed).lower()
+        return self._listed(server) if wrong else None
+
+    def _listed(self, server: _Server) -> list[str] | None:
+        """The names of a server's models, None if it does not tell."""
+        import openai
+
+        try:
+            return _names(server)
+        except (openai.OpenAIError, ValueError, AttributeError, TypeError):
+            return None
+
+
+def _close(clients: Sequence[Any]) -> None:
+    """Give the connections back."""
+    for client in clients:
+        client.close()
+
+
+def _names(server: _Server) -> list[str]:
+    return [str(model.id) for model in server.client.models.list().data]
+
+
+class _Stopped(ServerError):
+    """This request was given up because another one failed."""
+
+
+def checked_address(url: str) -> str:
+    """`url` with ``/v1`` where it has no path. Raises `EagorError` if it is none."""
+    text = str(url).strip().rstrip("/")
+    try:
+        parts = urlsplit(text)
+        valid = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
+    except ValueError:
+        parts, valid = None, False
+    if not (parts and valid):
+        raise EagorError(f"{url!r} is no address of a server; wanted one such as {DEFAULT_SERVER}")
+    return text if parts.path else text + "/v1"

@@ -1,0 +1,210 @@
+"""Localisation heads: the few attention heads of a frozen model that look at what is asked for.
+
+Found as by Kang et al. (arXiv 2503.06287): heads that attend to the image at all (their mass on it reaches the elbow of
+the sorted masses) are ranked by how often their maps are among the least scattered (spatial entropy of the connected
+parts). Here directions are known as well, so the shortlist is put in order by how much attention lies on the target.
+The result is a small JSON file per model.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from eagor.errors import EagorError
+from eagor.grids import Grid, PatchGrid
+from eagor.perception.transformers.attention import blurred, densities
+from eagor.sphere import angular_distance, unit
+
+TAKE = 3
+SHORTLIST = 10
+_EARLIEST = 2  # layers before this one attend to tokens, not yet to things
+_LEAST = 1.05  # times an even spread: what a head puts on the targets at least; below, it is rounding or luck
+_AIM = 0.7  # the response that a typical labelled target gets
+
+
+@dataclass(frozen=True)
+class Heads:
+    """Localisation heads of one model.
+
+    Attributes:
+        model: its name.
+        model_type: as in its configuration.
+        heads: (layer, head), best first.
+        saturation: the excess over an even spread at which the response is one half.
+        found_by: figures, for people.
+    """
+
+    model: str
+    model_type: str
+    heads: tuple[tuple[int, int], ...]
+    saturation: float
+    found_by: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def layers(self) -> tuple[int, ...]:
+        """The layers that the heads are in."""
+        return tuple(sorted({layer for layer, _ in self.heads}))
+
+    def write(self, file: Path) -> None:
+        """Store it as JSON. Raises `OSError` if the disk does not take it."""
+        part = file.with_name(file.name + ".part")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
+        part.replace(file)
+
+
+def read_heads(file: str | Path) -> Heads:
+    """The heads in a file. Raises `EagorError` if it cannot be read or is something else."""
+    try:
+        stored = json.loads(Path(file).read_text(encoding="utf-8"))
+        heads = tuple((int(layer), int(head)) for layer, head in stored["heads"])
+        found = Heads(
+            str(stored["model"]), str(stored["model_type"]), heads, float(stored["saturation"]),
+            dict(stored.get("found_by", {})),
+        )  # fmt: skip
+    except OSError as error:
+        raise EagorError(f"the heads {file} cannot be read ({error}); `eagor calibrate heads` makes them") from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise EagorError(
+            f"{file} holds no localisation heads ({type(error).__name__}: {error}); wanted what "
+            "`eagor calibrate heads` writes"
+        ) from error
+    if not heads or min(min(pair) for pair in heads) < 0 or not found.saturation > 0:
+        raise EagorError(f"{file} lists no usable heads: {heads}, saturation {found.saturation}")
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """What all heads did for one labelled panorama, or for the view of it that shows the target best.
+
+    Attributes:
+        maps: layer to attention per cell ``(H, h, w)``.
+        mass: layer to the share of attention that went to the image ``(H,)``.
+        grid: the cells.
+        direction: of the target ``(3,)``.
+        radius: of the target, radians.
+    """
+
+    maps: dict[int, np.ndarray]
+    mass: dict[int, np.ndarray]
+    grid: Grid
+    direction: np.ndarray
+    radius: float
+
+    @property
+    def wrap(self) -> bool:
+        """Whether left and right of the picture meet."""
+        return isinstance(self.grid, PatchGrid)
+
+    @cached_property
+    def near(self) -> np.ndarray:
+        """Which cells ``(h, w)`` the target lies in: those within its radius, the nearest at least."""
+        angle = np.asarray(angular_distance(self.grid.directions, unit(np.asarray(self.direction, dtype=float))))
+        return (angle <= self.radius) | (angle <= angle.min() + 1e-12)
+
+    def mean(self, heads: Sequence[tuple[int, int]]) -> np.ndarray:
+        """The map ``(h, w)`` of some (layer, head) together, as the response sees it before it is bounded."""
+        return blurred(np.mean([densities(self.maps[layer][head]) for layer, head in heads], axis=0), self.wrap)
+
+    def error(self, heads: Sequence[tuple[int, int]]) -> float:
+        """The angle (radians) between the target and where these heads look most."""
+        cells = self.mean(heads)
+        best = self.grid.directions[np.unravel_index(np.argmax(cells), cells.shape)]
+        return float(angular_distance(best, unit(np.asarray(self.direction, dtype=float))))
+
+
+def fit_heads(observed: Iterable[Observed], model: str, model_type: str, take: int = TAKE) -> Heads:
+    """The localisation heads in what `eagor.perception.transformers.language` observed on labelled panoramas.
+
+    Raises `EagorError` if there is nothing to look at, or no head attends to the targets more than to the rest.
+    """
+    looks = list(observed)
+    if not looks:
+        raise EagorError("there are no labelled panoramas; localisation heads want some 20 or more")
+    layers = [layer for layer in looks[0].maps if layer >= _EARLIEST] or list(looks[0].maps)
+    names = [(layer, head) for layer in layers for head in range(len(looks[0].mass[layer]))]
+    mass = np.array([np.mean([look.mass[layer][head] for look in looks]) for layer, head in names])
+    attentive = [name for name, share in zip(names, mass, strict=True) if share >= elbow(mass)]
+    votes = dict.fromkeys(attentive, 0)
+    for look in looks:
+        scatter = {name: spatial_entropy(look.maps[name[0]][name[1]], look.wrap) for name in attentive}
+        for name in sorted(scatter, key=lambda name: scatter[name])[:SHORTLIST]:
+            votes[name] += bool(np.isfinite(scatter[name]))
+    shortlist = sorted(attentive, key=lambda name: -votes[name])[:SHORTLIST]
+    gains = {name: float(np.median([_gain(look, name) for look in looks])) for name in shortlist}
+    chosen = [name for name in sorted(shortlist, key=lambda name: -gains[name]) if gains[name] > _LEAST][:take]
+    if not chosen:
+        best = max(gains.values(), default=0.0)
+        raise EagorError(
+            f"no head of {model} looks at the labelled targets more than elsewhere (best: {best:.2f} times an even "
+            f"spread, over {len(looks)} panoramas). More panoramas, larger pictures, or another extractor"
+        )
+    peaks = [float(look.mean(chosen)[look.near].max()) for look in looks]
+    saturation = max(float(np.median(peaks)) - 1.0, 0.1) * (1 - _AIM) / _AIM
+    figures = [{"head": list(name), "gain": gains[name], "votes": votes[name]} for name in chosen]
+    found_by = {"panoramas": len(looks), "attentive": len(attentive), "of": len(names), "heads": figures}
+    return Heads(model, model_type, tuple(chosen), saturation, found_by)
+
+
+def judged(found: Heads, held_out: Sequence[Observed]) -> Heads:
+    """`found` with how far these heads are off (degrees) on panoramas that they were not found on."""
+    if not held_out:
+        return found
+    errors = np.degrees([look.error(found.heads) for look in held_out])
+    figures = {"panoramas": len(errors), "median_error_deg": round(float(np.median(errors)), 2)}
+    return replace(found, found_by=found.found_by | {"held_out": figures})
+
+
+def elbow(values: np.ndarray) -> float:
+    """The value at which sorted `values` bend most: farthest below the chord from the first to the last."""
+    rising = np.sort(np.asarray(values, dtype=float))
+    if len(rising) < 3 or rising[-1] <= rising[0]:
+        return float(rising[0])
+    along = np.linspace(0, 1, len(rising))
+    below = along - (rising - rising[0]) / (rising[-1] - rising[0])
+    return float(rising[int(below.argmax())])
+
+
+def spatial_entropy(cells: np.ndarray, wrap: bool = True) -> float:
+    """How scattered a map ``(h, w)`` over a panorama is: entropy (nats) of the shares of its connected parts.
+
+    Parts are what exceeds twice the mean, joined over corners and, with `wrap`, across the seam. Infinite for a
+    map that lights the bottom row most (a habit of some heads, whatever is asked) or has no part at all.
+    """
+    lit = np.maximum(cells - 2 * cells.mean(), 0.0)
+    if not lit.any() or lit[-1].sum() > 0.5 * lit.sum():
+        return float("inf")
+    # Twice side by side, so that parts across the seam are whole in the middle; each part is counted by its mass.
+    width = cells.shape[1]
+    labels = np.zeros((len(lit), 2 * width), dtype=np.int32)
+    ndimage.label(np.concatenate([lit, lit if wrap else 0 * lit], axis=1) > 0, structure=np.ones((3, 3)), output=labels)
+    same = {}
+    pairs = zip(labels[:, :width][lit > 0], labels[:, width:][lit > 0], strict=True) if wrap else ()
+    for left, right in pairs:
+        same[_root(same, int(left))] = _root(same, int(right))
+    shares: dict[int, float] = {}
+    for label, value in zip(labels[:, :width][lit > 0], lit[lit > 0], strict=True):
+        root = _root(same, int(label))
+        shares[root] = shares.get(root, 0.0) + float(value)
+    p = np.array(list(shares.values())) / lit.sum()
+    return float(-(p * np.log(p)).sum())
+
+
+def _root(same: dict[int, int], label: int) -> int:
+    while same.get(label, label) != label:
+        label = same[label]
+    return label
+
+
+def _gain(look: Observed, name: tuple[int, int]) -> float:
+    """The mean attention of a head on the target, in multiples of an even spread over the cells."""
+    return float(densities(look.maps[name[0]][name[1]])[look.near].mean())

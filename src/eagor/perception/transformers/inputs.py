@@ -1,0 +1,211 @@
+"""What a model is fed: sizes, pixel values, tokens with their image span, and the type ids that must not be forgotten.
+
+No processor class of transformers is used, since those of the Qwen families need torchvision: images are brought to
+their exact size here, and the image processor only normalises (and cuts patches).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from eagor.errors import EagorError, ImageError
+from eagor.perception.transformers.layout import Block, Layout
+from eagor.perception.vlm.families import Family
+from eagor.perception.vlm.sizes import exact_size, resized
+
+_MOST_TILES = 12
+_MARK = "QUESTION"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How images of one aspect are fed to a model.
+
+    Attributes:
+        size: (height, width) in pixels that the image is resized to; whole cells each way.
+        layout: where its tokens look.
+        square: side of the square that the model sees (padded, squashed or tiled), None where it takes `size` itself.
+        seen: number of pixels that the model sees, padding and thumbnail included.
+    """
+
+    size: tuple[int, int]
+    layout: Layout
+    square: int | None
+    seen: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of cells."""
+        return self.layout.shape
+
+
+def plan(family: Family, config: Any, aspect: float, pixels: int | None = None) -> Plan:
+    """How an image with `aspect` (width over height) is fed to a model with this configuration.
+
+    `pixels`: how many it has at most, where the family leaves a choice. Raises `ImageError` if no cell fits in them.
+    """
+    vision = config.vision_config
+    if family.fit == "exact":
+        cell = vision.patch_size * vision.spatial_merge_size
+        size = exact_size(cell, pixels or family.pixels, aspect)
+        shape = (size[0] // cell, size[1] // cell)
+        return Plan(size, Layout(shape, (Block(*shape),)), None, size[0] * size[1])
+    side = _first(vision.image_size)
+    if family.fit == "squash":
+        rows = math.isqrt(config.mm_tokens_per_image)
+        return Plan((side, side), Layout((rows, rows), (Block(rows, rows),)), side, side * side)
+    if family.fit == "pad":
+        rows = side // _first(vision.patch_size)
+        return _padded(side, rows, aspect)
+    rows = round(side // _first(vision.patch_size) * config.downsample_ratio)
+    return _tiled(side, rows, aspect, pixels or family.pixels)
+
+
+def _first(value: Any) -> int:
+    """A side that configurations give as a number or as a pair."""
+    return int(value[0] if isinstance(value, list | tuple) else value)
+
+
+def _padded(side: int, tokens: int, aspect: float) -> Plan:
+    """The image in the middle of the square; its cells are the rows of tokens that it fills."""
+    patch = side // tokens
+    share = (min(1 / aspect, 1.0), min(aspect, 1.0))  # of the square's height and width
+    # Whole cells, as many above as below, so that every token lies inside or outside.
+    counts = [max(tokens - 2 * round(tokens * (1 - part) / 2), 1) for part in share]
+    height, width = (count * patch for count in counts)
+    top, left = ((side - length) // 2 for length in (height, width))
+    window = (-left / width, -top / height, (tokens * patch - left) / width, (tokens * patch - top) / height)
+    layout = Layout((counts[0], counts[1]), (Block(tokens, tokens, window),))
+    return Plan((height, width), layout, side, side * side)
+
+
+def _tiled(side: int, tokens: int, aspect: float, pixels: int) -> Plan:
+    """Tiles of the aspect nearest to the image's, as many as the pixels allow, and the whole image behind them."""
+    most = min(max(pixels // (side * side), 1), _MOST_TILES)
+    grids = [(rows, cols) for rows in range(1, most + 1) for cols in range(1, most + 1) if rows * cols <= most]
+    rows, cols = min(grids, key=lambda grid: (round(abs(math.log(grid[1] / grid[0] / aspect)), 6), -grid[0] * grid[1]))
+    blocks = [
+        Block(tokens, tokens, (col / cols, row / rows, (col + 1) / cols, (row + 1) / rows))
+        for row in range(rows)
+        for col in range(cols)
+    ]
+    if len(blocks) > 1:
+        blocks.append(Block(tokens, tokens))
+    layout = Layout((rows * tokens, cols * tokens), tuple(blocks))
+    return Plan((rows * side, cols * side), layout, side, len(blocks) * side * side)
+
+
+def pictures(images: Sequence[np.ndarray], plan: Plan, processor: Any) -> dict[str, torch.Tensor]:
+    """The image tensors for images ``plan.size`` (already resized), by the names that the model takes."""
+    squares: list[np.ndarray] = []
+    for image in images:
+        if image.shape[:2] != plan.size:
+            raise ImageError(f"an image is {image.shape[:2]}; the plan wants {plan.size}. Resize it first")
+        squares += [image] if plan.square is None else _squares(image, plan, processor)
+    switches = dict.fromkeys(("do_resize", "do_center_crop", "do_pad", "do_pan_and_scan", "crop_to_patches"), False)
+    known = {name: value for name, value in switches.items() if hasattr(processor, name)}
+    made = processor(images=squares, return_tensors="pt", **known)
+    return {name: made[name] for name in ("pixel_values", "image_grid_thw") if name in made}
+
+
+def _squares(image: np.ndarray, plan: Plan, processor: Any) -> list[np.ndarray]:
+    """The squares that the model sees of one image."""
+    side, (height, width) = plan.square or 0, plan.size
+    if height == width == side and len(plan.layout.blocks) == 1:
+        return [image]
+    if height <= side and width <= side:
+        mean = getattr(processor, "image_mean", None) or (0.5, 0.5, 0.5)
+        canvas = np.broadcast_to(np.array([int(255 * value) for value in mean], dtype=np.uint8), (side, side, 3)).copy()
+        top, left = (side - height) // 2, (side - width) // 2
+        canvas[top : top + height, left : left + width] = image
+        return [canvas]
+    tiles = [
+        image[top : top + side, left : left + side] for top in range(0, height, side) for left in range(0, width, side)
+    ]
+    return [*tiles, resized(image, (side, side))]
+
+
+@dataclass(frozen=True)
+class Prompt:
+    """Token ids of a prompt, cut behind its last image token.
+
+    Attributes:
+        prefix: ids ``(1, S)`` up to and with the image.
+        columns: positions ``(n,)`` of the image tokens in it.
+        suffix: ids ``(1, T)`` of the rest, the question.
+    """
+
+    prefix: torch.Tensor
+    columns: torch.Tensor
+    suffix: torch.Tensor
+
+
+def prompt(tokenizer: Any, family: Family, template: str, text: str, image_token: int, count: int) -> Prompt:
+    """The tokens of `text` about an image of `count` tokens; the same text before the image gives the same prefix.
+
+    `template` holds ``{text}`` and the family's placeholder once each. Raises `EagorError` if the tokenizer does not
+    know the image token.
+    """
+    written = template.replace(family.placeholder, family.expansion).replace("{text}", text)
+    begins = tokenizer.bos_token is not None and written.startswith(tokenizer.bos_token)
+    ids = tokenizer(written, add_special_tokens=not begins)["input_ids"]
+    places = [place for place, token in enumerate(ids) if token == image_token]
+    if len(places) != 1:
+        raise EagorError(
+            f"the prompt has {len(places)} image tokens ({family.image_token!r}, id {image_token}); wanted one. Do the "
+            "tokenizer and the model belong together, and does the question hold no such token?"
+        )
+    place = places[0]
+    prefix = [*ids[:place], *([image_token] * count)]
+    return Prompt(
+        prefix=torch.tensor([prefix]),
+        columns=torch.arange(place, place + count),
+        suffix=torch.tensor([ids[place + 1 :]]),
+    )
+
+
+def template_of(tokenizer: Any, family: Family) -> str:
+    """The checkpoint's own prompt around one image and a question (``{text}``), else the family's.
+
+    Checkpoints of one family differ in their system prompts; what they were trained with stands in their template.
+    """
+    if not getattr(tokenizer, "chat_template", None):
+        return family.template
+    content = [{"type": "image"}, {"type": "text", "text": _MARK}]
+    written = tokenizer.apply_chat_template(
+        [{"role": "user", "content": content}], tokenize=False, add_generation_prompt=True
+    )
+    if written.count(family.placeholder) != 1 or written.count(_MARK) != 1:
+        return family.template  # a template of the language model alone, which knows no images
+    if written.index(_MARK) < written.index(family.placeholder):
+        return family.template  # the image has to stand first, or nothing could be shared between questions
+    return written.replace(_MARK, "{text}")
+
+
+def typed(family: Family, ids: torch.Tensor, image_token: int) -> dict[str, torch.Tensor]:
+    """The family's type ids ``(B, S)``: 1 where an image token stands, 0 elsewhere; nothing where it has none."""
+    return {family.type_ids: (ids == image_token).long()} if family.type_ids else {}
+
+
+def check_typed(family: Family, feed: Mapping[str, Any], image_token: int) -> None:
+    """Raise `EagorError` unless the image tokens in `feed` are marked as the family wants it.
+
+    Without these ids the models of some families run all the same, with other positions or another mask, and answer
+    wrongly without a word.
+    """
+    if family.type_ids is None or feed.get("pixel_values") is None:
+        return
+    marked = feed.get(family.type_ids)
+    wanted = feed["input_ids"] == image_token
+    if marked is None or marked.shape != wanted.shape or not torch.equal(marked.bool(), wanted):
+        what = "are missing" if marked is None else "do not mark exactly the image tokens"
+        raise EagorError(
+            f"{family.type_ids} {what}; without them {family.title} runs, but mistakes the image for text. Pass "
+            f"{family.type_ids}=(input_ids == {image_token})"
+        )

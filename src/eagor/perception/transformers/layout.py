@@ -1,0 +1,84 @@
+"""Where the image tokens of a model look: blocks of tokens in windows of the image, summed into one grid of cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Block:
+    """Tokens in row-major order that cover a window of the image.
+
+    Attributes:
+        rows: of tokens.
+        cols: of tokens.
+        window: left, top, right, bottom in fractions of the image; it may reach past it (padding).
+    """
+
+    rows: int
+    cols: int
+    window: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
+
+    @property
+    def count(self) -> int:
+        """Number of tokens."""
+        return self.rows * self.cols
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The blocks of an image in the order of its tokens, and the grid of cells ``(h, w)`` over the whole image."""
+
+    shape: tuple[int, int]
+    blocks: tuple[Block, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of image tokens."""
+        return sum(block.count for block in self.blocks)
+
+    @property
+    def plain(self) -> bool:
+        """Whether tokens are cells."""
+        return len(self.blocks) == 1 and self.blocks[0] == Block(*self.shape)
+
+    @cached_property
+    def _shares(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        """Per block, which share of a row of tokens lies in each row of cells ``(h, rows)``, and for columns."""
+        height, width = self.shape
+        return tuple(
+            (
+                _overlap(height, block.rows, block.window[1], block.window[3]),
+                _overlap(width, block.cols, block.window[0], block.window[2]),
+            )
+            for block in self.blocks
+        )
+
+    def cells(self, tokens: np.ndarray) -> np.ndarray:
+        """Values of tokens ``(..., count)`` as sums over cells ``(..., h, w)``.
+
+        A token's value is shared out evenly over its window; what lies outside of the image is dropped. The sum is
+        kept where nothing lies outside.
+        """
+        tokens = np.asarray(tokens)
+        if tokens.shape[-1] != self.count:
+            raise ValueError(f"{tokens.shape[-1]} values came for {self.count} image tokens")
+        if self.plain:
+            return tokens.reshape(*tokens.shape[:-1], *self.shape)
+        total, start = np.zeros((*tokens.shape[:-1], *self.shape), dtype=tokens.dtype), 0
+        for block, (down, across) in zip(self.blocks, self._shares, strict=True):
+            part = tokens[..., start : start + block.count].reshape(*tokens.shape[:-1], block.rows, block.cols)
+            total += (down @ part @ across.T).astype(tokens.dtype)
+            start += block.count
+        return total
+
+
+def _overlap(cells: int, tokens: int, start: float, end: float) -> np.ndarray:
+    """The share ``(cells, tokens)`` of each of `tokens` equal parts of [start, end] in each of `cells` of [0, 1]."""
+    token = start + (end - start) * np.arange(tokens + 1) / tokens
+    cell = np.arange(cells + 1) / cells
+    common = np.minimum(cell[1:, None], token[None, 1:]) - np.maximum(cell[:-1, None], token[None, :-1])
+    return np.where(common > 1e-12, common, 0.0) * (tokens / (end - start))

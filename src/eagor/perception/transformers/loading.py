@@ -1,0 +1,149 @@
+"""From a hub name or a folder to a loaded model, with errors that say what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from eagor.errors import EagorError
+from eagor.perception.transformers.account import revision_of
+from eagor.perception.vlm.families import Family, chosen, family_of
+
+if TYPE_CHECKING:
+    from eagor.perception.transformers import Looker
+
+
+def load_model(
+    name: str,
+    *,
+    pixels: int | None = None,
+    extractor: str | None = None,
+    per_view: str | None = None,
+    heads: str | None = None,
+    layers: str | int | Sequence[int] | None = None,
+    presence: bool = True,
+    revision: str | None = None,
+    device: str | None = None,
+    dtype: str | None = None,
+    most: int = 512,
+    batch: int = 8,
+    threshold: float | None = None,
+) -> Looker:
+    """The model with this hub name or in this folder, in evaluation mode on its device; options as in the perception.
+
+    Raises `EagorError` if packages are missing, nothing can be loaded there, or it is of no known family.
+    """
+    try:
+        import torch
+        import transformers
+    except ImportError as error:
+        raise EagorError(
+            f"{name} needs torch and transformers ({error}). On a CPU machine install torch==2.13.0 first, then "
+            "pip install 'eagor[vlm]' (and no torchvision)"
+        ) from error
+    if int(transformers.__version__.partition(".")[0]) < 5:
+        raise EagorError(
+            f"{name} needs transformers 5.23 or newer; this is {transformers.__version__}: pip install -U 'eagor[vlm]'"
+        )
+    config = _loaded(name, "config.json", transformers.AutoConfig.from_pretrained, revision)
+    family = family_of(config, name)
+    # What cannot be is said before gigabytes are read.
+    how = chosen(extractor or family.default(heads), family, "extractor")
+    each = chosen(per_view or family.per_view, family, "per_view")
+    if heads and not family.localiser and (each if how == "views" else how) == "boxes":
+        raise EagorError(f"heads = {heads!r} came with the extractor {how!r}, which reads boxes; use attention or both")
+    where = device or ("cuda" if torch.cuda.is_available() else "cpu")
+    kind = _dtype(torch, dtype or ("float32" if where in ("cpu", "mps") else "bfloat16"))
+    options: dict[str, Any] = {"dtype": kind}
+    if where == "auto":
+        options["device_map"] = "auto"
+    make = _class_for(transformers, family)
+    model = _loaded(name, "weights", make.from_pretrained, revision, **options).eval()
+    if where != "auto":
+        model = model.to(where)
+    tokenizer = _loaded(name, "tokenizer", transformers.AutoTokenizer.from_pretrained, revision)
+    processor = _loaded(
+        name, "image processor", transformers.AutoImageProcessor.from_pretrained, revision, backend="pil"
+    )
+    about: dict[str, Any] = {
+        "name": name,
+        "revision": revision_of(name, getattr(config, "_commit_hash", None)),
+        "family": family,
+        "model": model,
+        "tokenizer": tokenizer,
+        "processor": processor,
+        "batch": batch,
+    }
+    most_pixels = _pixels(pixels)
+    if family.localiser:
+        return _localiser(about, most_pixels, threshold, {"heads": heads, "layers": layers})
+    if threshold is not None:
+        raise EagorError(f"threshold = {threshold!r}; {family.title} has none, only localisers do")
+    from eagor.perception.transformers.heads import read_heads
+    from eagor.perception.transformers.language import LanguageModel
+
+    return LanguageModel(
+        **about,
+        heads=read_heads(heads) if heads else None,
+        layers=_numbers(layers),
+        presence=presence,
+        most=most,
+        pixels=most_pixels or (family.view_pixels if how == "views" else None),
+    )
+
+
+def _localiser(about: dict[str, Any], pixels: int | None, threshold: float | None, foreign: dict[str, Any]) -> Looker:
+    """A localiser, once it is certain that no option for language models came with it."""
+    from eagor.perception.transformers.localisers import Localiser
+
+    given = sorted(key for key, value in foreign.items() if value is not None)
+    if given:
+        raise EagorError(f"{', '.join(given)} came for {about['family'].title}, which has no attention to read")
+    return Localiser(**about, pixels=pixels, threshold=None if threshold is None else float(threshold))
+
+
+def _class_for(transformers: Any, family: Family) -> Any:
+    """The class that loads a family's checkpoints."""
+    if family.name == "clipseg":
+        return transformers.CLIPSegForImageSegmentation
+    if family.localiser:
+        return transformers.AutoModelForZeroShotObjectDetection
+    return transformers.AutoModelForImageTextToText
+
+
+def _loaded(name: str, what: str, load: Any, revision: str | None, **options: Any) -> Any:
+    """What `load` makes of `name`. Raises `EagorError` with the reason."""
+    try:
+        return load(name, revision=revision, **options) if revision else load(name, **options)
+    except (OSError, ValueError, KeyError, ImportError) as error:
+        reason = " ".join(str(error).split())
+        raise EagorError(
+            f"the {what} of {name!r} cannot be loaded ({type(error).__name__}: {reason[:300]}). Wanted a hub name such "
+            "as Qwen/Qwen2.5-VL-7B-Instruct, or a folder that holds a whole checkpoint (config.json, *.safetensors, "
+            "tokenizer and preprocessor files)"
+        ) from error
+
+
+def _dtype(torch: Any, name: str) -> Any:
+    if name not in ("float32", "bfloat16", "float16"):
+        raise EagorError(f"dtype = {name!r}; wanted float32, bfloat16 or float16")
+    return getattr(torch, name)
+
+
+def _pixels(pixels: Any) -> int | None:
+    if pixels is None:
+        return None
+    if int(pixels) < 1:
+        raise EagorError(f"pixels = {pixels!r}; wanted how many an image has at most, such as 980000 (700 x 1400)")
+    return int(pixels)
+
+
+def _numbers(layers: str | int | Sequence[int] | None) -> tuple[int, ...] | None:
+    """Layers as numbers."""
+    if layers is None:
+        return None
+    try:
+        parts = layers.split(",") if isinstance(layers, str) else [layers] if isinstance(layers, int) else layers
+        return tuple(int(part) for part in parts)
+    except ValueError as error:
+        raise EagorError(f"layers = {layers!r}; wanted numbers such as 20,21,22") from error

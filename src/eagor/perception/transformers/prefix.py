@@ -1,0 +1,140 @@
+"""One pass over the image, shared by all questions about it.
+
+The image stands before the question and attention is causal, so keys and values of everything up to the image are the
+same for every question. They are computed once; each question runs its own few tokens on a copy.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from transformers.cache_utils import DynamicLayer
+
+from eagor.perception.transformers.capture import Capture, capturing
+from eagor.perception.transformers.inputs import Prompt, check_typed, typed
+from eagor.perception.vlm.families import Family
+
+
+@dataclass
+class Decoded:
+    """What a model wrote: token ids and their log probabilities (natural), one list per image."""
+
+    ids: list[list[int]]
+    log_probabilities: list[list[float]]
+
+
+@dataclass
+class Prefix:
+    """Keys and values of a batch of images and what stands before them.
+
+    Attributes:
+        model: the model that they belong to.
+        batch: number of images.
+        columns: positions ``(n,)`` of the image tokens.
+        length: number of tokens.
+        position: the position of the next token, which after an image with rotary positions in rows and columns is not
+            the number of tokens so far; None where the model counts by itself.
+        cache: keys and values; never written to.
+    """
+
+    model: Any
+    batch: int
+    columns: torch.Tensor
+    length: int
+    position: int | None
+    cache: Any
+
+    def continued(self) -> Running:
+        """A run that goes on behind the image, on a copy."""
+        return Running(self, _copied(self.cache), self.position)
+
+
+@dataclass
+class Running:
+    """A run behind a shared prefix."""
+
+    prefix: Prefix
+    cache: Any
+    position: int | None
+
+    def feed(self, ids: torch.Tensor) -> torch.Tensor:
+        """Run tokens ``(B, T)`` (or ``(1, T)``, the same for all images); logits ``(B, V)`` float32 of the next."""
+        prefix = self.prefix
+        ids = ids.expand(prefix.batch, -1).to(prefix.columns.device)
+        positions = {}
+        if self.position is not None:
+            steps = torch.arange(ids.shape[1], device=ids.device) + self.position
+            positions["position_ids"] = steps.expand(3, prefix.batch, -1)
+            self.position += ids.shape[1]
+        out = prefix.model(input_ids=ids, past_key_values=self.cache, use_cache=True, logits_to_keep=1, **positions)
+        return out.logits[:, -1].float()
+
+    def ask(self, ids: torch.Tensor, layers: Sequence[int]) -> tuple[torch.Tensor, Capture | None]:
+        """Feed a question ``(1, T)``: logits of the answer's first token, the last token's attention in `layers`."""
+        if not layers:
+            return self.feed(ids), None
+        with capturing(self.prefix.model, layers, self.prefix.columns) as capture:
+            return self.feed(ids), capture
+
+    def decode(self, logits: torch.Tensor, most: int, stops: Sequence[int]) -> Decoded:
+        """The likeliest next token, again and again: at most `most`, until all images have met one of `stops`.
+
+        `logits` are those of the first token, ``(B, V)``. The stop is not part of the answer.
+        """
+        batch = self.prefix.batch
+        answer = Decoded([[] for _ in range(batch)], [[] for _ in range(batch)])
+        going = [True] * batch
+        for step in range(most):
+            best = logits.argmax(dim=-1)
+            chosen = logits.log_softmax(dim=-1).gather(-1, best[:, None])[:, 0].tolist()
+            for row, (token, log) in enumerate(zip(best.tolist(), chosen, strict=True)):
+                going[row] = going[row] and token not in stops
+                if going[row]:
+                    answer.ids[row].append(token)
+                    answer.log_probabilities[row].append(log)
+            if not any(going) or step == most - 1:
+                break
+            logits = self.feed(best[:, None])
+        return answer
+
+
+def share(
+    model: Any, family: Family, prompt: Prompt, tensors: Mapping[str, torch.Tensor], batch: int, image_token: int
+) -> Prefix:
+    """Run a prompt up to its image, for `batch` images of the same size whose tensors are in `tensors`."""
+    device = model.device
+    ids = prompt.prefix.expand(batch, -1).to(device)
+    feed: dict[str, Any] = {name: tensor.to(device) for name, tensor in tensors.items()}
+    feed["pixel_values"] = feed["pixel_values"].to(model.dtype)
+    types = typed(family, ids, image_token)
+    feed.update(input_ids=ids, **types)
+    check_typed(family, feed, image_token)
+    position = None
+    if family.type_ids == "mm_token_type_ids":
+        places, _ = model.model.get_rope_index(ids, types["mm_token_type_ids"], image_grid_thw=feed["image_grid_thw"])
+        feed["position_ids"] = places
+        position = int(places.max()) + 1
+    cache = model.model(**feed, use_cache=True).past_key_values
+    return Prefix(model, batch, prompt.columns.to(device), ids.shape[1], position, cache)
+
+
+def _copied(cache: Any) -> Any:
+    """A cache that can grow without changing `cache`.
+
+    Layers that grow by concatenation leave the old tensors alone, so their copy can share them; the rest is copied.
+    """
+    new = copy.copy(cache)
+    new.layers = [
+        copy.copy(layer) if isinstance(layer, DynamicLayer) else copy.deepcopy(layer) for layer in cache.layers
+    ]
+    return new
+
+
+def chunks(count: int, most: int) -> Iterator[slice]:
+    """Slices of at most `most` that cover `count`."""
+    for start in range(0, count, most):
+        yield slice(start, min(start + most, count))

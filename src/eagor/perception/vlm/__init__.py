@@ -1,0 +1,4 @@
+"""What local and served vision-language models share: prompts, reading of answers, sizes, the seam, tangent views.
+
+NumPy, Pillow and the core only; nothing here needs torch or a server.
+"""

@@ -1,0 +1,266 @@
+"""Boxes in what a model wrote: lenient reading of JSON, of lists in prose, and of the markup of some families.
+
+Understood are lists of objects with a box under any usual key (``bbox_2d``, ``box_2d``, ``bbox``, ``box``, ...), bare
+lists of four numbers, pairs of corners, corners by name, and InternVL's and Qwen2-VL's markup; within fences, prose
+or a model's thoughts, complete or cut off. What the numbers count is not guessed: the caller says it, since 0..1000 and
+the pixels of a picture look alike (pixels of the RESIZED picture for Qwen2.5-VL, Bai et al. 2025, arXiv:2502.13923).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from eagor.errors import AnswerError
+from eagor.perception.vlm.lenient import Node, values
+from eagor.perception.vlm.tokens import Token, Trace
+
+__all__ = ["AnswerError", "Box", "Frame", "Order", "Token", "parse_boxes", "without_thoughts"]
+
+Frame = Literal["pixels", "thousand", "unit"]  # pixels of the image that the model saw; 0..1000 of its sides; 0..1
+Order = Literal["xyxy", "yxyx"]
+
+_BOX_KEYS = (
+    *("bbox_2d", "box_2d", "bbox2d", "box2d", "bbox", "box", "bounding_box", "boundingbox", "bndbox"),
+    *("coordinates", "coords", "xyxy", "position", "location"),
+)
+_LABEL_KEYS = ("label", "name", "class", "category", "object", "description", "text")
+_SCORE_KEYS = ("score", "confidence", "probability", "prob", "conf")
+_GENERIC = {
+    *_BOX_KEYS,
+    *("boxes", "bboxes", "objects", "detections", "results", "instances", "items", "answer", "output", "data"),
+}
+_CORNERS = ("xmin ymin xmax ymax", "x_min y_min x_max y_max", "x0 y0 x1 y1", "x1 y1 x2 y2", "left top right bottom")
+_SIDES = ("x y width height", "x y w h", "left top width height")
+_ABSENT = re.compile(
+    r"\A\W*(?:no|none|null|nothing)\b(?! problem)|\bthere(?: is|'s| are| was| were) (?:no|none|nothing|not)\b"
+    r"|\bno \w[\w ]* (?:in|visible|present|found|detected|shown|here|can be)\b"
+    r"|\b(?:not|isn't|aren't) (?:any|visible|present|found|there|detected|shown|seen|in (?:the|this|view))\b"
+    r"|\b(?:not|doesn't|don't) (?:contain|show|appear|include|have|see|find|depict|feature)\b"
+    r"|\b(?:cannot|can't|can not|couldn't|could not|unable to) (?:be )?(?:see|seen|find|found|locate|located|detect)\b"
+)
+# Some chat templates open the thoughts themselves, so that the answer only closes them.
+_THOUGHTS = re.compile(r"\A(?:(?!<think).)*</think(?:ing)?>|<think(?:ing)?>.*?(?:</think(?:ing)?>|\Z)", re.DOTALL)
+_PAST = 1.1  # coordinates beyond so many image sides are in another frame, not just careless
+
+
+@dataclass(frozen=True)
+class Box:
+    """A detection in fractions of the image's width and height, [0, 1], with x0 < x1 and y0 < y1; y grows down."""
+
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+    label: str = ""
+    score: float = 1.0
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Four coordinates as written, x0 y0 x1 y1, and the stretch of text in which it was decided to write them.
+
+    The stretch begins where the list opened, or the box before ended, and ends with the entry's opening bracket:
+    there the model might have ended the list instead. None where places are not known.
+    """
+
+    numbers: tuple[Node, ...]
+    decided: tuple[int, int] | None
+    label: str
+    score: float | None
+
+
+def parse_boxes(
+    text: str,
+    frame: Frame,
+    size: tuple[int, int],
+    order: Order = "xyxy",
+    tokens: Sequence[Token] | None = None,
+) -> list[Box]:
+    """The boxes in a model's answer; [] where the answer says that there is none.
+
+    Args:
+        text: the answer.
+        frame: what its coordinates count. Fractions below 1 are taken for fractions in every frame.
+        size: (height, width) of the image that the model saw, after any resizing.
+        order: of four bare numbers; corners that are named are what they are called.
+        tokens: the pieces of the answer with their log probabilities. Then a box without a score of its own gets
+            the probability of opening its entry (where the model might have ended the list instead) times the
+            geometric mean of those of the tokens that begin its four numbers. Without tokens the score is 1.
+
+    Boxes without area are left out, and so are second copies and boxes that lie far outside. Raises `AnswerError` if
+    nothing can be read, or if all coordinates run far past the frame.
+    """
+    answer = without_thoughts(text)
+    nodes = values(answer)
+    found = [box for node in _joined(nodes) for box in _boxes(node, order, "", node.start)]
+    if not found:
+        said = answer.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'")
+        if any(_emptied(node) for node in nodes) or _ABSENT.search(said):
+            return []
+        raise AnswerError(
+            f"the model answered {shortened(text)}; wanted boxes as a JSON list, [] if there are none. If it was cut "
+            "off, allow more tokens; if the model does not write boxes, use extractor 'views' (or 'attention', locally)"
+        )
+    trace = Trace(text, tokens) if tokens else None
+    read = [_box(box, frame, size, trace) for box in found]
+    if all(box == "outside" for box in read):
+        raise AnswerError(
+            f"the model answered {shortened(text)}, which lies outside the frame {frame!r} of a {size[1]} x {size[0]} "
+            "image; is that what this model's coordinates count, and does its server leave the image's size alone?"
+        )
+    kept: dict[tuple[float, ...], Box] = {}
+    for box in read:
+        if isinstance(box, Box):
+            corners = (box.x0, box.y0, box.x1, box.y1)
+            if corners not in kept or kept[corners].score < box.score:
+                kept[corners] = box
+    return list(kept.values())
+
+
+def without_thoughts(text: str) -> str:
+    """`text` with what stands between <think> tags blanked out, every other character left at its place."""
+    return _THOUGHTS.sub(lambda match: " " * len(match.group()), text)
+
+
+def shortened(text: str, most: int = 200) -> str:
+    """`text` on one line and in quotes, for an error."""
+    line = " ".join(text.split())
+    return repr(line if len(line) <= most else line[: most - 3] + "...")
+
+
+def _numbers(node: Node) -> tuple[Node, ...]:
+    """The entries of a list of numbers, () if it is something else."""
+    if not isinstance(node.value, list):
+        return ()
+    found = tuple(node.value)
+    return found if all(isinstance(entry.value, float) for entry in found) else ()
+
+
+def _joined(nodes: list[Node]) -> list[Node]:
+    """`nodes` with two pairs of numbers in a row, such as ``(12,30),(40,80)``, made one list of four."""
+    joined: list[Node] = []
+    for node in nodes:
+        pair = _numbers(node)
+        before = _numbers(joined[-1]) if joined else ()
+        if len(pair) == 2 == len(before):
+            joined[-1] = Node([*before, *pair], joined[-1].start, node.end)
+        else:
+            joined.append(node)
+    return joined
+
+
+def _emptied(node: Node) -> bool:
+    """Whether a value is, or has somewhere in it, a complete list or object without entries."""
+    if isinstance(node.value, dict | list):
+        inner = node.value.values() if isinstance(node.value, dict) else node.value
+        return (node.whole and not node.value) or any(_emptied(entry) for entry in inner)
+    return False
+
+
+def _boxes(node: Node, order: Order, label: str, since: int) -> Iterator[_Found]:
+    """The boxes in a value, however deep; `since` is where the decision to write its first one began."""
+    if isinstance(node.value, dict):
+        yield from _boxes_of_object(node, order, label, since)
+    elif isinstance(node.value, list):
+        corners = _four(node, order)
+        if corners:
+            score = corners[4].value if len(corners) == 5 else None
+            yield _Found(corners[:4], (since, node.start + 1), label, score)
+            return
+        for entry in node.value:
+            yield from _boxes(entry, order, label, since)
+            since = entry.end
+    elif isinstance(node.value, str) and node.value.lstrip()[:1] in ("[", "("):
+        for inner in values(node.value):  # a list written as a string: places within it are not those of the text
+            for found in _boxes(inner, order, label, 0):
+                yield replace(found, decided=None)
+
+
+def _four(node: Node, order: Order) -> tuple[Node, ...]:
+    """x0 y0 x1 y1 of a list of four numbers (or five, the last a score) or of two corners; () if it is none."""
+    flat = _numbers(node)
+    if not flat and isinstance(node.value, list) and len(node.value) == 2:
+        flat = (*_numbers(node.value[0]), *_numbers(node.value[1]))
+        flat = flat if len(flat) == 4 and len(_numbers(node.value[0])) == 2 else ()
+    if len(flat) not in (4, 5) or (len(flat) == 5 and not 0 <= flat[4].value <= 1):
+        return ()
+    places = (0, 1, 2, 3) if order == "xyxy" else (1, 0, 3, 2)
+    return (*(flat[place] for place in places), *flat[4:])
+
+
+def _boxes_of_object(node: Node, order: Order, label: str, since: int) -> Iterator[_Found]:
+    fields = {key.strip().lower().replace(" ", "_").replace("-", "_"): inner for key, inner in node.value.items()}
+    named = next((fields[key].value for key in _LABEL_KEYS if key in fields), None)
+    label = named if isinstance(named, str) else label
+    score = _score(next((fields[key].value for key in _SCORE_KEYS if key in fields), None))
+    corners = _named_corners(fields)
+    if corners:
+        yield _Found(corners, (since, node.start + 1), label, score)
+        return
+    key = next((key for key in _BOX_KEYS if key in fields), None)
+    if key is not None:
+        decided = (since, node.start + 1)
+        for index, found in enumerate(_boxes(fields[key], order, label, since)):
+            own = score if found.score is None else found.score
+            yield replace(found, score=own, decided=decided if index == 0 and found.decided else found.decided)
+        return
+    for key, inner in node.value.items():
+        generic = key.strip().lower() in _GENERIC or key.isdigit()
+        yield from _boxes(inner, order, label or ("" if generic else key), inner.start)
+
+
+def _named_corners(fields: dict[str, Node]) -> tuple[Node, ...]:
+    for names in _CORNERS:
+        found = [fields[name] for name in names.split() if name in fields]
+        if len(found) == 4 and all(isinstance(entry.value, float) for entry in found):
+            return tuple(found)
+    for names in _SIDES:
+        found = [fields[name] for name in names.split() if name in fields]
+        if len(found) == 4 and all(isinstance(entry.value, float) for entry in found):
+            x, y, width, height = found
+            right = Node(x.value + width.value, width.start, width.end)
+            return x, y, right, Node(y.value + height.value, height.start, height.end)
+    return ()
+
+
+def _score(written: object) -> float | None:
+    """A score in [0, 1]; percentages are divided, anything else is no score."""
+    if isinstance(written, str):
+        try:
+            written = float(written.strip(" %"))
+        except ValueError:
+            return None
+    if not isinstance(written, float) or not 0 <= written <= 100:
+        return None
+    return written if written <= 1 else written / 100
+
+
+def _box(found: _Found, frame: Frame, size: tuple[int, int], trace: Trace | None) -> Box | str:
+    """The box in fractions, or why there is none: "outside" or "empty"."""
+    height, width = size
+    written = [entry.value for entry in found.numbers]
+    if not all(math.isfinite(number) for number in written):
+        return "empty"
+    across, down = {"pixels": (width, height), "thousand": (1000, 1000), "unit": (1, 1)}[frame]
+    if max(written) <= 1 and not all(number.is_integer() for number in written):
+        across = down = 1
+    xs, ys = sorted((written[0] / across, written[2] / across)), sorted((written[1] / down, written[3] / down))
+    if min(xs[0], ys[0]) < 1 - _PAST or max(xs[1], ys[1]) > _PAST or max(xs[0], ys[0]) >= 1 or min(xs[1], ys[1]) <= 0:
+        return "outside"
+    x0, y0, x1, y1 = (min(max(value, 0.0), 1.0) for value in (xs[0], ys[0], xs[1], ys[1]))
+    if not (x0 < x1 and y0 < y1):
+        return "empty"
+    score = found.score
+    if score is None:
+        score = _confidence(found.numbers, found.decided, trace) if trace and found.decided else 1.0
+    return Box(x0, y0, x1, y1, found.label, score)
+
+
+def _confidence(numbers: tuple[Node, ...], decided: tuple[int, int], trace: Trace) -> float:
+    """The probability of what was decided times the geometric mean of the tokens that begin the numbers."""
+    begun = sum(trace.log_probability(number.start, number.start + 1) for number in numbers) / len(numbers)
+    return math.exp(trace.log_probability(*decided) + begun)

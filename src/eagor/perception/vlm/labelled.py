@@ -1,0 +1,123 @@
+"""Labelled panoramas: where in a panorama the thing is that a query names. What calibration learns from.
+
+A file of them has one JSON object per line (JSON Lines, UTF-8)::
+
+    {"image": "rooms/1.png", "query": "red chair", "azimuth_deg": 30.5, "elevation_deg": -12, "radius_deg": 6}
+    {"image": "rooms/1.png", "query": "the sofa", "box": [310, 280, 420, 352]}
+
+``image`` is a path, relative to the file's folder; the place is a direction (azimuth positive to the LEFT) with an
+angular radius, or a box x0, y0, x1, y1 in the panorama's pixels (x0 > x1 means across the seam).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor.detections import moments
+from eagor.errors import FormatError, ResponseError
+from eagor.grids import ErpGrid
+from eagor.perception.vlm.prompts import phrase
+from eagor.sphere import direction
+
+
+@dataclass(frozen=True, eq=False)
+class Labelled:
+    """A panorama ``(H, W, 3)`` uint8, a query, the direction ``(3,)`` of what it names, and its angular radius."""
+
+    panorama: np.ndarray
+    query: str
+    direction: np.ndarray
+    radius: float
+
+
+def labelled_lines(file: Path) -> list[tuple[int, dict[str, Any]]]:
+    """The lines of a file of labelled panoramas with their numbers, each checked but for its image.
+
+    Raises `FormatError`, which names the file and the line of what is wrong.
+    """
+    try:
+        text = Path(file).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise FormatError(f"{file} cannot be read ({error}); give the path of a JSONL file of labels") from error
+    found = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        if line.strip():
+            try:
+                found.append((number, _checked(json.loads(line))))
+            except (ValueError, TypeError, KeyError) as error:
+                raise FormatError(f"{file}, line {number}: {_reason(error)}") from error
+    if not found:
+        raise FormatError(f"{file} holds no labels; wanted one JSON object per line")
+    return found
+
+
+def read_labelled(file: Path) -> Iterator[Labelled]:
+    """The labelled panoramas that a file lists, one image in memory at a time.
+
+    Raises `FormatError` for the file, `ImageError` for an image.
+    """
+    from eagor.worlds.panorama import read_panorama
+
+    last: tuple[Path, np.ndarray] | None = None
+    for number, entry in labelled_lines(file):
+        path = Path(file).parent / entry["image"]
+        if last is None or last[0] != path:
+            last = path, read_panorama(path)
+        panorama = last[1]
+        if "box" in entry:
+            grid = ErpGrid(*panorama.shape[:2])
+            try:
+                centre, _ = moments(np.array(entry["box"], dtype=float), grid)
+            except ResponseError as error:
+                raise FormatError(f"{file}, line {number}: {error}") from error
+            yield Labelled(panorama, entry["query"], centre, _radius(entry["box"], grid))
+        else:
+            azimuth, elevation, radius = (
+                math.radians(entry[f"{key}_deg"]) for key in ("azimuth", "elevation", "radius")
+            )
+            yield Labelled(panorama, entry["query"], np.asarray(direction(azimuth, elevation)), radius)
+
+
+def cap_radius(solid_angle: float) -> float:
+    """The angular radius (radians) of the cap that has so many steradians."""
+    return math.acos(1 - min(max(solid_angle, 0.0), 4 * math.pi) / (2 * math.pi))
+
+
+def _radius(box: list[float], grid: ErpGrid) -> float:
+    x0, y0, x1, y1 = box
+    width = (x1 - x0 if x1 > x0 else x1 - x0 + grid.width) / grid.width
+    top, bottom = (math.pi * (0.5 - min(max(y / grid.height, 0.0), 1.0)) for y in (y0, y1))
+    return cap_radius(2 * math.pi * width * (math.sin(top) - math.sin(bottom)))
+
+
+def _checked(entry: Any) -> dict[str, Any]:
+    if not isinstance(entry, dict):
+        raise TypeError(f"is {type(entry).__name__}; wanted an object with image, query and a place")
+    phrase(entry["query"])
+    if not isinstance(entry["image"], str):
+        raise TypeError(f"image is {entry['image']!r}; wanted a path")
+    if "box" in entry:
+        if len(entry["box"]) != 4 or not all(math.isfinite(float(value)) for value in entry["box"]):
+            raise ValueError(f"box is {entry['box']!r}; wanted [x0, y0, x1, y1] in pixels")
+        return {"image": entry["image"], "query": entry["query"], "box": [float(value) for value in entry["box"]]}
+    angles = {key: float(entry[key]) for key in ("azimuth_deg", "elevation_deg", "radius_deg")}
+    if not (all(map(math.isfinite, angles.values())) and abs(angles["elevation_deg"]) <= 90):
+        raise ValueError(f"the place is {angles}; wanted degrees, the elevation between -90 and 90")
+    if not 0 < angles["radius_deg"] <= 90:
+        raise ValueError(f"radius_deg is {angles['radius_deg']:g}; wanted more than 0, at most 90")
+    return {"image": entry["image"], "query": entry["query"], **angles}
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, KeyError):
+        return f"{error.args[0]!r} is missing; wanted image, query, and box or azimuth_deg, elevation_deg, radius_deg"
+    if isinstance(error, json.JSONDecodeError):
+        return f"is not JSON ({error}); wanted one JSON object"
+    return str(error)

@@ -1,0 +1,71 @@
+"""Exact sizes: pictures whose sides are whole numbers of a model's cells, so that no server or processor resizes.
+
+Processors round the sides of a picture apart (2:1 at 512 x 1024 becomes 504 x 1036 with cells of 28), which bends the
+sphere. A picture of exact size is left as it is, and the pixels of its boxes are ours.
+"""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import numpy as np
+from PIL import Image
+
+from eagor.errors import ImageError
+
+_PAD = 8  # columns of the other side that are put beyond the seam before a panorama is resized
+
+
+def exact_size(cell: int, pixels: int, aspect: float = 2.0) -> tuple[int, int]:
+    """(height, width) of the largest picture of at most `pixels` pixels whose sides are multiples of `cell`.
+
+    width / height is exactly `aspect` where a picture of that shape fits (2 for a panorama, 1 for a view; other
+    shapes are taken to the nearest ratio of whole numbers up to 16), and as near to it as whole cells allow where none
+    fits. Raises `ImageError` if not even one cell fits.
+    """
+    cells = pixels // (cell * cell) if cell >= 1 else 0
+    if cells < 1 or not (math.isfinite(aspect) and aspect > 0):
+        raise ImageError(
+            f"no picture of {aspect:g}:1 with cells of {cell} pixels has at most {pixels} pixels; allow more pixels"
+        )
+    ratio = Fraction(aspect).limit_denominator(16) if aspect >= 1 else 1 / Fraction(1 / aspect).limit_denominator(16)
+    times = math.isqrt(cells // (ratio.numerator * ratio.denominator))
+    if times:
+        return cell * times * ratio.denominator, cell * times * ratio.numerator
+    rows = range(1, math.isqrt(cells) + 1) if aspect >= 1 else range(1, cells + 1)
+    shapes = [(row, max(1, min(round(row * aspect), cells // row))) for row in rows]
+    row, column = min(shapes, key=lambda shape: (abs(math.log(shape[1] / shape[0] / aspect)), -shape[0] * shape[1]))
+    return cell * row, cell * column
+
+
+def checked_picture(image: np.ndarray, name: str = "the panorama") -> np.ndarray:
+    """`image` once it is certain to be uint8 ``(H, W, 3)``. Raises `ImageError`."""
+    image = np.asarray(image)
+    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[-1] != 3 or image.size == 0:
+        raise ImageError(
+            f"{name} is {image.dtype} of shape {image.shape}; wanted uint8 sRGB (H, W, 3). Files: "
+            "eagor.worlds.panorama.read_panorama"
+        )
+    return image
+
+
+def resized(image: np.ndarray, size: tuple[int, int], wrap: bool = False) -> np.ndarray:
+    """`image` ``(H, W, 3)`` uint8 at `size` (height, width), bicubic, averaging where it shrinks.
+
+    With `wrap` the columns go on around the seam, as those of a panorama do, so that rolled panoramas give rolled
+    results. An image that has the size already is returned as it is. Raises `ImageError`.
+    """
+    image = checked_picture(image, "the image")
+    height, width = image.shape[:2]
+    if (height, width) == tuple(size):
+        return image
+    if min(size) < 1:
+        raise ImageError(f"an image cannot be resized to {size[1]} x {size[0]} pixels; wanted sides of at least 1")
+    pad = 0
+    if wrap:
+        pad = _PAD * max(1, math.ceil(width / size[1]))
+        image = image[:, np.arange(-pad, width + pad) % width]
+    box = (pad, 0, pad + width, height)  # the filter reads beyond the box, where there is something to read
+    picture = Image.fromarray(np.ascontiguousarray(image))
+    return np.asarray(picture.resize((size[1], size[0]), Image.Resampling.BICUBIC, box))

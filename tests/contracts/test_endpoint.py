@@ -1,0 +1,595 @@
+"""A model on a server: what reaches it, what comes back, and what happens when it fails."""
+
+import json
+import math
+import os
+import pickle
+import subprocess
+import sys
+import threading
+from functools import partial
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from contract_server import FAULTS, ContractServer, Reply, Request, reddish, wait_until
+from served_model import IMAGE_TOKENS, served, write_model
+
+from eagor.errors import AnswerError, EagorError, ImageError, QueryError, ServerError
+from eagor.evidence import Calibration, Evidence
+from eagor.grids import ErpGrid
+from eagor.perception import check_perception, load
+from eagor.perception.endpoint import EndpointPerception, from_text
+from eagor.perception.endpoint.faults import retry_after
+from eagor.sphere import angular_distance, direction
+
+openai = pytest.importorskip("openai")
+
+QWEN = "Qwen/Qwen2.5-VL-7B-Instruct"
+FAMILIES = {
+    "qwen2_5_vl": QWEN,
+    "qwen3_vl": "qwen3-vl:8b",
+    "gemma3": "google/gemma-3-4b-it",
+    "llava": "llava-hf/llava-1.5-7b-hf",
+    "janus": "deepseek-community/Janus-Pro-7B",
+    "internvl": "OpenGVLab/InternVL3-8B-hf",
+    "other": "some-model",
+}
+SIZES = {  # (height, width) of a panorama as it is sent
+    "qwen2_5_vl": (700, 1400),
+    "qwen3_vl": (704, 1408),
+    "gemma3": (896, 896),
+    "llava": (336, 336),
+    "janus": (384, 384),
+    "internvl": (448, 896),
+    "other": (700, 1400),
+}
+
+
+def ball(azimuth_deg: float, elevation_deg: float, radius_deg: float = 6, rows: int = 256) -> np.ndarray:
+    """A panorama with one red disc on grey."""
+    grid = ErpGrid(rows, 2 * rows)
+    centre = direction(math.radians(azimuth_deg), math.radians(elevation_deg))
+    panorama = np.full((rows, 2 * rows, 3), 150, dtype=np.uint8)
+    panorama[angular_distance(grid.directions, centre) < math.radians(radius_deg)] = (220, 10, 10)
+    return panorama
+
+
+def error_deg(evidence: Evidence, azimuth_deg: float, elevation_deg: float) -> float:
+    """Degrees between the mean direction of the response and where the thing is."""
+    response = np.asarray(evidence.response) * evidence.grid.weights
+    mean = (response[..., None] * evidence.grid.directions).sum(axis=(0, 1))
+    truth = direction(math.radians(azimuth_deg), math.radians(elevation_deg))
+    return math.degrees(float(angular_distance(mean, truth)))
+
+
+@pytest.fixture
+def server():
+    with ContractServer(reddish, tuple(FAMILIES.values())) as running:
+        yield running
+
+
+def asking(server: ContractServer, model: str = QWEN, **options) -> EndpointPerception:
+    """A perception that asks `server`, small and impatient unless told otherwise."""
+    chosen = {"pixels": 196 * 392, "backoff": 0.01, "timeout": 20.0} | options
+    return EndpointPerception(model, (server.url,), **chosen)
+
+
+# --- what reaches the server -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_pictures_have_the_exact_size_and_orientation(server, family):
+    height, width = SIZES[family]
+    panorama = np.zeros((512, 1024, 3), dtype=np.uint8)
+    panorama[:256, :512], panorama[:256, 512:] = (250, 20, 20), (20, 250, 20)  # up left red, up right green
+    panorama[256:, :512], panorama[256:, 512:] = (20, 20, 250), (250, 250, 20)  # down left blue, down right yellow
+    asking(server, FAMILIES[family], extractor="boxes", pixels=0).respond(panorama, ["thing"])
+    straight, rolled = sorted((request.image for request in server.requests), key=lambda image: -int(image[9, 9, 0]))
+    assert straight.shape == rolled.shape == (height, width, 3)
+    top, bottom, left, right = height // 4, 3 * height // 4, width // 4, 3 * width // 4
+    assert [straight[row, col].tolist() for row in (top, bottom) for col in (left, right)] == [
+        [250, 20, 20],
+        [20, 250, 20],
+        [20, 20, 250],
+        [250, 250, 20],
+    ]
+    # The other look is the same picture rolled by whole cells, near half a turn.
+    shifts = [shift for shift in range(width) if np.array_equal(np.roll(straight[top], shift, axis=0), rolled[top])]
+    (shift,) = shifts
+    np.testing.assert_array_equal(np.roll(straight, shift, axis=1), rolled)
+    cell = asking(server).style(FAMILIES[family]).cell
+    assert shift % cell == 0
+    assert abs(shift - width / 2) <= cell / 2
+
+
+@pytest.mark.parametrize("kind", ["png", "jpeg"])
+def test_a_picture_of_the_right_size_arrives_as_it_is(server, kind):
+    panorama = np.random.default_rng(0).integers(0, 256, (8, 16, 3), dtype=np.uint8)
+    panorama = np.kron(panorama, np.ones((28, 28, 1), dtype=np.uint8))
+    asking(server, pixels=224 * 448, seam=False, image_format=kind).respond(panorama, ["thing"])
+    (request,) = server.requests
+    assert request.kinds == [f"image/{kind}"]
+    difference = np.abs(request.image.astype(int) - panorama)
+    assert difference.max() == 0 if kind == "png" else difference.mean() < 3
+
+
+def test_a_request_is_what_servers_understand(server):
+    asking(server, seam=False, max_tokens=77).respond(ball(0, 0), ["red ball"])
+    (request,) = server.requests
+    body = request.body
+    assert body["model"] == QWEN
+    assert [part["type"] for part in body["messages"][0]["content"]] == ["image_url", "text"]  # equal beginnings
+    assert (body["temperature"], body["max_tokens"], body["logprobs"]) == (0, 77, True)
+    schema = body["response_format"]["json_schema"]["schema"]
+    assert body["response_format"]["type"] == "json_schema"
+    assert schema["items"]["properties"]["bbox_2d"]["items"] == {"type": "integer"}
+    assert "red ball" in request.text
+    assert "stream" not in body
+
+
+def test_the_key_is_the_one_that_was_named(server, monkeypatch):
+    monkeypatch.setenv("OPENAI_API_KEY", "not for this server")
+    asking(server, seam=False).respond(ball(0, 0), ["red ball"])
+    monkeypatch.setenv("HOUSE_KEY", "secret-7")
+    asking(server, seam=False, key="HOUSE_KEY").respond(ball(0, 0), ["red ball"])
+    assert [request.headers["authorization"] for request in server.requests] == ["Bearer none", "Bearer secret-7"]
+    monkeypatch.delenv("HOUSE_KEY")
+    with pytest.raises(EagorError, match="HOUSE_KEY"):
+        asking(server, key="HOUSE_KEY").respond(ball(0, 0), ["red ball"])
+
+
+# --- what comes back -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("azimuth", [-180, -135, -90, -30, 0, 45, 90, 177])
+@pytest.mark.parametrize("family", FAMILIES)
+def test_boxes_point_where_the_thing_is(server, family, azimuth):
+    perception = asking(server, FAMILIES[family], extractor="boxes")
+    evidence = perception(ball(azimuth, 15), "red ball", stamp=2.5)
+    assert error_deg(evidence, azimuth, 15) < 1.5
+    assert np.asarray(evidence.response).max() > 0.8
+    assert evidence.stamp == 2.5
+
+
+@pytest.mark.parametrize("elevation", [-80, -20, 40])
+def test_the_seam_is_like_any_other_place(server, elevation):
+    """A thing rolled to any azimuth gives the same response, rolled."""
+    perception, panorama = asking(server, pixels=504 * 1008), ball(0, elevation, rows=252)
+    middle = perception.respond(panorama, ["red ball"])[0]
+    for cells in (9, 14, 18):  # of 36; 18: onto the seam
+        rolled = perception.respond(np.roll(panorama, cells * 14, axis=1), ["red ball"])[0]
+        # Near a pole things are so wide that a look which cuts them still counts a little.
+        atol = 0.05 if elevation == -80 else 0.01
+        np.testing.assert_allclose(np.roll(rolled, -cells * 5, axis=1), middle, atol=atol)
+
+
+def test_without_the_second_look_a_cut_thing_is_two():
+    with ContractServer(reddish) as server:
+        once, twice = (asking(server, seam=seam).respond(ball(180, 0, 20), ["red ball"])[0] for seam in (False, True))
+    assert once[45, 0] < 0.8 * once.max()
+    assert twice[45, 0] > 0.95 * twice.max()
+
+
+@pytest.mark.parametrize("family", ["qwen2_5_vl", "gemma3", "llava"])
+@pytest.mark.parametrize("per_view", ["presence", "boxes"])
+def test_views_point_where_the_thing_is(server, family, per_view):
+    for azimuth, elevation in ((130, 40), (-30, -70), (180, 0)):
+        perception = asking(server, FAMILIES[family], extractor="views", per_view=per_view, pixels=224 * 224)
+        evidence = perception(ball(azimuth, elevation, 8), "red ball")
+        # Presence knows no more than which views show the thing.
+        assert error_deg(evidence, azimuth, elevation) < (1.5 if per_view == "boxes" else 50)
+        assert np.asarray(evidence.response).max() > 0.8
+        assert np.asarray(evidence.response).min() < 0.05
+        assert evidence.source is not None
+        assert evidence.source["pictures"] == evidence.source["requests"] == 6
+
+
+def test_presence_is_a_probability_where_given_and_a_word_otherwise(server):
+    perception = asking(server, extractor="views", pixels=112 * 112)
+    likely = np.asarray(perception(ball(0, 0, 8), "red ball").response)
+    assert (likely.max(), likely.min()) == pytest.approx((0.9, 0.04), abs=0.005)
+    server.logprobs = False
+    plain = np.asarray(perception(ball(0, 0, 8), "red ball").response)
+    assert (plain.max(), plain.min()) == pytest.approx((1.0, 0.0), abs=0.005)
+
+
+def test_views_that_stop_short_of_the_poles_say_nothing_there(server):
+    perception = asking(server, extractor="views", pixels=112 * 112, hfov_deg=80, reach_deg=25)
+    evidence = perception(ball(0, 0, 8), "red ball")
+    ratio = np.asarray(evidence.log_ratio)
+    assert (ratio[0] == 0).all()
+    assert (ratio[-1] == 0).all()
+    assert (ratio[45] != 0).all()
+    assert np.isfinite(evidence.coefficients(7)).all()
+
+
+def test_nothing_there_is_a_look_that_saw_nothing(server):
+    for extractor in ("boxes", "views"):
+        grey = np.full((64, 128, 3), 150, dtype=np.uint8)
+        evidence = asking(server, extractor=extractor, pixels=112 * 112)(grey, "red ball")
+        assert np.asarray(evidence.response).max() < 0.05
+        assert np.asarray(evidence.log_ratio).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    "says",
+    [
+        "Sure! Here it is:\n```json\n{}\n```\nLet me know if you need more.",
+        "<think>Where may it be? [1, 2, 3, 4]?</think>\n\n{}",
+        "{}",
+        "The boxes are {} as asked.",
+    ],
+)
+def test_servers_that_ignore_the_schema_are_understood(server, says):
+    server.answer = partial(reddish, then=lambda text: says.replace("{}", text))
+    assert error_deg(asking(server)(ball(60, 0), "red ball"), 60, 0) < 1.5
+
+
+@pytest.mark.parametrize("lacks", ["response_format", "logprobs"])
+def test_servers_that_refuse_an_option_are_asked_without_it(server, lacks):
+    server.knows = {"response_format", "logprobs"} - {lacks}
+    perception = asking(server)
+    for _ in range(2):
+        assert error_deg(perception(ball(60, 0), "red ball"), 60, 0) < 1.5
+    assert all((lacks in request.body) is False for request in server.requests)
+    assert server.tries - len(server.requests) <= 2  # refused at most once for each request of the first look
+
+
+def test_token_probabilities_are_the_confidence_of_a_box(server):
+    pieces = [("[", -0.1), ('{"', -0.5), ("bbox", 0), ("_2d", 0), ('": [', 0)]
+    for number in ("100", "50", "150", "90"):
+        for index, digit in enumerate(number):
+            pieces.append((digit, -0.2 if index == 0 else -3.0))
+        pieces.append((", " if number != "90" else "]", 0))
+    pieces += [(', "label": "ball"}]', 0)]
+    server.answer = lambda request: Reply("", pieces)
+    perception = asking(server, seam=False)
+    sure = perception.respond(ball(0, 0), ["red ball"])[0].max()
+    server.logprobs = False
+    plain = perception.respond(ball(0, 0), ["red ball"])[0].max()
+    assert sure == pytest.approx(plain * math.exp(-0.1 - 0.5 - 0.2), rel=1e-3)
+
+
+def test_thoughts_come_before_the_verdict(server):
+    pieces = [("<think>", 0), ("No", -0.1), ("?", 0), ("</think>", 0), ("Yes", -0.3)]
+    others = [[], [("No", -0.1)], [], [], [("Yes", math.log(0.75)), ("No", math.log(0.25))]]
+    server.answer = lambda request: Reply("", pieces, others)
+    response = asking(server, extractor="views", pixels=112 * 112).respond(ball(0, 0), ["red ball"])
+    np.testing.assert_allclose(response, 0.75, atol=1e-6)
+
+
+def test_several_queries_are_asked_of_the_same_pictures(server):
+    def answer(request: Request) -> Reply | str:
+        return reddish(request) if "red ball" in request.text else "[]"
+
+    server.answer = answer
+    perception = asking(server)
+    together = perception.respond(ball(60, 0), ["red ball", "giraffe"])
+    alone = [perception.respond(ball(60, 0), [query])[0] for query in ("red ball", "giraffe")]
+    assert together.dtype == np.float32
+    np.testing.assert_array_equal(together, alone)
+    assert together[0].max() > 0.8 > 0.0 == together[1].max()
+    assert perception.respond(ball(60, 0), []).shape == (0, *perception.grid.shape)
+
+
+def test_the_evidence_tells_what_produced_it(server):
+    source = asking(server)(ball(60, 0), "red ball").source
+    assert source is not None
+    assert source["model"] == source["served_as"] == QWEN
+    assert (source["family"], source["extractor"], source["revision"]) == ("qwen2_5_vl", "boxes", "fp_7")
+    assert (source["height"], source["width"]) == (196, 392)
+    assert source["servers"] == [server.url]
+    assert (source["pictures"], source["requests"], source["prompt_tokens"]) == (2, 2, 4000)
+    assert source["completion_tokens"] > 20
+    assert source["milliseconds"] > 0
+    assert json.loads(json.dumps(source)) == source
+
+
+def test_the_only_model_of_a_server_needs_no_name(server):
+    with pytest.raises(QueryError, match="7 models"):
+        asking(server, "")(ball(0, 0), "red ball")
+    server.models = (QWEN,)
+    evidence = asking(server, "")(ball(0, 0), "red ball")
+    assert evidence.source is not None
+    assert evidence.source["model"] == QWEN
+
+
+@pytest.mark.parametrize("extractor", ["boxes", "views"])
+def test_it_keeps_the_contract(server, extractor):
+    perception = asking(server, extractor=extractor, pixels=28 * 28 * 72, calibration=Calibration(0.2, 0.1))
+    check_perception(perception, ball(30, 10, rows=84), "red ball")
+
+
+def test_it_rolls_with_the_panorama(server):
+    check_perception(asking(server, pixels=168 * 336), ball(30, 10, rows=168), "red ball", roll=28 * 6, tolerance=0.02)
+
+
+# --- what goes wrong -------------------------------------------------------------------------------------------------
+
+
+def test_passing_failures_are_tried_again(server):
+    server.faults = ["500", "500"]
+    evidence = asking(server, concurrency=1)(ball(60, 0), "red ball")
+    assert error_deg(evidence, 60, 0) < 1.5
+    assert evidence.source is not None
+    assert evidence.source["requests"] == 4  # two pictures, two failures
+    for fault in ("429", "drop"):
+        server.faults = [fault]
+        assert error_deg(asking(server)(ball(60, 0), "red ball"), 60, 0) < 1.5
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "says"),
+    [
+        ("500", ServerError, r"refused the request \(tried 3 times; HTTP 500\): CUDA error"),
+        ("429", ServerError, r"tried 3 times; HTTP 429"),
+        ("drop", ServerError, r"no server answers at http.*tried 3 times"),
+        ("slow", ServerError, r"no answer within 0\.2 s \(tried 3 times\)\. Allow more time"),
+        ("401", ServerError, "wants a key.*key=VARIABLE"),
+        ("404 model", QueryError, r"has no model 'qwen'.*it has 'a', 'b'"),
+        ("404 path", ServerError, "no chat completions for 'qwen'|has no model"),
+        (
+            "400 context",
+            ServerError,
+            r"392 x 196 pixels .* too long .*context length is 512.*pixels=.*max-model",
+        ),
+        ("400 context llama.cpp", ServerError, r"too long .*llama.cpp -c"),
+        ("400 context vllm", ServerError, "too long .*is longer than the maximum model length"),
+        ("400 context ollama", ServerError, "too long .*num_ctx"),
+        ("400 image vllm", ServerError, "takes no images: At most 0 image"),
+        ("400 image ollama", ServerError, "takes no images: this model is missing data"),
+        ("404 model ollama", QueryError, "has no model 'qwen'.*it has 'a', 'b'"),
+        ("400 image", ServerError, r"takes no images: Qwen2.5-7B is not a multimodal model\. Serve"),
+        ("500 image llama.cpp", ServerError, "takes no images: .*--mmproj"),
+        ("400 other", ServerError, r"refused the request \(tried once; HTTP 400\): temperature must be positive"),
+        ("empty", AnswerError, "empty answer.*max_tokens"),
+        ("html", ServerError, "no chat completion.*OpenAI-compatible"),
+        ("cut", ServerError, "no chat completion"),
+    ],
+)
+def test_lasting_failures_say_what_to_change(server, fault, kind, says):
+    server.models = ("a", "b") if "404 model" in fault else ("qwen",)
+    server.lasting = fault
+    with pytest.raises(kind, match=says):
+        asking(server, "qwen", frame="pixels", cell=28, retries=2, timeout=0.2, seam=False)(ball(0, 0), "red ball")
+    if fault not in ("500", "429", "drop", "slow"):
+        assert server.tries == 1  # what will not pass is not tried again
+    assert set(FAULTS) | {"drop", "slow", "html", "cut", "empty"} >= {fault}
+
+
+def test_no_server_at_all():
+    with ContractServer(reddish) as server:
+        url = server.url  # nobody listens there once it is gone
+    for model in ("qwen", ""):
+        with pytest.raises(ServerError, match=rf"no server answers at {url} .*vllm serve"):
+            EndpointPerception(model, (url,), retries=1, backoff=0.01)(ball(0, 0), "red ball")
+
+
+@pytest.mark.parametrize("says", ["I like chairs.", "[[1, 2], [3]]", '[{"bbox_2d": [9000, 9000, 9900, 9900]}]'])
+def test_an_unreadable_answer_is_asked_for_once_more(server, says):
+    server.answer = lambda request: says if request.body["temperature"] == 0 else reddish(request)
+    evidence = asking(server)(ball(60, 0), "red ball")
+    assert error_deg(evidence, 60, 0) < 1.5
+    assert evidence.source is not None
+    assert evidence.source["requests"] == 4
+    server.answer = lambda request: says
+    with pytest.raises(AnswerError, match="the model answered"):
+        asking(server)(ball(60, 0), "red ball")
+
+
+def test_an_answer_that_is_neither_yes_nor_no(server):
+    server.answer = lambda request: "Perhaps."
+    with pytest.raises(AnswerError, match=r"'Perhaps\.'; wanted yes or no"):
+        asking(server, extractor="views", pixels=112 * 112)(ball(0, 0), "red ball")
+
+
+def test_a_server_that_shrinks_pictures_is_noticed(server):
+    server.answer = lambda request: Reply("[]", prompt_tokens=90)
+    with pytest.warns(UserWarning, match=r"read 90 tokens, but the picture of 392 x 196 alone has 98"):
+        asking(server)(ball(0, 0), "red ball")
+    asking(server, "qwen3-vl:8b")(ball(0, 0), "red ball")  # fractions of the sides do not mind
+
+
+@pytest.mark.parametrize("query", ["", "  ", None])
+def test_queries_without_words(server, query):
+    with pytest.raises(QueryError, match="wanted words"):
+        asking(server)(ball(0, 0), query)
+    assert not server.requests
+
+
+@pytest.mark.parametrize("image", [np.zeros((8, 16, 3)), np.zeros((8, 16), np.uint8), np.zeros((0, 0, 3), np.uint8)])
+def test_other_images_are_refused(server, image):
+    with pytest.raises(ImageError, match="uint8"):
+        asking(server)(image, "red ball")
+
+
+# --- several at once -------------------------------------------------------------------------------------------------
+
+
+def test_requests_go_out_together_but_no_more_than_allowed(server):
+    server.gate = threading.Barrier(3)  # nobody is answered before three have come
+    asking(server, concurrency=3).respond(ball(0, 0), ["red ball", "ball", "red thing"])
+    assert (server.most_at_once, len(server.requests)) == (3, 6)
+
+
+def test_threads_that_share_a_perception_share_its_limit(server):
+    perception = asking(server, concurrency=2, seam=False)
+    server.gate = threading.Barrier(2)
+    threads = [threading.Thread(target=perception.respond, args=(ball(0, 0), ["a", "b"])) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert (server.most_at_once, len(server.requests)) == (2, 6)
+
+
+def test_several_servers_share_the_work():
+    with ContractServer(reddish) as first, ContractServer(reddish) as second:
+        first.gate = second.gate = threading.Barrier(4)  # two at each, or nobody is answered
+        perception = EndpointPerception("qwen", (first.url, second.url), concurrency=2, pixels=112 * 224)
+        perception.respond(ball(0, 0), ["a", "b", "c", "d"])
+        assert first.most_at_once == second.most_at_once == 2
+        assert len(first.requests) + len(second.requests) == 8
+
+
+@pytest.mark.parametrize("fault", ["gone", "500", "slow"])
+def test_a_failing_server_s_work_goes_elsewhere(server, fault):
+    with ContractServer(reddish, (QWEN,)) as other:
+        other.lasting = fault
+        url = other.url
+        if fault != "gone":
+            perception = EndpointPerception(QWEN, (url, server.url), pixels=196 * 392, timeout=1.0, backoff=60.0)
+            assert error_deg(perception(ball(60, 0), "red ball"), 60, 0) < 1.5
+            tried = other.tries
+            perception.respond(ball(60, 0), ["a", "b", "c"])
+            assert other.tries == tried  # it rests
+            return
+    perception = EndpointPerception(QWEN, (url, server.url), pixels=196 * 392, backoff=60.0)
+    assert error_deg(perception(ball(60, 0), "red ball"), 60, 0) < 1.5
+    assert len(server.requests) == 2
+
+
+def test_when_all_servers_fail_each_was_tried():
+    with ContractServer(reddish) as first, ContractServer(reddish) as second:
+        first.lasting = second.lasting = "500"
+        perception = EndpointPerception("qwen", (first.url, second.url), retries=1, backoff=0.01, seam=False)
+        with pytest.raises(ServerError, match="tried 3 times"):
+            perception(ball(0, 0), "red ball")
+        assert min(first.tries, second.tries) >= 1
+        assert first.tries + second.tries == 3
+
+
+def test_one_failure_ends_the_look(server):
+    """What was not sent when it happened is not sent any more."""
+    server.faults = ["400 other"]
+    with pytest.raises(ServerError, match="temperature"):
+        asking(server, concurrency=1).respond(ball(0, 0), [f"thing {index}" for index in range(20)])
+    wait_until(lambda: server.now == 0)
+    assert server.tries <= 3
+
+
+@pytest.mark.parametrize(
+    ("header", "seconds"),
+    [("2", 2), ("0.5", 0.5), ("900", 60), ("-3", 0), ("Wed, 21 Oct 2026", 0), (None, 0)],
+)
+def test_a_server_may_say_when_to_come_back(header, seconds):
+    response = SimpleNamespace(headers={} if header is None else {"retry-after": header})
+    assert retry_after(SimpleNamespace(response=response)) == seconds
+    assert retry_after(SimpleNamespace()) == 0
+
+
+# --- names and options -----------------------------------------------------------------------------------------------
+
+
+def test_load_reads_the_name(server):
+    perception = load(f"endpoint:{QWEN}@{server.url}?extractor=boxes&pixels=76832&seam=false&backoff=0.1")
+    assert isinstance(perception, EndpointPerception)
+    assert (perception.model, perception.servers) == (QWEN, (server.url,))
+    assert (perception.pixels, perception.seam, perception.backoff) == (76832, False, 0.1)
+    assert error_deg(perception(ball(60, 0), "red ball"), 60, 0) < 1.5
+    assert load("endpoint", retries=7).servers == ("http://localhost:8000/v1",)
+
+
+@pytest.mark.parametrize(
+    ("text", "model", "servers"),
+    [
+        ("qwen2.5vl:7b@http://a:11434", "qwen2.5vl:7b", ("http://a:11434/v1",)),
+        ("m@http://a/v1/,https://b:8/api/v1", "m", ("http://a/v1", "https://b:8/api/v1")),
+        ("http://a:8000/v1", "", ("http://a:8000/v1",)),
+        ("org/m", "org/m", ("http://localhost:8000/v1",)),
+        ("", "", ("http://localhost:8000/v1",)),
+        ("who@where@http://[::1]:80", "who@where", ("http://[::1]:80/v1",)),
+    ],
+)
+def test_names_of_all_kinds(text, model, servers):
+    perception = from_text(text)
+    assert (perception.model, perception.servers) == (model, servers)
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "says"),
+    [
+        ("m@http://a?colour=red", {}, "no option colour; it has model, servers"),
+        ("m@http://a", {"colour": "red"}, "no option colour"),
+        ("m@http://a?pixels=many", {}, "pixels=many.*wanted a int"),
+        ("m@http://a?seam=perhaps", {}, "seam=perhaps.*bool"),
+        ("m@http://a?servers=b", {}, "servers cannot be set"),
+        ("m@http://a?extractor=attention", {}, "extractor is 'attention'; wanted nothing, boxes, views"),
+        ("m@http://a?frame=metres", {}, "frame is 'metres'"),
+        ("m@http://a?pixels=-1", {}, "pixels is -1; wanted 0 or more"),
+        ("m@http://a?timeout=0", {}, "timeout is 0"),
+        ("m@http://a?concurrency=0", {}, "concurrency is 0"),
+        ("m@http://a?backoff=nan", {}, "backoff is nan"),
+        ("m@ftp://a", {}, "no address of a server"),
+        ("m@http://a:99999", {}, "no address of a server"),
+        ("m@nowhere", {}, "no address of a server"),
+    ],
+)
+def test_wrong_names_and_options(text, options, says):
+    with pytest.raises(EagorError, match=says):
+        from_text(text, **options)
+
+
+def test_too_few_pixels_for_one_cell(server):
+    with pytest.raises(ImageError, match="allow more pixels"):
+        asking(server, pixels=100)(ball(0, 0), "red ball")
+
+
+def test_copies_connect_anew(server):
+    perception = asking(server)
+    before = perception.respond(ball(60, 0), ["red ball"])
+    copy = pickle.loads(pickle.dumps(perception))
+    assert copy == perception
+    np.testing.assert_array_equal(copy.respond(ball(60, 0), ["red ball"]), before)
+
+
+def test_without_the_package_it_says_what_to_install(server, monkeypatch):
+    monkeypatch.setitem(sys.modules, "openai", None)
+    with pytest.raises(EagorError, match=r"pip install 'eagor\[endpoint\]'"):
+        asking(server)(ball(0, 0), "red ball")
+    with pytest.raises(EagorError, match=r"pip install 'eagor\[endpoint\]'"):
+        from_text("m@http://a")
+
+
+def test_naming_one_imports_no_client():
+    code = "import sys, eagor.perception as p; p.load('endpoint:m@http://a'); print(' '.join(sys.modules))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env={**os.environ})
+    assert not {"openai", "torch", "transformers", "httpx"} & set(run.stdout.split())
+
+
+# --- a real server ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def gemma(tmp_path_factory):
+    """`transformers serve` with a tiny Gemma-3 that writes the same box about every picture: (address, name)."""
+    for package in ("transformers", "fastapi", "uvicorn"):
+        pytest.importorskip(package)
+    folder = tmp_path_factory.mktemp("gemma3")
+    write_model(folder, "[[250, 400, 350, 500]]")
+    with served(folder) as url:
+        yield url, str(folder)
+
+
+def test_transformers_serve_gemma3(gemma):
+    """It ignores the schema and the wish for probabilities; the box that it writes arrives where it belongs."""
+    url, name = gemma
+    options = {"frame": "thousand", "order": "xyxy", "extractor": "boxes", "pixels": 224 * 224}
+    evidence = EndpointPerception(name, (url,), seam=False, **options)(ball(0, 0), "red ball")
+    assert error_deg(evidence, 180 - 360 * 0.3, 90 - 180 * 0.45) < 1.5
+    source = evidence.source
+    assert source is not None
+    assert source["prompt_tokens"] > IMAGE_TOKENS
+    assert (source["requests"], source["probabilities"]) == (1, False)
+    # The same box in the rolled picture is a thing half a turn away: each is found in one look of two.
+    both = EndpointPerception(name, (url,), **options).respond(ball(0, 0), ["red ball"])[0]
+    ahead, behind = both[38:43, 52:56].max(), both[38:43, 142:146].max()
+    assert ahead == pytest.approx(behind, abs=1e-3)
+    assert ahead == pytest.approx(math.sin(0.3 * math.pi) ** 2, abs=0.03)
+
+
+def test_transformers_serve_gemma3_is_not_understood_where_it_answers_something_else(gemma):
+    url, name = gemma
+    with pytest.raises(AnswerError, match=r"answered '\[\[250, 400, 350, 500\]\]'; wanted yes or no"):
+        EndpointPerception(name, (url,), extractor="views", pixels=112 * 112)(ball(0, 0), "red ball")

@@ -1,0 +1,516 @@
+"""Models at the command line: locate, bench, calibrate heads and doctor with tiny models, and what goes wrong."""
+
+import json
+import math
+import socket
+import sys
+
+import numpy as np
+import pytest
+import torch
+import transformers
+import vlm_models
+from contract_server import ContractServer, Reply, reddish
+from PIL import Image
+
+from eagor.cli import machine, main
+from eagor.errors import EagorError, FormatError
+from eagor.evaluation.labelled import apartment_labels
+from eagor.grids import ErpGrid
+from eagor.perception import is_model, load, short_name
+from eagor.perception.transformers import TransformersPerception, loading
+from eagor.perception.transformers.language import LanguageModel
+from eagor.perception.vlm.families import FAMILIES, Checkpoint
+from eagor.perception.vlm.labelled import Labelled, cap_radius, read_labelled
+from eagor.sphere import angular_distance, direction
+from eagor.tasks.eyes import rows_of, shared
+
+QWEN = "qwen2_5_vl"
+SMALL = "pixels=25088&seam=false"  # 112 x 224 pixels, 32 tokens
+EXAMPLES = [
+    Labelled(vlm_models.marked(*place, seed=index), "red thing", np.asarray(direction(*place)), 0.3)
+    for index, place in enumerate([(0.5, 0.2), (-1.2, -0.3), (2.5, 0.1), (-2.8, 0.4), (1.5, 0.0), (-0.4, -0.1)])
+]
+RUNS = {"waypoint": "leg_steps=4", "navigation": "max_steps=3", "tracking": "steps=6"}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def planted(tmp_path_factory):
+    """The folder of a family's tiny model with a head that looks at red things, and the file of that head, beside."""
+    made = {}
+
+    def folder(family):
+        if family not in made:
+            transformers.utils.logging.disable_progress_bar()
+            place = vlm_models.make(family, tmp_path_factory.mktemp("models") / f"tiny-{family}")
+            pixels = vlm_models.PIXELS.get(family)
+            language = vlm_models.language_model(place, extractor="attention", presence=False, pixels=pixels)
+            vlm_models.plant(language)
+            language.model.save_pretrained(place)
+            found = TransformersPerception(language, "attention", "attention").find_heads(EXAMPLES, 1)
+            assert found.heads == (vlm_models.HEAD,)
+            found.write(place / "heads.json")
+            made[family] = place
+        return made[family]
+
+    return folder
+
+
+@pytest.fixture(scope="module")
+def panorama(tmp_path_factory):
+    """A panorama with one red thing, 60 degrees to the left and 10 up."""
+    file = tmp_path_factory.mktemp("panorama") / "room.png"
+    Image.fromarray(vlm_models.marked(math.radians(60), math.radians(10), seed=3)).save(file)
+    return file
+
+
+@pytest.fixture
+def eagor(capsys):
+    """Runs a command in this process: exit code, stdout, stderr."""
+
+    def run(*words):
+        code = main([str(word) for word in words])
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return run
+
+
+@pytest.fixture
+def refused(eagor):
+    """The line that says why a command came to nothing."""
+
+    def run(code, *words):
+        found, out, err = eagor(*words)
+        assert (found, out) == (code, ""), err
+        assert "Traceback" not in err
+        assert err.splitlines()[-1].startswith("eagor: error: ")
+        return err.splitlines()[-1]
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def nobody():
+    """An address at which no server is."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"http://127.0.0.1:{free.getsockname()[1]}/v1?retries=0&backoff=0&timeout=5"
+
+
+# --- locate ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("family", vlm_models.LANGUAGE)
+def test_locate_points_at_what_the_planted_head_looks_at(eagor, planted, panorama, family):
+    folder = planted(family)
+    spec = f"{folder}?extractor=attention&presence=false&heads={folder / 'heads.json'}"
+    spec += f"&pixels={vlm_models.PIXELS[family]}" if family in vlm_models.PIXELS else ""
+    code, out, err = eagor("locate", panorama, "red thing", "--perception", spec, "--json")
+    assert (code, err) == (0, "")
+    found = json.loads(out)
+    answer = direction(math.radians(found["azimuth_deg"]), math.radians(found["elevation_deg"]))
+    rows, cols = load(spec).looker.cells(2.0, "attention")
+    assert found["source"]["family"] == family
+    assert found["source"]["model"] == str(folder)
+    half = math.hypot(math.pi / rows, 2 * math.pi / cols) / 2
+    assert angular_distance(answer, direction(math.radians(60), math.radians(10))) < 1.1 * half
+
+
+def test_locate_asks_a_server(eagor, panorama):
+    with ContractServer(reddish, ("qwen2.5-vl-7b",)) as server:
+        spec = f"endpoint:qwen2.5-vl-7b@{server.url}?pixels=56448"
+        code, out, _ = eagor("locate", panorama, "red thing", "--perception", spec, "--json")
+    found = json.loads(out)
+    assert code == 0
+    assert found["azimuth_deg"] == pytest.approx(60, abs=3)
+    assert found["elevation_deg"] == pytest.approx(10, abs=3)
+
+
+# --- runs ------------------------------------------------------------------------------------------------------------
+
+
+def records(folder):
+    files = sorted(folder.glob("**/*.jsonl"))
+    return [json.loads(line) for file in files for line in file.read_text().splitlines() if line]
+
+
+@pytest.mark.parametrize("task", RUNS)
+def test_a_run_with_a_model(eagor, planted, tmp_path, monkeypatch, task):
+    loads, really = [], loading.load_model
+    monkeypatch.setattr(loading, "load_model", lambda name, **rest: loads.append(name) or really(name, **rest))
+    folder = planted(QWEN)
+    spec = f"{folder}?{SMALL}&heads={folder / 'heads.json'}"
+    words = ("bench", "run", task, "--perception", spec, "--seed", "3", "--set", RUNS[task], "--out", tmp_path / "run")
+    code, out, err = eagor(*words, "--episodes", "1", "--methods", "plain", "eagor", "--json")
+    assert code == 0, err
+    assert set(json.loads(out)["methods"]) == {"plain", "eagor"}
+    assert loads == [str(folder)]  # once, for all episodes
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["rows"] == 112
+    found = [r for r in records(tmp_path / "run") if r.get("status") == "ok"]
+    looked = [r["looked"] for r in found if "looked" in r]
+    looked += [m["looked"] for r in found for m in r["methods"].values() if "looked" in m]
+    assert looked
+    for account in looked:
+        assert (account["unread"], account["source"]["model"]) == (0, str(folder))
+        assert account["looks"] > 0
+        assert account["milliseconds"] > 0
+        assert account["source"]["revision"].startswith("folder:")
+    code, out, _ = eagor("bench", "report", tmp_path / "run", "--json")
+    page = (tmp_path / "run" / "report.html").read_text()
+    assert code == 0
+    assert str(folder) in page
+    assert "ms each on average" in page
+
+
+def test_a_run_on_two_processes(eagor, planted, tmp_path):
+    spec = f"{planted(QWEN)}?{SMALL}&extractor=attention"
+    words = ("bench", "run", "navigation", "--perception", spec, "--seed", "3", "--set", "max_steps=2")
+    code, out, err = eagor(
+        *words, "--episodes", "1", "--methods", "plain", "eagor", "--workers", "2", "--out", tmp_path / "run", "--json"
+    )
+    assert code == 0, err
+    assert json.loads(out)["failed"] == 0
+
+
+def test_a_run_with_a_server_survives_an_answer_that_cannot_be_read(eagor, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    asked = []
+
+    def mumbling(request):
+        """Every ninth look says nothing of use, the second try included."""
+        asked.append(request)
+        return Reply("the weather is fine") if len(asked) % 9 in (4, 5) else reddish(request)
+
+    with ContractServer(mumbling, ("qwen2.5-vl-7b",)) as server:
+        spec = f"endpoint:qwen2.5-vl-7b@{server.url}?{SMALL}"
+        words = ("bench", "run", "tracking", "--perception", spec, "--seed", "3", "--set", "steps=12", "--json")
+        code, out, err = eagor(*words, "--episodes", "1", "--methods", "plain", "eagor")
+    assert code == 0, err
+    where = tmp_path / "runs" / "tracking-endpoint-qwen2.5-vl-7b-3"
+    assert json.loads(out)["out"] == str(where.relative_to(tmp_path))
+    (record,) = (r for r in records(where) if r.get("status") == "ok")
+    assert record["looked"]["unread"] >= 1
+    assert 12 <= record["looked"]["looks"] <= 13
+    assert record["looked"]["source"]["served_as"] == "qwen2.5-vl-7b"
+
+
+def test_a_run_of_nothing_but_unreadable_answers_fails(eagor, tmp_path):
+    with ContractServer(lambda request: "the weather is fine", ("qwen2.5-vl-7b",)) as server:
+        spec = f"endpoint:qwen2.5-vl-7b@{server.url}?{SMALL}"
+        words = ("bench", "run", "tracking", "--perception", spec, "--seed", "3", "--set", "steps=4")
+        code, _, err = eagor(*words, "--episodes", "1", "--methods", "plain", "--out", tmp_path / "run")
+    assert code == 1
+    assert "answers could not be read; the last: " in err
+    assert "no episode could be run" in err.splitlines()[-1]
+
+
+def test_the_plain_model_is_compared_where_a_model_looks(monkeypatch):
+    from eagor.tasks.methods import NAMES, default_methods
+
+    assert default_methods("scout") == NAMES
+    assert default_methods("Qwen/Qwen2.5-VL-7B-Instruct") == ("plain", *NAMES)
+    assert default_methods("endpoint:qwen2.5vl:7b") == ("plain", *NAMES)
+
+
+def test_a_perception_is_made_once_per_process():
+    shared.cache_clear()
+    assert shared("colour") is shared("colour")
+    shared.cache_clear()
+
+
+@pytest.mark.parametrize("family", vlm_models.LANGUAGE)
+def test_panoramas_are_rendered_as_fine_as_the_model_sees(planted, family):
+    perception = load(str(planted(family)))
+    rows = rows_of(perception)
+    if perception.extractor == "views":  # a pixel of the panorama is one in the middle of a view
+        side = min(perception.looker.size(1.0))
+        assert rows == pytest.approx(math.pi * (side / 2) / math.tan(math.radians(50)), abs=1)
+    else:
+        assert rows == perception.looker.size(2.0)[0]
+
+
+@pytest.mark.parametrize(
+    ("spec", "name", "model"),
+    [
+        ("scout", "scout", False),
+        ("truth:miss=0.5", "truth", False),
+        ("replay:some/file.jsonl", "replay", False),
+        ("Qwen/Qwen2.5-VL-7B-Instruct", "Qwen2.5-VL-7B-Instruct", True),
+        ("Qwen/Qwen2.5-VL-7B-Instruct?extractor=boxes&pixels=401408", "Qwen2.5-VL-7B-Instruct", True),
+        ("/models/tiny?heads=a/b.json", "tiny", True),
+        ("endpoint", "endpoint", True),
+        ("endpoint:http://localhost:8000/v1", "endpoint", True),
+        ("endpoint:qwen2.5vl:7b", "endpoint-qwen2.5vl-7b", True),
+        ("endpoint:Qwen/Qwen3-VL-8B@http://h:1/v1?timeout=9", "endpoint-Qwen3-VL-8B", True),
+    ],
+)
+def test_names_of_runs_and_files(spec, name, model):
+    assert (short_name(spec), is_model(spec)) == (name, model)
+
+
+# --- what goes wrong -------------------------------------------------------------------------------------------------
+
+
+def test_models_that_are_not_there(refused, panorama, tmp_path):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "bert").mkdir()
+    (tmp_path / "bert" / "config.json").write_text('{"model_type": "bert"}')
+    for spec, says in [
+        (tmp_path / "nowhere", "there is no folder"),
+        (tmp_path / "empty", "no config.json"),
+        (tmp_path / "bert", "type 'bert', which cannot be read here; known are Qwen2.5-VL"),
+    ]:
+        assert says in refused(2, "locate", panorama, "red thing", "--perception", spec)
+        words = ("bench", "run", "tracking", "--episodes", "1", "--out", tmp_path / "run")
+        assert says in refused(2, *words, "--perception", spec)
+    assert not (tmp_path / "run").exists()
+
+
+def test_packages_that_are_not_there(refused, planted, panorama, monkeypatch):
+    folder = planted(QWEN)
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    assert "pip install 'eagor[vlm]'" in refused(2, "locate", panorama, "red thing", "--perception", folder)
+    monkeypatch.setattr("eagor.perception.endpoint.naming.find_spec", lambda name: None)
+    assert "pip install 'eagor[endpoint]'" in refused(2, "locate", panorama, "red", "--perception", "endpoint:qwen")
+
+
+def test_servers_that_are_not_there(refused, panorama, tmp_path, nobody):
+    spec = f"endpoint:qwen2.5-vl@{nobody}"
+    assert "no server answers at" in refused(1, "locate", panorama, "red thing", "--perception", spec)
+    words = ("bench", "run", "tracking", "--episodes", "1", "--out", tmp_path / "run", "--perception", spec)
+    assert "no server answers at" in refused(1, *words)  # before anything is rendered or recorded
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_model_that_the_server_lacks(refused, panorama, tmp_path):
+    with ContractServer(reddish, ("llava",)) as server:
+        server.lasting = "404 model"
+        spec = f"endpoint:qwen@{server.url}?retries=0"
+        words = ("bench", "run", "tracking", "--episodes", "1", "--out", tmp_path / "run", "--perception", spec)
+        for line in (refused(2, *words), refused(2, "locate", panorama, "red thing", "--perception", spec)):
+            assert "has no model 'qwen'" in line
+            assert "it has 'llava'" in line
+
+
+# --- localisation heads ----------------------------------------------------------------------------------------------
+
+
+def labels(folder, count=12):
+    """Panoramas with a red thing each, and the file that says where."""
+    lines = []
+    for index in range(count):
+        azimuth, elevation = math.radians(40 * index - 200), math.radians(12 * (index % 3) - 12)
+        Image.fromarray(vlm_models.marked(azimuth, elevation, seed=index)).save(folder / f"{index}.png")
+        place = {"azimuth_deg": math.degrees(azimuth), "elevation_deg": math.degrees(elevation), "radius_deg": 17}
+        lines.append(json.dumps({"image": f"{index}.png", "query": "red thing", **place}))
+    (folder / "labels.jsonl").write_text("\n".join(lines))
+    return folder / "labels.jsonl"
+
+
+@pytest.mark.parametrize(("how", "pixels", "limit"), [("attention", 168 * 336, 23), ("views", 224 * 224, 12)])
+def test_heads_are_found_in_pictures_of_ones_own(eagor, planted, panorama, tmp_path, how, pixels, limit):
+    folder, out = planted(QWEN), tmp_path / "heads.json"
+    spec = f"{folder}?extractor={how}&presence=false&pixels={pixels}"
+    code, text, err = eagor(
+        "calibrate", "heads", "--perception", spec, "--labels", labels(tmp_path), "--take", "1", "--out", out, "--json"
+    )
+    assert (code, err) == (0, "")
+    found = json.loads(text)
+    assert found["heads"] == [list(vlm_models.HEAD)]
+    assert (found["found_by"]["panoramas"], found["found_by"]["held_out"]["panoramas"]) == (8, 4)
+    assert found["found_by"]["held_out"]["median_error_deg"] < limit
+    code, text, _ = eagor("locate", panorama, "red thing", "--perception", f"{spec}&heads={out}", "--json")
+    assert code == 0
+    answer = json.loads(text)
+    there = direction(math.radians(answer["azimuth_deg"]), math.radians(answer["elevation_deg"]))
+    assert math.degrees(angular_distance(there, direction(math.radians(60), math.radians(10)))) < limit
+
+
+def test_heads_are_found_in_apartments(eagor, planted, tmp_path, monkeypatch):
+    """With a model that looks at the thing asked for, wherever it is."""
+    really = LanguageModel.observe
+
+    def knowing(self, example, view=None):
+        look = really(self, example, view)
+        layer, head = vlm_models.HEAD
+        look.maps[layer][head] = np.where(look.near, 1.0, 1e-3) / look.near.sum()
+        return look
+
+    monkeypatch.setattr(LanguageModel, "observe", knowing)
+    monkeypatch.chdir(tmp_path)
+    words = ("calibrate", "heads", "--perception", f"{planted(QWEN)}?{SMALL}", "--episodes", "3", "--seed", "5")
+    code, out, err = eagor(*words)
+    assert code == 0, err
+    file = tmp_path / "heads-tiny-qwen2_5_vl.json"
+    assert json.loads(file.read_text())["heads"][0] == list(vlm_models.HEAD)
+    assert f"?heads={file.name}&{SMALL}" in out
+
+
+def test_a_model_that_looks_at_nothing_has_no_heads(refused, planted, tmp_path, monkeypatch):
+    really = LanguageModel.observe
+
+    def blind(self, example, view=None):
+        look = really(self, example, view)
+        for heads in look.maps.values():
+            heads[:, look.near] = 0
+        return look
+
+    monkeypatch.setattr(LanguageModel, "observe", blind)
+    words = ("calibrate", "heads", "--perception", planted(QWEN), "--labels", labels(tmp_path, 3))
+    assert "looks at the labelled targets more than elsewhere" in refused(1, *words)
+
+
+def test_heads_of_what_has_none_are_refused(refused, planted, tmp_path):
+    for spec in ("scout", "endpoint:qwen"):
+        assert "no attention heads" in refused(2, "calibrate", "heads", "--perception", spec)
+    words = ("calibrate", "heads", "--perception", f"{planted(QWEN)}?{SMALL}")
+    assert "results" in refused(2, *words, "--seed", "2000")
+    assert "--take 0" in refused(2, *words, "--take", "0")
+    assert "cannot be read" in refused(2, *words, "--labels", tmp_path / "none.jsonl")
+    assert "calibrate heads" in refused(2, "calibrate", "--labels", tmp_path / "none.jsonl")
+    localiser = vlm_models.make("owlv2", tmp_path / "owl")
+    assert "no attention heads" in refused(2, "calibrate", "heads", "--perception", localiser, "--episodes", "1")
+    heads = planted(QWEN) / "heads.json"
+    assert "which reads boxes" in refused(
+        2, "locate", "x.png", "red", "--perception", f"{planted(QWEN)}?extractor=boxes&heads={heads}"
+    )
+
+
+def test_labels_of_apartments_are_true():
+    """Where the label points, the picture shows a thing of its own; and it is of the size that is said."""
+    found = list(apartment_labels(2, 7, 64))
+    assert found
+    for example in found:
+        assert example.panorama.shape == (64, 128, 3)
+        assert example.panorama.dtype == np.uint8
+        assert np.linalg.norm(example.direction) == pytest.approx(1)
+        assert math.radians(3) <= example.radius <= math.radians(35)
+    again = list(apartment_labels(2, 7, 64))
+    assert [example.query for example in again] == [example.query for example in found]
+    with pytest.raises(EagorError, match="results"):
+        next(apartment_labels(1, 2000, 64))
+
+
+def test_labels_of_apartments_point_at_the_thing(monkeypatch):
+    """The instance that is seen in the direction of a label is the one that the query names."""
+    from eagor.evaluation import labelled
+    from eagor.tasks.places import Place
+
+    frames = []
+    really = Place.ids
+
+    def ids(self, position, turned, rows=64):
+        frames.append((self, really(self, position, turned, rows)))
+        return frames[-1][1]
+
+    monkeypatch.setattr(Place, "ids", ids)
+    hits = []
+    for example in labelled.apartment_labels(4, 11, 32):
+        place, seen = frames[-1]
+        (target,) = (thing for thing, query in place.nameable().items() if str(query) == example.query)
+        grid = ErpGrid(*seen.shape)
+        near = angular_distance(grid.directions, example.direction) < example.radius
+        share = float((grid.weights * (seen == target))[near].sum() / (grid.weights * (seen == target)).sum())
+        hits.append(share)
+    assert hits
+    assert min(hits) > 0.15
+    assert np.mean(hits) > 0.5
+
+
+def test_labels_from_a_file(tmp_path):
+    image = np.zeros((64, 128, 3), dtype=np.uint8)
+    Image.fromarray(image).save(tmp_path / "a.png")
+    file = tmp_path / "labels.jsonl"
+    place = {"azimuth_deg": 90, "elevation_deg": 0, "radius_deg": 5}
+    lines = [
+        {"image": "a.png", "query": "sofa", **place},
+        {"image": "a.png", "query": "sofa", "box": [24, 28, 40, 36]},
+        {"image": "a.png", "query": "sofa", "box": [124, 28, 4, 36]},
+    ]
+    file.write_text("\n\n".join(json.dumps(line) for line in lines))
+    first, box, seam = read_labelled(file)
+    assert isinstance(first, Labelled)
+    assert first.panorama.shape == (64, 128, 3)
+    for found, azimuth in ((first, 90), (box, 90), (seam, 180)):
+        assert angular_distance(found.direction, direction(math.radians(azimuth), 0.0)) < 1e-3
+    area = 2 * math.pi * 16 / 128 * 2 * math.sin(math.pi * 4 / 64)
+    assert box.radius == pytest.approx(cap_radius(area))
+    assert box.radius == pytest.approx(math.sqrt(2) * seam.radius, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("{", "line 1: is not JSON"),
+        ("[1]", "is list; wanted an object"),
+        ('{"image": "a.png"}', "'query' is missing"),
+        ('{"image": "a.png", "query": " "}', "wanted words"),
+        ('{"image": "a.png", "query": "sofa"}', "'azimuth_deg' is missing"),
+        ('{"image": "a.png", "query": "sofa", "box": [1, 2, 3]}', r"wanted \[x0, y0, x1, y1\]"),
+        ('{"image": "a.png", "query": "s", "azimuth_deg": 0, "elevation_deg": 99, "radius_deg": 5}', "between -90"),
+        ('{"image": "a.png", "query": "s", "azimuth_deg": 0, "elevation_deg": 9, "radius_deg": 0}', "more than 0"),
+        ("", "holds no labels"),
+    ],
+)
+def test_labels_that_are_none(tmp_path, line, says):
+    file = tmp_path / "labels.jsonl"
+    file.write_text(line)
+    with pytest.raises(FormatError, match=says):
+        next(read_labelled(file))
+
+
+# --- doctor ----------------------------------------------------------------------------------------------------------
+
+
+def test_doctor_says_which_models_fit(eagor):
+    code, out, _ = eagor("doctor", "--json")
+    assert code == 0
+    found = json.loads(out)
+    assert [family["name"] for family in found["families"]] == [family.name for family in FAMILIES]
+    assert found["install"] == []  # the tests' environment has both extras
+    assert found["machine"]["memory"] > 0
+    code, out, _ = eagor("doctor")
+    for family in FAMILIES:
+        assert family.title in out
+        for checkpoint in family.checkpoints:
+            assert checkpoint.name in out
+
+
+@pytest.mark.parametrize(
+    ("memory", "gpus", "place"),
+    [
+        (64.0, [24.0], "GPU"),
+        (64.0, [12.0, 12.0], "all GPUs (device=auto)"),
+        (64.0, [], "CPU"),
+        (32.0, [8.0], "CPU (dtype=bfloat16)"),
+        (16.0, [], "too large"),
+        (None, [], "unknown: the size of the memory is"),
+    ],
+)
+def test_where_a_checkpoint_fits(memory, gpus, place):
+    here = machine.Machine(memory, tuple(("card", size) for size in gpus))
+    assert here.place(Checkpoint("some/model", 8.3)) == place  # 20 GB in 16 bits
+
+
+def test_doctor_says_what_to_install(eagor, monkeypatch):
+    there = {"torch": None, "transformers": "4.57.1", "accelerate": "1.10.0", "openai": None}
+    monkeypatch.setattr(machine, "_version", lambda name: there[name])
+    code, out, _ = eagor("doctor")
+    assert code == 0
+    assert "local models lack torch, transformers 5.23 or newer (there is 4.57.1): pip install torch==2.13.0" in out
+    assert "models on servers lack openai: pip install 'eagor[endpoint]'" in out
+
+
+def test_an_old_transformers_is_named(refused, planted, panorama, monkeypatch):
+    folder = planted(QWEN)
+    monkeypatch.setattr(sys.modules["transformers"], "__version__", "4.57.1")  # which is not always what was imported
+    assert "transformers 5.23 or newer" in refused(2, "locate", panorama, "red", "--perception", folder)

@@ -1,0 +1,646 @@
+"""What models on servers and models here share: reading answers, sizes, the seam, views, drawing."""
+
+import contextlib
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from eagor.errors import AnswerError, EagorError, GridError, ImageError, QueryError, ResponseError
+from eagor.evidence import Calibration, Evidence
+from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
+from eagor.perception.vlm.boxes import Box, parse_boxes
+from eagor.perception.vlm.drawing import drawn
+from eagor.perception.vlm.lenient import values
+from eagor.perception.vlm.presence import parse_presence
+from eagor.perception.vlm.prompts import GENERAL, ask_boxes, ask_presence, boxes_schema
+from eagor.perception.vlm.seam import seamless
+from eagor.perception.vlm.sizes import exact_size, resized
+from eagor.perception.vlm.styles import style_of
+from eagor.perception.vlm.tokens import Trace
+from eagor.perception.vlm.views import cut, lift, tangent_views
+from eagor.sphere import angular_distance, direction, world_R_body
+
+SIDES = {"pixels": (896, 448), "thousand": (1000, 1000), "unit": (1, 1)}  # across, down
+SIZE = (448, 896)
+TAU = 2 * math.pi
+
+
+def mean_direction(response: np.ndarray, grid) -> np.ndarray:
+    mean = ((response * grid.weights)[..., None] * grid.directions).sum(axis=(0, 1))
+    return mean / np.linalg.norm(mean)
+
+
+# --- boxes: what was printed is read ---------------------------------------------------------------------------------
+
+
+@st.composite
+def boxes(draw):
+    """Whole corners in thousandths, as x0, y0, x1, y1."""
+    x0, y0 = draw(st.integers(0, 990)), draw(st.integers(0, 990))
+    # Of a size: boxes within one pixel would be fractions.
+    return x0, y0, draw(st.integers(max(x0 + 1, 10), 1000)), draw(st.integers(y0 + 1, 1000))
+
+
+LABEL = st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=12)
+WRITTEN = st.lists(st.tuples(boxes(), LABEL), min_size=1, max_size=4, unique_by=lambda entry: entry[0])
+
+
+def printed(entries, frame: str, order: str, key: str = "bbox_2d") -> list[dict]:
+    across, down = SIDES[frame]
+    found = []
+    for (x0, y0, x1, y1), label in entries:
+        numbers = [x0 / 1000 * across, y0 / 1000 * down, x1 / 1000 * across, y1 / 1000 * down]
+        numbers = [int(n) if n == int(n) and frame != "unit" else n for n in numbers]
+        numbers = numbers if order == "xyxy" else [numbers[1], numbers[0], numbers[3], numbers[2]]
+        found.append({key: numbers, "label": label})
+    return found
+
+
+@given(WRITTEN, st.sampled_from([*SIDES]), st.sampled_from(["xyxy", "yxyx"]), st.integers(0, 5))
+@settings(deadline=None)
+def test_what_was_printed_is_read(entries, frame, order, wrapping):
+    data = printed(entries, frame, order)
+    text = [
+        json.dumps(data),
+        "```json\n" + json.dumps(data, indent="\t") + "\n```",
+        "Here you are: " + json.dumps(data, ensure_ascii=False) + " - anything else?",
+        json.dumps({"objects": data}),
+        repr(data),
+        "<think>Hm, [0, 0, 1, 1]?</think>" + json.dumps(data)[:-1] + ",",  # a comma too many, and no end
+    ][wrapping]
+    found = parse_boxes(text, frame, SIZE, order)
+    assert len(found) == len(entries)
+    for box, (corners, label) in zip(found, entries, strict=True):
+        assert (box.x0, box.y0, box.x1, box.y1) == pytest.approx([c / 1000 for c in corners], abs=1e-9)
+        assert box.label == label
+        assert box.score == 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[100, 200, 300, 400]",
+        "The chair is at (100, 200), (300, 400) in the image.",
+        "chair(100,200),(300,400)",
+        "<ref>chair</ref><box>[[100, 200, 300, 400]]</box>",
+        "<|object_ref_start|>chair<|object_ref_end|><|box_start|>(100,200),(300,400)<|box_end|>",
+        '{"chair": [100, 200, 300, 400]}',
+        "{'bbox': [100, 200, 300, 400], 'label': 'chair'}",
+        "{bbox_2d: [100, 200, 300, 400], label: chair}",
+        '{"Bounding Box": {"x_min": 100, "y_min": 200, "x_max": 300, "y_max": 400}}',
+        '{"x": 100, "y": 200, "width": 200, "height": 200}',
+        '[{"bbox_2d": [[100, 200], [300, 400]]}]',
+        '[{"bbox_2d": "[100, 200, 300, 400]"}]',
+        '[{"bbox_2d": [300, 400, 100, 200]}]',  # corners swapped
+        '[{"bbox_2d": [100, 200, 300, 400]}, {"bbox_2d": [100, 200, 300, 400]}]',  # said twice
+        '[{"bbox_2d": [100, 200, 300, 400], "label": "chair"}, {"bbox_2d": [100, 2',  # cut off
+        '[{"bbox_2d": [100, 200, 300, 400], "label": "cha',
+        '[{"bbox_2d": [100, 200, 300, 400]}, {"bbox_2d": [5000, 6000, 7000, 8000]}]',
+        '[{"bbox_2d": [100, 200, 300, 400]}, {"bbox_2d": [500, 600, 500, 800]}]',  # the second has no area
+        "[0.1, 0.2, 0.3, 0.4]",  # fractions, though thousandths were wanted
+        "The model thinks</think>[100, 200, 300, 400]",
+        "[1e2, +200, 300.0, 4.0E2]",
+    ],
+)
+def test_ways_of_writing_one_box(text):
+    (box,) = parse_boxes(text, "thousand", SIZE)
+    assert (box.x0, box.y0, box.x1, box.y1) == pytest.approx((0.1, 0.2, 0.3, 0.4))
+
+
+@pytest.mark.parametrize(
+    ("text", "score"),
+    [
+        ('[{"bbox_2d": [1, 2, 3, 4], "score": 0.8}]', 0.8),
+        ('[{"bbox_2d": [1, 2, 3, 4], "confidence": "85%"}]', 0.85),
+        ("[[1, 2, 3, 4, 0.7]]", 0.7),
+        ('[{"bbox_2d": [1, 2, 3, 4], "score": "high"}]', 1.0),
+        ('[{"bbox_2d": [1, 2, 3, 4], "score": -3}]', 1.0),
+    ],
+)
+def test_written_scores(text, score):
+    (box,) = parse_boxes(text, "thousand", SIZE)
+    assert box.score == pytest.approx(score)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[]",
+        "```json\n[]\n```",
+        "{}",
+        '{"objects": []}',
+        "None",
+        "null",
+        "No.",
+        "There is no red chair in the image.",
+        "There are no chairs.",
+        "There isn't any red chair.",
+        "The image does not contain a red chair.",
+        "The image doesn\N{RIGHT SINGLE QUOTATION MARK}t show one.",
+        "I cannot see a red chair.",
+        "A red chair is not visible.",
+        "No red chair was found here.",
+        "<think>Maybe at [1, 2, 3, 4]</think>[]",
+    ],
+)
+def test_ways_of_saying_that_there_is_none(text):
+    assert parse_boxes(text, "pixels", SIZE) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("The red chair is on the left.", "on the left"),
+        ("No problem! The chair is by the window.", "No problem"),
+        ("", "''"),
+        ("[1, 2, 3]", "wanted boxes"),
+        ("<think>[1, 2, 3, 4] or", "allow more tokens"),
+        ('[{"bbox_2d": [100, 200, 30', "cut off"),
+        ('{"point_2d": [10, 20]}', "point_2d"),
+        ("[1200, 1300, 1400, 1500]", "outside the frame 'thousand'"),
+        ("[100, 200, 5000, 400]", "outside the frame"),
+    ],
+)
+def test_unreadable_answers(text, says):
+    with pytest.raises(AnswerError, match=says):
+        parse_boxes(text, "thousand", SIZE)
+
+
+def test_the_order_is_the_caller_s_but_names_win():
+    assert parse_boxes("[10, 20, 30, 50]", "thousand", SIZE, "yxyx") == [Box(0.02, 0.01, 0.05, 0.03)]
+    named = '{"xmin": 10, "ymin": 20, "xmax": 30, "ymax": 50}'
+    assert parse_boxes(named, "thousand", SIZE, "yxyx") == [Box(0.01, 0.02, 0.03, 0.05)]
+
+
+def test_pixels_are_those_of_the_picture_that_the_model_saw():
+    assert parse_boxes("[448, 112, 672, 224]", "pixels", (448, 896)) == [Box(0.5, 0.25, 0.75, 0.5)]
+    assert parse_boxes("[448, 112, 672, 224]", "pixels", (896, 1792)) == [Box(0.25, 0.125, 0.375, 0.25)]
+
+
+@given(st.text(st.sampled_from("[](){}\"':,.-0123456789 eabox_2d<>/\\\n#"), max_size=80) | st.text(max_size=60))
+@settings(deadline=None, max_examples=300)
+def test_only_our_errors_escape_from_any_answer(text):
+    try:
+        found = parse_boxes(text, "thousand", SIZE, "xyxy", [(piece, -0.5) for piece in text])
+    except AnswerError:
+        found = []
+    for box in found:
+        assert 0 <= box.x0 < box.x1 <= 1
+        assert 0 <= box.y0 < box.y1 <= 1
+        assert 0 <= box.score <= 1
+    with contextlib.suppress(AnswerError):
+        assert 0 <= parse_presence(text) <= 1
+
+
+def test_deep_and_long_answers_take_no_forever():
+    for text in ("[" * 50_000, "{'a':" * 20_000, "[1," * 20_000, '"' * 50_000, "((1,2)" * 5000):
+        with pytest.raises(AnswerError):
+            parse_boxes(text, "thousand", SIZE)
+
+
+@given(WRITTEN)
+@settings(deadline=None)
+def test_values_know_their_place(entries):
+    text = "so: " + json.dumps(printed(entries, "thousand", "xyxy")) + "."
+    (node,) = values(text)
+    assert text[node.start : node.end] == text[4:-1]
+    for entry, ((x0, *_), _) in zip(node.value, entries, strict=True):
+        number = entry.value["bbox_2d"].value[0]
+        assert text[number.start : number.end] == str(x0)
+
+
+# --- token probabilities ---------------------------------------------------------------------------------------------
+
+
+@given(WRITTEN, st.lists(st.integers(1, 7), min_size=1, max_size=20), st.sampled_from(["", "<s>", "\n", "\n\n"]))
+@settings(deadline=None)
+def test_a_token_is_found_by_any_of_its_characters(entries, lengths, before):
+    text = json.dumps(printed(entries, "thousand", "xyxy"))
+    pieces, place, index = [], 0, 0
+    while place < len(text):
+        length = lengths[index % len(lengths)]
+        pieces.append((text[place : place + length], -0.01 * (index + 1)))
+        place, index = place + length, index + 1
+    trace = Trace(text, [*([(before, -9.0)] if before else []), *pieces, ("</s>", -9.0)])
+    place = 0
+    for piece, log in pieces:
+        for at in range(place, place + len(piece)):
+            assert trace.log_probability(at, at + 1) == log
+        place += len(piece)
+    assert trace.log_probability(0, len(text)) == pytest.approx(sum(log for _, log in pieces))
+
+
+def test_the_score_is_the_decision_times_the_leading_digits():
+    pieces = [("```json\n", -5.0), ("[\n\t", -0.3), ("{", -0.2), ('"bbox_2d": [', -5.0)]
+    pieces += [("1", -0.1), ("00, ", -5.0), ("2", -0.2), ("00, ", -5.0), ("3", -0.3), ("00, ", -5.0), ("4", -0.4)]
+    pieces += [("00]}", -5.0), (",\n\t", -0.7), ('{"', -0.1), ('bbox_2d": [', 0.0)]
+    pieces += [
+        ("5", 0.0),
+        ("00, ", 0.0),
+        ("6", 0.0),
+        ("00, ", 0.0),
+        ("7", 0.0),
+        ("00, ", 0.0),
+        ("8", 0.0),
+        ("00]}]", 0),
+    ]
+    text = "".join(piece for piece, _ in pieces)
+    first, second = parse_boxes(text, "thousand", SIZE, tokens=pieces)
+    assert first.score == pytest.approx(math.exp(-0.3 - 0.2 - 0.25))
+    assert second.score == pytest.approx(math.exp(-0.7 - 0.1))
+    assert [box.score for box in parse_boxes(text, "thousand", SIZE)] == [1, 1]
+
+
+def test_garbled_tokens_do_not_matter_much():
+    text = '[{"label": "fauteuil écarlate", "bbox_2d": [100, 200, 300, 400]}]'
+    pieces = [('[{"', -0.1), ("label", 0), ('": "', 0), ("fauteuil", 0), (" ", 0), ("\\xc3", -2), ("\\xa9", -2)]
+    pieces += [("carlate", 0), ('", "', 0), ("bbox_2d", 0), ('": [', 0)]
+    for number in ("100", "200", "300", "400"):
+        pieces += [(digit, -0.4 if index == 0 else -3.0) for index, digit in enumerate(number)]
+        pieces += [(", " if number != "400" else "]}]", 0)]
+    (box,) = parse_boxes(text, "thousand", SIZE, tokens=pieces)
+    assert box.score == pytest.approx(math.exp(-0.5))
+
+
+# --- presence --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "probability"),
+    [
+        ("Yes", 1),
+        ("yes.", 1),
+        ("**No**", 0),
+        ("No, there is none", 0),
+        ("<think>no</think> Yes", 1),
+        ("Answer: yes", 1),
+    ],
+)
+def test_yes_and_no(text, probability):
+    assert parse_presence(text) == probability
+
+
+@given(st.floats(0.01, 0.99), st.floats(0.001, 1))
+def test_presence_is_the_share_of_yes(share, mass):
+    first = [("Yes", math.log(share * mass)), ("No", math.log((1 - share) * mass)), ("The", -0.1)]
+    assert parse_presence("Yes", first) == pytest.approx(share)
+    split = [(" yes", math.log(share * mass / 2)), ("YES", math.log(share * mass / 2)), *first[1:]]
+    assert parse_presence("Yes", split) == pytest.approx(share)
+
+
+@given(st.floats(0.01, 1))
+def test_what_is_not_listed_counts_for_the_other_side(probability):
+    assert parse_presence("Yes", [("Yes", math.log(probability))]) == pytest.approx(probability)
+    assert parse_presence("No", [("No", math.log(probability))]) == pytest.approx(1 - probability)
+
+
+def test_neither_yes_nor_no():
+    for text in ("", "Perhaps", "<think>yes"):
+        with pytest.raises(AnswerError, match="wanted yes or no"):
+            parse_presence(text, [("Perhaps", -0.1)])
+
+
+# --- prompts and styles ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", ["xyxy", "yxyx"])
+@pytest.mark.parametrize("frame", [*SIDES])
+def test_the_example_in_the_question_is_an_answer(frame, order):
+    """What a model is shown is what we read, and its schema allows what it shows."""
+    text = ask_boxes('red  "chair"\n', frame, order)
+    assert "red 'chair'" in text
+    assert "\n" not in text
+    example = text[text.index("[{") : text.index("}]") + 2]
+    numbers = text[text.index("for example [") + 12 : text.index("]. If") + 1]
+    corners = example[example.index(": [") + 2 : example.index("],") + 1]
+    (box,) = parse_boxes(example.replace(corners, numbers), frame, SIZE, order)
+    assert box.label == "red 'chair'"
+    (key, *_) = json.loads(example.replace(corners, numbers))[0]
+    assert boxes_schema(frame, order)["items"]["required"] == [key, "label"]
+
+
+def test_questions_need_words():
+    assert "red chair" in ask_presence(" red   chair ")
+    assert GENERAL.endswith(".")
+    for query in ("", " \n", None):
+        for ask in (lambda q: ask_boxes(q, "unit"), ask_presence):
+            with pytest.raises(QueryError):
+                ask(query)
+
+
+@pytest.mark.parametrize(
+    ("name", "family"),
+    [
+        ("Qwen/Qwen2.5-VL-7B-Instruct", "qwen2_5_vl"),
+        ("qwen2.5vl:7b", "qwen2_5_vl"),
+        ("/models/qwen2_5_vl-72b-awq", "qwen2_5_vl"),
+        ("Qwen/Qwen2-VL-2B-Instruct", "qwen2_vl"),
+        ("Qwen/Qwen3-VL-30B-A3B-Instruct", "qwen3_vl"),
+        ("qwen3-vl:8b", "qwen3_vl"),
+        ("google/gemma-3-12b-it", "gemma3"),
+        ("gemma3:4b", "gemma3"),
+        ("llava-hf/llava-1.5-7b-hf", "llava"),
+        ("llava:7b", "llava"),
+        ("deepseek-community/Janus-Pro-7B", "janus"),
+        ("OpenGVLab/InternVL3-8B-hf", "internvl"),
+        ("Qwen/Qwen3-32B", "other"),
+        ("gpt-4o", "other"),
+        ("", "other"),
+    ],
+)
+def test_families_are_known_by_name(name, family):
+    style = style_of(name)
+    assert style.family == family
+    height, width = exact_size(style.cell, style.pixels, style.aspect)
+    assert width == style.aspect * height
+    assert exact_size(style.cell, style.view**2, 1.0) == (style.view, style.view)
+
+
+# --- sizes -----------------------------------------------------------------------------------------------------------
+
+
+@given(st.sampled_from([14, 16, 28, 32, 56]), st.integers(28 * 28 * 2, 4_000_000))
+def test_panoramas_are_exactly_two_to_one_and_as_large_as_allowed(cell, pixels):
+    assume(pixels >= 2 * cell * cell)
+    height, width = exact_size(cell, pixels)
+    assert width == 2 * height
+    assert height % cell == width % cell == 0
+    assert height * width <= pixels < (height + cell) * (width + 2 * cell)
+
+
+@given(st.sampled_from([14, 16, 28, 32, 56]), st.integers(3200, 4_000_000), st.floats(0.2, 5))
+def test_other_shapes_come_near(cell, pixels, aspect):
+    assume(pixels >= cell * cell)
+    height, width = exact_size(cell, pixels, aspect)
+    assert height % cell == width % cell == 0 < height * width <= pixels
+
+
+@pytest.mark.parametrize(
+    ("cell", "pixels", "size"),
+    [
+        (28, 448 * 896, (448, 896)),
+        (28, 1280 * 28 * 28, (700, 1400)),
+        (28, 784 * 1568, (784, 1568)),
+        (32, 704 * 1408, (704, 1408)),
+        (28, 2 * 28 * 28, (28, 56)),
+    ],
+)
+def test_known_sizes(cell, pixels, size):
+    assert exact_size(cell, pixels) == size
+
+
+@pytest.mark.parametrize("bad", [(28, 700, 2.0), (0, 1000, 2.0), (28, 100_000, 0.0), (28, 100_000, math.nan)])
+def test_sizes_that_cannot_be(bad):
+    with pytest.raises(ImageError, match="allow more pixels"):
+        exact_size(*bad)
+
+
+@given(st.integers(4, 40), st.integers(4, 80), st.integers(2, 60), st.integers(2, 60), st.booleans())
+@settings(deadline=None)
+def test_resizing_keeps_constants_and_sides(height, width, rows, cols, wrap):
+    image = np.full((height, width, 3), (10, 120, 250), dtype=np.uint8)
+    assert (resized(image, (rows, cols), wrap) == (10, 120, 250)).all()
+    picture = np.zeros((height, width, 3), dtype=np.uint8)
+    picture[:, : width // 4] = 255  # the left stays left
+    assert (
+        resized(picture, (rows, cols), False)[:, 0].mean() > 100 > resized(picture, (rows, cols), False)[:, -1].mean()
+    )
+
+
+@given(st.integers(0, 15))
+@settings(deadline=None)
+def test_rolled_panoramas_resize_to_rolled_pictures(shift):
+    image = np.random.default_rng(1).integers(0, 256, (32, 64, 3), dtype=np.uint8)
+    for size in ((16, 32), (12, 16), (64, 128)):
+        step = 64 // math.gcd(64, size[1])
+        plain, rolled = resized(image, size, True), resized(np.roll(image, shift * step, axis=1), size, True)
+        np.testing.assert_array_equal(np.roll(plain, shift * step * size[1] // 64, axis=1), rolled)
+
+
+def test_other_images_are_refused():
+    for image in (np.zeros((8, 16, 3)), np.zeros((8, 16), np.uint8), np.zeros((0, 4, 3), np.uint8)):
+        with pytest.raises(ImageError, match="uint8"):
+            resized(image, (4, 8))
+
+
+# --- the seam --------------------------------------------------------------------------------------------------------
+
+
+def short_sighted(image: np.ndarray, cells: int, blind: int) -> np.ndarray:
+    """A model that sees nothing within `blind` cells of the picture's sides, and the mean red of a cell elsewhere."""
+    rows = cells // 2
+    red = image[..., 0].reshape(rows, image.shape[0] // rows, cells, image.shape[1] // cells).mean(axis=(1, 3)) / 255
+    red[:, :blind] = red[:, cells - blind :] = 0
+    return red[None]
+
+
+@given(st.integers(0, 31))
+def test_a_thing_is_found_at_every_azimuth_alike(place):
+    cells, image = 32, np.zeros((64, 128, 3), dtype=np.uint8)
+    image[28:36, 60:68] = 255  # two cells by two in the middle
+    there = seamless(lambda look: short_sighted(look, cells, 1), np.roll(image, 4 * place, axis=1), cells)[0]
+    middle = seamless(lambda look: short_sighted(look, cells, 1), image, cells)[0]
+    np.testing.assert_allclose(np.roll(there, -place, axis=1), middle, atol=0.03)
+    assert there.max() > 0.97
+
+
+@given(st.integers(1, 40), st.integers(0, 39))
+def test_a_model_without_borders_is_left_as_it_is(cells, shift):
+    image = np.random.default_rng(cells).integers(0, 256, (4, 2 * cells, 3), dtype=np.uint8)
+
+    def respond(look: np.ndarray) -> np.ndarray:
+        return look[:2, ::2].transpose(2, 0, 1) / 255
+
+    merged = seamless(respond, image, cells)
+    np.testing.assert_allclose(merged, respond(image), atol=1e-6)
+    rolled = seamless(respond, np.roll(image, 2 * shift, axis=1), cells)
+    np.testing.assert_allclose(rolled, np.roll(merged, shift, axis=-1), atol=1e-6)
+
+
+def test_the_seam_wants_whole_cells_and_fitting_answers():
+    with pytest.raises(ImageError, match="multiple"):
+        seamless(lambda look: np.zeros((1, 2, 5)), np.zeros((8, 16, 3)), 5)
+    with pytest.raises(ResponseError, match="wanted"):
+        seamless(lambda look: np.zeros((1, 2, 5)), np.zeros((8, 16, 3)), 4)
+
+
+# --- views -----------------------------------------------------------------------------------------------------------
+
+DIRECTION = st.tuples(st.floats(-math.pi, math.pi), st.floats(-math.pi / 2, math.pi / 2))
+LAYOUTS = [
+    (100, 10, 90),
+    (90, 10, 90),
+    (75, 15, 90),
+    (60, 10, 90),
+    (110, 20, 90),
+    (80, 10, 30),
+    (70, 0, 20),
+    (90, 15, 50),
+]
+RANDOM = np.random.default_rng(0).normal(size=(20_000, 3))
+RANDOM /= np.linalg.norm(RANDOM, axis=-1, keepdims=True)
+
+
+@pytest.mark.parametrize(("hfov", "overlap", "reach"), LAYOUTS)
+def test_views_cover_the_sphere_with_their_inner_parts(hfov, overlap, reach):
+    views = tangent_views(64, *map(math.radians, (hfov, overlap, reach)))
+    inner = [PerspectiveGrid(8, 8, math.radians(hfov - overlap + 0.2), view.body_R_view) for view in views]
+    wanted = RANDOM[np.abs(np.degrees(np.arcsin(RANDOM[:, 2]))) <= reach]
+    seen = np.any([view.project(wanted)[2] for view in inner], axis=0)
+    assert seen.all()
+    assert all(view.shape == (64, 64) for view in views)
+    np.testing.assert_allclose(
+        views[0].body_R_view[:, 0], direction(0.0, math.asin(views[0].body_R_view[2, 0])), atol=1e-9
+    )
+
+
+def test_six_views_are_a_cube():
+    views = tangent_views(8)
+    axes = np.array([view.body_R_view[:, 0] for view in views])
+    assert sorted(map(tuple, axes.round(6).tolist())) == sorted(
+        [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
+    )
+
+
+@pytest.mark.parametrize("bad", [(20, 10, 90), (170, 10, 90), (90, -1, 90), (90, 10, 0), (90, 10, 100), (90, 95, 90)])
+def test_views_that_cannot_be(bad):
+    with pytest.raises(GridError, match="wanted fields"):
+        tangent_views(64, *map(math.radians, bad))
+
+
+@given(DIRECTION)
+@settings(deadline=None, max_examples=60)
+def test_a_planted_blob_comes_back_where_it_was(where):
+    centre = direction(*where)
+    views, grid = tangent_views(48), PatchGrid(48, 96)
+    responses = [np.exp(60 * (view.directions @ centre - 1))[None] for view in views]
+    response, coverage = lift(responses, views, grid)
+    assert math.degrees(float(angular_distance(mean_direction(response[0], grid), centre))) < 0.1
+    assert coverage.min() > 1 - 1e-6
+    assert response.max() > 0.85
+
+
+@given(DIRECTION)
+@settings(deadline=None, max_examples=25)
+def test_a_coarse_map_is_right_to_a_tenth_of_a_cell(where):
+    """Cells as a model has them: 16 x 16 on a view of 100 degrees; the blob is two cells wide."""
+    centre = direction(*where)
+    views, grid = tangent_views(448), PatchGrid(48, 96)
+    responses = []
+    for view in views:
+        cells = PerspectiveGrid(16, 16, view.hfov, view.body_R_view)
+        responses.append(np.exp(20 * (cells.directions @ centre - 1))[None])
+    response, _ = lift(responses, views, grid)
+    assert math.degrees(float(angular_distance(mean_direction(response[0], grid), centre))) < 0.6
+
+
+@given(st.floats(0, 1), st.integers(1, 9), st.integers(1, 3))
+@settings(deadline=None, max_examples=20)
+def test_constant_responses_stay_constant(value, cells, queries):
+    views = tangent_views(32)
+    response, coverage = lift([np.full((queries, cells, cells), value)] * len(views), views, PatchGrid(12, 24))
+    np.testing.assert_allclose(response, value, atol=1e-6)
+    assert response.shape == (queries, 12, 24)
+    assert response.dtype == np.float32
+    np.testing.assert_allclose(coverage, 1, atol=1e-6)
+
+
+def test_where_no_view_looks_nothing_is_said():
+    ahead = PerspectiveGrid(16, 16, math.radians(90))
+    grid = PatchGrid(36, 72)
+    response, coverage = lift([np.ones((1, 1, 1))], [ahead], grid)
+    inside = ahead.project(grid.directions)[2]
+    behind = grid.directions[..., 0] < 0
+    assert (coverage[behind] == 0).all()
+    assert (response[0][behind] == 0).all()
+    assert coverage[18, 36] == 1
+    assert 0 < coverage[inside].min() < 0.5  # tapered
+    evidence = Evidence.from_response(response[0], grid, coverage=coverage)
+    assert (np.asarray(evidence.log_ratio)[behind] == 0).all()
+
+
+@given(DIRECTION)
+@settings(deadline=None, max_examples=30)
+def test_positive_azimuth_is_left(where):
+    azimuth, elevation = where
+    assume(abs(azimuth) < math.radians(40) and abs(elevation) < math.radians(35))
+    grid = ErpGrid(180, 360)
+    panorama = np.full((180, 360, 3), 100, dtype=np.uint8)
+    panorama[angular_distance(grid.directions, direction(azimuth, elevation)) < math.radians(5)] = (255, 0, 0)
+    picture = cut(panorama, tangent_views(200)[0]).astype(int)
+    rows, cols = np.nonzero(picture[..., 0] - picture[..., 1] > 120)
+    row, col = rows.mean() + 0.5, cols.mean() + 0.5
+    focal = 100 / math.tan(math.radians(50))
+    assert 100 - focal * math.tan(azimuth) == pytest.approx(col, abs=1.5)
+    assert 100 - focal * math.tan(elevation) / math.cos(azimuth) == pytest.approx(row, abs=1.5)
+
+
+@pytest.mark.parametrize(("yaw", "pitch"), [(0, 0), (90, 0), (180, 0), (-135, 40), (0, 90), (0, -90), (60, -60)])
+def test_what_is_cut_shows_what_is_there(yaw, pitch):
+    """A picture whose colours are its directions: each pixel of a view must show its own, at the poles and seam too."""
+    for rows in (64, 256):  # coarser and finer than the view
+        panorama = np.rint((ErpGrid(rows, 2 * rows).directions + 1) * 127.5).astype(np.uint8)
+        view = PerspectiveGrid(64, 64, math.radians(100), world_R_body(math.radians(yaw), -math.radians(pitch)))
+        shown = cut(panorama, view)
+        assert shown.dtype == np.uint8
+        np.testing.assert_allclose(shown / 127.5 - 1, view.directions, atol=0.05 if rows == 64 else 0.025)
+
+
+def test_fine_detail_is_averaged_not_skipped():
+    stripes = np.zeros((512, 1024, 3), dtype=np.uint8)
+    stripes[:, ::2] = 200
+    assert abs(cut(stripes, PerspectiveGrid(32, 32, math.radians(90))).astype(int) - 100).max() < 12
+
+
+def test_views_and_responses_must_fit():
+    views = tangent_views(16)
+    for bad in ([], [np.ones((1, 2, 2))] * 5, [np.ones((2, 2))] * 6, [np.ones((1, 2, 2))] * 5 + [np.ones((2, 2, 2))]):
+        with pytest.raises(ResponseError):
+            lift(bad, views, PatchGrid(4, 8))
+
+
+# --- drawing ---------------------------------------------------------------------------------------------------------
+
+
+@given(st.floats(0, 0.9), st.floats(0.1, 0.8), st.floats(0.01, 0.1), st.floats(0.02, 0.1), st.floats(0, 1))
+@settings(deadline=None)
+def test_boxes_are_drawn_as_evidence_draws_them(x, y, width, height, score):
+    box = Box(x, y, x + width, y + height, "", score)
+    evidence = Evidence.from_boxes([[x * 100, y * 50, (x + width) * 100, (y + height) * 50]], ErpGrid(50, 100), [score])
+    mine = drawn([box], PatchGrid(7, 9), evidence.grid)
+    np.testing.assert_allclose(mine, np.asarray(evidence.response), atol=1e-4)
+    assert mine.max() <= score + 1e-6
+    # The same thing in a picture that was rolled before the model saw it.
+    roll = 1 / 3 if x + width + 1 / 3 <= 1 else -1 / 3 if x >= 1 / 3 else 0
+    moved = Box(x + roll, y, x + width + roll, y + height, "", score)
+    np.testing.assert_allclose(drawn([moved], PatchGrid(7, 9), evidence.grid, roll=roll), mine, atol=1e-5)
+
+
+def test_no_box_is_a_look_that_saw_nothing():
+    assert not drawn([], PatchGrid(1, 2), PatchGrid(4, 8)).any()
+    best = drawn(
+        [Box(0.4, 0.4, 0.5, 0.5, "", 0.3), Box(0.4, 0.4, 0.5, 0.5, "", 0.8)], PatchGrid(1, 2), PatchGrid(36, 72)
+    )
+    assert 0.7 < best.max() <= 0.8
+
+
+# --- evidence tells where it comes from ------------------------------------------------------------------------------
+
+
+@given(st.sampled_from([Calibration(), Calibration(0.2, 0.1), Calibration.paper()]))
+def test_the_source_stays_with_the_evidence(calibration):
+    source = {"model": "m", "milliseconds": 12.5}
+    coverage = np.arange(8).reshape(2, 4) / 7
+    for mask in (None, coverage):
+        evidence = Evidence.from_response(np.eye(2, 4) / 2, PatchGrid(2, 4), stamp=1.0, coverage=mask, source=source)
+        assert evidence.source == source
+        assert evidence.with_calibration(calibration).source == source
+    assert Evidence.from_response(np.eye(2, 4), PatchGrid(2, 4)).source is None
+
+
+def test_errors_are_ours():
+    assert issubclass(AnswerError, EagorError)
