@@ -24,6 +24,7 @@ from eagor.perception.vlm.families import FAMILIES, Checkpoint
 from eagor.perception.vlm.labelled import Labelled, cap_radius, read_labelled
 from eagor.sphere import angular_distance, direction
 from eagor.tasks.eyes import rows_of, shared
+from eagor.worlds.panorama import read_panorama
 
 QWEN = "qwen2_5_vl"
 SMALL = "pixels=25088&seam=false"  # 112 x 224 pixels, 32 tokens
@@ -437,7 +438,7 @@ def test_labels_from_a_file(tmp_path):
         {"image": "a.png", "query": "sofa", "box": [124, 28, 4, 36]},
     ]
     file.write_text("\n\n".join(json.dumps(line) for line in lines))
-    first, box, seam = read_labelled(file)
+    first, box, seam = read_labelled(file, read_panorama)
     assert isinstance(first, Labelled)
     assert first.panorama.shape == (64, 128, 3)
     for found, azimuth in ((first, 90), (box, 90), (seam, 180)):
@@ -465,7 +466,7 @@ def test_labels_that_are_none(tmp_path, line, says):
     file = tmp_path / "labels.jsonl"
     file.write_text(line)
     with pytest.raises(FormatError, match=says):
-        next(read_labelled(file))
+        next(read_labelled(file, read_panorama))
 
 
 # --- doctor ----------------------------------------------------------------------------------------------------------

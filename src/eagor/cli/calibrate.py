@@ -54,6 +54,7 @@ def heads(options: Calibrate) -> int:
     """``eagor calibrate heads``."""
     from eagor.perception import is_model, load, short_name
     from eagor.perception.vlm.labelled import labelled_lines, read_labelled
+    from eagor.worlds.panorama import read_panorama
 
     if min(options.episodes, options.take) < 1:
         raise terminal.UsageError(f"--episodes {options.episodes} --take {options.take}; wanted 1 or more")
@@ -72,7 +73,7 @@ def heads(options: Calibrate) -> int:
 
         examples = apartment_labels(count, options.seed, options.rows or rows_of(perception))
     else:
-        examples = read_labelled(options.labels)
+        examples = read_labelled(options.labels, read_panorama)
     out = options.out or Path(f"heads-{short_name(options.perception)}.json")
     with terminal.progress("looking", count) as advance:
         try:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,18 +58,17 @@ def labelled_lines(file: Path) -> list[tuple[int, dict[str, Any]]]:
     return found
 
 
-def read_labelled(file: Path) -> Iterator[Labelled]:
+def read_labelled(file: Path, read: Callable[[Path], np.ndarray]) -> Iterator[Labelled]:
     """The labelled panoramas that a file lists, one image in memory at a time.
 
-    Raises `FormatError` for the file, `ImageError` for an image.
+    `read` gives the panorama ``(H, 2 H, 3)`` uint8 of a path (`eagor.worlds.panorama.read_panorama`). Raises
+    `FormatError` for the file, and what `read` raises.
     """
-    from eagor.worlds.panorama import read_panorama
-
     last: tuple[Path, np.ndarray] | None = None
     for number, entry in labelled_lines(file):
         path = Path(file).parent / entry["image"]
         if last is None or last[0] != path:
-            last = path, read_panorama(path)
+            last = path, read(path)
         panorama = last[1]
         if "box" in entry:
             grid = ErpGrid(*panorama.shape[:2])
