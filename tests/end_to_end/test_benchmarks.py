@@ -295,8 +295,9 @@ def test_ray_is_asked_for_by_name(tmp_path, config):
         run_units(units(2), "units_of_work:squares", config, tmp_path / "run", 2, engine="ray")
 
 
-def test_ray_does_everything_and_outlives_its_workers(tmp_path, config):
+def test_ray_does_everything_and_outlives_its_workers(tmp_path, config, monkeypatch):
     pytest.importorskip("ray")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([ENVIRONMENT["PYTHONPATH"], *sys.path]))  # what its workers import
     trouble = {3: "raise", 5: "die once", 7: "die"}
     done = run_units(units(12, trouble), "units_of_work:squares", config, tmp_path / "run", 2, engine="ray")
     assert done == Outcome(10, 2, 0)

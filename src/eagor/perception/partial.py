@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from eagor.errors import ImageError
 from eagor.evidence import Evidence
-from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
+from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
 from eagor.perception import Perception
 from eagor.sphere import world_R_body
 
@@ -49,7 +50,8 @@ def look_at_view(
         query: what to look for.
         stamp: when it was taken, seconds.
 
-    Raises `ImageError` if the image is no picture; else what the perception raises.
+    Raises `ImageError` if the image is no picture, or the perception answers on no panorama; else what the perception
+    raises.
     """
     picture = np.asarray(image)
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
@@ -60,8 +62,14 @@ def look_at_view(
         return perception.view(picture, grid, query, stamp=stamp)
     panorama = pasted(picture, grid, int(getattr(perception, "rows", ROWS)))
     found = perception(panorama, query, stamp=stamp)
-    covered = coverage(grid, found.grid)
-    seen = Evidence.from_response(found.response, found.grid, found.calibration, stamp, coverage=covered >= BORDER)
+    if isinstance(found.grid, PerspectiveGrid | FisheyeGrid):
+        raise ImageError(
+            f"the perception {type(perception).__name__} answers a panorama on a {type(found.grid).__name__}; wanted "
+            "cells of the panorama, or a method view that takes pictures"
+        )
+    cells = _kept(found.grid)
+    covered = coverage(*cells.shape, height, width, hfov, pitch)
+    seen = Evidence.from_response(found.response, cells, found.calibration, stamp, coverage=covered >= BORDER)
     source: dict[str, Any] = {"source": getattr(found, "source", None)}  # what the perception tells of itself
     return replace(seen, **source) if source["source"] else seen
 
@@ -94,11 +102,22 @@ def pasted(picture: np.ndarray, grid: PerspectiveGrid, rows: int) -> np.ndarray:
     return panorama
 
 
-def coverage(grid: PerspectiveGrid, cells: ErpGrid | PatchGrid | PerspectiveGrid | object) -> np.ndarray:
-    """How much of each of `cells` ``(H, W)`` the view `grid` shows, 0 to 1 (by 5 x 5 points in each)."""
-    height, width = cells.shape  # type: ignore[attr-defined]
-    offsets = (np.arange(5) + 0.5) / 5
-    x = (np.arange(width)[:, None] + offsets).reshape(-1)
-    y = (np.arange(height)[:, None] + offsets).reshape(-1, 1)
-    _, _, inside = grid.project(cells.unproject(x, y))  # type: ignore[attr-defined]
-    return inside.reshape(height, 5, width, 5).mean(axis=(1, 3))
+@lru_cache(maxsize=8)
+def _kept(grid: ErpGrid | PatchGrid) -> ErpGrid | PatchGrid:
+    """The first grid that was like this one: it has worked out its directions already."""
+    return grid
+
+
+@lru_cache(maxsize=32)
+def coverage(rows: int, columns: int, height: int, width: int, hfov: float, pitch: float) -> np.ndarray:
+    """How much of each of `rows` x `columns` cells of a panorama a view shows, 0 to 1 (by points in each).
+
+    The view has `height` x `width` pixels and the field `hfov`, and looks `pitch` radians up from azimuth 0.
+    """
+    grid = PerspectiveGrid(height, width, hfov, world_R_body(0.0, -pitch))
+    fine = 5 if rows <= 100 else 3
+    offsets = (np.arange(fine) + 0.5) / fine
+    x = (np.arange(columns)[:, None] + offsets).reshape(-1)
+    y = (np.arange(rows)[:, None] + offsets).reshape(-1, 1)
+    _, _, inside = grid.project(PatchGrid(rows, columns).unproject(x, y))
+    return inside.reshape(rows, fine, columns, fine).mean(axis=(1, 3))
