@@ -30,12 +30,13 @@ if TYPE_CHECKING:
     )
     from eagor.belief import Belief
     from eagor.errors import EagorError
+    from eagor.estimate import Estimate, Mode, TrackerConfig
     from eagor.evidence import Calibration, Evidence
     from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
     from eagor.harmonics import RealHarmonics
     from eagor.ranged import RangedBelief, log_ranges
     from eagor.sphere import angular_distance, azimuth_elevation, direction
-    from eagor.tracker import DirectionTracker, Estimate, Mode, TrackerConfig
+    from eagor.tracker import DirectionTracker
 
 __all__ = [
     "Belief",
@@ -78,12 +79,13 @@ _HOME = {
     ),
     "belief": ("Belief",),
     "errors": ("EagorError",),
+    "estimate": ("Estimate", "Mode", "TrackerConfig"),
     "evidence": ("Calibration", "Evidence"),
     "grids": ("ErpGrid", "FisheyeGrid", "PatchGrid", "PerspectiveGrid"),
     "harmonics": ("RealHarmonics",),
     "ranged": ("RangedBelief", "log_ranges"),
     "sphere": ("angular_distance", "azimuth_elevation", "direction"),
-    "tracker": ("DirectionTracker", "Estimate", "Mode", "TrackerConfig"),
+    "tracker": ("DirectionTracker",),
 }
 
 

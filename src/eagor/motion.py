@@ -24,7 +24,7 @@ from eagor.belief import Belief, Reading
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.peaks import decoding_grid
-from eagor.posterior import Field, log_integral
+from eagor.posterior import Field, log_integral, typical
 from eagor.ranged import RangedBelief
 
 ANYWHERE = 2e-2  # per second: the share of a wanderer's density that is spread evenly: it may have been carried off
@@ -128,17 +128,21 @@ class StillOrMoving(Reading):
     ) -> StillOrMoving:
         """With the log ratios `look` ``(size,)`` of one more look.
 
-        `still` is the first case with `share` of the look added to it, which is what remains of one where looks repeat
-        each other, and `passing` is what the look before it counted besides, until now. A wanderer is looked at afresh,
-        and its memory is short: it takes the whole look.
+        Looks repeat each other: `still` is the first case with `share` of the look added to it, and `passing`
+        ``(size,)`` is what the look before it counted besides, until now. Either case is judged by how it foretells
+        what is new: the look less what it would repeat of the one before. Where both know the place, a thing that goes
+        on being seen there tells little, and one that was seen and is not there any more tells much.
+
+        A wanderer is looked at afresh, and its memory is short: it takes the whole look.
         """
         grid, wanderer, basis = decoding_grid(self.degree), self.wanderer, RealHarmonics(self.degree)
         log_ratio = basis.synthesise(look, grid)
+        repeated = np.zeros(grid.shape) if passing is None else basis.synthesise(passing, grid)
         before = self._stays
-        expected = before if passing is None else before + basis.synthesise(passing, grid)
+        new = log_ratio - repeated
         gains = [
-            log_integral(found + log_ratio, grid.weights) - log_integral(found, grid.weights)
-            for found in (expected, wanderer.field)
+            log_integral(field + new, grid.weights) - log_integral(field, grid.weights)
+            for field in (before + repeated, wanderer.field)
         ]
         odds = math.log(self.moving) - math.log1p(-self.moving) + gains[1] - gains[0]
         moving = 1 / (1 + math.exp(min(max(-odds, math.log(SURE)), -math.log(SURE))))
@@ -146,12 +150,18 @@ class StillOrMoving(Reading):
         # A look adds the same to every range, so that it adds as much to the field over all of them.
         return StillOrMoving(still, roamed, min(max(moving, SURE), 1 - SURE), before + share * log_ratio)
 
-    def capped(self, most: float) -> StillOrMoving:
-        """With the log-odds of the first case scaled so that its peak rises at most `most` nats above a typical one."""
-        height = float(self._stays.max()) - float(np.median(self._stays))
-        if height <= most:
+    def capped(self, most: float, newest: np.ndarray | None = None) -> StillOrMoving:
+        """With the log-odds of the first case scaled so that its peak rises at most `most` nats above the typical.
+
+        The peak is read with what the `newest` look ``(size,)`` counts besides; "typical" is the median direction.
+        """
+        grid, stays = decoding_grid(self.degree), self._stays
+        passing = np.zeros(grid.shape) if newest is None else RealHarmonics(self.degree).synthesise(newest, grid)
+        peak = int((stays + passing).argmax())
+        rise, added = (float(f.reshape(-1)[peak]) - typical(f, grid.weights) for f in (stays, passing))
+        if rise + added <= most or rise <= 0:
             return self
-        return StillOrMoving(self.still.forget(most / height), self.wanderer, self.moving)
+        return StillOrMoving(self.still.forget(max(most - added, 0.0) / rise), self.wanderer, self.moving)
 
     def plus(self, look: np.ndarray) -> StillOrMoving:
         """With log ratios `look` ``(size,)``, or ``(K, size)`` by range, that count in the first case while new."""
@@ -190,3 +200,8 @@ class StillOrMoving(Reading):
             return np.logaddexp(a + offsets[0], b + offsets[1])
 
         return evaluate
+
+
+def standing(belief: Belief | RangedBelief | StillOrMoving) -> Belief | RangedBelief:
+    """The belief about a target that stands still."""
+    return belief.still if isinstance(belief, StillOrMoving) else belief

@@ -28,6 +28,13 @@ def log_integral(values: np.ndarray, weights: np.ndarray) -> float:
     return top + math.log(float(np.sum(np.exp(values - top) * weights)))
 
 
+def typical(values: np.ndarray, weights: np.ndarray) -> float:
+    """The value that half of the sphere lies above: the median over cells of these solid angles."""
+    values, areas = values.reshape(-1), weights.reshape(-1)
+    order = np.argsort(values)
+    return float(values[order][np.searchsorted(np.cumsum(areas[order]), areas.sum() / 2)])
+
+
 Field = Callable[[ErpGrid | ErpWindow], np.ndarray]  # evaluates f on a grid, or on a part of one
 
 
@@ -228,12 +235,6 @@ class Posterior:
                 high = middle
         return low, float(np.sum(self.weights * np.clip(0.5 + (v - low) / spread, 0, 1)))
 
-    def _median(self) -> float:
-        """The value of f that half of the sphere lies above."""
-        values, areas = self.coarse.reshape(-1), self.grid.weights.reshape(-1)
-        order = np.argsort(values)
-        return float(values[order][np.searchsorted(np.cumsum(areas[order]), areas.sum() / 2)])
-
     def modes(self, count: int, prominence: float, min_weight: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Directions ``(n, 3)``, weights ``(n,)`` and heights ``(n,)`` of at most `count` modes, highest density first.
 
@@ -250,13 +251,13 @@ class Posterior:
         peaks, inverse = np.unique(label, return_inverse=True)
         if len(peaks) == 1:
             return self.mode[None], np.ones(1), np.ones(1)
-        typical = self._median()
-        excess = np.maximum(self.probability - np.exp(typical - self.log_total) * self.weights, 0.0)
+        middle = typical(self.coarse, self.grid.weights)
+        excess = np.maximum(self.probability - np.exp(middle - self.log_total) * self.weights, 0.0)
         basin = inverse.reshape(-1)[self._all(lambda part: part.home)]
         weight = np.bincount(basin, excess, minlength=len(peaks))
         weight = weight / weight.sum()
         flat = self.coarse.reshape(-1)
-        stands = (flat[peaks] - typical) / (flat.max() - typical)
+        stands = (flat[peaks] - middle) / (flat.max() - middle)
         order = [i for i in np.argsort(-flat[peaks]) if weight[i] >= min_weight or stands[i] >= RIVAL][:count]
         return np.array([refine(self.grid, flat, int(peaks[i]))[0] for i in order]), weight[order], stands[order]
 

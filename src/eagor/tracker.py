@@ -11,197 +11,20 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Literal
 
 import numpy as np
 
 from eagor._arrays import to_numpy
 from eagor.belief import Belief
-from eagor.errors import EagorError, PoseError, TimeError
-from eagor.evidence import Calibration, Evidence
+from eagor.errors import PoseError, TimeError
+from eagor.estimate import Estimate, TrackerConfig, held
+from eagor.evidence import Evidence
 from eagor.harmonics import RealHarmonics
-from eagor.motion import StillOrMoving
+from eagor.motion import StillOrMoving, standing
 from eagor.poses import PoseHistory
-from eagor.posterior import MIN_WEIGHT, PROMINENCE, RIVAL
-from eagor.ranged import RangedBelief, height_prior, log_ranges
-from eagor.sphere import azimuth_elevation
-
-HOLD = math.radians(20)  # a peak within this of where it was before is the same one: near things move by parallax
-
-Status = Literal["searching", "tracking", "ambiguous", "stale"]
-
-
-@dataclass(frozen=True)
-class TrackerConfig:
-    """How a `DirectionTracker` believes, forgets and answers.
-
-    - `degree`: of the harmonics; resolution is about 180 / degree degrees.
-    - `decode`: "mode", or "mean" for the published estimate.
-    - `calibration`: read every evidence with this one instead of its own.
-    - `ranges`: shells (metres) of the belief over distance, used where positions are known; None: directions only.
-    - `floor`: height (z, metres) of the floor in the odometry's world, where it is known: things stand on it, so that
-      how far below the horizon one is tells how far away it may be (`eagor.ranged.height_prior`).
-    - `keep_per_second`: share of the log-odds that survives one second (1: nothing is forgotten).
-    - `diffusion`: radians per square root of a second by which the belief is spread: for targets of which nothing
-      stands still, and odometry that drifts.
-    - `wander`: radians per square root of a second by which a target wanders if it does not stand still; both cases
-      are believed in side by side (`eagor.motion`). 0: every target stands still.
-    - `restless`: changes per second between standing still and wandering.
-    - `surest`: nats by which the best direction of a target that stands still may rise above a typical one; beyond, all
-      its log-odds are scaled down. Looks share their mistakes, and things get moved: nothing is ever surer than that.
-    - `history`: seconds for which poses and evidence are kept, so that late evidence finds its place.
-    - `stale_after`: seconds without evidence after which an estimate is stale.
-    - `found_at`: nats by which the best direction must stand above a uniform belief; below, we are searching.
-    - `switch_at`: nats. The answer stays with the peak that it named last until another rises above that by so much: an
-      answer that jumps to and fro between equals is of no use to anybody.
-    - `present_at`: probability of presence below which we are searching, however far a direction stands out.
-    - `ambiguous_below`: if no mode holds this share of the belief, the answer is ambiguous. So it is if a second one
-      rises nearly as high (`eagor.posterior.RIVAL`), whatever their weights: looks that repeat each other make any
-      small difference decisive, and two things that both look like the target stay two.
-    """
-
-    degree: int = 15
-    decode: Literal["mode", "mean"] = "mode"
-    calibration: Calibration | None = None
-    ranges: Sequence[float] | None = field(default_factory=lambda: tuple(log_ranges(count=20).tolist()))
-    floor: float | None = None
-    keep_per_second: float = 0.98
-    diffusion: float = 0.0
-    wander: float = math.radians(10)
-    restless: float = 0.003
-    surest: float = 12.0
-    history: float = 10.0
-    stale_after: float = 5.0
-    switch_at: float = 1.0
-    found_at: float = 1.5
-    present_at: float = 0.3
-    ambiguous_below: float = 0.65
-
-    def __post_init__(self) -> None:
-        least = min(self.diffusion, self.wander, self.restless, self.history)
-        if not (0 < self.keep_per_second <= 1 and least >= 0 and self.wander < math.pi and self.surest > 0):
-            raise EagorError(
-                f"keep_per_second = {self.keep_per_second}, diffusion = {self.diffusion}, wander = {self.wander}, "
-                f"restless = {self.restless}, surest = {self.surest}, history = {self.history}; wanted 0 < "
-                "keep_per_second <= 1, diffusion and wander >= 0 (rad per sqrt s), restless >= 0 (per s), surest > 0 "
-                "(nats) and history >= 0 (s)"
-            )
-
-    @classmethod
-    def paper(cls) -> TrackerConfig:
-        """The published recursion: degree 7, log(l + 1e-3) scaled to the frame's maximum, spherical mean."""
-        published = Calibration.paper()
-        memory = {"keep_per_second": 1.0, "wander": 0.0}
-        return cls(degree=7, decode="mean", calibration=published, ranges=None, present_at=0.0, **memory)
-
-
-@dataclass(frozen=True, eq=False)
-class Mode:
-    """A candidate: `direction` ``(3,)`` in the body frame, azimuth and elevation in radians, share of the belief."""
-
-    direction: np.ndarray
-    azimuth: float
-    elevation: float
-    weight: float
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """The answer at one time, in the body frame of that time. Each part is computed when it is first asked for.
-
-    `stamp`: the time asked for; `age`: seconds since the newest evidence was captured (infinite before any);
-    `reading`: the belief behind the answer, in the axes of the WORLD; `world_R_body`: the pose that turns it; `named`:
-    the peak that was the answer to the newest evidence, in the axes of the world.
-    """
-
-    stamp: float
-    age: float
-    reading: Belief | RangedBelief | StillOrMoving
-    world_R_body: np.ndarray
-    config: TrackerConfig
-    named: np.ndarray | None = None
-
-    @cached_property
-    def direction(self) -> np.ndarray:
-        """Where it is ``(3,)``: a mode of the belief, or its published mean; forward while nothing is known."""
-        if self.config.decode == "mean":
-            return to_numpy(self.reading.direction_belief().mean_direction()) @ self.world_R_body
-        return self._peak @ self.world_R_body  # body_R_world @ peak
-
-    @cached_property
-    def _peak(self) -> np.ndarray:
-        return _held(self.reading, self.named, self.config.switch_at)
-
-    @property
-    def azimuth(self) -> float:
-        """Radians, positive left."""
-        return float(azimuth_elevation(self.direction)[0])
-
-    @property
-    def elevation(self) -> float:
-        """Radians, positive up."""
-        return float(azimuth_elevation(self.direction)[1])
-
-    @cached_property
-    def _peaks(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return self.reading.posterior.modes(5, PROMINENCE, MIN_WEIGHT)
-
-    @cached_property
-    def modes(self) -> tuple[Mode, ...]:
-        """The candidates, strongest first."""
-        found, weights, _ = self._peaks
-        return tuple(_mode(d @ self.world_R_body, w) for d, w in zip(found, weights, strict=True))
-
-    @cached_property
-    def credible_angle(self) -> float:
-        """Half-angle (radians) of the cone about the peak that is the answer which holds 90 % of the belief."""
-        return self.reading.posterior.cone(0.9, self._peak)
-
-    def within(self, angle: float) -> float:
-        """Probability that the target is around and within `angle` radians of that peak: how far to trust it."""
-        return self.presence * self.reading.posterior.within(angle, self._peak)
-
-    def mass_above(self, direction: np.ndarray) -> float:
-        """The mass of the smallest credible region that reaches `direction` ``(3,)``, body frame."""
-        return self.reading.mass_above(self.world_R_body @ direction)
-
-    @cached_property
-    def presence(self) -> float:
-        """Probability that the target is around at all."""
-        return self.reading.presence()
-
-    @cached_property
-    def distance(self) -> float | None:
-        """Metres; None where positions are unknown. It is that of a target that stands still."""
-        still = _still(self.reading)
-        return still.distance() if isinstance(still, RangedBelief) else None
-
-    @cached_property
-    def distance_spread(self) -> float | None:
-        """Standard deviation of the logarithm of the distance; None where positions are unknown."""
-        still = _still(self.reading)
-        return still.distance_spread() if isinstance(still, RangedBelief) else None
-
-    @property
-    def moving(self) -> float | None:
-        """Probability that the target moves; None where that is not asked (`TrackerConfig.wander` = 0)."""
-        return self.reading.moving if isinstance(self.reading, StillOrMoving) else None
-
-    @cached_property
-    def status(self) -> Status:
-        """Whether there is an answer: searching, tracking, ambiguous, or stale (nothing new for too long)."""
-        known = not math.isinf(self.age)
-        stale = known and self.age > self.config.stale_after
-        if not known or self.reading.posterior.gain < self.config.found_at or self.presence < self.config.present_at:
-            return "stale" if stale else "searching"
-        if stale:
-            return "stale"
-        _, weights, heights = self._peaks
-        rivals = int((heights >= RIVAL).sum())
-        return "ambiguous" if rivals > 1 or float(weights.max()) < self.config.ambiguous_below else "tracking"
+from eagor.ranged import RangedBelief, height_prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,8 +42,7 @@ class _State:
     """A target's belief in world axes, about the place where the body stood at `stamp`.
 
     `newest` ``(size,)``, or ``(K, size)`` once the body has moved on: the part of the newest look that is in the belief
-    only while it is the newest; `named`: the peak that was
-    the answer to it.
+    only while it is the newest; `named`: the peak that was the answer to it.
     """
 
     belief: Belief | RangedBelief | StillOrMoving
@@ -342,14 +164,14 @@ class DirectionTracker:
             state = self._moved(replace(state, newest=None), look.stamp, look.position)
         newest = look.persistence * look.coefficients if look.persistence > 0 else None
         share = 1 - look.persistence
-        still = _still(state.belief).plus(share * look.coefficients)
+        still = standing(state.belief).plus(share * look.coefficients)
         whole: Belief | RangedBelief | StillOrMoving = still
         if isinstance(state.belief, StillOrMoving):
-            whole = state.belief.update(still, look.coefficients, share, passing).capped(self.config.surest)
+            whole = state.belief.update(still, look.coefficients, share, passing).capped(self.config.surest, newest)
         found = _State(whole, look.stamp, state.position, newest)
         if self.config.switch_at == 0 or self.config.decode == "mean":
             return found
-        return replace(found, named=_held(found.reading, state.named, self.config.switch_at))
+        return replace(found, named=held(found.reading, state.named, self.config.switch_at))
 
     def _blank(self, position: np.ndarray | None) -> Belief | RangedBelief | StillOrMoving:
         if position is None or self.config.ranges is None:
@@ -374,7 +196,7 @@ class DirectionTracker:
 
     def _moved(self, state: _State, stamp: float, position: np.ndarray | None) -> _State:
         """The state carried to a later time and another place: parallax, forgetting, diffusion."""
-        still, elapsed = _still(state.belief), stamp - state.stamp
+        still, elapsed = standing(state.belief), stamp - state.stamp
         moved = None if position is None or state.position is None else position - state.position
         if elapsed == 0 and (moved is None or not moved.any()):
             return state
@@ -419,22 +241,3 @@ def _height_prior(degree: int, ranges: tuple[float, ...], height: float) -> np.n
     found = height_prior(degree, np.array(ranges), height)
     found.setflags(write=False)
     return found
-
-
-def _still(belief: Belief | RangedBelief | StillOrMoving) -> Belief | RangedBelief:
-    """The belief about a target that stands still."""
-    return belief.still if isinstance(belief, StillOrMoving) else belief
-
-
-def _held(reading: Belief | RangedBelief | StillOrMoving, named: np.ndarray | None, margin: float) -> np.ndarray:
-    """The peak ``(3,)`` that is the answer: the one that was `named` before, unless another is higher by `margin`."""
-    posterior = reading.posterior
-    kept = None if named is None or margin == 0 else posterior.peak_near(named, HOLD)
-    if kept is None or kept[1] < float(posterior.coarse.max()) - margin:
-        return posterior.mode
-    return kept[0]
-
-
-def _mode(direction: np.ndarray, weight: float) -> Mode:
-    azimuth, elevation = azimuth_elevation(direction)
-    return Mode(direction, float(azimuth), float(elevation), float(weight))

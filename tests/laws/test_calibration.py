@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.errors import EagorError
+from eagor.estimate import TrackerConfig
 from eagor.evaluation.calibration import PARAMETERS, Recorder, development_slots, score
 from eagor.evaluation.fitting import fit
 from eagor.evidence import Calibration, Evidence
@@ -16,7 +17,6 @@ from eagor.perception.calibrated import Calibrated, from_json, read_calibrated
 from eagor.sphere import direction, world_R_body
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.play import Moment, Recording
-from eagor.tracker import TrackerConfig
 
 GRID = PatchGrid(16, 32)
 SMALL = TrackerConfig(degree=7, ranges=None)

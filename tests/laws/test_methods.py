@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from eagor import Calibration, Evidence, PatchGrid, angular_distance
 from eagor.errors import EagorError, TimeError
+from eagor.estimate import TrackerConfig
 from eagor.sphere import world_R_body
 from eagor.tasks.fitted import FITTED
 from eagor.tasks.methods import NAMES, FilterMethod, TrackerMethod, make_method, tracker_config
-from eagor.tracker import TrackerConfig
 
 GRID = PatchGrid(18, 36)
 TARGET = np.array([3.0, 1.0, 0.5])

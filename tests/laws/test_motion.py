@@ -8,12 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor.belief import Belief
+from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
 from eagor.motion import ANYWHERE, StillOrMoving, Wanderer
 from eagor.peaks import decoding_grid
 from eagor.ranged import RangedBelief, log_ranges
 from eagor.sphere import angular_distance, direction, rotation, unit
-from eagor.tracker import DirectionTracker, TrackerConfig
+from eagor.tracker import DirectionTracker
 
 DEGREE = 11
 GRID = decoding_grid(DEGREE)
@@ -119,6 +120,24 @@ def test_nothing_seen_speaks_for_neither():
     after = belief.update(Belief(belief.still.coefficients + nothing), nothing)
     assert math.isclose(after.moving, 0.5, abs_tol=1e-9)
     assert after.presence() < 0.5
+
+
+def test_where_looks_repeat_each_other_only_what_is_new_is_judged():
+    """Whether a thing moves: one that vanishes where it was seen on and on, and appears elsewhere, has moved."""
+    place, other = direction(0.5, 0.0), direction(-1.5, 0.0)
+
+    def told(persistence, last):
+        belief, newest = StillOrMoving.uniform(Belief.uniform(DEGREE)), None
+        for where in [place] * 8 + [last] * 2:
+            found = look(where).coefficients(DEGREE)
+            carried = belief.after(belief.still, 0.5, wander=0.2, restless=0.0, keep=1.0)
+            share = 1 - persistence
+            belief = carried.update(carried.still.plus(share * found), found, share, newest)
+            newest = persistence * found
+        return belief.moving
+
+    assert told(0.8, place) < 0.5 < told(0.8, other)
+    assert told(0.0, other) < told(0.8, other), "a row of looks that repeat each other proves less that it stands there"
 
 
 def follow(config, steps=60, speed=0.12):

@@ -1,6 +1,6 @@
 """Export a trained scout: ``scout.onnx`` and ``vocabulary.json``.
 
-    python export.py RUN/best.pt [--to ../../src/eagor/perception/scout]
+    python export.py RUN/last.pt [--to ../../src/eagor/perception/scout]
 
 The graph takes ``image`` ``(1, H, 2H, 3)`` uint8 and ``words`` ``(Q, 2)`` int64 (category, colour; the number of
 colours for none). It gives ``response`` ``(Q, h, w)``, the heat times the probability of presence, and ``presence``

@@ -3,7 +3,8 @@
     python train.py FOLDER --out RUN --minutes 180 --threads 2
 
 FOLDER holds the splits of `data.py`. RUN gets ``state.pt`` (everything that is needed to go on; the same command goes
-on where it was stopped), ``best.pt`` (the averaged weights with the best validation) and ``log.jsonl``.
+on where it was stopped), ``best.pt`` (the averaged weights with the best validation), ``last.pt`` (those of the last
+step, once it is through) and ``log.jsonl``.
 
 The recipe: batches of 8 views with 12 queries each, half of them about things in view; AdamW, the rate warmed up and
 then lowered along a cosine over `--steps` or `--minutes`, whichever ends first; weights averaged (EMA). The loss is the
@@ -201,6 +202,8 @@ def main() -> None:
                 check()
                 last = checked = time.monotonic()
         check()
+    if progress >= 1:
+        save(given.out / "last.pt", ema.state_dict())
 
 
 if __name__ == "__main__":

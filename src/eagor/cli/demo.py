@@ -8,6 +8,7 @@ from typing import Any
 
 from eagor.cli import terminal
 from eagor.cli.options import Demo
+from eagor.estimate import Estimate
 from eagor.perception import load
 from eagor.tasks.episodes import PER_PLACE, Slot
 from eagor.tasks.eyes import rows_of
@@ -15,7 +16,6 @@ from eagor.tasks.methods import DESCRIPTIONS, NAMES, TrackerMethod
 from eagor.tasks.places import APARTMENT, SEEDS
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
-from eagor.tracker import Estimate
 
 OURS, PUBLISHED = "eagor", "eagor_paper"
 SPOKEN = {

@@ -16,10 +16,11 @@ from eagor.cli.looking import is_input_fault, look_if_recorded, read_frame
 from eagor.cli.methods import Rivals
 from eagor.cli.poses import Step
 from eagor.errors import EagorError
+from eagor.estimate import Estimate, TrackerConfig
 from eagor.evidence import Evidence
 from eagor.perception import Perception
 from eagor.sphere import azimuth_elevation
-from eagor.tracker import DirectionTracker, Estimate, TrackerConfig
+from eagor.tracker import DirectionTracker
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,9 @@ from eagor.cli.looking import (
 )
 from eagor.cli.options import Locate
 from eagor.cli.words import STATUS, in_words, signed
+from eagor.estimate import Estimate
 from eagor.sphere import azimuth_elevation
-from eagor.tracker import DirectionTracker, Estimate
+from eagor.tracker import DirectionTracker
 
 
 def locate(options: Locate) -> int:

@@ -11,11 +11,11 @@ import numpy as np
 
 from eagor.cli.terminal import UsageError
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
+from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
 from eagor.perception import Perception, load
 from eagor.perception.calibrated import read_calibrated
 from eagor.perception.replay import ReplayPerception
-from eagor.tracker import TrackerConfig
 from eagor.worlds.panorama import read_panorama
 
 IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")

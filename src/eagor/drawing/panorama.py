@@ -10,9 +10,9 @@ import numpy as np
 
 from eagor.belief import Reading
 from eagor.drawing.sheet import INK, figure, image, plain
+from eagor.estimate import Estimate
 from eagor.grids import PatchGrid
 from eagor.sphere import azimuth_elevation, unit
-from eagor.tracker import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from eagor.errors import EagorError, QueryError, WorldError
+from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
 from eagor.metrics import angular_error_deg
 from eagor.perception import load
@@ -28,7 +29,7 @@ from eagor.tasks.places import APARTMENT, DEVELOPMENT, load_place
 from eagor.tasks.play import MASS, RULES, Player, Recording
 from eagor.tasks.rules import Camera, Disturbances, as_dict
 from eagor.tasks.tracking import TrackingEpisode
-from eagor.tracker import DirectionTracker, TrackerConfig
+from eagor.tracker import DirectionTracker
 from eagor.worlds.ball import PAINTS
 
 TASKS = ("waypoint", "tracking")
@@ -64,6 +65,7 @@ PARAMETERS = (
     Parameter("keep_per_second", 0.002, 0.3, flipped=True),
     Parameter("wander", math.radians(2), math.radians(25)),
     Parameter("restless", 1e-4, 0.1),
+    Parameter("surest", 4.0, 40.0),
     Parameter("persistence", 0.05, 1.0, flipped=True),
 )
 
@@ -115,11 +117,11 @@ class Recorder:
         """
         player, rng = self.players[slot.task], slot.rng("absent")
         episode = player.plan(slot)
-        other = str(
-            load_place(slot.world, slot.seed, player.camera.radius).missing(rng, is_privileged(player.perception))
-        )
         if isinstance(episode, TrackingEpisode):
             other = f"{rng.choice(sorted({*PAINTS} - {episode.colour}))} ball"
+        else:
+            place = load_place(slot.world, slot.seed, player.camera.radius)
+            other = str(place.missing(rng, is_privileged(player.perception)))
         return player.record(episode, other)
 
 

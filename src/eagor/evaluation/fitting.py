@@ -23,12 +23,12 @@ import numpy as np
 
 from eagor._version import __version__
 from eagor.errors import EagorError
+from eagor.estimate import TrackerConfig
 from eagor.evaluation.calibration import PARAMETERS, Score, score, short
 from eagor.perception.calibrated import FORGETTING, Calibrated, calibration_of
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.methods import BASE
 from eagor.tasks.play import Recording
-from eagor.tracker import TrackerConfig
 
 DRAWS = 16  # settings in a round,
 ELITE = 4  # of which so many are kept

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from eagor.errors import EagorError
+from eagor.estimate import TrackerConfig
 from eagor.evidence import Calibration
-from eagor.tracker import TrackerConfig
 
 READING = ("floor", "neutral", "temperature", "persistence")  # fields of `Calibration`
-FORGETTING = ("keep_per_second", "wander", "restless")  # fields of `TrackerConfig`, SI units, radians
+FORGETTING = ("keep_per_second", "wander", "restless", "surest")  # fields of `TrackerConfig`: SI, radians, nats
 
 
 @dataclass(frozen=True)

@@ -25,10 +25,11 @@ from eagor.baselines import (
     VonMisesFisherFilter,
 )
 from eagor.errors import EagorError, TimeError
+from eagor.estimate import Estimate, TrackerConfig
 from eagor.evidence import Calibration, Evidence
 from eagor.ranged import log_ranges
 from eagor.tasks.fitted import fitted
-from eagor.tracker import DirectionTracker, Estimate, TrackerConfig
+from eagor.tracker import DirectionTracker
 
 PARTICLES = 2000
 REWIND = 64  # steps that a filter can be rewound by
