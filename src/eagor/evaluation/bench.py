@@ -10,7 +10,7 @@ from typing import Any
 from eagor._version import __version__
 from eagor.errors import EagorError
 from eagor.evaluation import ledger
-from eagor.evaluation.workers import Outcome, Unit, run_units
+from eagor.evaluation.workers import Engine, Outcome, Unit, run_units
 from eagor.perception.calibrated import Calibrated
 from eagor.tasks.episodes import slots
 from eagor.tasks.eyes import release, rows_of, shared
@@ -100,6 +100,8 @@ def start(
     workers: int = 1,
     retry_failed: bool = False,
     on_done: Callable[[dict[str, Any]], object] | None = None,
+    engine: Engine = "processes",
+    address: str | None = None,
 ) -> Outcome:
     """Play what `folder` has no record of yet, and record it.
 
@@ -112,7 +114,7 @@ def start(
     if workers > 1:
         release()  # each worker makes its own; ours would only take room beside them
     try:
-        return run_units(units, WORK, config, folder, workers, on_done=on_done, retry_failed=retry_failed)
+        return run_units(units, WORK, config, folder, workers, 2, on_done, retry_failed, engine=engine, address=address)
     finally:
         release()
 

@@ -1,0 +1,246 @@
+"""A benchmark with published data: what `eagor bench` has to know of one, and nothing more.
+
+A benchmark is anything that has what `Benchmark` asks for. `load` makes one from its name, and packages add their own
+under the entry-point group ``eagor.benchmarks`` (a name, and the benchmark or a function without arguments that makes
+it). `check_benchmark` is the test that every one of them has to pass.
+
+The division of labour: a benchmark reads its data, says how one case is done and judged, and which figures its table
+has. The ledger, workers, shards, resuming, intervals, comparisons and pages are the same for all
+(`eagor.evaluation`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+from eagor.errors import EagorError
+
+GROUP = "eagor.benchmarks"
+BUILT_IN = {
+    "hstar-hos": "eagor.tasks.hstar.bench:HOS",
+    "hstar-hps": "eagor.tasks.hstar.bench:HPS",
+    "osr": "eagor.tasks.osr.bench:OSR",
+}
+
+Record = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One thing to be done: an episode of H*Bench, one question of OSR-Bench.
+
+    Attributes:
+        id: unique in the benchmark and the same for ever: it depends on the data alone, never on order, limit or shard.
+        group: what is loaded for it (its image): cases of one group go to one process one after the other.
+        cluster: what shares luck with it (four starts of one target, the questions of one scene): intervals resample
+            whole clusters.
+        payload: all that doing it needs besides the settings, as JSON.
+    """
+
+    id: str
+    group: str
+    cluster: str
+    payload: Any
+
+
+@dataclass(frozen=True)
+class Option:
+    """A setting that only some benchmarks have, such as ``scoring``: what is taken if nobody says, and what can be."""
+
+    default: Any
+    what: str
+    choices: tuple[Any, ...] = ()
+
+    def read(self, name: str, value: Any) -> Any:
+        """`value`, perhaps text, as this option's. Raises `EagorError` for one that is not among the choices."""
+        if isinstance(self.default, bool):
+            found: Any = {"true": True, "false": False, "1": True, "0": False}.get(str(value).lower(), value)
+        elif isinstance(self.default, int | float) and not isinstance(value, bool):
+            try:
+                found = type(self.default)(value)
+            except (TypeError, ValueError):
+                found = value
+        else:
+            found = value
+        fits = found in self.choices if self.choices else isinstance(found, type(self.default))
+        if not fits:
+            wanted = ", ".join(map(str, self.choices)) or f"something like {self.default!r}"
+            raise EagorError(f"{name} = {value!r}; wanted {wanted} ({self.what})")
+        return found
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One column of the benchmark's table: the mean of `read` over the records that have it, in per cent.
+
+    Attributes:
+        key: in ``--json`` and the CSV. The first figure of a benchmark is its headline and is called "overall".
+        title: of the column.
+        what: one line about it.
+        read: the score in [0, 1] that a record contributes, None if it does not belong to this column.
+        over: where given, records are averaged by what this returns, and the figure is the mean of those means (as
+            OSR-Bench averages over skills). None: the mean over all records.
+    """
+
+    key: str
+    title: str
+    what: str
+    read: Callable[[Record], float | None]
+    over: Callable[[Record], str] | None = None
+
+
+@runtime_checkable
+class Benchmark(Protocol):
+    """What `eagor bench` runs, scores, reports and exports.
+
+    Attributes:
+        name: as typed, such as ``hstar-hos``.
+        title: of reports.
+        agents: who can do it, each with one line about it; the first is the default.
+        options: its own settings; those of every benchmark (data, agent, perception, model, seed) are not among them.
+        work: ``"package.module:function"``: ``function(settings)`` is called once per process and returns a callable
+            that takes a payload and returns a record. It may raise; that is then a failed attempt, never a wrong
+            answer. `settings` is what `settle` returned.
+        figures: the columns of its table, the headline first.
+        exports: what `export` can write, each with one line about it.
+
+    A record is a JSON object with at least
+
+    - "case" (the id), "cluster" and "score" (in [0, 1]: 1 is success; what `compare` and `failures` read),
+
+    and, where they make sense, which the shared reports then show:
+
+    - "level": the stratum's title; "tags": list of texts, known before the run; "cause": why it failed, known after;
+    - "by_turn": for every turn up to the last allowed, 1 if an answer given then would have succeeded, else 0;
+    - "views": how many looks were taken; "stated": the probability of success that the agent stated with its answer;
+      "sure": whether it stopped because it was sure;
+    - "steps": list of what happened, one object per turn; "answer": what was answered.
+
+    Anything else may stand in it too. A benchmark may also have ``causes``, {cause: what it means}, for reports.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def title(self) -> str: ...
+    @property
+    def agents(self) -> Mapping[str, str]: ...
+    @property
+    def options(self) -> Mapping[str, Option]: ...
+    @property
+    def work(self) -> str: ...
+    @property
+    def figures(self) -> Sequence[Figure]: ...
+    @property
+    def exports(self) -> Mapping[str, str]: ...
+
+    def info(self, data: Path) -> dict[str, Any]:
+        """What the folder `data` holds, as JSON: counts and oddities. Raises `FormatError` if it is not this data."""
+        ...
+
+    def cases(self, data: Path, settings: Mapping[str, Any]) -> list[Case]:
+        """All cases in `data`, in the benchmark's own order. Raises `FormatError` if it is not this data."""
+        ...
+
+    def settle(self, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """The settings of a run, complete and checked, as the JSON of run.json; raises `EagorError` for bad ones.
+
+        They have "task", "data", "agent", "perception", "model" (None where nobody asks one), "seed", and the
+        benchmark's `options`, each with a value that `Option.read` has accepted. Here the perception is made once,
+        so that one that cannot be made is no failure of a case. What is left out of the result is not recorded.
+        """
+        ...
+
+    def judge(self, case: Case, prediction: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
+        """The record of a prediction that was made elsewhere: {"text": the model's words} or the benchmark's own keys.
+
+        Raises `FormatError` for a prediction without any of the keys.
+        """
+        ...
+
+    def export(self, to: str, records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
+        """Write what `exports` names `to` into `folder`; returns the files. `records` is empty where no run is named.
+
+        Raises `EagorError` where it cannot be made of what there is.
+        """
+        ...
+
+
+def known() -> dict[str, EntryPoint]:
+    """The benchmarks that `load` can make, by name; nothing is imported yet."""
+    found = {point.name: point for point in entry_points(group=GROUP)}
+    return found | {name: EntryPoint(name, value, GROUP) for name, value in BUILT_IN.items()}
+
+
+def load(name: str) -> Benchmark:
+    """The benchmark with this name. Raises `EagorError` for an unknown one, or one that cannot be imported."""
+    choices = known()
+    if name not in choices:
+        raise EagorError(f"there is no benchmark {name!r}; known are {', '.join(sorted(choices))}")
+    try:
+        found: Any = choices[name].load()
+    except (ImportError, AttributeError) as error:
+        raise EagorError(
+            f"the benchmark {name!r} ({choices[name].value}) cannot be imported: {error}. Install what it needs"
+        ) from error
+    return found if isinstance(found, Benchmark) else found()
+
+
+def read_options(benchmark: Benchmark, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Every option of `benchmark`: those in `values` that are not None, the defaults else.
+
+    Raises `EagorError` for one that it does not have, or a value that does not fit.
+    """
+    given = {name: value for name, value in values.items() if value is not None}
+    if unknown := sorted(set(given) - set(benchmark.options)):
+        has = ", ".join(benchmark.options) or "none"
+        raise EagorError(f"{benchmark.name} has no option {', '.join(unknown)}; it has {has}")
+    return {
+        name: option.read(name, given[name]) if name in given else option.default
+        for name, option in benchmark.options.items()
+    }
+
+
+def check_benchmark(benchmark: Benchmark, data: Path, agent: str) -> list[dict[str, Any]]:
+    """Raise `AssertionError` unless `benchmark` keeps the contract on `data`; returns the records of `agent`.
+
+    Its cases must be the same each time, with ids that differ; payloads and records must be JSON that survives
+    writing and reading; the settings must survive being settled twice; every figure must read every record.
+    """
+    import importlib
+    import json
+
+    options = read_options(benchmark, {})
+    told = {"task": benchmark.name, "data": str(data), "agent": agent, "perception": None, "model": None, "seed": 0}
+    settings = benchmark.settle(told | options)
+    _require(json.loads(json.dumps(settings)) == settings, "settle returns what JSON does not bring back")
+    _require(benchmark.settle(settings) == settings, "settle changes what it has settled before")
+    cases = benchmark.cases(data, settings)
+    _require(bool(cases), "has no cases in this data")
+    _require(len({case.id for case in cases}) == len(cases), "gives several cases the same id")
+    _require(cases == benchmark.cases(data, settings), "gives other cases the second time")
+    _require(json.loads(json.dumps([c.payload for c in cases])) == [c.payload for c in cases], "payloads are no JSON")
+    _require(bool(benchmark.figures) and benchmark.figures[0].key == "overall", 'the first figure is not "overall"')
+    _require(isinstance(benchmark.info(data), dict), "info returns no dict")
+    module, _, function = benchmark.work.partition(":")
+    do = getattr(importlib.import_module(module), function)(settings)
+    records = []
+    for case in cases:
+        record = dict(do(case.payload))
+        _require(json.loads(json.dumps(record, allow_nan=False)) == record, f"the record of {case.id} is no plain JSON")
+        _require((record["case"], record["cluster"]) == (case.id, case.cluster), f"{case.id}: another case or cluster")
+        _require(0 <= record["score"] <= 1, f"{case.id}: score {record['score']!r} is not in [0, 1]")
+        for figure in benchmark.figures:
+            value = figure.read(record)
+            _require(value is None or 0 <= value <= 1, f"{case.id}: the figure {figure.key} reads {value!r}")
+        records.append(record)
+    return records
+
+
+def _require(holds: bool, text: str) -> None:
+    if not holds:
+        raise AssertionError(f"the benchmark {text}")

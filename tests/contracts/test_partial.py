@@ -1,0 +1,83 @@
+"""Perceptions that are shown one picture at a time: what was not in it says nothing."""
+
+import math
+
+import numpy as np
+import pytest
+
+from eagor.errors import ImageError
+from eagor.evidence import Evidence
+from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.perception import load
+from eagor.perception.partial import coverage, look_at_view, pasted
+from eagor.sphere import azimuth_elevation, direction, world_R_body
+from eagor.worlds.panorama import view
+
+HFOV = math.radians(100)
+
+
+def red_spot(azimuth, elevation, rows=256):
+    grid = ErpGrid(rows, 2 * rows)
+    image = np.full((*grid.shape, 3), 128, dtype=np.uint8)
+    image[grid.directions @ direction(azimuth, elevation) > math.cos(math.radians(6))] = (220, 30, 30)
+    return image
+
+
+def test_a_picture_is_put_where_it_was_taken():
+    for pitch in (-0.6, 0.0, 0.8):
+        image = red_spot(0.3, pitch + 0.1)
+        grid = PerspectiveGrid(180, 320, HFOV, world_R_body(0.0, -pitch))
+        back = pasted(view(image, grid), grid, 128)
+        red = back[..., 0].astype(int) - back[..., 1] > 100
+        middle = ErpGrid(128, 256).directions[red].mean(axis=0)
+        azimuth, elevation = azimuth_elevation(middle / np.linalg.norm(middle))
+        assert float(azimuth) == pytest.approx(0.3, abs=0.02)
+        assert float(elevation) == pytest.approx(pitch + 0.1, abs=0.02)
+        _, _, inside = grid.project(ErpGrid(128, 256).directions)
+        assert len(np.unique(back[~inside], axis=0)) == 1
+
+
+@pytest.mark.parametrize("pitch", [-0.5, 0.0, 1.0])
+def test_evidence_is_where_the_thing_is_and_nowhere_beyond_the_view(pitch):
+    grid = PerspectiveGrid(180, 320, HFOV, world_R_body(0.0, -pitch))
+    picture = view(red_spot(0.2, pitch - 0.1), grid)
+    found = look_at_view(load("colour"), picture, pitch, HFOV, "red", stamp=3.0)
+    assert found.stamp == 3.0
+    shown = coverage(*found.grid.shape, 180, 320, HFOV, pitch)
+    log_ratio = np.asarray(found.log_ratio)
+    assert (log_ratio[shown < 0.5] == 0).all()
+    assert (log_ratio[shown > 0.5] != 0).mean() > 0.99
+    peak = found.grid.directions[np.unravel_index(log_ratio.argmax(), log_ratio.shape)]
+    assert peak @ direction(0.2, pitch - 0.1) > math.cos(math.radians(8))
+
+
+def test_a_perception_that_takes_pictures_is_given_the_picture():
+    class Viewer:
+        def __call__(self, panorama, query, *, stamp=None):
+            raise AssertionError("it was shown a panorama")
+
+        def view(self, image, grid, query, *, stamp=None):
+            self.seen = image, grid, query
+            return Evidence.from_response(
+                np.zeros((9, 16)), PerspectiveGrid(9, 16, HFOV, grid.body_R_view), stamp=stamp
+            )
+
+    viewer, picture = Viewer(), np.zeros((18, 32, 3), dtype=np.uint8)
+    found = look_at_view(viewer, picture, 0.4, HFOV, "cup", stamp=1.0)
+    image, grid, query = viewer.seen
+    assert image is picture
+    assert query == "cup"
+    np.testing.assert_allclose(grid.body_R_view[:, 0], direction(0.0, 0.4), atol=1e-12)
+    assert found.grid.shape == (9, 16)
+
+
+def test_what_is_no_picture_is_refused():
+    with pytest.raises(ImageError, match="uint8"):
+        look_at_view(load("colour"), np.zeros((4, 4)), 0.0, HFOV, "red")
+
+
+def test_coverage_is_the_share_of_the_sphere_that_a_view_has():
+    grid = PerspectiveGrid(90, 160, HFOV, world_R_body(0.0, -0.7))
+    cells = ErpGrid(60, 120)
+    share = (coverage(60, 120, 90, 160, HFOV, 0.7) * cells.weights).sum() / (4 * math.pi)
+    assert share == pytest.approx(float(grid.weights.sum()) / (4 * math.pi), rel=0.02)
