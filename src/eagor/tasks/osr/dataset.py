@@ -1,7 +1,7 @@
 """The published files of OSR-Bench: folders of scenes with JSON, or one CSV.
 
-``<scene>/rgb.png``, ``<scene>/cognitive_map.json`` and ``<scene>/<scene>_<suffix>.json`` with a suffix of `SUFFIXES`, at
-any depth below the folder that is given. The data set's hosted edition puts the questions into CSV files (columns
+``<scene>/rgb.png``, ``<scene>/cognitive_map.json`` and ``<scene>/<scene>_<suffix>.json`` with a suffix of `SUFFIXES`,
+at any depth below the folder that is given. The data set's hosted edition puts the questions into CSV files (columns
 image_id, turn_id, question, answer and, perhaps, skills_tested), which are read too.
 
 Questions with an empty answer are left out, as the benchmark's authors do.

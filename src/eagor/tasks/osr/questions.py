@@ -104,9 +104,9 @@ def mapping(names: Sequence[str]) -> str:
     return (
         "[Task] This PANORAMA shows a room all around. Draw its plan: say where the middle of each object lies on a "
         "10x10 grid that covers the whole room. [Rule] Care only about the categories in this scene: "
-        f"{{{', '.join(names)}}}. List every instance of each of them, keep their positions to one another, put what is "
-        "near the camera near the middle of the grid and what is far away near its edges, and place an object that is "
-        "partly hidden where all of it must be. [Output] One JSON object with integer coordinates from 0 to 9: "
+        f"{{{', '.join(names)}}}. List every instance of each of them, keep their positions to one another, put what "
+        "is near the camera near the middle of the grid and what is far away near its edges, and place an object that "
+        "is partly hidden where all of it must be. [Output] One JSON object with integer coordinates from 0 to 9: "
         '{"category name": [[x_1, y_1], ...], ...}'
     )
 
