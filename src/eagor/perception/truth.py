@@ -23,7 +23,7 @@ import numpy as np
 
 from eagor.errors import EagorError, ImageError
 from eagor.evidence import Calibration, Evidence
-from eagor.grids import PatchGrid
+from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.queries import Named, matching, parse_query
 from eagor.sphere import check_rotation
 
@@ -211,7 +211,7 @@ class TruthEpisode:
         array, `RotationError` if the attitude is no rotation.
         """
         reports = self.look(panorama, query, world_R_body)
-        response = _drawn(reports, self._grid, self._noise.floor)
+        response = drawn(reports, self._grid, self._noise.floor)
         return Evidence.from_response(response, self._grid, self._calibration, stamp)
 
     def look(self, ids: np.ndarray, query: str, world_R_body: np.ndarray | None = None) -> list[Report]:
@@ -222,7 +222,7 @@ class TruthEpisode:
         self._advance()
         noise, patch = self._noise, math.pi / self._grid.rows
         rates = np.array([0.0, 1 - noise.miss, noise.confuse_category, noise.confuse_colour])[relation]
-        seen = _ramp(areas, noise.smallest * patch**2)
+        seen = ramp(areas, noise.smallest * patch**2)
         reports = []
         for thing in np.flatnonzero(self._luck[:-2, 0] < rates * seen).tolist():
             centre, covariance = _moments(flat, thing)
@@ -277,7 +277,7 @@ class TruthEpisode:
         """A report of what is at `centre`: displaced by the error of its row, widened, with a score."""
         row = -2 if kind == "false alarm" else thing
         error = turn.T @ self._error[row] * self._noise.spread
-        placed, carry = _displaced(centre, error)
+        placed, carry = displaced(centre, error)
         width = self._noise.spread**2 + (math.pi / self._grid.rows / 2) ** 2
         covariance = carry @ covariance @ carry.T + width * (np.eye(3) - np.outer(placed, placed))
         score = self._noise.weakest + (1 - self._noise.weakest) * float(self._luck[row, 1])
@@ -315,7 +315,7 @@ def _areas(ids: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     return flat, np.bincount(flat.astype(np.intp) + 1, _pixels(ids.shape[0])[1], count + 1)[1:]
 
 
-def _ramp(areas: np.ndarray, smallest: float) -> np.ndarray:
+def ramp(areas: np.ndarray, smallest: float) -> np.ndarray:
     """How well things of these solid angles are seen: 0 up to a quarter of `smallest`, 1 from it on, smooth between."""
     if smallest == 0:
         return (areas > 0).astype(float)
@@ -345,7 +345,7 @@ def _stretch(cosine: np.ndarray) -> np.ndarray:
     return np.arccos(cosine) ** 2 / np.maximum(1 - cosine * cosine, 1e-15)
 
 
-def _displaced(centre: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def displaced(centre: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`centre` moved by the part of `error` in its tangent plane, and the turn ``(3, 3)`` that carries it there.
 
     The part of an isotropic error in a plane is isotropic there, with the same standard deviation per axis.
@@ -363,13 +363,13 @@ def _displaced(centre: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 @lru_cache(maxsize=8)
-def _products(grid: PatchGrid) -> tuple[np.ndarray, np.ndarray]:
+def _products(grid: PatchGrid | PerspectiveGrid) -> tuple[np.ndarray, np.ndarray]:
     """Directions ``(n, 3)`` of the cells and their outer products ``(n, 9)``."""
     cells = grid.directions.reshape(-1, 3)
     return cells, (cells[:, :, None] * cells[:, None, :]).reshape(-1, 9)
 
 
-def _drawn(reports: list[Report], grid: PatchGrid, floor: float) -> np.ndarray:
+def drawn(reports: list[Report], grid: PatchGrid | PerspectiveGrid, floor: float) -> np.ndarray:
     """The response ``(rows, columns)``: a Gaussian for each report, the highest of them where they overlap."""
     if not reports:
         return np.full(grid.shape, floor, dtype=np.float32)

@@ -123,13 +123,20 @@ class Benchmark(Protocol):
     Anything else may stand in it too.
     """
 
-    name: str
-    title: str
-    agents: Mapping[str, str]
-    options: Mapping[str, Option]
-    work: str
-    figures: Sequence[Figure]
-    exports: Mapping[str, str]
+    @property
+    def name(self) -> str: ...
+    @property
+    def title(self) -> str: ...
+    @property
+    def agents(self) -> Mapping[str, str]: ...
+    @property
+    def options(self) -> Mapping[str, Option]: ...
+    @property
+    def work(self) -> str: ...
+    @property
+    def figures(self) -> Sequence[Figure]: ...
+    @property
+    def exports(self) -> Mapping[str, str]: ...
 
     def info(self, data: Path) -> dict[str, Any]:
         """What the folder `data` holds, as JSON: counts and oddities. Raises `FormatError` if it is not this data."""

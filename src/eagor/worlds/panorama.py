@@ -34,7 +34,7 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
     try:
         with Image.open(name) as file:
             file.load()
-            image = _as_rgb(file)
+            image = as_rgb(file)
     except ImageError as error:
         raise ImageError(f"{name!r} {error}") from error
     except Exception as error:  # Pillow's decoders raise whatever the damage leads them to
@@ -53,7 +53,7 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
     return image
 
 
-def _as_rgb(image: Image.Image) -> np.ndarray:
+def as_rgb(image: Image.Image) -> np.ndarray:
     """``(H, W, 3)`` uint8 of any picture with 8 or 16 bits per channel."""
     if image.mode.startswith("I"):  # 16-bit grey, which Pillow would clip instead of scale
         grey = np.clip(np.asarray(image).astype(np.int64), 0, 65535)

@@ -1,0 +1,108 @@
+"""Episodes in H*Bench's format from the built-in apartments: as many as wanted, with boxes that are exactly right.
+
+For each apartment a camera somewhere on its floor; the things that a query names, that are in sight and that are wide
+enough to be seen become targets. The same seed gives the same episodes.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor.grids import ErpGrid
+from eagor.sphere import world_R_body
+from eagor.tasks.hstar.camera import View, visible_share
+from eagor.tasks.hstar.data import ANNOTATION, STARTS
+from eagor.tasks.places import APARTMENT, Place, load_place
+
+ROWS = 128  # of the ids that boxes are read from: 1.4 degrees
+SMALLEST = 12  # pixels of those
+HEIGHT = 1.25  # metres of the camera above the floor
+CLEARANCE = 0.4
+TRIES = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Spot:
+    """A camera in an apartment, and the entries of its annotation.json."""
+
+    name: str
+    place: Place
+    position: np.ndarray
+    yaw: float
+    items: tuple[dict[str, Any], ...]
+
+
+def spot(seed: int, most: int = 4) -> Spot:
+    """A camera in the apartment of this seed, with at most `most` targets. Raises `WorldError` where there is none."""
+    place = load_place(APARTMENT, seed, 0.18)
+    rng = np.random.default_rng([seed, 0x5EA])
+    best: tuple[tuple[dict[str, Any], ...], np.ndarray, float] = ((), np.zeros(3), 0.0)
+    for _ in range(TRIES):
+        position = np.array([*place.ground.sample(rng, CLEARANCE), HEIGHT])
+        yaw = float(rng.uniform(-math.pi, math.pi))
+        items = tuple(_items(place, position, yaw, rng, most))
+        if len(items) > len(best[0]):
+            best = items, position, yaw
+        if len(items) == most:
+            break
+    return Spot(f"apartment_{seed:04d}", place, best[1], best[2], best[0])
+
+
+def write_scene(spot: Spot, folder: Path, rows: int = 512) -> Path | None:
+    """Write one scene as published, with a picture of so many rows (0: a grey one, for studies that see no picture).
+
+    Returns its folder, None where the spot has no target.
+    """
+    from PIL import Image
+
+    if not spot.items:
+        return None
+    target = folder / spot.name
+    target.mkdir(parents=True, exist_ok=True)
+    if rows:
+        pose = world_R_body(spot.yaw)
+        rgb = spot.place.renderer.panorama(spot.position, pose, rows, range=False, ids=False).rgb
+        assert rgb is not None
+    else:
+        rgb = np.full((8, 16, 3), 128, dtype=np.uint8)
+    Image.fromarray(rgb).save(target / f"{spot.name}.png")
+    (target / ANNOTATION).write_text(json.dumps(list(spot.items), indent=1) + "\n", encoding="utf-8")
+    return target
+
+
+def _items(
+    place: Place, position: np.ndarray, yaw: float, rng: np.random.Generator, most: int
+) -> Iterator[dict[str, Any]]:
+    ids = place.ids(position, world_R_body(yaw), ROWS)
+    names = place.nameable()
+    seen = np.bincount(ids[ids >= 0], minlength=len(place.scene.instances))
+    chosen = [index for index in names if seen[index] >= SMALLEST]
+    for index in sorted(rng.permutation(chosen)[:most].tolist()):
+        left, right, low, high = _box(ids == index)
+        item = {"task": f"Find the {names[index]}", "yaw": [left, right], "pitch": [low, high]}
+        shares = [visible_share(View(float(start), 0.0), (left, right), (low, high)) for start in STARTS]
+        levels = [0 if share >= 0.5 else 1 if share > 0 else 2 for share in shares]
+        yield item | {"initial yaw": list(STARTS), "level": levels}
+
+
+def _box(mask: np.ndarray) -> tuple[float, float, float, float]:
+    """Yaw from and to, pitch from and to, degrees, of the pixels ``(H, W)`` of one thing."""
+    height, width = mask.shape
+    columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
+    gaps = np.diff(np.append(columns, columns[0] + width))
+    widest = int(gaps.argmax())
+    first, last = columns[(widest + 1) % len(columns)], columns[widest]
+    grid = ErpGrid(height, width)
+    degrees = 360.0 / width
+    left = (first * degrees + 180.0) % 360.0
+    right = ((last + 1) * degrees + 180.0) % 360.0
+    high = math.degrees(grid.latitudes[rows[0]]) + 90.0 / height
+    low = math.degrees(grid.latitudes[rows[-1]]) - 90.0 / height
+    return round(float(left), 2), round(float(right), 2), round(low, 2), round(high, 2)

@@ -1,0 +1,193 @@
+"""H*Bench as `eagor bench` knows it: object search (HOS) and path search (HPS)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from eagor._version import __version__
+from eagor.errors import EagorError, FormatError
+from eagor.tasks.benchmark import Case, Figure, Option, Record, read_options
+from eagor.tasks.chat import check_chat
+from eagor.tasks.hstar import data as files
+from eagor.tasks.hstar.agents import AGENTS, LOOKING, SWEEP
+from eagor.tasks.hstar.camera import RESOLUTION
+from eagor.tasks.hstar.causes import cause_of
+from eagor.tasks.hstar.data import LEVELS, Episode, Kind
+from eagor.tasks.hstar.eyes import open_perception
+from eagor.tasks.hstar.play import cluster_of, errors, identity
+from eagor.tasks.hstar.prompts import WINDOW
+from eagor.tasks.hstar.rules import MAX_TURNS, checked_scoring, parse_action, submit_succeeds
+from eagor.tasks.hstar.search import SearchRules
+
+OPTIONS = {
+    "scoring": Option("official", "what counts as success", ("official", "strict")),
+    "turns": Option(MAX_TURNS, "views at most; the benchmark allows ten", tuple(range(1, 51))),
+    "sure": Option(SearchRules().sure, "probability from which on eagor submits"),
+    "degree": Option(SearchRules().degree, "of eagor's harmonics", tuple(range(3, 64))),
+    "views": Option(len(SWEEP), "views of the fixed sweep", tuple(range(1, len(SWEEP) + 1))),
+    "resolution": Option(RESOLUTION, "rows of a view; 1080 is official"),
+    "form": Option("free_think", "of the model's replies", ("free_think", "no_think", "grounding")),
+    "window": Option(WINDOW, "turns of conversation that the model is shown", tuple(range(1, 51))),
+}
+EXPORTS = {
+    "lmms-eval": "a folder of task files for lmms_eval --include_path, with the episodes and their panoramas' paths",
+    "hstar-txt": "the published level file: level, successes, episodes; and at which step successes came",
+}
+
+
+@dataclass(frozen=True)
+class HStar:
+    """One half of H*Bench; see `eagor.tasks.benchmark.Benchmark`."""
+
+    kind: Kind
+    title: str
+
+    @property
+    def name(self) -> str:
+        return f"hstar-{self.kind}"
+
+    @property
+    def agents(self) -> Mapping[str, str]:
+        return AGENTS
+
+    @property
+    def options(self) -> Mapping[str, Option]:
+        return OPTIONS
+
+    @property
+    def work(self) -> str:
+        return "eagor.tasks.hstar.play:work"
+
+    @property
+    def exports(self) -> Mapping[str, str]:
+        return EXPORTS
+
+    @property
+    def figures(self) -> Sequence[Figure]:
+        found = [Figure("overall", "Overall", "success of all episodes", lambda record: record["score"])]
+        for level in LEVELS[self.kind]:
+            found.append(Figure(level, level.capitalize(), f"success of episodes of level {level}", _at(level)))
+        found.append(Figure("official", "Official", "success by the published rule", _scored("official")))
+        found.append(Figure("strict", "Strict", "success with the pitch always counted", _scored("strict")))
+        return found
+
+    def info(self, data: Path) -> dict[str, Any]:
+        return files.info(data)
+
+    def cases(self, data: Path, settings: Mapping[str, Any]) -> list[Case]:
+        found, siblings = [], _siblings(data)
+        for episode in files.read_episodes(data, self.kind):
+            others = [item for index, item in enumerate(siblings[episode.scene]) if index != episode.entry]
+            payload = {"episode": episode.as_json(), "siblings": others}
+            found.append(Case(episode.id, episode.scene, cluster_of(episode), payload))
+        return found
+
+    def settle(self, settings: Mapping[str, Any]) -> dict[str, Any]:
+        agent = settings.get("agent") or next(iter(AGENTS))
+        if agent not in AGENTS:
+            raise EagorError(f"{self.name} has no agent {agent!r}; it has {', '.join(AGENTS)}")
+        perception = settings.get("perception")
+        if agent in LOOKING:
+            if not perception:
+                raise EagorError(
+                    f"the agent {agent} needs eyes: name a --perception, such as a model (folder or hub name), "
+                    "endpoint:MODEL@ADDRESS, or truth (the annotations through noise, for studies)"
+                )
+            open_perception(perception)
+        model = settings.get("model")
+        if agent == "vlm":
+            check_chat(model, agent)
+        options = read_options(self, {name: settings.get(name) for name in OPTIONS})
+        if not 0 < options["sure"] <= 1:
+            raise EagorError(f"sure = {options['sure']}; wanted a probability above 0, at most 1")
+        if options["resolution"] < 18:
+            raise EagorError(f"resolution = {options['resolution']}; wanted rows of a picture, 18 or more")
+        return {
+            "task": self.name,
+            "data": str(settings["data"]),
+            "agent": agent,
+            "perception": perception if agent in LOOKING else None,
+            "model": model if agent == "vlm" else None,
+            "seed": int(settings.get("seed") or 0),
+            **options,
+            **({"calibrated": settings["calibrated"]} if settings.get("calibrated") else {}),
+            "versions": {"eagor": __version__},
+        }
+
+    def judge(self, case: Case, prediction: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
+        episode = Episode.from_json(case.payload["episode"])
+        scoring, siblings = checked_scoring(settings["scoring"]), case.payload["siblings"]
+        answer, reason = _submission(prediction, settings.get("form", "free_think"))
+        scores = {
+            way: float(answer is not None and submit_succeeds(episode.item, answer["yaw"], answer["pitch"], way))
+            for way in ("official", "strict")
+        }
+        cause = None
+        if not scores[scoring]:
+            cause = reason or cause_of(episode.item, [{"shown": 1.0}], answer, siblings, scoring)
+        return {
+            **identity(episode, siblings),
+            "score": scores[scoring],
+            "scores": scores,
+            "cause": cause,
+            "reason": reason or "submitted",
+            "answer": answer,
+            **errors(episode, answer),
+        }
+
+    def export(self, to: str, records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
+        from eagor.tasks.hstar import exports
+
+        if to == "lmms-eval":
+            return exports.lmms_eval(self, Path(settings["data"]), settings, folder)
+        if to == "hstar-txt":
+            return exports.level_file(self.kind, records, folder)
+        raise EagorError(f"{self.name} has no export {to!r}; it has {', '.join(EXPORTS)}")
+
+
+HOS = HStar("hos", "H*Bench: object search (HOS)")
+HPS = HStar("hps", "H*Bench: path search (HPS)")
+
+
+def _at(level: str):
+    return lambda record: record["score"] if record.get("level") == level else None
+
+
+def _scored(way: str):
+    return lambda record: record.get("scores", {}).get(way)
+
+
+def _siblings(data: Path) -> dict[str, list[dict[str, Any]]]:
+    """What is needed of the entries of each scene."""
+    kept = ("task", "yaw", "pitch")
+    return {
+        scene.name: [{key: item[key] for key in kept if item.get(key) is not None} for item in scene.items]
+        for scene in files.read_scenes(data)
+    }
+
+
+def _submission(prediction: Mapping[str, Any], form: str) -> tuple[dict[str, int] | None, str | None]:
+    """What a prediction submits, or why it submits nothing."""
+    found = prediction.get("submit")
+    if found is None and "yaw" in prediction:
+        found = prediction["yaw"], prediction.get("pitch", 0)
+    if found is not None:
+        try:
+            yaw, pitch = (round(float(value)) for value in found)
+        except (TypeError, ValueError, OverflowError):
+            raise FormatError(f"a prediction submits {found!r}; wanted yaw and pitch in degrees") from None
+        return {"yaw": yaw, "pitch": pitch}, None
+    texts = prediction.get("replies", prediction.get("text"))
+    if texts is None:
+        raise FormatError(
+            f"a prediction has {', '.join(map(str, prediction)) or 'nothing'}; wanted submit: [yaw, pitch], or yaw and "
+            "pitch, or text (the model's last reply), or replies (all of them)"
+        )
+    read = [parse_action(str(text), form).action for text in ([texts] if isinstance(texts, str) else texts)]
+    for action in read[:MAX_TURNS]:
+        if action is not None and action.kind == "submit":
+            return {"yaw": action.yaw, "pitch": action.pitch}, None
+    return None, "format" if None in read else "budget"

@@ -1,0 +1,213 @@
+"""The rules of H*Bench: what counts as success, which replies count as actions, and how the camera obeys them.
+
+Yaw in degrees: 0 is the middle of the panorama, positive to the RIGHT, 0 to 360. Pitch in degrees, positive up, -90 to
+90. (`eagor.conventions.direction_from_hstar` leads to our frame.) Written after the behaviour of the published
+environment (H*Bench, humanoid-vstar/hstar at 7a52247), quirks included, and held to vectors that it produced.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+from eagor.errors import EagorError, FormatError
+
+Scoring = Literal["official", "strict"]
+Form = Literal["free_think", "no_think", "grounding"]
+
+MAX_TURNS = 10
+YAW_TOLERANCE = {"hos": 30, "hps": 10}  # degrees to both sides of a narrower target's middle
+PITCH_TOLERANCE = 20
+SEPARATOR = "|"
+
+
+@dataclass(frozen=True)
+class Window:
+    """Where a submission succeeds, degrees: yaw from `yaw[0]` to the right up to `yaw[1]`, both in [0, 360)."""
+
+    yaw: tuple[float, float]
+    pitch: tuple[float, float]
+
+    @property
+    def wraps(self) -> bool:
+        """Whether it runs across yaw 0."""
+        return self.yaw[0] > self.yaw[1]
+
+    @property
+    def width(self) -> float:
+        """Degrees of yaw."""
+        return (self.yaw[1] - self.yaw[0]) % 360.0 if self.yaw[0] != self.yaw[1] else 0.0
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """(yaw, pitch) of its middle."""
+        return (self.yaw[0] + self.width / 2) % 360.0, (self.pitch[0] + self.pitch[1]) / 2
+
+    def contains(self, yaw: float, pitch: float, scoring: Scoring = "official") -> bool:
+        """Whether submitting (yaw, pitch) succeeds.
+
+        ``official`` leaves the pitch out of account where the window wraps, as the published environment does;
+        ``strict`` never does.
+        """
+        yaw = normalised(yaw)
+        high_enough = self.pitch[0] <= pitch <= self.pitch[1]
+        if self.wraps:
+            return (yaw >= self.yaw[0] or yaw <= self.yaw[1]) and (scoring == "official" or high_enough)
+        return self.yaw[0] <= yaw <= self.yaw[1] and high_enough
+
+
+@dataclass(frozen=True)
+class Action:
+    """What a reply asks for: ``rotate`` by, or ``submit``, (yaw, pitch) in whole degrees."""
+
+    kind: Literal["rotate", "submit"]
+    yaw: int
+    pitch: int
+
+    def __str__(self) -> str:
+        return f"{self.kind}({self.yaw},{self.pitch})"
+
+
+@dataclass(frozen=True)
+class Reply(Mapping[str, Any]):
+    """What the parser makes of a reply: the thought, the actions' texts, and whether the form was kept.
+
+    Also a mapping with exactly these names, as the published parser returns.
+    """
+
+    think_content: str
+    actions: list[str]
+    format_correct: bool
+
+    @property
+    def action(self) -> Action | None:
+        """The one action, None if there is not exactly one or it cannot be carried out."""
+        return read_action(self.actions[0]) if len(self.actions) == 1 else None
+
+    def __getitem__(self, key: str) -> Any:
+        if key not in _REPLY:
+            raise KeyError(key)
+        return getattr(self, key)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_REPLY)
+
+    def __len__(self) -> int:
+        return len(_REPLY)
+
+
+_REPLY = ("think_content", "actions", "format_correct")
+
+
+def normalised(yaw: float) -> float:
+    """`yaw` (degrees) in [0, 360)."""
+    return (yaw + 360) % 360
+
+
+def window_of(item: Mapping[str, Any]) -> Window:
+    """Where submissions succeed for one entry of annotation.json; without ``pitch`` it is one of HPS.
+
+    A target narrower than the tolerances is widened about its middle. Raises `FormatError` if the angles are no pairs
+    of finite numbers.
+    """
+    path = item.get("pitch") is None
+    left, right = _pair(item, "yaw")
+    right += 360 if left > right else 0
+    tolerance = YAW_TOLERANCE["hps" if path else "hos"]
+    if right - left < 2 * tolerance:
+        middle = (left + right) / 2
+        left, right = middle - tolerance, middle + tolerance
+    low, high = (-90.0, 90.0) if path else _pair(item, "pitch")
+    if high - low < 2 * PITCH_TOLERANCE:
+        middle = (low + high) / 2
+        low, high = max(-90.0, middle - PITCH_TOLERANCE), min(90.0, middle + PITCH_TOLERANCE)
+    return Window((normalised(left), normalised(right)), (low, high))
+
+
+def submit_succeeds(item: Mapping[str, Any], yaw: float, pitch: float, scoring: str = "official") -> bool:
+    """Whether submitting (yaw, pitch), degrees, finds the target of one entry of annotation.json.
+
+    Args:
+        item: with ``yaw`` [left, right] and, in HOS, ``pitch`` [low, high]; without pitch it is one of HPS.
+        yaw: positive to the right, any whole turn.
+        pitch: positive up.
+        scoring: ``official``, as the published environment decides; ``strict``, the same without its quirk of
+            forgetting the pitch where the window crosses yaw 0.
+
+    Raises `EagorError` for another scoring, `FormatError` for an item without usable angles.
+    """
+    return window_of(item).contains(yaw, pitch, checked_scoring(scoring))
+
+
+def checked_scoring(scoring: str) -> Scoring:
+    """`scoring`, once it is certain to be one. Raises `EagorError`."""
+    if scoring not in get_args(Scoring):
+        raise EagorError(f"scoring = {scoring!r}; wanted {' or '.join(get_args(Scoring))}")
+    return scoring  # type: ignore[return-value]
+
+
+def parse_action(text: str, form: str = "free_think") -> Reply:
+    """What a model's reply says, in one of the three published forms.
+
+    ``free_think`` takes the first ``<answer>`` wherever it stands; the others want their form kept. Of several actions
+    (parted by ``|``) the first counts. Raises `EagorError` for another form.
+    """
+    if form not in _WHOLE:
+        raise EagorError(f"the form of replies is {form!r}; wanted one of {', '.join(_WHOLE)}")
+    text = text.replace("<image>", "")
+    kept = _WHOLE[form].fullmatch(text.strip())
+    found = _ANSWER[form].search(text) if form != "no_think" else kept
+    if found is None:
+        return Reply("", [], kept is not None)
+    parts = found.groupdict()
+    actions = [part.strip() for part in parts["answer"].split(SEPARATOR) if part.strip()]
+    return Reply(parts.get("think") or "", actions[:1], kept is not None)
+
+
+_WHOLE = {
+    "free_think": re.compile(r"<think>(?P<think>.*?)</think>\s*<answer>(?P<answer>.*?)</answer>\s*", re.DOTALL),
+    "no_think": re.compile(r"<answer>(?P<answer>.*?)</answer>\s*", re.DOTALL),
+    "grounding": re.compile(
+        r"<think>\s*(?P<think><observation>.*?</observation>\s*<reasoning>.*?</reasoning>)\s*</think>\s*"
+        r"<answer>(?P<answer>.*?)</answer>\s*",
+        re.DOTALL,
+    ),
+}
+_ANSWER = {
+    "free_think": re.compile(r"(?:<think>(?P<think>.*?)</think>)?.*?<answer>(?P<answer>.*?)</answer>", re.DOTALL),
+    "grounding": _WHOLE["grounding"],
+}
+
+
+def read_action(text: str) -> Action | None:
+    """The action that `text` names, such as ``rotate(-45,0)``; None where the environment could not carry it out.
+
+    Names are case-sensitive and numbers whole; spaces inside the brackets and a plus sign do no harm.
+    """
+    for kind in ("rotate", "submit"):
+        if text.startswith(kind):
+            parts = text.replace(kind, "").strip("()").split(",")
+            try:
+                return Action(kind, int(parts[0].strip()), int(parts[1].strip()))
+            except (ValueError, IndexError):
+                return None
+    return None
+
+
+def turned(yaw: float, pitch: float, action: Action) -> tuple[float, float]:
+    """Where the camera looks after ``rotate``: yaw wraps, pitch stops at straight up and straight down."""
+    return normalised(yaw + action.yaw), max(-90, min(90, pitch + action.pitch))
+
+
+def _pair(item: Mapping[str, Any], key: str) -> tuple[float, float]:
+    value = item.get(key)
+    try:
+        low, high = (float(number) for number in value)  # type: ignore[union-attr]
+    except (TypeError, ValueError):
+        raise FormatError(f"an item has {key} = {value!r}; wanted two angles in degrees") from None
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise FormatError(f"an item has {key} = {value!r}; wanted two finite angles in degrees")
+    return low, high

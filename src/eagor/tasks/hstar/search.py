@@ -1,0 +1,238 @@
+"""The search: one belief about the target in the world's frame, what was looked at, and where to look next.
+
+Every look is added to a `Belief` where it points; what was looked at and did not answer loses belief, what nobody
+looked at keeps what it had. Beside the belief a grid counts how often each direction was looked at. The next view is
+the one whose outcome tells most about where the target is (mutual information between the outcome of the look and the
+target's direction, under the belief), the submission the window with the most belief in it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from eagor.belief import Belief
+from eagor.evidence import Evidence
+from eagor.grids import PatchGrid
+from eagor.tasks.hstar.camera import View, inside
+from eagor.tasks.hstar.rules import PITCH_TOLERANCE, YAW_TOLERANCE
+
+STEP = 5  # degrees: cells of the map that is planned and decided on
+CELLS = PatchGrid(180 // STEP, 360 // STEP)
+YAWS = np.arange(0, 360, 15)
+PITCHES = (-60, -30, 0, 30, 60)
+
+
+@dataclass(frozen=True)
+class SearchRules:
+    """How the search believes and decides.
+
+    - `degree`: of the harmonics.
+    - `sure`: probability of success from which on it submits.
+    - `hit`, `alarm`: what planning expects of a look: the probability that a target in view answers, and that
+      something else does.
+    - `fresh`: how much of a further look at the same direction is new (the errors of a model repeat themselves).
+    - `tilt`, `height`: standard deviation and mean of the target's elevation beforehand, degrees: things are found
+      around the horizon and a little below it. `tilt` 0: every direction is as likely.
+    """
+
+    degree: int = 15
+    sure: float = 0.9
+    hit: float = 0.7
+    alarm: float = 0.2
+    fresh: float = 0.7
+    tilt: float = 35.0
+    height: float = -12.0
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A submission in whole degrees, and the probability that it succeeds, by the belief."""
+
+    yaw: int
+    pitch: int
+    probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """What is known after some looks. Immutable: `seen` returns a new one.
+
+    `looks` counts, per cell of `CELLS`, how often it was looked at (cells at a border in part).
+    """
+
+    kind: str
+    rules: SearchRules
+    belief: Belief
+    looks: np.ndarray
+
+    @classmethod
+    def begin(cls, kind: str, rules: SearchRules | None = None) -> Search:
+        """Nothing seen yet; `kind` is ``hos`` or ``hps``."""
+        rules = rules or SearchRules()
+        return cls(kind, rules, Belief.uniform(rules.degree), np.zeros(CELLS.shape))
+
+    def seen(self, evidence: Evidence, world_R_capture: np.ndarray, view: View) -> Search:
+        """With one more look: its evidence, the pose of the evidence's frame, and what the camera showed."""
+        shown = _shares(round(view.pitch))
+        belief = self.belief.update(self._new_part(evidence, world_R_capture), world_R_capture)
+        return Search(self.kind, self.rules, belief, self.looks + _rolled(shown, view.yaw))
+
+    def _new_part(self, evidence: Evidence, world_R_capture: np.ndarray) -> Evidence:
+        """The evidence, weakened where it was looked at before: errors of a model stay where they are."""
+        if self.rules.fresh == 1.0 or not self.looks.any():
+            return evidence
+        x, y, _ = CELLS.project(evidence.grid.directions @ world_R_capture.T)
+        rows = np.clip(y.astype(np.intp), 0, CELLS.height - 1)
+        before = self.looks[rows, x.astype(np.intp) % CELLS.width]
+        return replace(evidence, log_ratio=evidence.log_ratio * self.rules.fresh ** np.minimum(before, 1.0))
+
+    @cached_property
+    def probability(self) -> np.ndarray:
+        """Of each cell of `CELLS` ``(H, W)``; sums to 1.
+
+        The belief counts where something was looked at; a field of finite degree rings a little beyond, and that is
+        nobody's observation.
+        """
+        field = np.asarray(self.belief.log_ratio(CELLS)) * np.minimum(self.looks, 1.0)
+        found = np.exp(field - field.max()) * _prior(self.rules.tilt, self.rules.height, self.kind)
+        return found / found.sum()
+
+    def answer(self) -> Answer:
+        """The submission whose window holds most of the belief, centred on what it holds."""
+        p = self.probability
+        mass = _window_mass(p, self.kind)
+        best = mass >= mass.max() - 1e-9
+        row, column = np.unravel_index(int(np.argmax(np.where(best, _blurred(p), -1.0))), p.shape)
+        rows, columns = _around(int(row), int(column), self.kind)
+        part = p[np.ix_(rows, columns % p.shape[1])]
+        yaw_deg = -np.degrees(CELLS.longitudes)[columns % p.shape[1]]
+        offset = (yaw_deg - yaw_deg[len(columns) // 2] + 180.0) % 360.0 - 180.0
+        yaw = yaw_deg[len(columns) // 2] + float((part * offset).sum() / part.sum())
+        pitch = float((part * np.degrees(CELLS.latitudes)[rows][:, None]).sum() / part.sum())
+        pitch = 0.0 if self.kind == "hps" else pitch
+        return Answer(round(yaw) % 360, max(-90, min(90, round(pitch))), float(mass[row, column]))
+
+    def information(self) -> np.ndarray:
+        """Nats that the outcome of each view would tell about where the target is, ``(len(PITCHES), len(YAWS))``."""
+        p, rules = self.probability, self.rules
+        new = rules.fresh**self.looks
+        return np.stack([_information(p, new, pitch, rules.hit, rules.alarm) for pitch in PITCHES])
+
+    def next_view(self, now: View) -> View:
+        """The view that tells most; of equals the one nearest to where the camera looks `now`."""
+        told = self.information()
+        turn = np.abs((YAWS[None] - now.yaw + 180.0) % 360.0 - 180.0) + np.abs(np.array(PITCHES)[:, None] - now.pitch)
+        pitch, yaw = np.unravel_index(int(np.argmax(told - 1e-5 * turn)), told.shape)
+        return View(float(YAWS[yaw]), float(PITCHES[pitch]))
+
+
+def _information(p: np.ndarray, new: np.ndarray, pitch: int, hit: float, alarm: float) -> np.ndarray:
+    """Mutual information (nats) of a look at this pitch, for each of `YAWS`.
+
+    The outcome of a look is a report somewhere in view, or none. A target at cell i in view is reported with
+    probability h_i, there; otherwise there is a false report with probability `alarm`, anywhere in view alike.
+    I = H(outcome) - sum_i p_i H(outcome | target at i).
+    """
+    shown = _shares(pitch)
+    rows, columns = np.nonzero(shown)
+    places = (columns[None] + (YAWS // STEP)[:, None]) % CELLS.width  # cells in view, for each yaw
+    here, share = p[rows[None], places], hit * shown[rows, columns] * new[rows[None], places]
+    area = CELLS.weights[rows, columns]
+    even = np.log(area / area.sum())  # of a false report
+    reported = (here * share).sum(axis=1, keepdims=True)
+    there = here * share + (1 - reported) * alarm * np.exp(even)
+    silent = (1 - reported[:, 0]) * (1 - alarm)
+    outcome = -(there * np.log(there)).sum(axis=1) - silent * np.log(silent)
+    spread = -float((np.exp(even) * even).sum())  # entropy of where a false report is
+    given = _entropy(1 - share, alarm, spread) + _binary(share, alarm, even[None])
+    out = 1.0 - here.sum(axis=1)
+    elsewhere = float(_entropy(np.ones(1), alarm, spread)[0])
+    return outcome - (here * given).sum(axis=1) - out * elsewhere
+
+
+def _entropy(left: np.ndarray, alarm: float, spread: float) -> np.ndarray:
+    """Entropy of what a look says when no true report comes: none, or a false one; `left` is how likely that is."""
+    quiet, loud = left * (1 - alarm), left * alarm
+    return -_xlog(quiet) - _xlog(loud) + loud * spread
+
+
+def _binary(share: np.ndarray, alarm: float, even: np.ndarray) -> np.ndarray:
+    """What a true report with probability `share` adds to the entropy, where a false one could be in the same cell."""
+    false = (1 - share) * alarm * np.exp(even)
+    return -_xlog(share + false) + _xlog(false)
+
+
+def _xlog(x: np.ndarray) -> np.ndarray:
+    return x * np.log(np.maximum(x, 1e-300))
+
+
+@lru_cache(maxsize=256)
+def _shares(pitch: int) -> np.ndarray:
+    """How much of each cell ``(H, W)`` a view at yaw 0 and this pitch shows, 0 to 1."""
+    offsets = (np.arange(5) + 0.5) / 5
+    x = (np.arange(CELLS.width)[:, None] + offsets).reshape(-1)
+    y = (np.arange(CELLS.height)[:, None] + offsets).reshape(-1, 1)
+    shown = inside(View(0.0, pitch), CELLS.unproject(x, y).reshape(-1, 3))
+    found = shown.reshape(CELLS.height, 5, CELLS.width, 5).mean(axis=(1, 3))
+    found.setflags(write=False)
+    return found
+
+
+def _rolled(shares: np.ndarray, yaw: float) -> np.ndarray:
+    """`shares` of a view at yaw 0 for one at `yaw` degrees (columns grow to the right), between whole cells."""
+    steps = yaw / STEP
+    low = math.floor(steps)
+    part = steps - low
+    found = np.roll(shares, low, axis=1)
+    return found if part < 1e-9 else found * (1 - part) + np.roll(shares, low + 1, axis=1) * part
+
+
+@lru_cache(maxsize=16)
+def _prior(tilt: float, height: float, kind: str) -> np.ndarray:
+    """Probability of each cell before the first look, times a constant."""
+    if tilt <= 0 or kind == "hps":
+        return CELLS.weights
+    latitude = (np.degrees(CELLS.latitudes) - height) / tilt
+    return np.exp(-0.5 * latitude**2)[:, None] * CELLS.weights
+
+
+def _reach(kind: str) -> tuple[int, int]:
+    """Cells to each side of the middle that a window of the least size holds: rows, columns."""
+    return (CELLS.height if kind == "hps" else PITCH_TOLERANCE // STEP), YAW_TOLERANCE[kind] // STEP
+
+
+def _window_mass(p: np.ndarray, kind: str) -> np.ndarray:
+    """The probability within the window around each cell; cells at the window's border count half."""
+    rows, columns = _reach(kind)
+    kernel = np.ones(2 * columns + 1)
+    kernel[[0, -1]] = 0.5
+    wide = np.zeros_like(p)
+    for shift, weight in zip(range(-columns, columns + 1), kernel, strict=True):
+        wide += weight * np.roll(p, shift, axis=1)
+    if kind == "hps":
+        return np.broadcast_to(wide.sum(axis=0), p.shape)
+    tall = np.zeros_like(p)
+    for shift in range(-rows, rows + 1):
+        weight = 0.5 if abs(shift) == rows else 1.0
+        low, high = max(0, -shift), p.shape[0] - max(0, shift)
+        tall[low:high] += weight * wide[low + shift : high + shift]
+    return tall
+
+
+def _around(row: int, column: int, kind: str) -> tuple[np.ndarray, np.ndarray]:
+    rows, columns = _reach(kind)
+    return (
+        np.arange(max(0, row - rows), min(CELLS.height, row + rows + 1)),
+        np.arange(column - columns, column + columns + 1),
+    )
+
+
+def _blurred(p: np.ndarray) -> np.ndarray:
+    """`p` averaged over neighbours: which of equal windows has its belief in the middle."""
+    wide = p + np.roll(p, 1, axis=1) + np.roll(p, -1, axis=1)
+    padded = np.pad(wide, ((1, 1), (0, 0)))
+    return padded[:-2] + padded[1:-1] + padded[2:]
