@@ -22,7 +22,7 @@ from eagor.errors import DirectionError
 from eagor.sphere import azimuth_elevation, direction, wrap
 from eagor.tasks.osr.layout import named
 
-Source = Literal["depth", "contact", "support", "wall", "beyond", "guess"]
+Source = Literal["depth", "contact", "support", "wall", "height", "beyond", "guess"]
 SURE: tuple[Source, ...] = ("depth", "contact", "support", "wall")
 FARTHEST = 20.0  # metres: a foot hardly below the horizon tells nothing beyond
 SLACK = 0.25  # share by which what stands on a thing may seem to lie beyond that one's rims
@@ -42,12 +42,14 @@ HANGING = frozenset(
         "wall_light",
     )
 )
+MIDDLE = 0.45  # metres above the floor: the middle of what stands there, where its foot was not made out
+OUTSIDE = 1.15  # a foot that seems so many times as far away as the wall behind is none
 GUESS = 3.0  # metres, where nothing at all tells a range
 WIDEST = math.radians(60)  # half width of what is so near that its outline no longer tells its depth
 DEPTH, DEEPEST = 0.85, 0.4  # a thing's half depth: this share of its half width, and at most so many metres
 RECESS = {"window": 0.1}  # metres by which the middle of a thing lies behind the face of the wall
 # Standard deviation of a range: metres, by what it was taken from, and the share of the range for outlines.
-SPREAD = {"depth": 0.1, "contact": 0.0, "support": 0.15, "wall": 0.05, "beyond": 0.8, "guess": 1.5}
+SPREAD = {"depth": 0.1, "contact": 0.0, "support": 0.15, "wall": 0.05, "height": 0.6, "beyond": 0.8, "guess": 1.5}
 OUTLINE_SPREAD, OUTLINE_SHARE = 0.15, 0.05
 
 
@@ -163,10 +165,11 @@ def place(sightings: Sequence[Sighting], height: float, walls: FloorLine | None 
     """Every sighting on the floor, in the same order; `height` of the camera in metres.
 
     Ranges come from, in this order: a depth cue; the contact with the floor; the contact of what the thing stands on;
-    the wall that it hangs on. Where the walls are not known, it is put as far away as what stands on the floor reaches
-    in its direction ("beyond"), else at the middle range of the others ("guess").
+    the wall that it hangs on. Where the foot of a standing thing was not made out, its middle is taken to be at the
+    height `MIDDLE`. Where the walls are not known, what hangs there is put as far away as what stands on the floor
+    reaches in its direction ("beyond"), else at the middle range of the others ("guess").
     """
-    ranges = [_measured(each, height) for each in sightings]
+    ranges = [_measured(each, height, walls) for each in sightings]
     standing = [
         (each, found[0]) for each, found in zip(sightings, ranges, strict=True) if found and found[1] == "contact"
     ]
@@ -189,11 +192,19 @@ def place_on_circle(sightings: Sequence[Sighting]) -> list[Placed]:
     ]
 
 
-def _measured(each: Sighting, height: float) -> tuple[float, Source] | None:
+def _measured(each: Sighting, height: float, walls: FloorLine | None) -> tuple[float, Source] | None:
     if each.depth is not None and math.isfinite(each.depth) and each.depth > 0:
         return each.depth * math.cos(each.elevation), "depth"
-    away = contact_range(each, height) if each.contact else None
-    return None if away is None else (away, "contact")
+    if not each.contact:
+        return None
+    away = contact_range(each, height)
+    if away is None and each.foot is None and each.bottom is None and each.elevation < 0:
+        away = floor_range(each.elevation, height - MIDDLE)
+        return None if away is None else (away, "height")
+    if away is None:
+        return None
+    wall = walls.range_at(each.azimuth) if walls is not None and each.foot is None else None
+    return (away, "contact") if wall is None or away <= OUTSIDE * wall else (wall, "wall")
 
 
 def _inferred(
