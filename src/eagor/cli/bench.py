@@ -1,4 +1,7 @@
-"""``eagor bench``: run a simulated task with every method, and report it."""
+"""``eagor bench``: run a simulated task with every method, and report it.
+
+Benchmarks with published data go on from here to `eagor.cli.benchmarks`.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,23 @@ from eagor.cli import terminal
 from eagor.cli.options import Bench, BenchReport, BenchRun
 from eagor.errors import EagorError
 
+SIMULATED = ("waypoint", "navigation", "tracking")
+SEED = 2000
+PERCEPTION = "scout"
+# Options that only benchmarks with published data have.
+PUBLISHED_ONLY = ("data", "agent", "model", "scoring", "labels", "limit", "shard")
+
 
 def bench(options: Bench) -> int:
     """Run the command; returns its exit code."""
-    if isinstance(options.action, BenchRun):
-        return run(options.action)
-    return report(options.action)
+    action = options.action
+    if isinstance(action, BenchRun) and action.task in SIMULATED:
+        return run(action)
+    if isinstance(action, BenchReport) and not _is_benchmark(action.folders):
+        return report(action)
+    from eagor.cli import benchmarks
+
+    return benchmarks.bench(action)
 
 
 def run(options: BenchRun) -> int:
@@ -24,23 +38,29 @@ def run(options: BenchRun) -> int:
     from eagor.tasks.methods import NAMES
     from eagor.tasks.rules import Disturbances
 
+    if wrong := [name for name in PUBLISHED_ONLY if getattr(options, name) is not None]:
+        raise terminal.UsageError(f"{options.task} is a simulated task and takes no --{wrong[0]}")
+    if options.engine == "threads":
+        raise terminal.UsageError("--engine threads is for work that waits for servers; simulated tasks compute")
+    perception = options.perception or PERCEPTION
+    seed = SEED if options.seed is None else options.seed
     methods = bench.named(options.methods) or NAMES
     if options.ablations:
         methods += tuple(name for name in bench.variants(options.task) if name not in methods)
     disturbances = Disturbances.walking(options.latency) if options.walking else Disturbances(latency=options.latency)
     wanted = bench.Run(
         task=options.task,
-        perception=options.perception,
+        perception=perception,
         episodes=options.episodes,
-        seed=options.seed,
+        seed=seed,
         methods=methods,
         world=options.world,
         rows=options.rows,
         disturbances=disturbances,
         calibrated=read_calibrated(options.calibration) if options.calibration else None,
-        settings=_settings(options.set),
+        settings=pairs_of(options.set),
     )
-    out = options.out or Path("runs") / f"{options.task}-{options.perception.partition(':')[0]}-{options.seed}"
+    out = options.out or Path("runs") / f"{options.task}-{perception.partition(':')[0]}-{seed}"
     if options.workers < 1:
         raise terminal.UsageError(f"--workers {options.workers}; wanted 1 or more")
     units = wanted.units()
@@ -52,7 +72,7 @@ def run(options: BenchRun) -> int:
             if record["status"] == "failed":
                 terminal.warning(f"{record['key']} could not be run: {record['error']}")
 
-        outcome = bench.start(wanted, out, options.workers, options.retry_failed, done)
+        outcome = bench.start(wanted, out, options.workers, options.retry_failed, done, options.engine, options.address)
     summary = tables.summarise(ledger.read(out))
     if outcome.skipped:
         terminal.log(f"{outcome.skipped} of {len(units)} units were already in {out}")
@@ -71,10 +91,13 @@ def report(options: BenchReport) -> int:
     """``eagor bench report``."""
     from eagor.evaluation.report import write_report
 
+    folder = next(iter(options.folders))
+    if len(options.folders) > 1 or options.out:
+        raise terminal.UsageError("a run of a simulated task is reported alone, into its own folder")
     try:
-        page = write_report(options.run)
+        page = write_report(folder)
     except OSError as error:
-        raise terminal.RunError(f"the report cannot be written into {options.run} ({error})") from error
+        raise terminal.RunError(f"the report cannot be written into {folder} ({error})") from error
     if options.json:
         terminal.emit({"report": str(page)})
     else:
@@ -82,7 +105,16 @@ def report(options: BenchReport) -> int:
     return terminal.OK
 
 
-def _settings(pairs: tuple[str, ...]) -> dict[str, str]:
+def _is_benchmark(folders: tuple[Path, ...]) -> bool:
+    from eagor.evaluation.benchmarks import is_benchmark
+
+    if not folders:
+        raise terminal.UsageError("no run is named; wanted the folder of one")
+    return is_benchmark(folders[0])
+
+
+def pairs_of(pairs: tuple[str, ...]) -> dict[str, str]:
+    """What was set with --set. Raises `EagorError` for what is no RULE=VALUE."""
     found = {}
     for pair in pairs:
         key, equals, value = pair.partition("=")

@@ -96,19 +96,44 @@ class Demo(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class BenchRun(Common):
-    """Play a simulated task with every method, and keep a record of each episode; again, to go on after a stop."""
+    """Play a simulated task or a benchmark, and keep a record of each episode; again, to go on after a stop.
 
-    task: Annotated[Literal["waypoint", "navigation", "tracking"], Positional]
-    """Name the direction along a route; walk to the thing; follow a moving ball."""
-    perception: Name = "scout"
-    """Who looks: scout, a small network that sees the pictures; truth, a noisy detector made from what the simulator
-    knows (truth:ideal has no noise, truth:miss=0.5,spread=4 its own); or another."""
+    Simulated tasks are played by every method: waypoint (name the direction along a route), navigation (walk to the
+    thing), tracking (follow a moving ball). Benchmarks with published data want --data and are played by one agent:
+    hstar-hos, hstar-hps, osr; `eagor bench list` tells their agents and options.
+    """
+
+    task: Annotated[str, Positional, arg(metavar="TASK")]
+    """waypoint, navigation, tracking, or a benchmark: hstar-hos, hstar-hps, osr, ..."""
+    perception: Annotated[str | None, arg(metavar="NAME")] = None
+    """Who looks: scout (default of simulated tasks), a small network that sees the pictures; truth, a noisy detector
+    made from what the simulator or the annotations know (truth:ideal has no noise, truth:miss=0.5,spread=4 its own);
+    or another."""
+    data: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Of a benchmark: the folder with its published files."""
+    agent: Annotated[str | None, arg(metavar="NAME")] = None
+    """Of a benchmark: who plays (default: eagor)."""
+    model: Annotated[str | None, arg(metavar="MODEL@ADDRESS")] = None
+    """Of a benchmark: the model that the agent vlm talks with, on one or several servers (commas between addresses)."""
+    scoring: Annotated[Literal["official", "strict"] | None, arg(metavar="WAY")] = None
+    """Of H*Bench: official, or strict (the pitch counts also where a window crosses yaw 0)."""
+    labels: Annotated[Literal["official", "corrected", "both"] | None, arg(metavar="WHICH")] = None
+    """Of OSR-Bench: official labels, or with left and right corrected."""
+    limit: Annotated[int | None, arg(metavar="N")] = None
+    """Of a benchmark: only the first N cases."""
+    shard: Annotated[str | None, arg(metavar="I/N")] = None
+    """Of a benchmark: every N-th case from the I-th on, for several machines; they may share one --out."""
+    engine: Literal["processes", "threads", "ray"] = "processes"
+    """Who the --workers are: processes; threads, for perceptions and models on servers; ray, a cluster."""
+    address: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """Of the Ray cluster (default: RAY_ADDRESS, else this machine)."""
     methods: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
     """Which methods (default: all eight); variants as eagor:degree=7,decode=mean; in navigation also oracle."""
     episodes: Whole = 20
     """How many; five in each apartment."""
-    seed: Whole = 2000
-    """The first apartment. 0 to 1999 are for choosing parameters, 2000 to 9999 for results."""
+    seed: Annotated[int | None, arg(metavar="N")] = None
+    """The first apartment (default 2000). 0 to 1999 are for choosing parameters, 2000 to 9999 for results. Of a
+    benchmark: of the luck of truth and of random agents (default 0)."""
     out: Annotated[Path | None, arg(metavar="RUN")] = None
     """The folder of the run (default: runs/TASK-PERCEPTION-SEED). What it holds already is not played again."""
     workers: Whole = 1
@@ -121,7 +146,8 @@ class BenchRun(Common):
     latency: Whole = 0
     """Responses arrive so many steps late."""
     set: Annotated[tuple[str, ...], arg(metavar="RULE=VALUE ...")] = ()
-    """Other rules, such as success_distance=0.5 max_steps=200 stop=call sliding=false."""
+    """Other rules, such as success_distance=0.5 max_steps=200 stop=call sliding=false; of a benchmark: its other
+    options, such as sure=0.8."""
     world: Annotated[str, arg(metavar="WORLD")] = "apartment"
     """apartment, or a GLB file."""
     rows: Annotated[int | None, arg(metavar="N")] = None
@@ -134,19 +160,104 @@ class BenchRun(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class BenchReport(Common):
-    """Write report.html, tables.md and tables.csv of a run into its folder."""
+    """Write report.html, tables.md and tables.csv of a run into its folder; of a benchmark, also of several runs."""
+
+    folders: Annotated[tuple[Path, ...], Positional, arg(metavar="RUN ...", help_behavior_hint="(required)")]
+    """The folder of the run; for benchmarks with published data also several."""
+    out: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Of a benchmark: where the report goes (default: the first folder)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchList(Common):
+    """The simulated tasks and the benchmarks, with their agents and options."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchInfo(Common):
+    """What a folder with a benchmark's published files holds."""
+
+    data: Annotated[Path, Positional, arg(metavar="DATA")]
+    """The folder."""
+    task: Annotated[str | None, arg(metavar="NAME")] = None
+    """Read it as this benchmark (default: whichever it is)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchScore(Common):
+    """Score predictions that were made elsewhere, or a run once more by other rules; nothing is played."""
+
+    predictions: Annotated[Path, Positional, arg(metavar="PRED")]
+    """A JSON lines file, one object per case: its id ("case"; or "doc_id", its number), and the answer ("submit": [yaw,
+    pitch], "text": the model's words, ...; lmms-eval's samples as they are). Or the folder of a run."""
+    task: Annotated[str | None, arg(metavar="NAME")] = None
+    """The benchmark (default: the run's)."""
+    data: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Its published files (default: the run's)."""
+    scoring: Annotated[Literal["official", "strict"] | None, arg(metavar="WAY")] = None
+    """Of H*Bench: official or strict."""
+    labels: Annotated[Literal["official", "corrected", "both"] | None, arg(metavar="WHICH")] = None
+    """Of OSR-Bench: official labels, or corrected."""
+    set: Annotated[tuple[str, ...], arg(metavar="OPTION=VALUE ...")] = ()
+    """Its other options."""
+    out: Annotated[Path | None, arg(metavar="RUN")] = None
+    """Keep the records as a run, for report, compare and failures."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchCompare(Common):
+    """Is one run of a benchmark better than another on the cases that both have?"""
+
+    a: Annotated[Path, Positional, arg(metavar="A")]
+    """The folder of a run."""
+    b: Annotated[Path, Positional, arg(metavar="B")]
+    """The folder of another."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchFailures(Common):
+    """Why the cases of a benchmark's run failed: what they ask for, crossed with what went wrong."""
 
     run: Annotated[Path, Positional, arg(metavar="RUN")]
     """The folder of the run."""
+    limit: Whole = 20
+    """List so many of the failed cases."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchExport(Common):
+    """Write a run, or a benchmark's cases, for other software."""
+
+    run: Annotated[Path | None, Positional, arg(metavar="RUN")] = None
+    """The folder of a run; what needs only the data does without."""
+    to: Annotated[str, arg(metavar="FORMAT")] = "jsonl"
+    """jsonl (samples with lmms-eval's keys), or what the benchmark offers: lmms-eval, hstar-txt, ..."""
+    task: Annotated[str | None, arg(metavar="NAME")] = None
+    """The benchmark (default: the run's)."""
+    data: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Its published files (default: the run's)."""
+    set: Annotated[tuple[str, ...], arg(metavar="OPTION=VALUE ...")] = ()
+    """The benchmark's options, where no run is named."""
+    out: Annotated[Path | None, arg(metavar="DIR")] = None
+    """The folder to write into (default: that of the run)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """Measured comparisons in simulated apartments: run, report."""
+    """Measured comparisons, in simulated apartments and on published benchmarks."""
 
     runs: ClassVar[str] = "eagor.cli.bench:bench"
 
-    action: Annotated[BenchRun, subcommand("run")] | Annotated[BenchReport, subcommand("report")]
+    action: (
+        Annotated[BenchRun, subcommand("run")]
+        | Annotated[BenchReport, subcommand("report")]
+        | Annotated[BenchList, subcommand("list")]
+        | Annotated[BenchInfo, subcommand("info")]
+        | Annotated[BenchScore, subcommand("score")]
+        | Annotated[BenchCompare, subcommand("compare")]
+        | Annotated[BenchFailures, subcommand("failures")]
+        | Annotated[BenchExport, subcommand("export")]
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from typing import Any
 from eagor._version import __version__
 from eagor.errors import EagorError
 from eagor.evaluation import ledger
-from eagor.evaluation.workers import Outcome, Unit, run_units
+from eagor.evaluation.workers import Engine, Outcome, Unit, run_units
 from eagor.perception.calibrated import Calibrated
 from eagor.tasks.episodes import slots
 from eagor.tasks.eyes import rows_of
@@ -101,6 +101,8 @@ def start(
     workers: int = 1,
     retry_failed: bool = False,
     on_done: Callable[[dict[str, Any]], object] | None = None,
+    engine: Engine = "processes",
+    address: str | None = None,
 ) -> Outcome:
     """Play what `folder` has no record of yet, and record it.
 
@@ -110,7 +112,7 @@ def start(
     config = run.config()  # makes the perception: one that cannot be made is no failure of an episode
     units = run.units()
     ledger.begin(folder, config)
-    return run_units(units, WORK, config, folder, workers, on_done=on_done, retry_failed=retry_failed)
+    return run_units(units, WORK, config, folder, workers, 2, on_done, retry_failed, engine=engine, address=address)
 
 
 def variants(task: str) -> tuple[str, ...]:

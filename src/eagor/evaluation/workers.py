@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from eagor.errors import EagorError
 from eagor.evaluation.units import Book, Told, Unit, WorkError, attempt_unit, load
 
-__all__ = ["Outcome", "Unit", "WorkError", "run_units"]
+__all__ = ["Engine", "Outcome", "Unit", "WorkError", "run_units"]
+
+Engine = Literal["processes", "threads", "ray"]
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,8 @@ def run_units(
     attempts: int = 2,
     on_done: Told | None = None,
     retry_failed: bool = False,
+    engine: Engine = "processes",
+    address: str | None = None,
 ) -> Outcome:
     """Do all of `units` that `folder` has no result of, and record each as soon as it ends.
 
@@ -51,6 +55,9 @@ def run_units(
         on_done: called, in this process, with the record of each unit that is finished (done, or failed for good), but
             without its "methods" and "truth".
         retry_failed: give units that failed for good as many attempts again.
+        engine: who the workers are: ``processes`` of this machine; ``threads`` of this process, for work that waits
+            for servers; ``ray``, actors on the cluster at `address` (see `eagor.evaluation.ray_engine`).
+        address: of the Ray cluster.
 
     Raises:
         EagorError: two units have the same key, or a number is below 1.
@@ -63,8 +70,16 @@ def run_units(
     book = Book(units, Path(folder), config.get("task"), attempts, retry_failed, on_done)
     if book.left:
         with book.ledger:
-            if workers == 1:
+            if engine == "ray":
+                from eagor.evaluation.ray_engine import work_on_ray
+
+                work_on_ray(book, work, config, workers, address)
+            elif workers == 1:
                 _alone(book, work, config)
+            elif engine == "threads":
+                from eagor.evaluation.fanout import work_in_threads
+
+                work_in_threads(book, work, config, workers)
             else:
                 from eagor.evaluation.crew import work_together
 

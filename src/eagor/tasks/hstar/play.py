@@ -118,6 +118,7 @@ def play(
     stated = steps[-1]["would"]["p"] if answer is not None and steps[-1]["would"] else None
     return {
         **identity(episode, siblings),
+        "scoring": scoring,
         "score": float(scores[scoring]),
         "scores": {way: float(good) for way, good in scores.items()},
         "cause": None if scores[scoring] else cause_of(item, steps, submitted, siblings, scoring),

@@ -1,0 +1,354 @@
+"""``eagor bench`` on benchmarks with published data: list, info, run, score, report, compare, failures, export."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from eagor.cli import terminal
+from eagor.cli.bench import SIMULATED, pairs_of
+from eagor.cli.options import (
+    BenchCompare,
+    BenchExport,
+    BenchFailures,
+    BenchInfo,
+    BenchList,
+    BenchReport,
+    BenchRun,
+    BenchScore,
+)
+from eagor.errors import EagorError, FormatError
+
+FLAGS = ("scoring", "labels")  # options of benchmarks that have a flag of their own
+
+
+def bench(action: Any) -> int:
+    """Run the command; returns its exit code."""
+    return _COMMANDS[type(action)](action)
+
+
+def listed(options: BenchList) -> int:
+    """``eagor bench list``."""
+    from eagor.tasks import benchmark
+
+    found: dict[str, Any] = {name: {"kind": "simulated"} for name in SIMULATED}
+    for name in benchmark.known():
+        try:
+            known = benchmark.load(name)
+        except EagorError as error:
+            found[name] = {"kind": "published data", "unavailable": str(error)}
+            continue
+        found[name] = {
+            "kind": "published data",
+            "title": known.title,
+            "agents": dict(known.agents),
+            "options": {
+                key: {"default": o.default, "what": o.what, "choices": _short(o.choices)}
+                for key, o in known.options.items()
+            },
+            "exports": {"jsonl": "samples as JSON lines with lmms-eval's keys", **known.exports},
+        }
+    if options.json:
+        terminal.emit(found)
+        return terminal.OK
+    print(f"Simulated, no data needed: {', '.join(SIMULATED)} (eagor bench run TASK)\n")
+    for name, entry in found.items():
+        if entry["kind"] == "simulated":
+            continue
+        if "unavailable" in entry:
+            print(f"{name}: not available ({entry['unavailable']})\n")
+            continue
+        print(f"{name}  {entry['title']} (eagor bench run {name} --data DIR)")
+        print("  agents")
+        _columns(entry["agents"])
+        print("  options (--scoring, --labels, others with --set OPTION=VALUE)")
+        _columns({key: f"{value['what']} (default {value['default']})" for key, value in entry["options"].items()})
+        print("  exports")
+        _columns(entry["exports"])
+        print()
+    return terminal.OK
+
+
+def info(options: BenchInfo) -> int:
+    """``eagor bench info``."""
+    from eagor.tasks import benchmark
+
+    found: dict[str, dict[str, Any]] = {}
+    refused = []
+    for name in [options.task] if options.task else sorted(benchmark.known()):
+        try:
+            told = benchmark.load(name).info(options.data)
+        except EagorError as error:
+            refused.append(f"as {name}: {error}")
+            continue
+        if told not in found.values():
+            found[name] = told
+    if not found:
+        raise FormatError(f"{options.data} is no benchmark's data that is known here; " + "; ".join(refused))
+    if options.json:
+        terminal.emit(found)
+        return terminal.OK
+    for told in found.values():
+        _columns({key: _words(value) for key, value in told.items()}, 0)
+    return terminal.OK
+
+
+def run(options: BenchRun) -> int:
+    """``eagor bench run`` of a benchmark."""
+    from eagor.evaluation import benchmarks, ledger, scores
+    from eagor.tasks import benchmark
+
+    if options.task not in benchmark.known():
+        known = ", ".join((*SIMULATED, *sorted(benchmark.known())))
+        raise terminal.UsageError(f"there is no task {options.task!r}; known are {known}")
+    if options.data is None:
+        raise terminal.UsageError(f"{options.task} needs its published files; name their folder with --data")
+    if options.workers < 1:
+        raise terminal.UsageError(f"--workers {options.workers}; wanted 1 or more")
+    calibrated = None
+    if options.calibration:
+        from eagor.perception.calibrated import read_calibrated
+
+        calibrated = read_calibrated(options.calibration).as_json()
+    wanted = benchmarks.BenchmarkRun(
+        task=options.task,
+        data=options.data,
+        agent=options.agent,
+        perception=options.perception,
+        model=options.model,
+        seed=options.seed or 0,
+        options=_options(options),
+        calibrated=calibrated,
+        limit=options.limit,
+        shard=_shard(options.shard),
+    )
+    settings = wanted.settings()
+    who = (settings.get("perception") or settings.get("model") or "").partition(":")[0].strip("/").rpartition("/")[2]
+    parts = [options.task, settings["agent"], who.partition("@")[0], str(wanted.seed)]
+    out = options.out or Path("runs") / "-".join(part for part in parts if part)
+    cases = wanted.cases(settings)
+    terminal.log(f"{len(cases)} cases for the agent {settings['agent']}; records go to {out}")
+    with terminal.progress(options.task, len(cases)) as advance:
+
+        def done(record: dict[str, Any]) -> None:
+            advance()
+            if record["status"] == "failed":
+                terminal.warning(f"{record['key']} could not be run: {record['error']}")
+
+        outcome, asked = benchmarks.start(
+            wanted, out, options.workers, options.retry_failed, done, options.engine, options.address
+        )
+    if outcome.skipped:
+        terminal.log(f"{outcome.skipped} of {asked} cases were already in {out}")
+    summary = scores.summarise(settings, ledger.read(out))
+    return _said(summary, out, options.json)
+
+
+def score(options: BenchScore) -> int:
+    """``eagor bench score``."""
+    from eagor.evaluation import predictions, scores
+
+    settings, cases, given = predictions.read(options.predictions, options.task, options.data, _options(options))
+    records, missing = predictions.judged(settings, cases, given)
+    if not records:
+        raise EagorError(f"{options.predictions} has no prediction for any of the {len(cases)} cases")
+    if options.out:
+        predictions.keep(settings, records, options.out)
+    summary = scores.summarise(settings, records) | {"missing": missing}
+    if missing:
+        terminal.warning(f"{missing} of {len(cases)} cases have no prediction; the figures are about the others")
+    code = _said(summary, options.out, options.json)
+    return terminal.INCOMPLETE if missing and code == terminal.OK else code
+
+
+def report(options: BenchReport) -> int:
+    """``eagor bench report`` of benchmarks' runs."""
+    from eagor.evaluation.benchmark_report import write_report
+
+    try:
+        page = write_report(options.folders, options.out)
+    except OSError as error:
+        raise terminal.RunError(f"the report cannot be written ({error})") from error
+    if options.json:
+        terminal.emit({"report": str(page)})
+    else:
+        print(f"The report: {page}")
+    return terminal.OK
+
+
+def compare(options: BenchCompare) -> int:
+    """``eagor bench compare``."""
+    from eagor.evaluation import benchmarks, scores
+
+    found = scores.compare(benchmarks.read_run(options.a), benchmarks.read_run(options.b))
+    if options.json:
+        terminal.emit(found)
+        return terminal.OK
+    print(
+        f"{found['task']}: {found['cases']} cases that both have "
+        f"(a only: {found['only_in_a']}, b only: {found['only_in_b']})"
+    )
+    for key, (a, b) in found["settings"].items():
+        print(f"  {key}: a {_words(a)}, b {_words(b)}")
+    rows = [["", "a, %", "b, %", "a - b", "95 % interval", "p", "only a", "only b", "McNemar p"]]
+    for figure in found["figures"].values():
+        test = figure.get("mcnemar", {})
+        span = f"{figure['low']:+.1f} to {figure['high']:+.1f}" if "low" in figure else "-"
+        rows.append(
+            [
+                f"{figure['title']} ({figure['n']})",
+                f"{figure['a']:.1f}",
+                f"{figure['b']:.1f}",
+                f"{figure['difference']:+.1f}",
+                span,
+                f"{figure['p']:.2g}" if "p" in figure else "-",
+                str(test.get("only_a", "-")),
+                str(test.get("only_b", "-")),
+                f"{test['p']:.2g}" if test else "-",
+            ]
+        )
+    _table(rows)
+    print("p: sign flips of whole clusters; McNemar takes cases as independent.")
+    return terminal.OK
+
+
+def failures(options: BenchFailures) -> int:
+    """``eagor bench failures``."""
+    from eagor.evaluation import benchmark_sheets, benchmarks, scores
+    from eagor.evaluation.benchmark_report import failure_sheets
+
+    settings, records = benchmarks.read_run(options.run)
+    summary = scores.summarise(settings, records)
+    lines = benchmark_sheets.failed_lines(records)
+    if options.json:
+        keys = ("task", "agent", "episodes", "failed", "tags", "causes", "failures")
+        listed = [
+            {key: record.get(key) for key in ("case", "cause", "tags", "answer", "error")}
+            for record in records
+            if record.get("cause")
+        ]
+        terminal.emit({key: summary[key] for key in keys} | {"cases": listed[: options.limit]})
+        return terminal.OK
+    for sheet in failure_sheets(settings, summary):
+        print(sheet.title)
+        _table([list(sheet.heads), *([row.head, *(box.text for box in row.boxes)] for row in sheet.rows)])
+        print()
+    if not lines:
+        print("No case failed." if summary["episodes"] else "No case has a result.")
+    for line in lines[: options.limit]:
+        print(line)
+    if len(lines) > options.limit:
+        print(f"... and {len(lines) - options.limit} more (--limit)")
+    for failure in summary["failures"]:
+        print(f"could not be run: {failure['key']} (attempt {failure['attempt']}): {failure['error']}")
+    return terminal.OK
+
+
+def export(options: BenchExport) -> int:
+    """``eagor bench export``."""
+    from eagor.evaluation import predictions
+    from eagor.tasks import benchmark
+
+    if options.run is not None:
+        from eagor.evaluation import benchmarks
+
+        settings, records = benchmarks.read_run(options.run)
+        settings |= {"data": str(options.data)} if options.data else {}
+    else:
+        if not (options.task and options.data):
+            raise terminal.UsageError("name a run, or --task and --data")
+        settings, records = predictions.bare_settings(options.task, options.data, pairs_of(options.set)), []
+    out = options.out or options.run
+    if out is None:
+        raise terminal.UsageError("without a run, name the folder to write into with --out")
+    known = benchmark.load(str(settings["task"]))
+    if options.to == "jsonl" and "jsonl" not in known.exports:
+        files = [predictions.samples(settings, records, out)]
+    elif options.to in known.exports:
+        files = known.export(options.to, records, settings, out)
+    else:
+        offers = ", ".join(("jsonl", *known.exports))
+        raise terminal.UsageError(f"{settings['task']} cannot be exported to {options.to!r}; it offers {offers}")
+    if options.json:
+        terminal.emit({"files": [str(file) for file in files]})
+    else:
+        print("\n".join(str(file) for file in files))
+    return terminal.OK
+
+
+_COMMANDS: dict[type, Any] = {
+    BenchList: listed,
+    BenchInfo: info,
+    BenchRun: run,
+    BenchScore: score,
+    BenchReport: report,
+    BenchCompare: compare,
+    BenchFailures: failures,
+    BenchExport: export,
+}
+
+
+def _options(options: BenchRun | BenchScore) -> dict[str, Any]:
+    flags = {name: getattr(options, name) for name in FLAGS if getattr(options, name) is not None}
+    given = pairs_of(options.set)
+    if twice := sorted(flags.keys() & given.keys()):
+        raise terminal.UsageError(f"{twice[0]} is given twice, as --{twice[0]} and with --set")
+    return flags | given
+
+
+def _shard(text: str | None) -> tuple[int, int]:
+    if text is None:
+        return 1, 1
+    part, slash, parts = text.partition("/")
+    if not (slash and part.isdecimal() and parts.isdecimal()):
+        raise terminal.UsageError(f"--shard {text}; wanted I/N, such as 1/4")
+    return int(part), int(parts)
+
+
+def _said(summary: dict[str, Any], out: Path | None, as_json: bool) -> int:
+    from eagor.evaluation import benchmark_sheets
+
+    if as_json:
+        terminal.emit(summary | ({"out": str(out)} if out else {}))
+    else:
+        sheet = benchmark_sheets.main_sheet([summary], published=False)
+        boxes = [
+            [row.head, *(f"{box.text} ({box.small})" if box.small else box.text for box in row.boxes)]
+            for row in sheet.rows
+        ]
+        print(f"{sheet.title}: {summary['episodes']} cases in {summary['clusters']} clusters")
+        _table([list(sheet.heads), *boxes])
+        print("In brackets: 95 %, Wilson's | cluster bootstrap.")
+        if summary["failed"]:
+            print(f"{summary['failed']} could not be run; they are in no figure.")
+        if out:
+            print(f"\nFor pictures, turns and failures: eagor bench report {out}")
+    if not summary["episodes"]:
+        terminal.error("no case could be run" + (f"; {out} says why" if out else ""))
+        return terminal.FAILED
+    return terminal.INCOMPLETE if summary["failed"] else terminal.OK
+
+
+def _table(rows: list[list[str]]) -> None:
+    wide = [max(len(row[k]) for row in rows if k < len(row)) for k in range(len(rows[0]))]
+    for row in rows:
+        cells = (text.ljust(wide[k]) if k == 0 else text.rjust(wide[k]) for k, text in enumerate(row))
+        print("  ".join(cells).rstrip())
+
+
+def _columns(pairs: dict[str, Any], indent: int = 4) -> None:
+    wide = max((len(name) for name in pairs), default=0)
+    for name, what in pairs.items():
+        print(f"{' ' * indent}{name.ljust(wide)}  {what}")
+
+
+def _short(choices: tuple[Any, ...]) -> Any:
+    """Ranges of numbers as their ends: nobody reads fifty of them."""
+    if len(choices) > 8 and all(isinstance(choice, int) for choice in choices):
+        return f"{min(choices)} to {max(choices)}"
+    return list(choices)
+
+
+def _words(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

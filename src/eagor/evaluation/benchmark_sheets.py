@@ -1,0 +1,198 @@
+"""The tables of a benchmark's report, the same for the page, for Markdown and for the terminal."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from eagor.evaluation.published_search import FAILURE_TAGS, PUBLISHED
+from eagor.evaluation.samples import Record, finished
+from eagor.evaluation.sheets import Box, Row, Sheet
+from eagor.tasks.benchmark import load
+
+Summary = Mapping[str, Any]
+OURS = "eagor"
+
+
+def label_of(summary: Summary) -> str:
+    """What a run is called in tables: its agent, and who looked or talked."""
+    who = summary.get("perception") or summary.get("model")
+    return f"{summary['agent']} · {who}" if who else str(summary["agent"])
+
+
+def labels_of(summaries: Sequence[Summary]) -> list[str]:
+    """Labels of several runs, told apart by a number where they would be the same."""
+    found = [label_of(summary) for summary in summaries]
+    return [
+        f"{label} ({found[: index + 1].count(label)})" if found.count(label) > 1 else label
+        for index, label in enumerate(found)
+    ]
+
+
+def main_sheet(summaries: Sequence[Summary], published: bool = True) -> Sheet:
+    """The paper's Table 1: a row per run, then what was published."""
+    task = str(summaries[0]["task"])
+    figures = [f for f in load(task).figures if any(s.get(f.key) is not None for s in summaries)]
+    columns = [figure.key for figure in figures]
+    rows = []
+    for label, summary in zip(labels_of(summaries), summaries, strict=True):
+        boxes = [_figure(summary, key) for key in columns]
+        if any("views" in s for s in summaries):
+            boxes.append(Box("–" if summary.get("views") is None else f"{summary['views']:.1f}"))
+        rows.append(Row(label, tuple(boxes), "ours" if summary["agent"] == OURS else ""))
+    wide = len(rows[0].boxes) if rows else 0
+    if published:
+        for name, values in PUBLISHED.get(task, {}).items():
+            boxes = [Box(f"{values[key]:.2f}".rstrip("0").rstrip(".") if key in values else "–") for key in columns]
+            rows.append(Row(f"{name}, published", (*boxes, *[Box("–")] * (wide - len(boxes))), "paper"))
+    heads = ["agent", *(f"{figure.title} ↑, %" for figure in figures)]
+    heads += ["views"] if wide > len(columns) else []
+    counts = "; ".join(
+        f"{label}: {summary['episodes']} cases in {summary['clusters']} clusters"
+        + (f", {summary['failed']} could not be run" if summary["failed"] else "")
+        for label, summary in zip(labels_of(summaries), summaries, strict=True)
+    )
+    notes = [
+        "Small print: 95 % intervals; Wilson's | cluster bootstrap, which knows that the cases of one target or scene "
+        "are not independent. " + counts + ".",
+        *(f"{figure.title}: {figure.what}." for figure in figures),
+    ]
+    if published and PUBLISHED.get(task):
+        notes.append(
+            "Published rows were measured with the models named, on the whole published data: they compare with ours "
+            "only where model, data and scoring are the same."
+        )
+    return Sheet(load(task).title, tuple(heads), tuple(rows), tuple(notes))
+
+
+def turn_sheet(summaries: Sequence[Summary]) -> Sheet | None:
+    """Success if the episode had ended at each turn."""
+    with_turns = [(label, s) for label, s in zip(labels_of(summaries), summaries, strict=True) if s.get("by_turn")]
+    if not with_turns:
+        return None
+    longest = max(len(summary["by_turn"]["success"]) for _, summary in with_turns)
+    rows = []
+    for label, summary in with_turns:
+        curve = summary["by_turn"]
+        ends = zip(curve["success"], curve["low"], curve["high"], strict=True)
+        boxes = [Box(f"{v:.1f}", "" if low is None else f"{low:.0f} to {high:.0f}") for v, low, high in ends]
+        rows.append(
+            Row(label, (*boxes, *[Box("–")] * (longest - len(boxes))), "ours" if summary["agent"] == OURS else "")
+        )
+    notes = (
+        "Per cent of the episodes whose answer would have succeeded, had it been given at this turn; after a "
+        "submission its outcome stands. Small print: 95 % cluster bootstrap.",
+    )
+    return Sheet("Success by turn", ("agent", *(str(k + 1) for k in range(longest))), tuple(rows), notes)
+
+
+def views_sheet(summaries: Sequence[Summary]) -> Sheet | None:
+    """How many views it took, and whether those that were sure were right."""
+    rows = []
+    for label, summary in zip(labels_of(summaries), summaries, strict=True):
+        if summary.get("views") is None:
+            continue
+        sure = summary.get("sure") or {}
+        right = sure.get("right")
+        rows.append(
+            Row(
+                label,
+                (
+                    Box(f"{summary['views']:.2f}"),
+                    Box("–" if summary["views_to_success"] is None else f"{summary['views_to_success']:.2f}"),
+                    Box(str(sure.get("episodes", "–"))),
+                    Box("–" if right is None else f"{right:.1f}", "" if right is None else _to(sure["wilson"])),
+                    Box(
+                        "–" if summary.get("calibration_error") is None else f"{100 * summary['calibration_error']:.1f}"
+                    ),
+                ),
+                "ours" if summary["agent"] == OURS else "",
+            )
+        )
+    if not rows:
+        return None
+    heads = (
+        "agent",
+        "views ↓",
+        "views of successes ↓",
+        "submitted because sure",
+        "of those right ↑, %",
+        "calibration error ↓, %",
+    )
+    notes = ("Calibration error: mean gap between the stated probability of success and the share that succeeded.",)
+    return Sheet("Views, and stopping", heads, tuple(rows), notes)
+
+
+def tag_sheet(summary: Summary) -> Sheet | None:
+    """The first layer of the failure table: what was known before the run."""
+    if not summary["tags"]:
+        return None
+    published = FAILURE_TAGS.get(str(summary["task"]), {})
+    rows = []
+    for tag, found in summary["tags"].items():
+        boxes = (
+            Box(str(found["episodes"])),
+            Box(f"{found['share']:.1f}"),
+            Box(f"{found['success']:.1f}", _to(found["wilson"])),
+        )
+        rows.append(Row(tag, boxes))
+        if tag in published:
+            share, success = published[tag]
+            rows.append(Row("published", (Box("–"), Box(f"{share:g}"), Box(f"{success:g}")), "paper"))
+    notes = (
+        "Exclusive tags that are given before anything runs, from the words and the boxes; the rules are ours, since "
+        "the paper names its kinds and not how they were found.",
+    )
+    return Sheet("By what is asked for", ("tag", "cases", "share, %", "success ↑, %"), tuple(rows), notes)
+
+
+def cause_sheet(summary: Summary, meanings: Mapping[str, str]) -> Sheet | None:
+    """The second layer: why cases failed, crossed with the first."""
+    causes = summary["causes"]
+    if not causes:
+        return None
+    tags = list(summary["tags"])
+    rows = []
+    for cause, count in causes.items():
+        boxes = [Box(str(count)), Box(f"{100 * count / summary['episodes']:.1f}")]
+        boxes += [Box(str(summary["tags"][tag]["causes"].get(cause, 0))) for tag in tags]
+        rows.append(Row(cause.replace("_", " "), tuple(boxes)))
+    notes = tuple(f"{cause.replace('_', ' ')}: {meanings[cause]}." for cause in causes if cause in meanings)
+    return Sheet("Why cases failed", ("cause", "cases", "of all, %", *tags), tuple(rows), notes)
+
+
+def failed_lines(records: Sequence[Record], limit: int | None = None) -> list[str]:
+    """One line for each case that failed."""
+    found = []
+    for record in finished(records):
+        if record.get("cause"):
+            said = record.get("words") or record.get("question") or ""
+            answer = record.get("answer")
+            given = (
+                ", ".join(f"{key} {value}" for key, value in answer.items())
+                if isinstance(answer, Mapping)
+                else str(answer)
+            )
+            tags = ", ".join(record.get("tags", ()))
+            off = f", {record['error']:.0f}° off" if record.get("error") is not None else ""
+            found.append(f"{record['case']}  {record['cause']}  [{tags}]  {said!r}: {given or 'no answer'}{off}")
+    return found[:limit]
+
+
+def counts_of(records: Sequence[Record], key: str) -> Counter:
+    """How often each value of a record's field comes."""
+    return Counter(str(record.get(key)) for record in finished(records))
+
+
+def _figure(summary: Summary, key: str) -> Box:
+    value = summary.get(key)
+    if value is None:
+        return Box("–")
+    ends = summary["intervals"][key]
+    small = " | ".join(_to(ends[kind]) for kind in ("wilson", "cluster") if ends[kind])
+    return Box(f"{value:.2f}", small)
+
+
+def _to(ends: Sequence[float] | None) -> str:
+    return f"{ends[0]:.1f} to {ends[1]:.1f}" if ends else ""

@@ -1,0 +1,125 @@
+"""Units on a Ray cluster: many machines, each worker an actor, each result kept by the process that started the run.
+
+Workers may be anywhere and share no disk, so they send their records back; the one ledger is written here, and a unit
+counts as done once its record is on this disk. An actor, or a whole machine, that dies takes its unit's attempt with
+it; the unit is tried again elsewhere. Ray's own authentication is left as the cluster has it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from eagor.errors import EagorError
+from eagor.evaluation.units import Book, Unit, WorkError, attempt_unit, failure, head_of, load
+
+STARTS = 3  # so many actors in a row that die before they are ready mean that none ever will be
+
+
+def work_on_ray(book: Book, work: str, config: dict[str, Any], count: int, address: str | None = None) -> None:
+    """All units of `book` on at most `count` actors of the cluster at `address`.
+
+    Args:
+        book: what is left to do.
+        work: ``"package.module:function"``; has to be importable on every machine, as eagor itself.
+        config: settings for `work`; files that it names must be there under the same path.
+        count: actors, one processor each.
+        address: of the cluster, such as ``auto`` or ``ray://head:10001``; None: RAY_ADDRESS, else this machine alone.
+
+    Raises as `eagor.evaluation.workers.run_units` does, and `EagorError` without ray, or where no cluster answers.
+    """
+    try:
+        ray: Any = importlib.import_module("ray")  # optional: the name is found at run time
+    except ImportError as error:
+        raise EagorError(
+            "--engine ray needs ray: pip install 'eagor[ray]' (the same version on all machines)"
+        ) from error
+    ours = not ray.is_initialized()
+    if ours:
+        try:
+            ray.init(address=address, log_to_driver=False, configure_logging=False)
+        except (ConnectionError, ValueError, RuntimeError) as error:
+            raise EagorError(
+                f"no Ray cluster at {address or 'RAY_ADDRESS'} ({error}); start one with `ray start`"
+            ) from error
+    try:
+        _work(ray, book, work, config, count)
+    finally:
+        if ours:
+            ray.shutdown()
+
+
+def _work(ray: Any, book: Book, work: str, config: dict[str, Any], count: int) -> None:
+    actor = ray.remote(num_cpus=1, max_restarts=0)(Worker)
+    crew: list[Any] = []  # actors that wait for a unit
+    starting: dict[Any, Any] = {}  # the promise that an actor is ready -> the actor
+    busy: dict[Any, tuple[Any, Unit, int, float]] = {}  # the promise of a record -> who does what since when
+    stillborn = 0
+    while book.left or busy:
+        while len(crew) + len(starting) + len(busy) < min(count, book.left + len(busy)):
+            new = actor.remote(work, config, book.task)
+            starting[new.ready.remote()] = new
+        while crew and (found := book.next(None, set())) is not None:
+            unit, attempt = found
+            worker = crew.pop()
+            busy[worker.do.remote(unit, attempt)] = (worker, unit, attempt, time.perf_counter())
+        done, _ = ray.wait([*starting, *busy], num_returns=1)
+        for promise in done:
+            if promise in starting:
+                worker = starting.pop(promise)
+                try:
+                    said = ray.get(promise)
+                except ray.exceptions.RayError as error:
+                    stillborn += 1
+                    if stillborn >= STARTS:
+                        raise WorkError(f"{STARTS} actors in a row died before they were ready: {error}") from error
+                    continue
+                if said is not None:
+                    raise WorkError(f"{work} cannot be set up on a worker: {said}")
+                stillborn = 0
+                crew.append(worker)
+                continue
+            worker, unit, attempt, began = busy.pop(promise)
+            try:
+                record = ray.get(promise)
+                crew.append(worker)
+            except ray.exceptions.RayError as error:
+                text = f"the worker died in this unit ({type(error).__name__})"
+                record = failure(unit, attempt, book.task, text, time.perf_counter() - began)
+            book.ledger.append(record)
+            book.ended(unit, head_of(record))
+
+
+class Worker:
+    """What lives on the cluster: the work, set up once."""
+
+    def __init__(self, work: str, config: dict[str, Any], task: str | None) -> None:
+        self._task, self._fault = task, None
+        try:
+            self._do: Any = load(work, config)
+        except Exception as error:
+            self._fault = f"{type(error).__name__}: {error}"
+
+    def ready(self) -> str | None:
+        """None, or what is wrong."""
+        return self._fault
+
+    def do(self, unit: Unit, attempt: int) -> dict[str, Any]:
+        """The record of one attempt."""
+        kept = _Kept()
+        attempt_unit(self._do, unit, attempt, self._task, kept)  # type: ignore[arg-type]
+        return kept.record
+
+
+class _Kept:
+    """Takes the one record of an attempt, and checks that it can be written."""
+
+    record: dict[str, Any]
+
+    def append(self, record: Mapping[str, Any]) -> None:
+        from eagor.evaluation.lines import as_line
+
+        as_line(record)
+        self.record = dict(record)
