@@ -87,10 +87,16 @@ def main() -> int:
             print(f"\r{len(entries)} scenes", end="", file=sys.stderr)
     entries.sort(key=lambda entry: entry["scene"])
     print(f"{len(entries)} scenes in {len({entry['seed'] for entry in entries})} apartments, from seed {options.seed}")
-    report(entries, [entry["seed"] for entry in entries])
+    groups = [str(entry["seed"]) for entry in entries]
+    report(entries, groups)
     for name, room, layout in samples(options.samples) if options.samples else ():
         print(f"\nsample {name}")
-        report([counted(name, room, layout)], None)
+        entry = counted(name, room, layout)
+        report([entry], None)
+        entries, groups = [*entries, entry], [*groups, name]
+    if options.samples:
+        print("\nall together")
+        report(entries, groups)
     return 0
 
 
@@ -147,7 +153,7 @@ def _nobody(*_: Any) -> Seen:
     raise AssertionError("what was seen is given")
 
 
-def report(entries: list[dict[str, Any]], groups: list[int] | None) -> None:
+def report(entries: list[dict[str, Any]], groups: list[str] | None) -> None:
     """The table of all rows."""
     total: Counter[str] = sum((Counter(entry["all"]) for entry in entries), Counter())
     words = ", ".join(f"{total[kind]} {kind}" for kind in ("clear", "wall", "tied", "border", "empty"))
@@ -160,12 +166,12 @@ def report(entries: list[dict[str, Any]], groups: list[int] | None) -> None:
         print(f"{row:18s}{clear:>22s}" + "".join(f"{share.get(kind, '-'):>10s}" for kind in ("wall", "tied", "border")))
 
 
-def interval(entries: list[dict[str, Any]], row: str, groups: list[int] | None) -> tuple[float, float]:
+def interval(entries: list[dict[str, Any]], row: str, groups: list[str] | None) -> tuple[float, float]:
     """95 % of the share of clear triples that are right: apartments are drawn again, whole."""
     if groups is None:
         found = wilson_interval(entries[0]["right"][row].get("clear", 0), entries[0]["all"].get("clear", 0))
         return found.low, found.high
-    sums: dict[int, np.ndarray] = defaultdict(lambda: np.zeros(2))
+    sums: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(2))
     for entry, group in zip(entries, groups, strict=True):
         sums[group] += entry["right"][row].get("clear", 0), entry["all"].get("clear", 0)
     table, rng = np.array(list(sums.values())), np.random.default_rng(0)

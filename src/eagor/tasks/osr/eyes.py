@@ -70,8 +70,8 @@ class TruthLooker:
 class BeliefLooker:
     """Sightings from a perception: its evidence for a category makes a belief, whose peaks are the things.
 
-    `degree` of the belief; `height` of the camera above the floor, metres; `depth`: read ranges (metres along the ray,
-    an equirectangular array (H, W)) from depth.npy in the scene's folder, where it is.
+    `degree` of the belief; `height` of the camera above the floor, metres; `depth`: take ranges (metres along the ray,
+    an equirectangular array (H, W), 0 or infinite where nobody knows) from depth.npy in the scene's folder.
     """
 
     perception: Perception
@@ -86,6 +86,8 @@ class BeliefLooker:
             raise FormatError(f"the scene {scene.id} has no picture (rgb.png); the data set is incomplete")
         panorama = read_panorama(scene.image)
         ranges = read_depth(scene.folder) if self.depth else None
+        if self.depth and ranges is None:
+            raise FormatError(f"{scene.folder} has no {DEPTH_FILE}; put one there, or take ranges from the floor")
         things: list[Sighting] = []
         strange = []
         for name in names:

@@ -69,8 +69,9 @@ class Eagor:
         negative: bool = False,
         seed: int = 0,
     ) -> None:
-        self._look, self._reading, self._ranges = look, reading, ranges
-        self._negative, self._seed = negative, seed
+        self._look, self._negative, self._seed = look, negative, seed
+        self._reading: Reading = reading
+        self._ranges: Ranges = ranges
         self._kept: Around | None = None
 
     def answer(self, scene: Scene, question: Question) -> Reply:

@@ -40,9 +40,14 @@ def map_turn(question: str, image: np.ndarray) -> list[Message]:
     return [Message("user", f"{question}\n{IMAGE}", (image,))]
 
 
+def asked(question: str, form: Form) -> str:
+    """The words for a question without a map."""
+    return f"{_BEFORE} {question} {_AFTER[form]}"
+
+
 def plain_turn(question: str, image: np.ndarray, form: Form) -> list[Message]:
     """The conversation that asks one question without a map."""
-    return [Message("user", f"{_BEFORE} {question} {_AFTER[form]}\n{IMAGE}", (image,))]
+    return [Message("user", f"{asked(question, form)}\n{IMAGE}", (image,))]
 
 
 def next_turn(before: list[Message], reply: str, question: str, form: Form) -> list[Message]:
