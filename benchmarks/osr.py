@@ -39,7 +39,7 @@ import itertools
 import json
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,7 @@ import numpy as np
 
 from eagor.statistics import wilson_interval
 from eagor.tasks.osr.apartments import views
-from eagor.tasks.osr.dataset import load
+from eagor.tasks.osr.dataset import Scene, load
 from eagor.tasks.osr.drawing import draw
 from eagor.tasks.osr.eyes import Seen
 from eagor.tasks.osr.geometry import FloorLine, Placed
@@ -149,7 +149,7 @@ def seen_by(row: str, name: str, room: Room) -> tuple[Eagor, Around]:
     return agent, laid_out(name, seen, "unit" if row == "bearings" else "floor")
 
 
-def _nobody(*_: Any) -> Seen:
+def _nobody(scene: Scene, names: Sequence[str]) -> Seen:
     raise AssertionError("what was seen is given")
 
 

@@ -243,6 +243,21 @@ def test_a_belief_sees_what_a_detector_boxes_and_ranges_it_by_its_foot(data: Pat
     assert np.mean([agent.answer(scene, q).text == q.corrected for q in asked]) >= 0.6
 
 
+def test_what_is_not_seen_is_guessed_and_said_so(data: Path) -> None:
+    from eagor.tasks.osr.eyes import Seen
+    from eagor.tasks.osr.geometry import Sighting
+
+    (scene,) = load_scenes(data, "qa")
+    twice = tuple(Sighting(name, 0.3 + k, -0.3, foot=-0.4) for k, name in enumerate(["tv", "tv", "sofa", "sofa"]))
+    for things in ((), twice, twice[:1]):
+        agent = Eagor(lambda scene, names, things=things: Seen(things))
+        for question in scene.questions:
+            reply = agent.answer(scene, question)
+            if question.skill == DIRECTION and not {"tv", "sofa"} >= set(question.names):
+                assert reply.text in ("Front Left", "Front Right")
+                assert reply.notes["problem"].startswith("not seen")
+
+
 def test_majority_does_not_look_at_the_scene_it_answers(data: Path) -> None:
     scenes = load_scenes(data, "qa")
     question = next(q for q in scenes[0].questions if q.skill == DIRECTION)
@@ -258,6 +273,7 @@ def test_majority_does_not_look_at_the_scene_it_answers(data: Path) -> None:
         ({"agent": "constant", "labels": "mine"}, "wanted official, corrected, both"),
         ({"agent": "constant", "camera_height": -1}, "above 0"),
         ({"agent": "eagor", "perception": "truth:blurred"}, "truth:outline"),
+        ({"agent": "eagor", "perception": "colour", "range": "depth"}, r"1 of 1 scenes have no depth\.npy"),
     ],
 )
 def test_bad_settings_say_what_is_wanted(data: Path, settings: dict[str, Any], words: str) -> None:

@@ -19,11 +19,13 @@ from eagor.tasks.osr import direction_label, distance_label, lenient, score, sco
 from eagor.tasks.osr.drawing import draw, layout_from
 from eagor.tasks.osr.eyes import extent, sightings_in
 from eagor.tasks.osr.geometry import (
+    MARGIN,
     FloorLine,
     Placed,
     Sighting,
     contact_range,
     direction_between,
+    enclosing,
     floor_range,
     place,
     place_on_circle,
@@ -235,8 +237,21 @@ def test_without_walls_what_hangs_is_put_behind_what_stands() -> None:
     hanging = Sighting("window", 0.4, 0.1, contact=False)
     *others, window = place([*standing, hanging], HEIGHT)
     assert window.source == "beyond"
-    assert 0 < np.hypot(*window.xy) <= np.hypot(*others[0].xy) + 1e-9
+    assert np.hypot(*others[0].xy) < np.hypot(*window.xy) < np.hypot(*others[0].xy) + 1
     assert place([hanging], HEIGHT)[0].source == "guess"
+
+
+@given(st.floats(0.5, 4), st.floats(0.5, 4), st.floats(-1, 1), st.floats(-3, 3))
+def test_things_in_the_corners_tell_the_walls(x: float, y: float, share: float, turn: float) -> None:
+    corners = [(x, y), (-x, y), (-x, -y), (x, -y)]
+    known = [(math.atan2(b, a) + turn, math.hypot(a, b)) for a, b in corners]
+    found = enclosing(known)
+    assert found is not None
+    azimuth = share * math.pi
+    wanted = min((x + MARGIN) / max(abs(math.cos(azimuth)), 1e-9), (y + MARGIN) / max(abs(math.sin(azimuth)), 1e-9))
+    assert found.range_at(azimuth + turn) == pytest.approx(wanted)
+    assert enclosing(known[:2]) is None
+    assert enclosing([(0.1, 2.0), (0.2, 2.5), (0.3, 2.0)]) is None  # all on one side
 
 
 def test_a_foot_beyond_the_wall_is_none() -> None:

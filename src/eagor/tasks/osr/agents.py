@@ -150,12 +150,18 @@ def map_text(layout: dict[str, list[list[int]]]) -> str:
     return json.dumps({name: [[column, row] for row, column in where] for name, where in layout.items()})
 
 
-def missing(names: Sequence[str], count: Counter[str], skill: str) -> str | None:
+def error_for(names: Sequence[str], count: Counter[str], skill: str) -> str | None:
     """The error that is the answer where `names` were not seen as the question wants them; None where they were."""
-    if not count[names[0]]:
-        return NO_POSITION
     if count[names[0]] > 1:
         return NOT_UNIQUE
-    if skill == DIRECTION:
-        return NO_OBJECT if not all(count[name] for name in names[1:]) else None
-    return NO_CANDIDATE if not any(count[name] for name in names[1:]) else None
+    if not count[names[0]]:
+        return NO_POSITION
+    if answerable(names, count, skill):
+        return None
+    return NO_OBJECT if skill == DIRECTION else NO_CANDIDATE
+
+
+def answerable(names: Sequence[str], count: Counter[str], skill: str) -> bool:
+    """Whether enough of `names` was seen: P, O and Q; or the category and one of the choices."""
+    enough = all if skill == DIRECTION else any
+    return count[names[0]] > 0 and enough(count[name] > 0 for name in names[1:])

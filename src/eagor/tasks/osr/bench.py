@@ -15,7 +15,7 @@ from eagor.tasks.chat import check_chat
 from eagor.tasks.osr.agents import AGENTS, LOOKING, Reply
 from eagor.tasks.osr.dataset import SUFFIXES, Scene, load, load_kept
 from eagor.tasks.osr.eyes import DEPTH_FILE
-from eagor.tasks.osr.play import judged, open_looker
+from eagor.tasks.osr.play import TRUTH, judged, open_looker
 from eagor.tasks.osr.prompts import FORMS
 from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS
 from eagor.tasks.osr.truth import FILE, HEIGHT
@@ -135,6 +135,7 @@ class OsrBench:
                     f"truth (the true places, for data that has a {FILE} in each scene)"
                 )
             open_looker(perception, options)
+            _check_files(settings["data"], perception, options)
         model = settings.get("model")
         if agent == "vlm":
             check_chat(model, agent)
@@ -169,6 +170,22 @@ class OsrBench:
 
 
 OSR = OsrBench()
+
+
+def _check_files(data: Any, perception: str, options: Mapping[str, Any]) -> None:
+    """Raise `FormatError` where scenes lack a file that all of them would be answered from."""
+    truth = perception.partition(":")[0] == TRUTH
+    wanted = FILE if truth else DEPTH_FILE if options["range"] == "depth" else None
+    if wanted is None:
+        return
+    scenes = load_kept(str(data), options["suffix"])
+    without = [scene.id for scene in scenes if not (scene.folder / wanted).is_file()]
+    if without:
+        why = "the perception truth reads" if truth else "range=depth reads"
+        raise FormatError(
+            f"{len(without)} of {len(scenes)} scenes have no {wanted}, which {why}, such as {without[0]}; "
+            "give the folder of those that have it, or choose another way"
+        )
 
 
 def _score(record: Record) -> float | None:

@@ -44,12 +44,13 @@ HANGING = frozenset(
 )
 MIDDLE = 0.45  # metres above the floor: the middle of what stands there, where its foot was not made out
 OUTSIDE = 1.15  # a foot that seems so many times as far away as the wall behind is none
+MARGIN = 0.3  # metres from the middles of things that stand at a wall to the wall
 GUESS = 3.0  # metres, where nothing at all tells a range
 WIDEST = math.radians(60)  # half width of what is so near that its outline no longer tells its depth
 DEPTH, DEEPEST = 0.85, 0.4  # a thing's half depth: this share of its half width, and at most so many metres
 RECESS = {"window": 0.1}  # metres by which the middle of a thing lies behind the face of the wall
 # Standard deviation of a range: metres, by what it was taken from, and the share of the range for outlines.
-SPREAD = {"depth": 0.1, "contact": 0.0, "support": 0.15, "wall": 0.05, "height": 0.6, "beyond": 0.8, "guess": 1.5}
+SPREAD = {"depth": 0.1, "contact": 0.0, "support": 0.15, "wall": 0.05, "height": 0.6, "beyond": 0.4, "guess": 1.5}
 OUTLINE_SPREAD, OUTLINE_SHARE = 0.15, 0.05
 
 
@@ -166,8 +167,8 @@ def place(sightings: Sequence[Sighting], height: float, walls: FloorLine | None 
 
     Ranges come from, in this order: a depth cue; the contact with the floor; the contact of what the thing stands on;
     the wall that it hangs on. Where the foot of a standing thing was not made out, its middle is taken to be at the
-    height `MIDDLE`. Where the walls are not known, what hangs there is put as far away as what stands on the floor
-    reaches in its direction ("beyond"), else at the middle range of the others ("guess").
+    height `MIDDLE`. Where the walls are not known, what hangs there is put on a rectangle around what stands on the
+    floor ("beyond", `enclosing`), else at the middle range of the others ("guess").
     """
     ranges = [_measured(each, height, walls) for each in sightings]
     standing = [
@@ -223,7 +224,8 @@ def _inferred(
         return wall + RECESS.get(each.name, 0.0), "wall"
     if not known:
         return GUESS, "guess"
-    reach = _reach(each.azimuth, known)
+    around = enclosing(known)
+    reach = around.range_at(each.azimuth) if around is not None else None
     middle = float(np.median([away for _, away in known]))
     return (reach, "beyond") if reach is not None else (middle, "guess")
 
@@ -245,20 +247,30 @@ def _range_on(each: Sighting, other: Sighting, away: float, height: float) -> fl
     return found if above < height and found is not None and near <= found <= far else None
 
 
-def _reach(azimuth: float, known: Sequence[tuple[float, float]]) -> float | None:
-    """How far the convex hull of the things around reaches at `azimuth`; None if the camera is outside of it."""
+def enclosing(known: Sequence[tuple[float, float]]) -> FloorLine | None:
+    """The walls that things at these azimuths (radians) and ranges (metres) suggest: the smallest rectangle, and a bit.
+
+    Things stand along walls, `MARGIN` before them with their middles. None where they do not surround the camera.
+    """
     points = np.array([(away * math.cos(at), away * math.sin(at)) for at, away in known])
     if len(points) < 3:
         return None
     from scipy.spatial import ConvexHull, QhullError
 
     try:
-        hull = ConvexHull(points)
+        hull = points[ConvexHull(points).vertices]
     except QhullError:  # all in one line
         return None
-    if (hull.equations[:, 2] >= -1e-9).any():
-        return None
-    return FloorLine(points[hull.vertices]).range_at(azimuth)
+    found, least = None, math.inf
+    for dx, dy in np.roll(hull, -1, axis=0) - hull:  # one side of the smallest rectangle is one of the hull's
+        turn = np.array([[dx, dy], [-dy, dx]]) / math.hypot(dx, dy)
+        low, high = (hull @ turn.T).min(axis=0), (hull @ turn.T).max(axis=0)
+        if (area := float(np.prod(high - low))) < least:
+            (x0, y0), (x1, y1), least = low - MARGIN, high + MARGIN, area
+            inside = x0 < 0 < x1 and y0 < 0 < y1
+            corners = np.array([[x1, y1], [x0, y1], [x0, y0], [x1, y0]]) @ turn
+            found = FloorLine(corners) if inside else None
+    return found
 
 
 def turn_to(P: Placed, O: Placed, Q: Placed) -> tuple[float, float]:
