@@ -120,7 +120,7 @@ class Benchmark(Protocol):
       "sure": whether it stopped because it was sure;
     - "steps": list of what happened, one object per turn; "answer": what was answered.
 
-    Anything else may stand in it too.
+    Anything else may stand in it too. A benchmark may also have ``causes``, {cause: what it means}, for reports.
     """
 
     @property

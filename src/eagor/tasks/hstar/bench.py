@@ -14,7 +14,7 @@ from eagor.tasks.chat import check_chat
 from eagor.tasks.hstar import data as files
 from eagor.tasks.hstar.agents import AGENTS, LOOKING, SWEEP
 from eagor.tasks.hstar.camera import RESOLUTION
-from eagor.tasks.hstar.causes import cause_of
+from eagor.tasks.hstar.causes import CAUSES, cause_of
 from eagor.tasks.hstar.data import LEVELS, Episode, Kind
 from eagor.tasks.hstar.eyes import open_perception
 from eagor.tasks.hstar.play import cluster_of, errors, identity
@@ -64,6 +64,11 @@ class HStar:
     @property
     def exports(self) -> Mapping[str, str]:
         return EXPORTS
+
+    @property
+    def causes(self) -> Mapping[str, str]:
+        """What each cause of a failure means."""
+        return CAUSES
 
     @property
     def figures(self) -> Sequence[Figure]:

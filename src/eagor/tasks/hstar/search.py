@@ -17,7 +17,7 @@ import numpy as np
 from eagor.belief import Belief
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid
-from eagor.tasks.hstar.camera import View, inside
+from eagor.tasks.hstar.camera import HFOV_DEG, View, inside, size_of
 from eagor.tasks.hstar.rules import PITCH_TOLERANCE, YAW_TOLERANCE
 
 STEP = 5  # degrees: cells of the map that is planned and decided on
@@ -61,25 +61,29 @@ class Answer:
 class Search:
     """What is known after some looks. Immutable: `seen` returns a new one.
 
-    `looks` counts, per cell of `CELLS`, how often it was looked at (cells at a border in part).
+    Per cell of `CELLS`: `shown` tells how much of it was in some view, 0 to 1; `looks` counts looks at it. A look
+    counts for less towards the border of its view, as its evidence does there (`eagor.coverage.taper`).
     """
 
     kind: str
     rules: SearchRules
     belief: Belief
+    shown: np.ndarray
     looks: np.ndarray
 
     @classmethod
     def begin(cls, kind: str, rules: SearchRules | None = None) -> Search:
         """Nothing seen yet; `kind` is ``hos`` or ``hps``."""
         rules = rules or SearchRules()
-        return cls(kind, rules, Belief.uniform(rules.degree), np.zeros(CELLS.shape))
+        return cls(kind, rules, Belief.uniform(rules.degree), np.zeros(CELLS.shape), np.zeros(CELLS.shape))
 
     def seen(self, evidence: Evidence, world_R_capture: np.ndarray, view: View) -> Search:
         """With one more look: its evidence, the pose of the evidence's frame, and what the camera showed."""
-        shown = _shares(round(view.pitch))
+        pitch = round(view.pitch)
+        shown = np.maximum(self.shown, _rolled(_shares(pitch), view.yaw))
+        looks = self.looks + _rolled(_weights(pitch, self.rules.degree), view.yaw)
         belief = self.belief.update(self._new_part(evidence, world_R_capture), world_R_capture)
-        return Search(self.kind, self.rules, belief, self.looks + _rolled(shown, view.yaw))
+        return Search(self.kind, self.rules, belief, shown, looks)
 
     def _new_part(self, evidence: Evidence, world_R_capture: np.ndarray) -> Evidence:
         """The evidence, weakened where it was looked at before: errors of a model stay where they are."""
@@ -97,7 +101,7 @@ class Search:
         The belief counts where something was looked at; a field of finite degree rings a little beyond, and that is
         nobody's observation.
         """
-        field = np.asarray(self.belief.log_ratio(CELLS)) * np.minimum(self.looks, 1.0)
+        field = np.asarray(self.belief.log_ratio(CELLS)) * self.shown
         found = np.exp(field - field.max()) * _prior(self.rules.tilt, self.rules.height, self.kind)
         return found / found.sum()
 
@@ -120,7 +124,8 @@ class Search:
         """Nats that the outcome of each view would tell about where the target is, ``(len(PITCHES), len(YAWS))``."""
         p, rules = self.probability, self.rules
         new = rules.fresh**self.looks
-        return np.stack([_information(p, new, pitch, rules.hit, rules.alarm) for pitch in PITCHES])
+        shown = [_weights(pitch, rules.degree) for pitch in PITCHES]
+        return np.stack([_information(p, new, weights, rules.hit, rules.alarm) for weights in shown])
 
     def next_view(self, now: View) -> View:
         """The view that tells most; of equals the one nearest to where the camera looks `now`."""
@@ -130,14 +135,13 @@ class Search:
         return View(float(YAWS[yaw]), float(PITCHES[pitch]))
 
 
-def _information(p: np.ndarray, new: np.ndarray, pitch: int, hit: float, alarm: float) -> np.ndarray:
-    """Mutual information (nats) of a look at this pitch, for each of `YAWS`.
+def _information(p: np.ndarray, new: np.ndarray, shown: np.ndarray, hit: float, alarm: float) -> np.ndarray:
+    """Mutual information (nats) of a look, for each of `YAWS`; `shown` is what it shows of each cell from yaw 0.
 
     The outcome of a look is a report somewhere in view, or none. A target at cell i in view is reported with
     probability h_i, there; otherwise there is a false report with probability `alarm`, anywhere in view alike.
     I = H(outcome) - sum_i p_i H(outcome | target at i).
     """
-    shown = _shares(pitch)
     rows, columns = np.nonzero(shown)
     places = (columns[None] + (YAWS // STEP)[:, None]) % CELLS.width  # cells in view, for each yaw
     here, share = p[rows[None], places], hit * shown[rows, columns] * new[rows[None], places]
@@ -178,6 +182,24 @@ def _shares(pitch: int) -> np.ndarray:
     y = (np.arange(CELLS.height)[:, None] + offsets).reshape(-1, 1)
     shown = inside(View(0.0, pitch), CELLS.unproject(x, y).reshape(-1, 3))
     found = shown.reshape(CELLS.height, 5, CELLS.width, 5).mean(axis=(1, 3))
+    found.setflags(write=False)
+    return found
+
+
+@lru_cache(maxsize=256)
+def _weights(pitch: int, degree: int) -> np.ndarray:
+    """How much a look from yaw 0 at this pitch says about each cell ``(H, W)``, 0 to 1: less towards the border.
+
+    The evidence of a view rises from its border as sin^2 and is whole pi / (degree + 1) inside (`eagor.coverage`).
+    """
+    rays = CELLS.directions.reshape(-1, 3) @ View(0.0, pitch).world_R_view
+    rows, columns = size_of()
+    half_width = math.tan(math.radians(HFOV_DEG) / 2)
+    half_height = half_width * rows / columns
+    to_sides = (half_width * rays[:, 0] - np.abs(rays[:, 1])) / math.hypot(1, half_width)
+    to_ends = (half_height * rays[:, 0] - np.abs(rays[:, 2])) / math.hypot(1, half_height)
+    depth = np.arcsin(np.clip(np.minimum(to_sides, to_ends), -1, 1)).reshape(CELLS.shape)
+    found = _shares(pitch) * np.sin(np.clip(depth * (degree + 1) / 2, 0, math.pi / 2)) ** 2
     found.setflags(write=False)
     return found
 

@@ -1,0 +1,204 @@
+"""How well do we search? Ours against the fixed sweep and against answering from single views, with the same noisy eye.
+
+    python benchmarks/search.py [--split dev|report] [--apartments 40] [--looks 2] [--noise miss=0.3,false_alarm=0.2]
+                                [--samples DIR] [--json FILE] [--folder DIR]
+
+Episodes of H*Bench's kind (ten views of 100 degrees, four starts per target): in the built-in apartments, one camera in
+each, and, where --samples names them, in the labelled photographs of `hstar_mini`. Every agent looks through `truth`
+(`eagor.tasks.hstar.truth`) with the same luck: 30 % misses and a false alarm in every fifth view, each kept from look
+to look with probability 0.3, 8 degrees of error. Success is strict. Development and report use other apartments and
+other luck; what was tuned was tuned on dev.
+
+Brackets are 95 % bootstrap intervals over targets (four starts and all repetitions of one together). Printed:
+
+- success, views, success by turn;
+- the ratio of our success to that of answering from single views: from the first view alone (`single`), and from the
+  first view that responds (`centroid`), which has the whole sweep to find one;
+- how many views the sweep needs for its best success, and how many ours for the same;
+- the reliability of what is stated, and of the submissions that were made because the agent was sure;
+- processor time per view.
+"""
+
+from __future__ import annotations
+
+import os
+
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor.perception.truth import Noise
+from eagor.statistics import bootstrap_interval, calibration_error, reliability, wilson_interval
+from eagor.tasks.hstar.agents import make_agent
+from eagor.tasks.hstar.apartments import spot, write_scene
+from eagor.tasks.hstar.camera import render_view
+from eagor.tasks.hstar.data import Episode, open_panorama, read_episodes
+from eagor.tasks.hstar.eyes import open_eye
+from eagor.tasks.hstar.play import play
+from eagor.tasks.hstar.search import SearchRules
+
+FIRST = {"dev": 1200, "report": 2200}  # apartment
+LUCK = {"dev": 0, "report": 1_000_000}
+AGENTS = ("eagor", "grid", "sweep", "centroid", "single")
+RESAMPLES = 2000
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--split", choices=FIRST, default="dev")
+    parser.add_argument("--apartments", type=int, default=40)
+    parser.add_argument("--looks", type=int, default=2, help="repetitions of every episode with other luck")
+    parser.add_argument("--noise", default="", help="as for the perception truth (default: moderate)")
+    parser.add_argument("--samples", type=Path, help="a folder in H*Bench's layout, such as hstar_mini")
+    parser.add_argument("--folder", type=Path, help="keep the apartments' episodes here")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    found: dict[str, Any] = {"split": options.split, "noise": options.noise or "moderate", "sets": {}}
+    with tempfile.TemporaryDirectory() as temporary:
+        sets = {"apartments": apartments(options.folder or Path(temporary), FIRST[options.split], options.apartments)}
+        if options.samples:
+            sets["photographs"] = read_episodes(options.samples, "hos")
+        for name, episodes in sets.items():
+            print(f"\n{name}: {len(episodes)} episodes, {options.looks} times each, {found['noise']}, {options.split}")
+            runs = measured(episodes, Noise.parse(options.noise), options.looks, LUCK[options.split])
+            found["sets"][name] = told(runs)
+    if options.samples:
+        drawing(sets["photographs"][0])
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+def apartments(folder: Path, first: int, count: int) -> list[Episode]:
+    """The episodes of so many apartments."""
+    for seed in range(first, first + count):
+        if not (folder / "hos_bench" / f"apartment_{seed:04d}").exists():
+            write_scene(spot(seed), folder / "hos_bench", rows=0)
+    wanted = {f"apartment_{seed:04d}" for seed in range(first, first + count)}
+    return [episode for episode in read_episodes(folder, "hos") if episode.scene in wanted]
+
+
+def measured(episodes: Sequence[Episode], noise: Noise, looks: int, luck: int) -> dict[str, list[dict[str, Any]]]:
+    """The records of every agent, over all episodes and repetitions."""
+    runs: dict[str, list[dict[str, Any]]] = {}
+    for agent in AGENTS:
+        began, records = time.process_time(), []
+        for repetition in range(looks):
+            for episode in episodes:
+                eye = open_eye(noise, episode, luck + repetition, 1080)
+                player = make_agent(agent, episode, eye, SearchRules(), 10, 0)
+                records.append(play(episode, player, "strict"))
+        views = sum(record["views"] for record in records)
+        milliseconds = 1000 * (time.process_time() - began) / views
+        runs[agent] = records
+        print(f"  {agent:9s} {line(records)}; {milliseconds:.1f} ms per view", flush=True)
+    return runs
+
+
+def line(records: Sequence[dict[str, Any]]) -> str:
+    low, high = interval([record["score"] for record in records], records)
+    turns = " ".join(f"{100 * share:.0f}" for share in by_turn(records))
+    views = np.mean([record["views"] for record in records])
+    success = 100 * np.mean([record["score"] for record in records])
+    return f"{success:5.1f} % ({low:.1f} to {high:.1f}), {views:4.1f} views; by turn {turns}"
+
+
+def told(runs: dict[str, list[dict[str, Any]]]) -> dict[str, Any]:
+    """The goals, printed and returned."""
+    ours = runs["eagor"]
+    found: dict[str, Any] = {"agents": {}}
+    for agent, records in runs.items():
+        found["agents"][agent] = {
+            "success": 100 * float(np.mean([record["score"] for record in records])),
+            "interval": interval([record["score"] for record in records], records),
+            "views": float(np.mean([record["views"] for record in records])),
+            "by_turn": [100 * float(share) for share in by_turn(records)],
+        }
+    for other in ("single", "centroid"):
+        ratio, low, high = ratio_of(ours, runs[other])
+        found[f"ratio_to_{other}"] = [ratio, low, high]
+        print(f"  success over that of {other}: {ratio:.2f} ({low:.2f} to {high:.2f})")
+    for other in ("sweep", "grid"):
+        found[f"views_against_{other}"] = same_success(runs["eagor"], runs[other])
+        need, has, ratio, success = found[f"views_against_{other}"]
+        print(f"  {success:.1f} % takes the {other} {has} views and ours {need:.2f}: {ratio:.2f} times fewer")
+    turns = by_turn(ours)
+    found["largest_fall_by_turn"] = float(max(0.0, -np.diff(turns).min()) * 100)
+    print(f"  rises with each turn: largest fall from one turn to the next {found['largest_fall_by_turn']:.1f} points")
+    said = [(step["would"]["p"], step["would"]["strict"]) for record in ours for step in record["steps"]]
+    table = reliability([p for p, _ in said], [good for _, good in said], 10)
+    found["reliability"] = [[row.stated, row.frequency, row.n] for row in table]
+    print("  stated -> found (n): " + ", ".join(f"{r.stated:.2f} -> {r.frequency:.2f} ({r.n})" for r in table if r.n))
+    sure = [record["score"] == 1 for record in ours if record["sure"]]
+    share = wilson_interval(sum(sure), len(sure))
+    found["sure"] = {"n": len(sure), "right": float(np.mean(sure)), "interval": [share.low, share.high]}
+    print(
+        f"  submitted because sure: {len(sure)} of {len(ours)}, {100 * np.mean(sure):.1f} % right "
+        f"({100 * share.low:.1f} to {100 * share.high:.1f}); calibration error {100 * calibration_error(table):.1f} %"
+    )
+    return found
+
+
+def by_turn(records: Sequence[dict[str, Any]]) -> np.ndarray:
+    return np.mean([record["by_turn"] for record in records], axis=0)
+
+
+def interval(values: Sequence[float], records: Sequence[dict[str, Any]]) -> tuple[float, float]:
+    found = bootstrap_interval(values, np.random.default_rng(1), groups=[record["cluster"] for record in records])
+    return 100 * found.low, 100 * found.high
+
+
+def ratio_of(ours: Sequence[dict[str, Any]], theirs: Sequence[dict[str, Any]]) -> tuple[float, float, float]:
+    """Success over success, with a bootstrap interval over targets; the same targets are drawn for both."""
+    clusters = sorted({record["cluster"] for record in ours})
+    place = {cluster: index for index, cluster in enumerate(clusters)}
+    sums = np.zeros((2, len(clusters)))
+    for row, records in enumerate((ours, theirs)):
+        for record in records:
+            sums[row, place[record["cluster"]]] += record["score"]
+    drawn = np.random.default_rng(2).integers(len(clusters), size=(RESAMPLES, len(clusters)))
+    a, b = sums[0][drawn].sum(axis=1), sums[1][drawn].sum(axis=1)
+    low, high = np.quantile(a / np.maximum(b, 1), [0.025, 0.975])
+    return float(sums[0].sum() / max(sums[1].sum(), 1)), float(low), float(high)
+
+
+def same_success(ours: Sequence[dict[str, Any]], theirs: Sequence[dict[str, Any]]) -> tuple[float, int, float, float]:
+    """Views that ours takes for the other's best success, views that the other takes, their ratio, and that success.
+
+    Ours answered at a fixed turn, as the other is; between turns the curve is taken as straight.
+    """
+    curve, other = by_turn(ours), by_turn(theirs)
+    has = int(np.argmax(other)) + 1
+    wanted = float(other.max())
+    above = np.flatnonzero(curve >= wanted)
+    if len(above) == 0:
+        return float("inf"), has, 0.0, 100 * wanted
+    turn = int(above[0])
+    need = turn + 1.0
+    if turn and curve[turn] > curve[turn - 1]:
+        need = turn + (wanted - curve[turn - 1]) / (curve[turn] - curve[turn - 1])
+    return float(need), has, has / need, 100 * wanted
+
+
+def drawing(episode: Episode) -> None:
+    """What a full view costs, for those that look at pictures."""
+    image = open_panorama(episode.panorama)
+    render_view(image, 0, 0)
+    began = time.process_time()
+    for yaw in range(10):
+        render_view(image, 7 * yaw, 0)
+    print(f"\ndrawing a view of 1080 x 1920: {100 * (time.process_time() - began):.0f} ms")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,366 @@
+"""H*Bench as a benchmark: its files in every published shape, the contract, its agents, and models that talk."""
+
+import base64
+import io
+import json
+import random
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import hstar_data
+import numpy as np
+import pytest
+from PIL import Image
+
+from eagor.errors import EagorError, FormatError, ImageError
+from eagor.tasks import benchmark
+from eagor.tasks.chat import IMAGE, Message, ServedChat, load_chat
+from eagor.tasks.hstar import data
+from eagor.tasks.hstar.bench import HOS, HPS
+from eagor.tasks.hstar.causes import CAUSES, cause_of
+from eagor.tasks.hstar.data import Episode, open_panorama, read_episodes
+from eagor.tasks.hstar.play import play, work
+from eagor.tasks.hstar.prompts import conversation, first_text, system_text
+from eagor.tasks.hstar.talking import VlmAgent
+from eagor.tasks.hstar.words import head_of, phrase_of, tag_of, thing_of
+
+MINI = Path(__file__).parents[2] / ".." / "shared" / "bench_samples" / "hstar_mini"
+
+
+def settings(folder, **more):
+    told = {"task": "hstar-hos", "data": str(folder), "agent": "oracle", "perception": None, "model": None, "seed": 0}
+    return HOS.settle(told | more)
+
+
+def played(folder, **more):
+    told = settings(folder, **more)
+    do = work(told)
+    return [do(case.payload) for case in HOS.cases(folder, told)]
+
+
+# Files
+
+
+def ids(folder, kind="hos"):
+    return [episode.id for episode in read_episodes(folder, kind)]
+
+
+def test_folders_archives_and_nested_ones_are_the_same_data(tmp_path):
+    plain = hstar_data.write(tmp_path / "plain")
+    nested = hstar_data.write(tmp_path / "nested", split="download/hos_bench/hos_bench")
+    archive = hstar_data.zipped(hstar_data.write(tmp_path / "zip"))
+    assert ids(plain) == ids(plain / "hos_bench") == ids(nested) == ids(archive) == ids(archive / "hos_bench.zip")
+    assert len(set(ids(plain))) == 16
+    pictures = [open_panorama(read_episodes(folder, "hos")[0].panorama) for folder in (plain, archive)]
+    np.testing.assert_array_equal(*pictures)
+    assert pictures[0].shape == (180, 400, 3)
+
+
+def test_the_order_is_the_published_shuffle(tmp_path):
+    folder = hstar_data.write(tmp_path)
+    order = [f"{s}/{e}/{y}" for s in ("hall", "shop") for e in (0, 1) for y in (0, 90, 180, 270)]
+    random.Random(42).shuffle(order)
+    assert ids(folder) == order
+
+
+def test_what_is_missing_in_the_annotations_is_filled_in_or_told(tmp_path):
+    folder = hstar_data.write(tmp_path, strip=("initial yaw", "level"))
+    found = {episode.id: episode for episode in read_episodes(folder, "hos")}
+    assert len(found) == 16
+    assert found["hall/0/0"].level_name == "medium"  # 10 of its 30 degrees are in the first view
+    assert found["shop/0/0"].level_name == "easy"
+    assert found["hall/0/180"].level_name == "hard"
+    told = data.info(folder)
+    assert (told["without_initial_yaw"], told["without_level"], told["not_2_to_1"]) == (4, 4, 2)
+    assert told["windows_across_yaw_0"] == 1
+
+
+def test_paths_have_no_pitch_and_no_place_among_objects(tmp_path):
+    folder = hstar_data.write(tmp_path, "hps_bench", paths=True, suffix="jpg")
+    assert len(ids(folder, "hps")) == 16
+    with pytest.raises(FormatError, match="not HOS data"):
+        read_episodes(folder, "hos")
+    hstar_data.write(tmp_path, "hos_bench")
+    assert len(ids(folder)) == len(ids(folder, "hps")) == 16
+
+
+def test_what_cannot_be_read_is_refused_with_its_name(tmp_path):
+    with pytest.raises(FormatError, match="no scene"):
+        read_episodes(tmp_path, "hos")
+    with pytest.raises(FormatError, match="there is no"):
+        read_episodes(tmp_path / "nowhere", "hos")
+    folder = hstar_data.write(tmp_path)
+    annotation = folder / "hos_bench" / "hall" / "annotation.json"
+    for text, words in (
+        ("{", "no JSON"),
+        ("{}", "no list"),
+        ('[{"task": "Find it", "yaw": [1]}]', "entry 0.*two angles"),
+        ('[{"yaw": [1, 2], "pitch": [1, 2]}]', "entry 0.*task"),
+    ):
+        annotation.write_text(text)
+        with pytest.raises(FormatError, match=words):
+            read_episodes(folder, "hos")
+    annotation.write_text(json.dumps(hstar_data.entries(hstar_data.TARGETS["hall"])))
+    (folder / "hos_bench" / "hall" / "pano.png").write_bytes(b"no picture")
+    with pytest.raises(ImageError, match=r"pano\.png"):
+        open_panorama(next(e for e in read_episodes(folder, "hos") if e.scene == "hall").panorama)
+    assert data.info(folder)["unreadable"] == ["hall"]
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "hos_bench.zip").write_bytes(b"PK no")
+    with pytest.raises(FormatError, match="zip"):
+        read_episodes(tmp_path / "bad", "hos")
+
+
+def test_episodes_survive_json(tmp_path):
+    for episode in read_episodes(hstar_data.write(tmp_path), "hos"):
+        assert Episode.from_json(json.loads(json.dumps(episode.as_json()))) == episode
+
+
+# The contract
+
+
+@pytest.mark.parametrize("agent", ["oracle", "random", "constant"])
+def test_the_contract_holds(tmp_path, agent):
+    found = benchmark.check_benchmark(HOS, hstar_data.write(tmp_path), agent)
+    assert len(found) == 16
+    if agent == "oracle":
+        assert all(record["score"] == 1 for record in found)
+
+
+def test_the_contract_holds_for_paths(tmp_path):
+    folder = hstar_data.write(tmp_path, "hps_bench", paths=True)
+    assert all(record["score"] == 1 for record in benchmark.check_benchmark(HPS, folder, "oracle"))
+
+
+@pytest.mark.skipif(not MINI.exists(), reason="the shared samples are not here")
+def test_the_oracle_finds_everything_in_the_shared_samples():
+    found = benchmark.check_benchmark(HOS, MINI, "oracle")
+    assert len(found) == 44
+    assert all(record["scores"] == {"official": 1.0, "strict": 1.0} for record in found)
+    assert {record["level"] for record in found} == {"easy", "medium", "hard"}
+
+
+def test_what_cannot_be_played_is_refused_before_anything_is_played(tmp_path):
+    folder = hstar_data.write(tmp_path)
+    for more, words in (
+        ({"agent": "nobody"}, "no agent 'nobody'"),
+        ({"agent": "eagor"}, "needs eyes"),
+        ({"agent": "eagor", "perception": "nothing"}, "nothing"),
+        ({"agent": "vlm"}, "--model"),
+        ({"agent": "vlm", "model": "hstar_data:missing"}, "missing"),
+        ({"scoring": "kind"}, "official, strict"),
+        ({"turns": 0}, "turns = 0"),
+        ({"sure": 0.0}, "sure"),
+        ({"agent": "sweep", "perception": "truth:miss=2"}, "miss"),
+    ):
+        with pytest.raises(EagorError, match=words):
+            settings(folder, **more)
+
+
+@pytest.mark.parametrize("agent", ["eagor", "sweep", "grid", "centroid", "cent-circ"])
+def test_agents_that_look_find_everything_with_an_ideal_eye(tmp_path, agent):
+    found = played(hstar_data.write(tmp_path), agent=agent, perception="truth:ideal", scoring="strict")
+    assert np.mean([record["score"] for record in found]) >= 0.9
+    for record in found:
+        assert len(record["by_turn"]) == 10
+        assert 1 <= record["views"] == len(record["steps"]) <= 10
+        assert record["by_turn"][-1] == record["score"]
+        assert record["score"] == 1 or record["cause"] in CAUSES
+
+
+def test_pictures_are_looked_at_through_any_perception(tmp_path):
+    """From pixels: the colour perception knows panoramas only, and is shown views."""
+    found = played(hstar_data.write(tmp_path), agent="eagor", perception="colour", resolution=270, scoring="strict")
+    assert np.mean([record["score"] for record in found]) >= 0.9
+    assert np.mean([record["views"] for record in found]) < 7
+
+
+def test_runs_repeat_and_seeds_differ(tmp_path):
+    folder = hstar_data.write(tmp_path)
+    told = {"agent": "eagor", "perception": "truth"}
+
+    def said(**more):
+        return [[step["would"] for step in record["steps"]] for record in played(folder, **told, **more)]
+
+    assert said() == said()
+    assert said() != said(seed=1)
+
+
+# Words and causes
+
+
+@pytest.mark.parametrize(
+    ("task", "thing", "phrase", "head"),
+    [
+        ("Find the TCL TV", "TCL TV", "TCL TV", "tv"),
+        ("Find the vase of flowers on the cabinet", "vase of flowers on the cabinet", "vase", "vase"),
+        ("find a red chair.", "red chair", "red chair", "chair"),
+        ("Go to the exit", "exit", "exit", "exit"),
+        ("Find the dreamcatchers on the wall", "dreamcatchers on the wall", "dreamcatchers", "dreamcatcher"),
+    ],
+)
+def test_tasks_are_taken_apart(task, thing, phrase, head):
+    assert (thing_of(task), phrase_of(task), head_of(task)) == (thing, phrase, head)
+
+
+def test_tags_are_given_in_order():
+    def item(task, yaw=(10, 30), pitch=(0, 20)):
+        return {"task": task, "yaw": list(yaw), "pitch": list(pitch)}
+
+    assert tag_of(item("Find the TCL TV")) == "ocr_fine"
+    assert tag_of(item("Find the sign that says exit")) == "ocr_fine"
+    assert tag_of(item("Find the chair", (10, 12), (0, 3))) == "ocr_fine"
+    assert tag_of(item("Find the red chair"), [item("Find the blue chair")]) == "multi_instance"
+    assert tag_of(item("Find the theodolite")) == "rare"
+    assert tag_of(item("Find the red chair"), [item("Find the table")]) == "plain"
+
+
+def test_causes_are_told_apart():
+    item = {"task": "Find the red chair", "yaw": [0, 20], "pitch": [0, 20]}
+    twin = {"task": "Find the blue chair", "yaw": [180, 200], "pitch": [0, 20]}
+
+    def step(shown=1.0, peak=None, would=False, **more):
+        found = {"shown": shown, "would": {"official": would, "strict": would}, **more}
+        return found | ({"peak": {"yaw": peak[0], "pitch": peak[1], "score": peak[2]}} if peak else {})
+
+    def cause(steps, answer=(90, 0), others=()):
+        given = None if answer is None else {"yaw": answer[0], "pitch": answer[1]}
+        return cause_of(item, steps, given, others, "official")
+
+    assert cause([step(valid=False)], None) == "format"
+    assert cause([step(valid=True)], None) == "budget"
+    assert cause([step()], (190, 10), [twin]) == "wrong_instance"
+    assert cause([step(would=True), step()]) == "stopped_wrongly"
+    assert cause([step(0.0, (90, 0, 0.9))]) == "never_in_view"
+    assert cause([step(0.5, (10, 10, 0.9)), step(0.0, (90, 0, 0.5))]) == "fusion_error"
+    assert cause([step(0.5, (90, 0, 0.9))]) == "false_detection"
+    assert cause([step(0.5, (200, 0, 0.9))]) == "missed"
+    assert cause([step(0.5, (10, 10, 0.1))]) == "missed"
+
+
+# Models that talk
+
+
+def episode_of(tmp_path, scene="hall", start=0):
+    found = read_episodes(hstar_data.write(tmp_path), "hos")
+    return next(e for e in found if e.scene == scene and e.entry == 0 and e.start == start)
+
+
+def test_a_model_turns_is_told_where_it_looks_and_submits(tmp_path):
+    chat = hstar_data.Scripted(
+        "<think>left</think><answer>rotate(50,0)</answer>",
+        "hm",
+        "<answer>submit(55,-3)</answer>",
+    )
+    record = play(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", 5, 90), "strict")
+    assert (record["score"], record["views"], record["reason"]) == (1.0, 3, "submitted")
+    assert [step["action"] for step in record["steps"]] == ["rotate(50,0)", None, "submit(55,-3)"]
+    assert [step["valid"] for step in record["steps"]] == [True, False, True]
+    assert record["by_turn"] == [0, 1, 1, 1, 1, 1, 1, 1, 1, 1]  # it looks at the target from the second turn on
+    system, first, reply, second = chat.seen[1]
+    assert (system.role, first.role, reply.role, second.role) == ("system", "user", "assistant", "user")
+    assert "Human Instruction: Find the red square" in first.text
+    assert "(50,0)" in second.text
+    assert "['rotate(50,0)']" in second.text
+    assert "not executed successfully" in chat.seen[2][-1].text
+    assert first.text.count(IMAGE) == len(first.images) == 1
+    assert not np.array_equal(first.images[0], second.images[0])
+
+
+def test_a_model_that_never_submits_runs_out_of_turns_or_of_form(tmp_path):
+    for text, reason in (("<answer>rotate(10,0)</answer>", "budget"), ("no idea", "format")):
+        chat = hstar_data.Scripted(*[text] * 10)
+        record = play(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", 5, 36))
+        assert (record["score"], record["views"], record["reason"], record["cause"]) == (0.0, 10, reason, reason)
+
+
+@pytest.mark.parametrize(("window", "most"), [(1, 2), (2, 4), (5, 10)])
+def test_the_model_is_shown_a_window_of_the_conversation(tmp_path, window, most):
+    chat = hstar_data.Scripted(*["<answer>rotate(10,0)</answer>"] * 10)
+    play(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", window, 36))
+    assert max(map(len, chat.seen)) == most  # the system message and 2 * window - 1 others
+    assert all(messages[0].role == "system" and messages[-1].role == "user" for messages in chat.seen)
+
+
+@pytest.mark.parametrize("form", ["free_think", "no_think", "grounding"])
+@pytest.mark.parametrize("kind", ["hos", "hps"])
+def test_prompts_say_what_the_protocol_dictates(kind, form):
+    from eagor.tasks.hstar.rules import parse_action
+
+    text = system_text(kind, form)
+    for part in ("rotate(yaw:int,pitch:int)", "submit(yaw:int,pitch:int)", "<answer>", "green cross"):
+        assert part in text
+    example = text.rpartition("e.g. ")[2]
+    assert str(parse_action(example, form).action) == "rotate(-45,0)"
+    assert first_text("Find it", form).startswith(f"[initial observation]:\n{IMAGE}\nHuman Instruction: Find it\n")
+
+
+class Handler(BaseHTTPRequestHandler):
+    """A server that answers chat completions: what it saw, and the size of the picture."""
+
+    def do_GET(self):
+        self.answer({"object": "list", "data": [{"id": "tiny", "object": "model", "created": 0, "owned_by": "us"}]})
+
+    def do_POST(self):
+        body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+        self.server.asked.append(body)
+        parts = body["messages"][-1]["content"]
+        uri = next(part["image_url"]["url"] for part in parts if part["type"] == "image_url")
+        size = Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2]))).size
+        reply = {"role": "assistant", "content": f"{size[0]} x {size[1]}"}
+        choice = {"index": 0, "finish_reason": "stop", "message": reply}
+        usage = {"prompt_tokens": 7, "completion_tokens": 2, "total_tokens": 9}
+        kind = {"id": "1", "object": "chat.completion", "created": 0, "model": body["model"]}
+        self.answer(kind | {"choices": [choice], "usage": usage})
+
+    def answer(self, found):
+        data = json.dumps(found).encode()
+        self.send_response(200)
+        self.send_header("Content-Type", "application/json")
+        self.send_header("Content-Length", str(len(data)))
+        self.end_headers()
+        self.wfile.write(data)
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture
+def servers():
+    found = [ThreadingHTTPServer(("127.0.0.1", 0), Handler) for _ in range(2)]
+    for server in found:
+        server.asked = []
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield found
+    for server in found:
+        server.shutdown()
+        server.server_close()
+
+
+def test_served_models_are_asked_in_turn_and_see_the_pictures(servers):
+    pytest.importorskip("openai")
+    addresses = ",".join(f"http://127.0.0.1:{server.server_port}" for server in servers)
+    chat = load_chat(f"@{addresses}?max_tokens=64&quality=90")
+    image = np.zeros((36, 64, 3), dtype=np.uint8)
+    messages = conversation("be brief", [], f"look\n{IMAGE}\nwell?", image)
+    said = [chat(messages) for _ in range(4)]
+    assert [reply.text for reply in said] == ["64 x 36"] * 4
+    assert said[0].prompt_tokens == 7
+    assert [len(server.asked) for server in servers] == [2, 2]
+    body = servers[0].asked[0]
+    assert (body["model"], body["temperature"], body["max_tokens"]) == ("tiny", 0.0, 64)
+    assert body["messages"][0] == {"role": "system", "content": "be brief"}
+    assert [part["type"] for part in body["messages"][1]["content"]] == ["text", "image_url", "text"]
+
+
+def test_models_are_named_in_one_line():
+    chat = load_chat("Qwen/Qwen2.5-VL-7B-Instruct@http://a:8000,http://b:8000/v1?temperature=0.5")
+    assert isinstance(chat, ServedChat)
+    assert (chat.model, chat.servers) == ("Qwen/Qwen2.5-VL-7B-Instruct", ("http://a:8000/v1", "http://b:8000/v1"))
+    assert chat.temperature == 0.5
+    assert callable(load_chat("hstar_data:patient"))
+    for spec, words in (("m@nowhere", "no address"), ("m@http://a?colour=red", "options"), ("no_such:thing", "import")):
+        with pytest.raises(EagorError, match=words):
+            load_chat(spec)
+    assert Message("user", "x").images == ()

@@ -1,0 +1,307 @@
+"""Benchmarks with published data from the command line: runs that stop and go on, shards, scores, reports, exports."""
+
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import hstar_data
+import pytest
+
+from eagor.errors import EagorError
+from eagor.evaluation import ledger
+from eagor.evaluation.workers import Outcome, Unit, run_units
+
+TESTS = Path(__file__).parents[1]
+ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "EAGOR_DEBUG"} | {
+    "OPENBLAS_NUM_THREADS": "1",
+    "PYTHONPATH": os.pathsep.join(filter(None, [str(TESTS), os.environ.get("PYTHONPATH", "")])),
+}
+
+
+def command(*words):
+    return [sys.executable, "-m", "eagor", "bench", *map(str, words)]
+
+
+def bench(*words):
+    return subprocess.run(command(*words), capture_output=True, text=True, timeout=300, env=ENVIRONMENT)
+
+
+def answer(*words, code=0):
+    done = bench(*words, "--json")
+    assert done.returncode == code, done.stderr
+    return json.loads(done.stdout)
+
+
+def refused(*words):
+    done = bench(*words)
+    assert (done.returncode, done.stdout) == (2, ""), done.stderr
+    assert "Traceback" not in done.stderr
+    return done.stderr.splitlines()[-1]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return hstar_data.write(tmp_path_factory.mktemp("hstar"))
+
+
+@pytest.fixture(scope="module")
+def runs(folder, tmp_path_factory):
+    """One run of the oracle and one of ours, for everything that only reads."""
+    place = tmp_path_factory.mktemp("runs")
+    oracle = answer("run", "hstar-hos", "--data", folder, "--agent", "oracle", "--out", place / "oracle")
+    ours = answer("run", "hstar-hos", "--data", folder, "--perception", "truth:miss=0.5", "--out", place / "ours")
+    return place, oracle, ours
+
+
+def test_the_summary_of_a_run(runs):
+    _, oracle, ours = runs
+    assert (oracle["task"], oracle["agent"], oracle["episodes"], oracle["failed"]) == ("hstar-hos", "oracle", 16, 0)
+    assert [oracle[key] for key in ("overall", "easy", "medium", "hard", "official", "strict")] == [100.0] * 6
+    assert (ours["agent"], ours["perception"], ours["clusters"]) == ("eagor", "truth:miss=0.5", 4)
+    low, high = ours["intervals"]["overall"]["wilson"]
+    assert low < ours["overall"] < high or ours["overall"] == high
+    assert len(ours["by_turn"]["success"]) == 10
+    assert ours["by_turn"]["success"][-1] == pytest.approx(ours["overall"])
+
+
+def test_a_run_goes_on_where_it_stopped_whatever_the_shards_and_workers(folder, tmp_path, runs):
+    told = ("run", "hstar-hos", "--data", folder, "--perception", "truth:miss=0.5", "--out", tmp_path / "run")
+    assert answer(*told, "--limit", 3)["episodes"] == 3
+    assert answer(*told, "--shard", "2/3")["episodes"] in range(5, 9)
+    both = bench(*told, "--workers", 2, "--json")
+    assert both.returncode == 0
+    assert "were already in" in both.stderr
+    found = json.loads(both.stdout)
+    alone = runs[2]
+    assert {key: found[key] for key in ("episodes", "overall", "easy", "hard")} == {
+        key: alone[key] for key in ("episodes", "overall", "easy", "hard")
+    }
+    keys = [r["key"] for file in ledger.files(tmp_path / "run") for r in ledger.records(file)]
+    assert len(keys) == len(set(keys)) == 16
+    other = bench(*told, "--set", "sure=0.5")
+    assert other.returncode == 2
+    assert "sure" in other.stderr
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_a_killed_run_loses_nothing(folder, tmp_path):
+    told = (
+        "run",
+        "hstar-hos",
+        "--data",
+        folder,
+        "--agent",
+        "eagor",
+        "--perception",
+        "colour",
+        "--out",
+        tmp_path / "run",
+    )
+    process = subprocess.Popen(command(*told), stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=ENVIRONMENT)
+    try:
+        for _ in range(1200):
+            if any(list(ledger.records(file)) for file in ledger.files(tmp_path / "run")):
+                break
+            assert process.poll() is None
+            time.sleep(0.1)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    before = ledger.read(tmp_path / "run")
+    assert before
+    found = answer(*told, "--set", "resolution=1080")
+    assert found["episodes"] == 16
+    after = {record["key"]: record for record in ledger.read(tmp_path / "run")}
+    assert all(after[record["key"]] == record for record in before)
+
+
+def test_errors_are_told_apart_from_failures(folder, tmp_path):
+    told = ("run", "hstar-hos", "--data", folder, "--agent", "vlm", "--limit", 2, "--set", "resolution=36")
+    good = answer(
+        *told, "--model", "hstar_data:patient", "--out", tmp_path / "good", "--engine", "threads", "--workers", 2
+    )
+    assert (good["episodes"], good["failed"], good["views"]) == (2, 0, 3.0)
+    done = bench(*told, "--model", "hstar_data:lost", "--out", tmp_path / "lost", "--json")
+    assert done.returncode == 1
+    assert "nobody answers" in done.stderr
+    lost = json.loads(done.stdout)
+    assert (lost["episodes"], lost["failed"], lost["overall"]) == (0, 2, None)
+    assert {failure["attempt"] for failure in lost["failures"]} == {2}
+
+
+def test_scores_by_other_rules_and_of_predictions(folder, runs, tmp_path):
+    place, _, ours = runs
+    strict = answer("score", place / "ours", "--scoring", "strict")
+    assert strict["overall"] == ours["strict"]
+    lines = [
+        {"case": r["case"], "submit": [r["answer"]["yaw"], r["answer"]["pitch"]]} for r in ledger.read(place / "oracle")
+    ]
+    file = tmp_path / "pred.jsonl"
+    file.write_text("\n".join(map(json.dumps, lines[:10])))
+    found = answer("score", file, "--task", "hstar-hos", "--data", folder, "--out", tmp_path / "kept", code=3)
+    assert (found["episodes"], found["missing"], found["overall"]) == (10, 6, 100.0)
+    assert len(ledger.read(tmp_path / "kept")) == 10
+    file.write_text('{"doc_id": 0, "filtered_resps": ["<answer>submit(1,2)</answer>"]}\n{"doc_id": 1, "text": "?"}\n')
+    found = answer("score", file, "--task", "hstar-hos", "--data", folder, code=3)
+    assert (found["episodes"], found["causes"].get("format")) == (2, 1)
+    file.write_text('{"case": "nowhere/0/0", "submit": [1, 2]}\n')
+    assert "line 1" in refused("score", file, "--task", "hstar-hos", "--data", folder)
+
+
+def test_reports_comparisons_and_failures(runs, tmp_path):
+    place, _, ours = runs
+    assert answer("report", place / "ours", place / "oracle", "--out", tmp_path)["report"].endswith("report.html")
+    page = (tmp_path / "report.html").read_text()
+    for part in ("Success by turn", "Reliability", "Why cases failed", "Qwen2.5-VL-7B + EAGOR, published", "oracle"):
+        assert part in page
+    assert "http" not in page.replace("http://www.w3.org", "")
+    assert f"{ours['overall']:.2f}" in (tmp_path / "tables.md").read_text()
+    assert r"\begin{tabular}" in (tmp_path / "tables.tex").read_text()
+    assert (tmp_path / "tables.csv").read_text().count("\n") == 1 + 2 * 6
+    found = answer("compare", place / "oracle", place / "ours")
+    overall = found["figures"]["overall"]
+    assert overall["difference"] == pytest.approx(100 - ours["overall"])
+    assert overall["mcnemar"]["only_b"] == 0
+    failed = answer("failures", place / "ours")
+    assert sum(failed["causes"].values()) == round(16 * (1 - ours["overall"] / 100))
+    assert "No case failed" in bench("failures", place / "oracle").stdout
+
+
+def test_the_list_and_what_a_folder_holds(folder, tmp_path):
+    found = answer("list")
+    assert {"waypoint", "hstar-hos", "hstar-hps"} <= found.keys()
+    assert "oracle" in found["hstar-hos"]["agents"]
+    (told,) = answer("info", folder).values()
+    assert (told["scenes"], told["targets"], told["episodes"]) == (2, 4, {"hos": 16, "hps": 0})
+    assert "no benchmark's data" in refused("info", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("run", "chess"), "hstar-hos"),
+        (("run", "hstar-hos"), "--data"),
+        (("run", "hstar-hos", "--data", "nowhere", "--agent", "oracle"), "nowhere"),
+        (("run", "navigation", "--data", "somewhere"), "takes no --data"),
+        (("run", "hstar-hos", "--data", "x", "--agent", "oracle", "--shard", "2"), "I/N"),
+        (("run", "hstar-hos", "--data", "x", "--labels", "both"), "no option labels"),
+        (("export",), "--task and --data"),
+        (("compare", "nowhere", "nowhere"), "no run.json"),
+    ],
+)
+def test_usage_errors_say_what_to_do(words, said):
+    assert said in refused(*words)
+
+
+def test_the_task_files_for_lmms_eval_load_and_play(folder, tmp_path):
+    """The way lmms-eval reads and calls them, with a model that is scripted."""
+    yaml = pytest.importorskip("yaml")
+    files = answer("export", "--task", "hstar-hos", "--data", folder, "--to", "lmms-eval", "--out", tmp_path,
+                   "--set", "resolution=36")["files"]  # fmt: skip
+    assert [Path(file).name for file in files] == ["eagor_hstar_hos.yaml", "utils.py", "eagor_hstar_hos.jsonl"]
+
+    def function(loader, node):
+        module, name = loader.construct_scalar(node).rsplit(".", 1)
+        spec = importlib.util.spec_from_file_location(module, tmp_path / f"{module}.py")
+        found = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(found)
+        return getattr(found, name)
+
+    class Loader(yaml.SafeLoader):
+        pass
+
+    Loader.add_constructor("!function", function)
+    task = yaml.load((tmp_path / "eagor_hstar_hos.yaml").read_text(), Loader)
+    assert task["output_type"] == "generate_until_agentic"
+    docs = [json.loads(line) for line in Path(task["dataset_kwargs"]["data_files"]["test"]).read_text().splitlines()]
+    assert len(docs) == 16
+    doc = next(doc for doc in docs if doc["id"] == "hall/0/0")
+
+    def model(replies):
+        """lmms-eval's loop: the text and the pictures of each turn, until the task says that it is over."""
+        outputs, info, context = [], None, task["doc_to_text"](doc)
+        pictures = task["doc_to_visual"](doc)
+        shown = [(len(pictures), context)]
+        for number in range(task["generation_kwargs"]["max_agentic_steps"]):
+            outputs.append(replies[min(number, len(replies) - 1)])
+            pictures, context, over, outputs, info = task["doc_to_text"](
+                doc, previous_output=outputs, round_idx=number + 1, previous_round_info=info
+            )
+            if over:
+                return outputs[-1], shown
+            shown.append((len(pictures), context))
+        raise AssertionError("it never ended")
+
+    final, shown = model(["<answer>rotate(50,0)</answer>", "<answer>submit(55,0)</answer>"])
+    assert [count for count, _ in shown] == [1, 2]
+    assert "(50,0)" in shown[1][1]
+    assert "(picture 2)" in shown[1][1]
+    scores = task["process_results"](doc, [final])
+    assert (scores["success"], scores["success_easy"], scores["success_hard"]) == (1.0, 1.0, None)
+    final, shown = model(["<answer>rotate(10,0)</answer>"])
+    assert json.loads(final)["submit"] is None
+    assert len(shown) == 10
+    assert max(count for count, _ in shown) == 5
+    assert task["process_results"](doc, [final])["success"] == 0.0
+    aggregate = {metric["metric"]: metric["aggregation"] for metric in task["metric_list"]}
+    assert aggregate["success_easy"]([1.0, None, 0.0]) == 50.0
+    line = tmp_path / "samples.jsonl"
+    line.write_text(json.dumps({"doc_id": 0, "filtered_resps": [final]}))
+    assert answer("score", line, "--task", "hstar-hos", "--data", folder, code=3)["causes"] == {"budget": 1}
+
+
+def test_the_level_file_and_samples(folder, runs, tmp_path):
+    place = runs[0]
+    (file,) = answer("export", place / "oracle", "--to", "hstar-txt", "--out", tmp_path)["files"]
+    assert Path(file).read_text().splitlines() == ["0 4 4", "1 4 4", "2 8 8", "step_success 0 16" + " 0" * 9]
+    (file,) = answer("export", place / "oracle", "--out", tmp_path)["files"]
+    lines = [json.loads(line) for line in Path(file).read_text().splitlines()]
+    assert [line["doc_id"] for line in lines] == list(range(16))
+    assert answer("score", file, "--task", "hstar-hos", "--data", folder)["overall"] == 100.0
+
+
+# Engines
+
+
+@pytest.fixture
+def config(tmp_path):
+    (tmp_path / "notes").mkdir()
+    return {"task": "square", "notes": str(tmp_path / "notes")}
+
+
+def units(count, trouble=None):
+    return [Unit(f"square/{n}", f"house {n % 3}", (n, (trouble or {}).get(n))) for n in range(count)]
+
+
+def test_threads_do_everything_once_and_try_again_what_fails(tmp_path, config):
+    trouble = {3: "raise", 5: "raise once", 7: "nan"}
+    folder = tmp_path / "run"
+    done = run_units(units(12, trouble), "units_of_work:squares", config | {"sleep": 0.01}, folder, 4, engine="threads")
+    assert done == Outcome(10, 2, 0)
+    found = {record["key"]: record for record in ledger.read(folder)}
+    assert {key: r["attempt"] for key, r in found.items() if r["status"] == "failed"} == {"square/3": 2, "square/7": 2}
+    assert found["square/5"]["attempt"] == 2
+    again = run_units(units(12, trouble), "units_of_work:squares", config, folder, 4, engine="threads")
+    assert again == Outcome(0, 2, 10)
+
+
+def test_ray_is_asked_for_by_name(tmp_path, config):
+    if importlib.util.find_spec("ray") is not None:
+        pytest.skip("ray is here")
+    with pytest.raises(EagorError, match=r"eagor\[ray\]"):
+        run_units(units(2), "units_of_work:squares", config, tmp_path / "run", 2, engine="ray")
+
+
+def test_ray_does_everything_and_outlives_its_workers(tmp_path, config):
+    pytest.importorskip("ray")
+    trouble = {3: "raise", 5: "die once", 7: "die"}
+    done = run_units(units(12, trouble), "units_of_work:squares", config, tmp_path / "run", 2, engine="ray")
+    assert done == Outcome(10, 2, 0)
+    found = {record["key"]: record for record in ledger.read(tmp_path / "run")}
+    assert found["square/5"]["attempt"] == 2
+    assert "died" in found["square/7"]["error"]

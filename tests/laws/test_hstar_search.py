@@ -1,0 +1,154 @@
+"""What must hold of the search: evidence where one looked, honest information, answers that get better."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from eagor.evidence import Calibration, Evidence
+from eagor.perception.truth import Noise
+from eagor.tasks.hstar.camera import View, inside
+from eagor.tasks.hstar.rules import submit_succeeds
+from eagor.tasks.hstar.search import CELLS, PITCHES, YAWS, Search, SearchRules, _information, _prior, _weights
+from eagor.tasks.hstar.truth import LENS, TruthEye
+
+poses = st.tuples(st.integers(0, 359), st.sampled_from(PITCHES))
+boxes = st.tuples(st.integers(0, 359), st.integers(-50, 40))
+
+
+def empty(floor=0.02):
+    return Evidence.from_response(np.full(LENS.shape, floor), LENS, Calibration(0.2, 0.05, 3.0))
+
+
+@given(st.lists(poses, min_size=1, max_size=5))
+@settings(max_examples=10)
+def test_what_was_not_looked_at_keeps_its_odds_and_what_was_loses(views):
+    search = Search.begin("hos")
+    for yaw, pitch in views:
+        view = View(float(yaw), float(pitch))
+        search = search.seen(empty(), view.world_R_view, view)
+    ratio = search.probability / _prior(search.rules.tilt, search.rules.height, "hos")
+    unseen = search.shown == 0
+    assert unseen.any()
+    np.testing.assert_allclose(ratio[unseen], ratio[unseen].max(), rtol=1e-9)
+    # Well inside every view there is less left than outside.
+    for yaw, pitch in views:
+        middle = inside(View(float(yaw), float(pitch)), CELLS.directions.reshape(-1, 3)).reshape(CELLS.shape)
+        well = middle & (CELLS.directions @ View(float(yaw), float(pitch)).world_R_view[:, 0] > math.cos(0.3))
+        assert (ratio[well] < ratio[unseen].max()).all()
+
+
+def test_the_order_of_looks_does_not_matter_where_they_do_not_overlap():
+    views = [View(0.0, 0.0), View(120.0, 0.0), View(240.0, 0.0)]
+    found = []
+    for order in itertools.permutations(views):
+        search = Search.begin("hos")
+        for view in order:
+            search = search.seen(empty(0.4 if view.yaw == 120 else 0.0), view.world_R_view, view)
+        found.append(search.probability)
+    for other in found[1:]:
+        np.testing.assert_allclose(other, found[0], atol=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from(PITCHES), st.integers(0, len(YAWS) - 1))
+@settings(max_examples=12)
+def test_information_is_the_mutual_information_of_look_and_target(seed, pitch, turn):
+    """Against the definition: the joint distribution of target cell and outcome, written out."""
+    rng = np.random.default_rng(seed)
+    p = rng.dirichlet(np.full(CELLS.height * CELLS.width, 0.05)).reshape(CELLS.shape)
+    new = rng.uniform(0.2, 1.0, CELLS.shape)
+    hit, alarm = 0.7, 0.2
+    found = _information(p, new, _weights(pitch, 15), hit, alarm)[turn]
+    shown = np.roll(_weights(pitch, 15), int(YAWS[turn]) // 5, axis=1).reshape(-1)
+    seen = np.flatnonzero(shown)
+    share = hit * shown * new.reshape(-1)
+    area = CELLS.weights.reshape(-1)[seen]
+    even = area / area.sum()
+    joint = np.zeros((p.size, len(seen) + 1))
+    for cell, mass in enumerate(p.reshape(-1)):
+        joint[cell, :-1] = mass * (1 - share[cell]) * alarm * even
+        joint[cell, -1] = mass * (1 - share[cell]) * (1 - alarm)
+    joint[seen, np.arange(len(seen))] += p.reshape(-1)[seen] * share[seen]
+    product = joint.sum(axis=1, keepdims=True) * joint.sum(axis=0, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        wanted = np.nansum(np.where(joint > 0, joint * np.log(joint / product), 0.0))
+    assert found == pytest.approx(wanted, abs=1e-9)
+    assert found >= -1e-12
+
+
+def test_the_next_view_looks_where_nobody_has_looked():
+    search, now = Search.begin("hos"), View(0.0, 0.0)
+    seen = [now]
+    for _ in range(3):
+        search = search.seen(empty(), now.world_R_view, now)
+        now = search.next_view(now)
+        assert all(abs((now.yaw - other.yaw + 180) % 360 - 180) + abs(now.pitch - other.pitch) > 30 for other in seen)
+        seen.append(now)
+
+
+@given(boxes, st.integers(0, 359))
+@settings(max_examples=10)
+def test_an_ideal_eye_finds_what_is_there_and_knows_it(box, start):
+    yaw, pitch = box
+    item = {"yaw": [yaw, (yaw + 20) % 360], "pitch": [pitch, pitch + 15]}
+    eye = TruthEye((item["yaw"][0], item["yaw"][1]), (item["pitch"][0], item["pitch"][1]), Noise.ideal(), 0)
+    search, view = Search.begin("hos"), View(float(start), 0.0)
+    stated = 0.0
+    for _ in range(10):
+        search = search.seen(eye.look(view), view.world_R_view, view)
+        answer = search.answer()
+        stated = answer.probability
+        if stated >= search.rules.sure:
+            break
+        view = search.next_view(view)
+    assert stated > 0.5
+    assert submit_succeeds(item, answer.yaw, answer.pitch, "strict")
+
+
+def test_paths_are_answered_by_yaw_alone():
+    eye = TruthEye((100.0, 106.0), None, Noise.ideal(), 0)
+    search, view = Search.begin("hps"), View(90.0, 0.0)
+    for _ in range(3):
+        search = search.seen(eye.look(view), view.world_R_view, view)
+    answer = search.answer()
+    assert answer.pitch == 0
+    assert abs(answer.yaw - 103) <= 5
+
+
+def test_a_repeated_look_counts_for_less():
+    once = Search.begin("hos", SearchRules(fresh=0.5))
+    view = View(0.0, 0.0)
+    first = once.seen(empty(), view.world_R_view, view)
+    second = first.seen(empty(), view.world_R_view, view)
+    here = (18, 36)  # straight ahead
+    fall = [float(s.belief.log_ratio(CELLS)[here]) for s in (once, first, second)]
+    assert fall[1] - fall[2] == pytest.approx(0.5 * (fall[0] - fall[1]), rel=0.05)
+
+
+def test_truth_misses_and_alarms_at_its_rates_and_its_luck_does_not_depend_on_where_it_looks():
+    noise = Noise.parse("ideal,miss=0.3,false_alarm=0.2,persistence=0.4")
+    kinds = {True: [], False: []}
+    for there in kinds:
+        eye = TruthEye((350.0, 10.0), (-5.0, 5.0), noise, 7)
+        view = View(0.0 if there else 180.0, 0.0)
+        kinds[there] = [{report.kind for report in eye.reports(view)} for _ in range(4000)]
+    found = np.mean(["found" in kind for kind in kinds[True]])
+    alarms = [np.array(["false alarm" in kind for kind in kinds[there]]) for there in (True, False)]
+    assert found == pytest.approx(0.7, abs=0.04)
+    assert alarms[0].mean() == pytest.approx(0.2, abs=0.03)
+    assert (alarms[0] == alarms[1]).all()
+    assert not any("found" in kind for kind in kinds[False])
+
+
+def test_a_false_alarm_that_lasts_stays_where_it_is_in_the_world():
+    noise = Noise.parse("ideal,false_alarm=1,persistence=1")
+    eye = TruthEye((170.0, 190.0), (-5.0, 5.0), noise, 3)
+    places = []
+    for yaw in (0.0, 10.0, 20.0):
+        view = View(yaw, 0.0)
+        places += [view.world_R_view @ r.direction for r in eye.reports(view) if r.kind == "false alarm"]
+    assert len(places) >= 2
+    np.testing.assert_allclose(places, [places[0]] * len(places), atol=1e-9)

@@ -1,0 +1,168 @@
+"""H*Bench held to what its published environment does, and to plain implementations of the same arithmetic."""
+
+import json
+import math
+from pathlib import Path
+
+import hstar_data
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eagor.errors import EagorError, FormatError
+from eagor.tasks.hstar import (
+    Action,
+    View,
+    parse_action,
+    render_view,
+    submit_succeeds,
+    window_of,
+)
+from eagor.tasks.hstar.camera import inside, visible_share
+from eagor.tasks.hstar.rules import read_action, turned
+
+SHARED = Path(__file__).parents[2] / ".." / "shared" / "bench_samples"
+SUBMIT, PARSE = SHARED / "conformance_hstar_submit.json", SHARED / "conformance_hstar_parse.json"
+angles = st.floats(-720, 720, allow_nan=False)
+
+
+@pytest.mark.skipif(not SUBMIT.exists(), reason="the shared vectors are not here")
+def test_success_is_what_the_published_environment_decides():
+    vectors = json.loads(SUBMIT.read_text())["vectors"]
+    different = 0
+    for vector in vectors:
+        item = {key: vector[key] for key in ("yaw", "pitch") if vector[key] is not None}
+        window = window_of(item)
+        assert (list(window.yaw), list(window.pitch)) == (vector["window_yaw"], vector["window_pitch"])
+        official = submit_succeeds(item, *vector["submit"], "official")
+        assert official == vector["success"], vector
+        strict = submit_succeeds(item, *vector["submit"], "strict")
+        assert official or not strict
+        different += official != strict
+    assert len(vectors) == 420
+    assert different == 12  # all of them where a window crosses yaw 0
+
+
+@pytest.mark.skipif(not PARSE.exists(), reason="the shared vectors are not here")
+def test_replies_are_read_as_the_published_parser_reads_them():
+    for vector in json.loads(PARSE.read_text()):
+        text = vector.pop("text")
+        assert dict(parse_action(text)) == vector, text
+
+
+@pytest.mark.parametrize(
+    ("text", "action"),
+    [
+        ("rotate(-45,0)", Action("rotate", -45, 0)),
+        ("submit( 285 , +5 )", Action("submit", 285, 5)),
+        ("rotate(30.5,0)", None),
+        ("rotate(30)", None),
+        ("Rotate(30,5)", None),
+        ("rotate (30,5)", None),
+        ("zoom(in)", None),
+        ("", None),
+    ],
+)
+def test_actions_are_whole_degrees_and_case_sensitive(text, action):
+    assert read_action(text) == action
+
+
+def test_the_other_forms_want_their_form_kept():
+    grounded = "<think><observation>o</observation><reasoning>r</reasoning></think><answer>submit(1,2)</answer>"
+    assert parse_action(grounded, "grounding").action == Action("submit", 1, 2)
+    assert parse_action("<think>a</think><answer>submit(1,2)</answer>", "grounding").actions == []
+    assert parse_action("<answer>rotate(1,2)</answer>", "no_think").action == Action("rotate", 1, 2)
+    assert parse_action("well: <answer>rotate(1,2)</answer>", "no_think").action is None
+    with pytest.raises(EagorError, match="free_think, no_think, grounding"):
+        parse_action("x", "haiku")
+
+
+@given(angles, st.floats(0, 359), st.floats(-90, 90), st.floats(0, 90))
+def test_windows_hold_their_middle_and_are_as_wide_as_the_tolerance(yaw, width, low, height):
+    item = {"yaw": [yaw % 360, (yaw + width) % 360], "pitch": [low, min(90.0, low + height)]}
+    window = window_of(item)
+    middle = window.centre
+    assert submit_succeeds(item, *middle, "strict")
+    assert window.width >= 60 - 1e-6 or window.wraps
+    assert submit_succeeds(item, middle[0] + 360, middle[1], "strict") == submit_succeeds(item, *middle, "strict")
+
+
+def test_items_that_are_none_are_refused():
+    for item in ({}, {"yaw": [1]}, {"yaw": [1, float("nan")], "pitch": [0, 1]}, {"yaw": "ab"}):
+        with pytest.raises(FormatError, match="yaw"):
+            submit_succeeds(item, 0, 0)
+    with pytest.raises(EagorError, match="official or strict"):
+        submit_succeeds({"yaw": [0, 10]}, 0, 0, "lenient")
+
+
+def test_the_camera_turns_all_the_way_around_and_stops_at_the_poles():
+    assert turned(350, 80, Action("rotate", 30, 30)) == (20, 90)
+    assert turned(10, -80, Action("rotate", -30, -30)) == (340, -90)
+
+
+def reference(image, yaw, pitch, rows):
+    """The published view, written out in float64: rays, rotation, bilinear with wrap."""
+    columns = rows // 9 * 16
+    focal = columns / (2 * math.tan(math.radians(50)))
+    j, i = np.meshgrid(np.arange(columns), np.arange(rows))
+    rays = np.stack([(j - columns / 2) / focal, (i - rows / 2) / focal, np.ones(j.shape)], axis=-1)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    a, b = math.radians(yaw), math.radians(pitch)
+    lift = np.array([[1, 0, 0], [0, math.cos(b), -math.sin(b)], [0, math.sin(b), math.cos(b)]])
+    turn = np.array([[math.cos(a), 0, math.sin(a)], [0, 1, 0], [-math.sin(a), 0, math.cos(a)]])
+    x, y, z = np.moveaxis(rays @ (turn @ lift).T, -1, 0)
+    height, width = image.shape[:2]
+    u = (np.arctan2(x, z) / np.pi + 1) / 2 * width
+    v = (np.arcsin(np.clip(y, -1, 1)) / np.pi + 0.5) * height
+    left, top = np.floor(u).astype(int), np.floor(v).astype(int)
+    p, q = (u - left)[..., None], (v - top)[..., None]
+
+    def at(row, column):
+        return image[row % height, column % width].astype(float)
+
+    upper = at(top, left) * (1 - p) + at(top, left + 1) * p
+    return upper * (1 - q) + (at(top + 1, left) * (1 - p) + at(top + 1, left + 1) * p) * q
+
+
+@pytest.mark.parametrize(("yaw", "pitch"), [(0, 0), (357, -40), (181, 90), (90, -90), (33, 12), (-30, 60)])
+def test_views_are_the_published_ones_to_half_a_grey_level(yaw, pitch):
+    rng = np.random.default_rng(5)
+    rough = rng.integers(0, 256, (9, 20, 3)).astype(np.uint8)
+    image = np.kron(rough, np.ones((17, 19, 1), dtype=np.uint8))  # 153 x 380, not 2:1, with hard edges
+    found = render_view(image, yaw, pitch, 270, cross=False)
+    assert found.shape == (270, 480, 3)
+    off = np.abs(found - reference(image, yaw, pitch, 270))
+    # float32 coordinates: a few parts in 1e5 of a pixel, times an edge of 255
+    assert off.max() < 0.5 + 0.03
+    assert (off > 0.501).mean() < 1e-3
+
+
+def test_the_cross_is_where_it_is_drawn():
+    grey = np.full((90, 180, 3), 77, dtype=np.uint8)
+    with_cross, without = (render_view(grey, 10, 5, 1080, cross=cross) for cross in (True, False))
+    changed = np.argwhere((with_cross != without).any(axis=-1))
+    assert len(changed) == 41
+    assert (changed.min(axis=0), changed.max(axis=0)) == (pytest.approx([530, 950]), pytest.approx([550, 970]))
+    assert (with_cross[540, 960] == (0, 255, 0)).all()
+
+
+@pytest.mark.parametrize(("yaw", "pitch"), [(0, 0), (215, -25), (90, 40)])
+def test_the_grid_of_a_view_names_the_directions_that_its_pixels_show(yaw, pitch):
+    image = hstar_data.panorama({"red": ([yaw + 8.0, yaw + 14.0], [pitch + 4.0, pitch + 10.0])}, 720, 1440)
+    view = View(yaw, pitch)
+    red = render_view(image, yaw, pitch, 270, cross=False)[..., 1] < 60
+    from eagor.conventions import hstar_from_direction
+
+    shown = view.grid(270, 480).directions[red]
+    yaws, pitches = hstar_from_direction(shown)
+    assert abs((yaws.mean() - (yaw + 11) % 360 + 180) % 360 - 180) < 0.6
+    assert abs(pitches.mean() - (pitch + 7)) < 0.6
+    assert inside(view, shown).all()
+
+
+def test_what_is_in_view():
+    assert visible_share(View(0, 0), (350, 10), (-5, 5)) == 1
+    assert visible_share(View(180, 0), (350, 10), (-5, 5)) == 0
+    assert 0.3 < visible_share(View(50, 0), (350, 10), (-5, 5)) < 0.7
+    assert visible_share(View(0, 60), (0, 20), (-20, 10)) == 0
