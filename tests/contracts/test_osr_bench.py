@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -302,3 +304,16 @@ def test_info_counts(data: Path) -> None:
     assert set(found["files"]) == set(SUFFIXES)
     assert found["files"]["qa"]["empty_labels_skipped"] == 1
     assert (found["pictures"], found["with_true_places"], found["with_depth"]) == ({"128 x 64": 1}, 1, 0)
+
+
+def test_one_command_gives_the_table_and_goes_on_where_it_stopped(data: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "eagor", "bench", "run", "osr", "--data", str(data), "--agent", "eagor"]
+    command += ["--perception", "truth", "--labels", "both", "--out", str(tmp_path / "run"), "--json"]
+    first = subprocess.run([*command, "--limit", "3"], capture_output=True, text=True, check=False)
+    assert first.returncode == 0, first.stderr
+    assert json.loads(first.stdout)["episodes"] == 3
+    second = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert second.returncode == 0, second.stderr
+    found = json.loads(second.stdout)
+    assert found["episodes"] == len(played(data, agent="oracle"))
+    assert found["direction_corrected"] > found["direction_official"]
