@@ -44,8 +44,8 @@ class SearchRules:
     hit: float = 0.7
     alarm: float = 0.2
     fresh: float = 0.7
-    tilt: float = 35.0
-    height: float = -12.0
+    tilt: float = 28.0
+    height: float = -15.0
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from eagor.perception.truth import Noise, Report, displaced, drawn
 from eagor.tasks.hstar.camera import HFOV_DEG, View, box_points, inside
 
 # Fitted on development seeds (benchmarks/search.py fit).
-CALIBRATION = Calibration(floor=0.2, neutral=0.05, temperature=4.0)
+CALIBRATION = Calibration(floor=0.2, neutral=0.05, temperature=3.5)
 LENS = PerspectiveGrid(27, 48, math.radians(HFOV_DEG))  # the cells of its response: 2 degrees in the middle
 CELL = math.radians(HFOV_DEG) / LENS.width
 WHOLE = 0.5  # share of a box in view from which on it is found as well as if it were whole
