@@ -1,0 +1,207 @@
+"""Relative directions as OSR-Bench asks for them, with true bearings and floor contacts: how often is the answer right?
+
+    python benchmarks/osr.py [--scenes 200] [--seed 2000] [--samples DIR] [--out FILE.jsonl]
+
+In rooms of the built-in apartments, and in the sample scenes of DIR where that is given, every triple of categories
+(P, O, Q) with one P is asked. Labels are made by the benchmark's own rule from a layout of 10 x 10 cells that is drawn
+as the published ones are, mirrored; answers are compared with the corrected labels, in which left and right are put
+right again. Printed, with 95 % intervals over apartments (or the Wilson interval over triples of one sample):
+
+- *clear*: triples whose dot and cross products both exceed one squared cell. Among them *wall*: with a thing that does
+  not touch the floor; *tied*: with several things equally near to P, of which the label takes the one at the smallest
+  angle;
+- *border*: one of the products is at most one squared cell; where it is zero, the label is a single word, which no
+  answer that knows the places better than to a cell will ever be;
+- triples whose label is empty, which the benchmark leaves out, are counted.
+
+The rows tell what the agent knows:
+
+- *places*: where everything is. What is missing from 100 % is due to the rounding of the labels alone.
+- *contacts*: the true bearing of everything, and the elevation of the floor below the middle of what stands on it; what
+  does not stand on the floor gets its range from the wall behind or the thing below. With *metres*, the answer of the
+  places as they are; without, the likeliest label after rounding.
+- *outlines*: boxes alone, as a perfect detector would give; ranges come from their lower edges.
+- *no walls*: contacts, and nobody knows where the walls are.
+- *bearings*: everything at the same range.
+
+With --out each scene's counts are kept as they come, and scenes that are there already are not done again.
+"""
+
+from __future__ import annotations
+
+import os
+
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import argparse
+import itertools
+import json
+import sys
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor.statistics import wilson_interval
+from eagor.tasks.osr.apartments import views
+from eagor.tasks.osr.dataset import Scene, load
+from eagor.tasks.osr.drawing import draw
+from eagor.tasks.osr.eyes import Seen
+from eagor.tasks.osr.geometry import FloorLine, Placed
+from eagor.tasks.osr.layout import SIZE, Layout, cells, is_tied, named, products, steps, swapped
+from eagor.tasks.osr.ours import Around, Eagor, laid_out
+from eagor.tasks.osr.truth import Body, Room, read_room, sightings
+
+ROWS = ("places", "contacts", "contacts, metres", "outlines", "no walls", "bearings")
+# The synthetic sample's room, read off its picture: corners at 40.5 degrees to both sides, where the wall's foot is
+# 3.5 m ahead; x forward, y left.
+SAMPLE_WALLS = FloorLine(np.array([[3.5, 3.0], [-3.5, 3.0], [-3.5, -3.0], [3.5, -3.0]]))
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=2000)
+    parser.add_argument("--samples", type=Path)
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    kept = [json.loads(line) for line in options.out.read_text().splitlines()] if _there(options.out) else []
+    done = {entry["scene"] for entry in kept}
+    entries = [entry for entry in kept if entry["seed"] >= options.seed]
+    for seed in itertools.count(options.seed):
+        if len(entries) >= options.scenes:
+            break
+        if f"{seed}" in done:
+            continue
+        found = [counted(view.id, view.room, view.layout) | {"scene": view.id, "seed": seed} for view in views(seed)]
+        entries += found
+        if options.out is not None:
+            with options.out.open("a") as file:
+                lines = [*found, {"scene": f"{seed}", "seed": -1}]  # the last says that this apartment is done
+                file.write("".join(json.dumps(entry) + "\n" for entry in lines))
+        if sys.stderr.isatty():
+            print(f"\r{len(entries)} scenes", end="", file=sys.stderr)
+    entries.sort(key=lambda entry: entry["scene"])
+    print(f"{len(entries)} scenes in {len({entry['seed'] for entry in entries})} apartments, from seed {options.seed}")
+    groups = [str(entry["seed"]) for entry in entries]
+    report(entries, groups)
+    for name, room, layout in samples(options.samples) if options.samples else ():
+        print(f"\nsample {name}")
+        entry = counted(name, room, layout)
+        report([entry], None)
+        entries, groups = [*entries, entry], [*groups, name]
+    if options.samples:
+        print("\nall together")
+        report(entries, groups)
+    return 0
+
+
+def counted(name: str, room: Room, layout: Layout) -> dict[str, Any]:
+    """How many triples of a scene there are of each kind, and how many of them each row has right."""
+    asked = triples(room, layout)
+    counts: dict[str, Any] = {"all": dict(Counter(kind for *_, kinds in asked for kind in kinds)), "right": {}}
+    for row in ROWS:
+        agent, around = seen_by(row, name, room)
+        right: Counter[str] = Counter()
+        for P, O, Q, label, kinds in asked:
+            if label and agent.where(around, P, O, Q)[0] == label:
+                right.update(kinds)
+        counts["right"][row] = dict(right)
+    return counts
+
+
+def triples(room: Room, layout: Layout) -> list[tuple[str, str, str, str, list[str]]]:
+    """P, O, Q, the corrected label, and what kind of triple it is."""
+    number = Counter(body.name for body in room.bodies)
+    hung = {body.name for body in room.bodies if not body.stands}
+    found = []
+    for P, O, Q in itertools.permutations(sorted(layout), 3):
+        if number[P] != 1:
+            continue
+        apart = steps(layout, P, O, Q)
+        assert not isinstance(apart, str)
+        dot, cross = products(*apart)
+        label = swapped(named(dot, cross))
+        if not label:
+            found.append((P, O, Q, "", ["empty"]))
+            continue
+        clear = min(abs(dot), abs(cross)) > 1
+        kinds = ["clear" if clear else "border"]
+        if clear:
+            kinds += ["wall"] if hung & {P, O, Q} else []
+            kinds += ["tied"] if is_tied(layout, P, O) or is_tied(layout, P, Q) else []
+        found.append((P, O, Q, label, kinds))
+    return found
+
+
+def seen_by(row: str, name: str, room: Room) -> tuple[Eagor, Around]:
+    """The agent of a row of the table, and the room as it sees it."""
+    agent = Eagor(_nobody, "metres" if row == "contacts, metres" else "auto")
+    things = tuple(sightings(room, exact=row != "outlines"))
+    seen = Seen(things, None if row in ("no walls", "bearings") else room.walls, room.camera)
+    if row == "places":
+        placed = tuple(Placed(body.name, tuple(body.centre.tolist()), "contact") for body in room.bodies)
+        return agent, Around(name, seen, placed, draw(placed, seen.walls, np.random.default_rng(0)))
+    return agent, laid_out(name, seen, "unit" if row == "bearings" else "floor")
+
+
+def _nobody(scene: Scene, names: Sequence[str]) -> Seen:
+    raise AssertionError("what was seen is given")
+
+
+def report(entries: list[dict[str, Any]], groups: list[str] | None) -> None:
+    """The table of all rows."""
+    total: Counter[str] = sum((Counter(entry["all"]) for entry in entries), Counter())
+    words = ", ".join(f"{total[kind]} {kind}" for kind in ("clear", "wall", "tied", "border", "empty"))
+    print(f"triples: {words}\n{'':18s}{'clear':>22s}{'wall':>10s}{'tied':>10s}{'border':>10s}")
+    for row in ROWS:
+        right: Counter[str] = sum((Counter(entry["right"][row]) for entry in entries), Counter())
+        share = {kind: f"{100 * right[kind] / total[kind]:.1f}" if total[kind] else "-" for kind in total}
+        low, high = interval(entries, row, groups)
+        clear = f"{share.get('clear', '-')} [{100 * low:.1f}, {100 * high:.1f}]"
+        print(f"{row:18s}{clear:>22s}" + "".join(f"{share.get(kind, '-'):>10s}" for kind in ("wall", "tied", "border")))
+
+
+def interval(entries: list[dict[str, Any]], row: str, groups: list[str] | None) -> tuple[float, float]:
+    """95 % of the share of clear triples that are right: apartments are drawn again, whole."""
+    if groups is None:
+        found = wilson_interval(entries[0]["right"][row].get("clear", 0), entries[0]["all"].get("clear", 0))
+        return found.low, found.high
+    sums: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(2))
+    for entry, group in zip(entries, groups, strict=True):
+        sums[group] += entry["right"][row].get("clear", 0), entry["all"].get("clear", 0)
+    table, rng = np.array(list(sums.values())), np.random.default_rng(0)
+    drawn = table[rng.integers(0, len(table), (2000, len(table)))].sum(axis=1)
+    low, high = np.quantile(drawn[:, 0] / np.maximum(drawn[:, 1], 1), [0.025, 0.975])
+    return float(low), float(high)
+
+
+def samples(folder: Path) -> Iterator[tuple[str, Room, Layout]]:
+    """The sample scenes. Where nobody wrote down the places, the layout is taken for them, which tests no layout."""
+    for scene in load(folder):
+        layout = scene.layout
+        if layout is None:
+            continue
+        room = read_room(scene.folder)
+        if room is not None:
+            yield scene.id, room if room.walls else replace(room, walls=SAMPLE_WALLS), layout
+            continue
+        bodies = []
+        for name in layout:
+            for row, column in cells(layout, name):  # mirrored back: columns grow to the left
+                middle = np.array([SIZE / 2 - row, column - SIZE / 2]) * 0.5 + 0.1
+                corner = 0.1 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+                bodies.append(Body(name, middle + corner, 0.0, 0.5))
+        yield f"{scene.id} (places from the layout)", Room(tuple(bodies)), layout
+
+
+def _there(path: Path | None) -> bool:
+    return path is not None and path.exists()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

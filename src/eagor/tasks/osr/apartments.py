@@ -1,0 +1,192 @@
+"""Scenes of OSR-Bench made from the built-in apartments: a room, the camera in it, what it sees, the questions.
+
+The layout follows what the published ones show: cells are square, the larger side of the area that the things take is
+ten of them, the axes are those of the building and not of the camera, and left and right are exchanged.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from eagor.sphere import world_R_body
+from eagor.tasks.osr.drawing import layout_from
+from eagor.tasks.osr.geometry import FloorLine
+from eagor.tasks.osr.layout import direction_label, distance_label, grid_of
+from eagor.tasks.osr.questions import counting, direction, distance, mapping
+from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP
+from eagor.tasks.osr.truth import Body, Room, write_room
+from eagor.tasks.places import APARTMENT, Place, load_place
+from eagor.worlds.raycast import Raycaster, make_raycaster
+
+# Walls, floor and ceiling are the room itself; a ceiling lamp touches neither floor nor wall.
+UNNAMED = ("wall", "floor", "ceiling", "ceiling lamp")
+LEAST = 5  # categories: the benchmark asks about distances and directions only where there are so many
+VISIBLE = 6  # pixels of a panorama of 64 x 128 from which on a thing counts as seen
+ROWS = 64
+CLEARANCE = 0.35  # metres around the camera
+TRIES = 6  # places in a room
+WALL_RAYS = 360
+SKIRTING = 0.3  # metres above the floor: where the walls are looked for, below all window sills
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A camera in a room of an apartment: what it sees (`room`), the published kind of layout, and where it stands.
+
+    `position` ``(3,)`` metres and `yaw` radians in the world; `counts` of the things of each category.
+    """
+
+    id: str
+    room: Room
+    layout: dict[str, list[list[int]]]
+    position: np.ndarray
+    yaw: float
+    place: Place
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many things of each category are there."""
+        found: dict[str, int] = {}
+        for body in self.room.bodies:
+            found[body.name] = found.get(body.name, 0) + 1
+        return found
+
+
+def views(seed: int, height: float = 1.5) -> Iterator[View]:
+    """One view of every room of this apartment in which a camera sees at least `LEAST` categories; `height` metres.
+
+    The same seed gives the same views. Raises `WorldError` for a seed that no apartment has.
+    """
+    place = load_place(APARTMENT, seed, 0.18)
+    for number, room in enumerate(place.scene.rooms):
+        rng = np.random.default_rng([seed, number, 0x05B])
+        for _ in range(TRIES):
+            spot = _spot(place, room.name, rng)
+            if spot is None:
+                break
+            found = _view(place, room.name, spot, height, float(rng.uniform(-math.pi, math.pi)), f"{seed:04d}_{number}")
+            if len(found.counts) >= LEAST:
+                yield found
+                break
+
+
+def write_scene(view: View, folder: Path, rows: int = 512, questions: int = 5, seed: int = 0) -> Path:
+    """Write a view in the published format, its picture and its truth; returns the scene's folder.
+
+    `rows` of the picture, 0 for none. `questions`: at most so many of each kind, drawn with `seed`. Files with and
+    without the map's question are written, and those with absent categories too.
+    """
+    from PIL import Image
+
+    name = f"EagorApartment-{view.id}"
+    target = folder / name
+    target.mkdir(parents=True, exist_ok=True)
+    if rows:
+        frame = view.place.renderer.panorama(view.position, world_R_body(view.yaw), rows, range=False, ids=False)
+        assert frame.rgb is not None
+        Image.fromarray(frame.rgb).save(target / "rgb.png")
+    grid = grid_of(view.layout)
+    whole = {"cognitive_map": grid, "class_count": view.counts}
+    (target / "cognitive_map.json").write_text(json.dumps(whole), encoding="utf-8")
+    write_room(view.room, target)
+    present = list(view.counts)
+    absent = sorted({"bed", "fridge", "piano", "picture", "sink", "stool", "table", "tv"} - set(present))
+    for kind, extra in (("qa", []), ("qa_with_negative", absent[:LEAST])):
+        names = present + extra
+        rng = np.random.default_rng([seed, *view.id.encode(), len(extra)])
+        turns = list(conversation(view.layout, view.counts, names, questions, rng))
+        for suffix, part in (("", turns), ("_without_cogmap", turns[1:])):
+            entry = {"image_id": f"data/{name}/rgb.png", "pre_prompt": "", "conversation": part}
+            (target / f"{name}_{kind}{suffix}.json").write_text(json.dumps(entry, indent=1), encoding="utf-8")
+    return target
+
+
+def conversation(
+    layout: Mapping[str, Sequence[Sequence[int]]],
+    counts: Mapping[str, int],
+    names: Sequence[str],
+    most: int,
+    rng: np.random.Generator,
+) -> Iterator[dict[str, object]]:
+    """The turns about one layout: the map, then at most `most` questions of each kind over `names`.
+
+    As published: who is stood by, or measured from, is of a category with one thing where there is one; where all names
+    are there, questions that would be answered by an error are not asked.
+    """
+    names = list(names)
+    turn = {"turn_id": 0, "question": mapping(names), "answer": grid_of(layout), "skills_tested": MAP}
+    yield turn
+    asked: list[tuple[str, str, str]] = []
+    for name in rng.permutation(names)[:most]:
+        asked.append((COUNTING, counting(str(name)), str(counts.get(str(name), 0))))
+    singles = [name for name in names if counts.get(name) == 1] or names
+    complete = all(name in layout for name in names)
+    if len(counts) >= LEAST:
+        for kind in (DISTANCE, DIRECTION):
+            kept = 0
+            for _ in range(2 * most if complete else most):
+                first = str(rng.choice(singles))
+                others = [str(name) for name in rng.permutation([name for name in names if name != first])]
+                if kind == DISTANCE:
+                    question, answer = distance(first, others[:4]), distance_label(layout, first, others[:4])
+                else:
+                    question = direction(first, *others[:2])
+                    answer = direction_label(layout, first, *others[:2])
+                if kept == most or (complete and answer.endswith("picture.")):
+                    continue
+                kept += 1
+                asked.append((kind, question, answer))
+    for number, (skill, question, answer) in enumerate(asked, start=1):
+        yield {"turn_id": number, "question": question, "answer": answer, "skills_tested": skill}
+
+
+def _spot(place: Place, room: str, rng: np.random.Generator) -> np.ndarray | None:
+    """A free place ``(2,)`` in the room, away from things; None if there is none."""
+    ground = place.ground
+    inside = next(each for each in place.scene.rooms if each.name == room)
+    free = np.argwhere(ground.free & (ground.clearance >= CLEARANCE))
+    x, y = ground.centres(free).T[..., None]
+    x0, y0, x1, y1 = inside.rectangles.T
+    within = np.flatnonzero(((x0 <= x) & (x <= x1) & (y0 <= y) & (y <= y1)).any(axis=1))
+    return ground.centres(free[rng.choice(within)]) if len(within) else None
+
+
+def _view(place: Place, room: str, spot: np.ndarray, height: float, yaw: float, identity: str) -> View:
+    position = np.array([*spot, height])
+    turn = world_R_body(yaw)
+    seen = np.bincount(place.ids(position, turn, ROWS).reshape(-1) + 1, minlength=len(place.scene.instances) + 1)[1:]
+    bodies, axes = [], {}
+    for index, thing in enumerate(place.scene.instances):
+        if thing.category in UNNAMED or thing.room != room or seen[index] < VISIBLE:
+            continue
+        name = thing.category.replace(" ", "_")
+        (x0, y0, _), (x1, y1, _) = thing.low, thing.high
+        corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]) - spot
+        bodies.append(Body(name, corners @ turn[:2, :2], float(thing.low[2]), float(thing.high[2])))
+        axes.setdefault(name, []).append(tuple((thing.centre[:2] - spot).tolist()))
+    walls = _walls(place, position, turn)
+    return View(identity, Room(tuple(bodies), height, walls), layout_from(axes, mirror=True), position, yaw, place)
+
+
+def _walls(place: Place, position: np.ndarray, turn: np.ndarray) -> FloorLine:
+    """The foot of the walls around, in the body frame, as it would be without furniture and doors."""
+    azimuth = (np.arange(WALL_RAYS) + 0.5) / WALL_RAYS * 2 * math.pi
+    ways = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=1)
+    origins = np.broadcast_to([position[0], position[1], SKIRTING], ways.shape).astype(np.float32)
+    hits = _bare_walls(place).cast(origins, (ways @ turn.T).astype(np.float32))
+    reached = np.where(np.isfinite(hits.distance), hits.distance, 0.0)
+    return FloorLine((ways[:, :2] * reached[:, None])[reached > 0])
+
+
+@lru_cache(maxsize=2)
+def _bare_walls(place: Place) -> Raycaster:
+    scene = place.scene
+    bare = np.array([thing.category in ("wall", "window") for thing in scene.instances])[scene.instance]
+    return make_raycaster(scene.vertices, scene.triangles[bare])

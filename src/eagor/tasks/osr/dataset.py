@@ -1,0 +1,204 @@
+"""The published files of OSR-Bench: folders of scenes with JSON, or one CSV.
+
+``<scene>/rgb.png``, ``<scene>/cognitive_map.json`` and ``<scene>/<scene>_<suffix>.json`` with a suffix of `SUFFIXES`,
+at any depth below the folder that is given. The data set's hosted edition puts the questions into CSV files (columns
+image_id, turn_id, question, answer and, perhaps, skills_tested), which are read too.
+
+Questions with an empty answer are left out, as the benchmark's authors do.
+"""
+
+from __future__ import annotations
+
+import ast
+import csv
+import json
+import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from eagor.errors import FormatError
+from eagor.tasks.osr.layout import layout_of
+from eagor.tasks.osr.questions import Question, read
+from eagor.tasks.osr.scoring import MAP, SKILLS
+
+SUFFIXES = ("qa_without_cogmap", "qa", "qa_with_negative", "qa_with_negative_without_cogmap")
+WITHOUT = "_without_cogmap"
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One picture and its questions. `image` is None where there is no picture; `skipped` questions had no answer."""
+
+    id: str
+    folder: Path
+    image: Path | None
+    questions: tuple[Question, ...]
+    skipped: int = 0
+
+    @cached_property
+    def categories(self) -> tuple[str, ...]:
+        """All names in the questions, in the order in which they first come."""
+        return tuple(dict.fromkeys(name for question in self.questions for name in question.names))
+
+    @cached_property
+    def layout(self) -> dict[str, list[list[int]]] | None:
+        """The published layout, None where the folder has none. Raises `FormatError` if it is not one."""
+        path = self.folder / "cognitive_map.json"
+        if not path.is_file():
+            grid = next((question.answer for question in self.questions if question.skill == MAP), None)
+            return None if grid is None else layout_of(grid)
+        entry = _json(path)
+        if not isinstance(entry, dict) or "cognitive_map" not in entry:
+            raise FormatError(f'{path} has no "cognitive_map"; wanted {{"cognitive_map": 10 x 10 lists of names, ...}}')
+        try:
+            return layout_of(entry["cognitive_map"])
+        except FormatError as error:
+            raise FormatError(f"{path}: {error}") from None
+
+    @property
+    def map_question(self) -> Question | None:
+        """The question of turn 0 that asks for the map, where this kind of file has it."""
+        return next((question for question in self.questions if question.skill == MAP), None)
+
+
+def load(data: Path, suffix: str = SUFFIXES[0]) -> tuple[Scene, ...]:
+    """All scenes with questions in `data`, by name.
+
+    Files without the map's question are made of those with it where only those are there (they are the same questions).
+    Raises `FormatError` where there are none, or one cannot be read.
+    """
+    if suffix not in SUFFIXES:
+        raise FormatError(f"there is no kind of file {suffix!r}; known are {', '.join(SUFFIXES)}")
+    if not data.exists():
+        raise FormatError(f"there is no folder {data}; give the one that holds the scenes of OSR-Bench")
+    files = _files(data, suffix)
+    scenes = [_scene(path, suffix) for path in files]
+    if not scenes:
+        scenes = list(_tables(data, suffix))
+    if not scenes:
+        there = sorted({kind for kind in SUFFIXES if _found(data, kind)})
+        hint = f"it has files of the kind {', '.join(there)}: choose with --suffix" if there else "is it OSR-Bench?"
+        raise FormatError(f"{data} has no <scene>_{suffix}.json and no CSV with questions; {hint}")
+    doubled = {scene.id for scene in scenes if sum(other.id == scene.id for other in scenes) > 1}
+    if doubled:
+        raise FormatError(f"{data} has several scenes {sorted(doubled)[0]!r}; give the folder of one copy of the data")
+    return tuple(sorted(scenes, key=lambda scene: scene.id))
+
+
+@lru_cache(maxsize=2)
+def load_kept(data: str, suffix: str) -> tuple[Scene, ...]:
+    """`load`, kept: workers ask for it again with each picture."""
+    return load(Path(data), suffix)
+
+
+def _found(data: Path, suffix: str) -> list[Path]:
+    return sorted(data.rglob(f"*_{suffix}.json"))
+
+
+def _files(data: Path, suffix: str) -> list[Path]:
+    found = _found(data, suffix)
+    if not suffix.endswith(WITHOUT):
+        return found
+    have = {path.parent for path in found}
+    return found + [path for path in _found(data, suffix.removesuffix(WITHOUT)) if path.parent not in have]
+
+
+def _scene(path: Path, suffix: str) -> Scene:
+    entry = _json(path)
+    turns = entry.get("conversation") if isinstance(entry, dict) else None
+    if not isinstance(turns, list):
+        raise FormatError(f'{path} has no list "conversation"; wanted the JSON of OSR-Bench')
+    name = path.parent.name
+    questions, skipped = _questions(turns, name, suffix, str(path))
+    return Scene(name, path.parent, _image(path.parent, str(entry.get("image_id", ""))), questions, skipped)
+
+
+def _questions(turns: Iterable[Any], scene: str, suffix: str, where: str) -> tuple[tuple[Question, ...], int]:
+    found: list[Question] = []
+    skipped, taken = 0, {}
+    for number, turn in enumerate(turns):
+        if not isinstance(turn, dict) or not isinstance(turn.get("question"), str) or "answer" not in turn:
+            raise FormatError(f"{where}, turn {number}: {str(turn)[:60]!r}; wanted an object with question and answer")
+        asked = read(turn["question"])
+        skill = turn.get("skills_tested") or turn.get("follow_up") or (asked.skill if asked else None)
+        if skill not in SKILLS:
+            raise FormatError(f"{where}, turn {number}: the skill is {skill!r}; known are {', '.join(SKILLS)}")
+        if skill == MAP and suffix.endswith(WITHOUT):
+            continue
+        answer = turn["answer"]
+        if answer is None or answer == "":
+            skipped += 1
+            continue
+        try:
+            index = int(turn.get("turn_id", number))
+        except (TypeError, ValueError):
+            raise FormatError(f"{where}, turn {number}: turn_id = {turn['turn_id']!r}; wanted a number") from None
+        if skill == MAP:
+            answer = _grid(answer, f"{where}, turn {index}")
+        again = taken[index] = taken.get(index, 0) + 1
+        identity = f"{scene}/{suffix}/{index}" + (f"-{again}" if again > 1 else "")
+        found.append(Question(identity, scene, index, skill, turn["question"], answer if skill == MAP else str(answer)))
+    return tuple(found), skipped
+
+
+def _grid(answer: Any, where: str) -> Any:
+    """A map's grid; in CSV it is text."""
+    if isinstance(answer, str):
+        try:
+            answer = json.loads(answer)
+        except ValueError:
+            try:
+                answer = ast.literal_eval(answer)
+            except (ValueError, SyntaxError, MemoryError, RecursionError):
+                raise FormatError(f"{where}: the map is {answer[:40]!r}; wanted rows of lists of names") from None
+    try:
+        layout_of(answer)
+    except FormatError as error:
+        raise FormatError(f"{where}: {error}") from None
+    return answer
+
+
+def _image(folder: Path, image_id: str) -> Path | None:
+    """rgb.png beside the questions, else where `image_id` says, seen from a folder above."""
+    choices = [folder / "rgb.png", folder / PurePosixPath(image_id).name]
+    if image_id:
+        choices += [above / image_id for above in (folder, *folder.parents[:3])]
+        choices += [above / PurePosixPath(image_id).parent.name / "rgb.png" for above in (folder, *folder.parents[:2])]
+    return next((path for path in choices if path.is_file()), None)
+
+
+def _tables(data: Path, suffix: str) -> Iterator[Scene]:
+    """The scenes of CSV files: those named after the suffix, or else all that have the right columns."""
+    named = sorted(data.rglob(f"*{suffix}.csv")) if data.is_dir() else [data]
+    if data.is_dir() and suffix == "qa":
+        named = [path for path in named if path.stem == "qa" or path.stem.endswith("_qa")]
+    if not named and suffix == "qa_without_cogmap":
+        named = sorted(data.rglob("qa.csv"))
+    for path in named:
+        if path.suffix != ".csv":
+            continue
+        rows: dict[str, list[dict[str, Any]]] = {}
+        csv.field_size_limit(min(sys.maxsize, 2**31 - 1))
+        try:
+            with path.open(newline="", encoding="utf-8-sig") as file:
+                for row in csv.DictReader(file):
+                    if missing := {"image_id", "question", "answer"} - {key for key in row if key}:
+                        raise FormatError(f"{path} has no column {', '.join(sorted(missing))}")
+                    rows.setdefault(str(row["image_id"]), []).append({k: v for k, v in row.items() if v is not None})
+        except (OSError, UnicodeError, csv.Error) as error:
+            raise FormatError(f"{path} cannot be read as CSV ({error})") from None
+        for image_id, turns in rows.items():
+            name = PurePosixPath(image_id).parent.name or PurePosixPath(image_id).stem
+            questions, skipped = _questions(turns, name, suffix, f"{path}, {image_id}")
+            image = _image(path.parent, image_id)
+            yield Scene(name, image.parent if image else path.parent / name, image, questions, skipped)
+
+
+def _json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError) as error:
+        raise FormatError(f"{path} cannot be read as JSON ({error})") from None

@@ -1,0 +1,102 @@
+"""Places on the floor drawn as the benchmark's layouts, and the answer that is the likeliest label.
+
+The labels of OSR-Bench are read off layouts of whole cells. Somebody who knew all places exactly, but not how the
+layout was laid over them, would still meet the published answers (with left and right corrected) only nineteen times
+in twenty: near the border between two answers, rounding decides. The rounding is part of the benchmark, so it is
+modelled: layouts are drawn as often as it takes, along the walls in each of the four ways (or, where no wall is known,
+any way), with places that are uncertain drawn anew each time; the label that most of them have is the answer, and its
+share is how sure it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from eagor.tasks.osr.geometry import FloorLine, Placed
+from eagor.tasks.osr.layout import SIZE, named, swapped
+
+DRAWS = 16  # for each of the four ways
+
+
+@dataclass(frozen=True, eq=False)
+class Drawings:
+    """Layouts of the same things: `cells` ``(M, n, 2)``, rows and columns of the n things `placed`, mirrored."""
+
+    placed: tuple[Placed, ...]
+    cells: np.ndarray
+
+    def directions(self, P: int, O: Sequence[int], Q: Sequence[int]) -> dict[str, float]:
+        """The share of each answer, left and right as in the room, for the thing P and those that are O and Q."""
+        start = self.cells[:, P]
+        facing, asked = self._nearest(start, O), self._nearest(start, Q)
+        dot = np.sign((facing * asked).sum(axis=1)).astype(int)
+        cross = np.sign(facing[:, 0] * asked[:, 1] - facing[:, 1] * asked[:, 0]).astype(int)
+        found: Counter[str] = Counter()
+        for (along, aside), count in Counter(zip(dot.tolist(), cross.tolist(), strict=True)).items():
+            found[swapped(named(along, aside))] += count
+        del found[""]  # the benchmark leaves such questions out
+        total = sum(found.values())
+        return {label: count / total for label, count in found.most_common()}
+
+    def nearest(self, P: int, groups: Mapping[str, Sequence[int]]) -> dict[str, float]:
+        """The share of layouts in which each of the `groups` of things is the nearest to P (the first, if equal)."""
+        start = self.cells[:, P]
+        away = np.stack([(self._nearest(start, members) ** 2).sum(axis=1) for members in groups.values()])
+        first = np.bincount(away.argmin(axis=0), minlength=len(groups)) / len(self.cells)
+        return dict(zip(groups, first.tolist(), strict=True))
+
+    def _nearest(self, start: np.ndarray, things: Sequence[int]) -> np.ndarray:
+        """Steps ``(M, 2)`` to the nearest of the things; of equally near ones that with the smallest angle."""
+        steps = self.cells[:, list(things)] - start[:, None]
+        angle = np.arctan2(steps[..., 0], steps[..., 1]) % (2 * math.pi)
+        rank = (steps**2).sum(axis=-1) + angle / 7  # squares are whole numbers, so that angles only part equal ones
+        return steps[np.arange(len(steps)), rank.argmin(axis=1)]
+
+
+def draw(placed: Sequence[Placed], walls: FloorLine | None, rng: np.random.Generator, draws: int = DRAWS) -> Drawings:
+    """`draws` layouts in each of the four ways. One of each is enough where every place is certain and walls known."""
+    if not placed:
+        return Drawings((), np.zeros((0, 0, 2), dtype=int))
+    xy = np.array([each.xy for each in placed])
+    spread = np.array([each.spread for each in placed])
+    if walls is not None and not spread.any():
+        draws = 1
+    away = np.maximum(np.hypot(*xy.T), 1e-9)
+    # Errors are those of ranges: along the ray.
+    error = rng.standard_normal((draws, len(placed))) * spread
+    moved = xy * np.maximum(1 + error / away, 0.1)[..., None]
+    axes = np.full(draws, walls.axis) if walls is not None else rng.uniform(0, math.pi / 2, draws)
+    turns = (axes[:, None] + np.arange(4) * math.pi / 2)[..., None]
+    x, y = moved[:, None, :, 0], moved[:, None, :, 1]
+    ahead, left = np.cos(turns) * x + np.sin(turns) * y, np.cos(turns) * y - np.sin(turns) * x
+    points = np.stack([ahead, left], axis=-1).reshape(4 * draws, len(placed), 2)
+    return Drawings(tuple(placed), _cells(points, mirror=True))
+
+
+def layout_from(
+    placed: Mapping[str, Sequence[tuple[float, float]]], mirror: bool = False
+) -> dict[str, list[list[int]]]:
+    """The layout of places (x ahead, y left) on a grid of square cells that just holds them all.
+
+    Row 0 is ahead; columns grow to the right, or, with `mirror`, to the left as in the published layouts.
+    """
+    points = np.array([xy for where in placed.values() for xy in where], dtype=np.float64)
+    if not len(points):
+        return {}
+    each = iter(_cells(points[None], mirror)[0].tolist())
+    return {name: [next(each) for _ in where] for name, where in placed.items()}
+
+
+def _cells(points: np.ndarray, mirror: bool) -> np.ndarray:
+    """Rows and columns ``(M, n, 2)`` of points ``(M, n, 2)``, x ahead and y left."""
+    x, y = points[..., 0], points[..., 1]
+    rows = x.max(axis=1, keepdims=True) - x
+    columns = y - y.min(axis=1, keepdims=True) if mirror else y.max(axis=1, keepdims=True) - y
+    both = np.stack([rows, columns], axis=-1)
+    cell = np.maximum(both.max(axis=(1, 2), keepdims=True), 1e-9) / SIZE
+    return np.minimum(both / cell, SIZE - 1).astype(int)

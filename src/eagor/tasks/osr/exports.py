@@ -1,0 +1,112 @@
+"""OSR-Bench for other software: the published table of answers, and task files for lmms-eval."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from eagor.errors import EagorError, FormatError
+from eagor.tasks.benchmark import Record
+from eagor.tasks.osr.dataset import load
+from eagor.tasks.osr.scoring import MAP
+
+COLUMNS = ("image_id", "model", "turn_id", "skills_tested", "question", "model_answer", "ground_truth", "score")
+TASK = "eagor_osr"
+
+_UTILS = '''"""What the task file beside this one calls; all of it is in the package."""
+
+from eagor.tasks.osr.lmms import doc_to_target, doc_to_text, doc_to_visual, mean, process_results
+
+__all__ = ["doc_to_target", "doc_to_text", "doc_to_visual", "mean", "process_results"]
+'''
+
+
+def csv_files(records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Write ``<scene>_<suffix>_results.csv`` with the columns of the published runner; returns the files.
+
+    Scores are those of the run's labels. Raises `EagorError` without records.
+    """
+    done = [record for record in records if record.get("status", "ok") == "ok"]
+    if not done:
+        raise EagorError("the tables hold a run's answers; name a run with results")
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    model = settings.get("model") or settings["agent"]
+    by_scene: dict[str, list[Record]] = {}
+    for record in done:
+        by_scene.setdefault(record["cluster"], []).append(record)
+    files = []
+    for scene, answers in sorted(by_scene.items()):
+        path = folder / f"{scene}_{settings['suffix']}_results.csv"
+        with path.open("w", newline="", encoding="utf-8") as file:
+            table = csv.writer(file)
+            table.writerow(COLUMNS)
+            for record in sorted(answers, key=lambda each: _turn(each["case"])):
+                turn, image = _turn(record["case"])[0], f"data/{scene}/rgb.png"
+                said = (record["question"], record["answer"], record.get("truth", ""), record["score"])
+                table.writerow((image, model, turn, record["skill"], *said))
+        files.append(path)
+    return files
+
+
+def lmms_eval(settings: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Write ``eagor_osr.yaml``, ``utils.py`` and the questions into `folder`; returns the files.
+
+    Run them with ``python -m lmms_eval --include_path FOLDER --tasks eagor_osr --model ...`` where eagor is installed.
+    Each question is asked alone, so that files with a map give their map's question as one of them. The questions hold
+    the paths of their pictures on this machine. Raises `FormatError` where a picture is missing.
+    """
+    scenes = load(Path(settings["data"]), settings["suffix"])
+    folder = Path(folder).resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    questions = folder / f"{TASK}.jsonl"
+    with questions.open("w", encoding="utf-8") as file:
+        for scene in scenes:
+            if scene.image is None:
+                raise FormatError(f"the scene {scene.id} has no picture (rgb.png); the data set is incomplete")
+            for question in scene.questions:
+                if settings["skill"] not in ("all", question.skill):
+                    continue
+                text = json.dumps(question.answer) if question.skill == MAP else question.answer
+                line = {"id": question.id, "scene": scene.id, "turn": question.turn, "skill": question.skill}
+                line |= {"question": question.text, "answer": text, "image": str(scene.image.resolve())}
+                file.write(json.dumps(line | {"prompt": settings["prompt"]}, ensure_ascii=False) + "\n")
+    metrics = "".join(
+        f"  - metric: {metric}\n    aggregation: !function utils.mean\n    higher_is_better: true\n"
+        for metric in ("direction_official", "direction_corrected", "distance", "counting", "map")
+    )
+    task = folder / f"{TASK}.yaml"
+    task.write_text(
+        f"""task: {TASK}
+dataset_path: json
+dataset_kwargs:
+  data_files:
+    test: {json.dumps(str(questions))}
+test_split: test
+output_type: generate_until
+doc_to_visual: !function utils.doc_to_visual
+doc_to_text: !function utils.doc_to_text
+doc_to_target: !function utils.doc_to_target
+process_results: !function utils.process_results
+generation_kwargs:
+  max_new_tokens: 512
+  temperature: 0
+  do_sample: false
+metric_list:
+{metrics}metadata:
+  - version: 1.0
+""",
+        encoding="utf-8",
+    )
+    utils = folder / "utils.py"
+    utils.write_text(_UTILS, encoding="utf-8")
+    return [task, utils, questions]
+
+
+def _turn(case: str) -> tuple[int, str]:
+    """The turn in a case's id, and the id, to sort by."""
+    number = case.rsplit("/", 1)[-1].partition("-")[0]
+    return int(number), case

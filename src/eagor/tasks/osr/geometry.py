@@ -1,0 +1,290 @@
+"""From what is seen around one camera to places on the floor, and from those to answers.
+
+"Standing by P and facing O, where is Q?" cannot be answered from directions alone: it takes ranges. On a level floor
+they come from where things touch it. A camera at the height h that sees a foot at the elevation e (negative) is
+h / tan(-e) away from it. Answers do not depend on h, which scales the whole room, as long as all ranges come from feet.
+
+What does not touch the floor stands on something that does, or hangs on a wall; each takes the range of that.
+
+Frame: the camera's body, x forward, y left, z up; metres on the floor, the camera above the origin; angles in radians.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from eagor.errors import DirectionError
+from eagor.sphere import azimuth_elevation, direction, wrap
+from eagor.tasks.osr.layout import named
+
+Source = Literal["depth", "contact", "support", "wall", "height", "beyond", "guess"]
+SURE: tuple[Source, ...] = ("depth", "contact", "support", "wall")
+FARTHEST = 20.0  # metres: a foot hardly below the horizon tells nothing beyond
+SLACK = 0.25  # share by which what stands on a thing may seem to lie beyond that one's rims
+# What hangs on a wall or is part of it, in the words of the benchmark and of our apartments.
+HANGING = frozenset(
+    (
+        "window",
+        "picture",
+        "painting",
+        "mirror",
+        "curtain",
+        "blinds",
+        "whiteboard",
+        "clock",
+        "switch",
+        "vent",
+        "wall_light",
+    )
+)
+MIDDLE = 0.45  # metres above the floor: the middle of what stands there, where its foot was not made out
+OUTSIDE = 1.15  # a foot that seems so many times as far away as the wall behind is none
+MARGIN = 0.3  # metres from the middles of things that stand at a wall to the wall
+GUESS = 3.0  # metres, where nothing at all tells a range
+WIDEST = math.radians(60)  # half width of what is so near that its outline no longer tells its depth
+DEPTH, DEEPEST = 0.85, 0.4  # a thing's half depth: this share of its half width, and at most so many metres
+RECESS = {"window": 0.1}  # metres by which the middle of a thing lies behind the face of the wall
+# Standard deviation of a range: metres, by what it was taken from, and the share of the range for outlines.
+SPREAD = {"depth": 0.1, "contact": 0.0, "support": 0.15, "wall": 0.05, "height": 0.6, "beyond": 0.4, "guess": 1.5}
+OUTLINE_SPREAD, OUTLINE_SHARE = 0.15, 0.05
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """One thing as it is seen.
+
+    Attributes:
+        name: its category.
+        azimuth, elevation: of its middle.
+        bottom, top: elevations of its lowest and highest edge, None where nobody measured them.
+        half_width: half of the angle that it spans from side to side; 0 where nobody measured it.
+        foot: elevation at which the middle of the thing meets the floor, where that is known better than `bottom`.
+        contact: whether its lowest edge touches the floor.
+        depth: metres along the ray to its middle, from a depth cue.
+        weight: how strongly it is believed, relative to others.
+    """
+
+    name: str
+    azimuth: float
+    elevation: float
+    bottom: float | None = None
+    top: float | None = None
+    half_width: float = 0.0
+    foot: float | None = None
+    contact: bool = True
+    depth: float | None = None
+    weight: float = 1.0
+
+    @classmethod
+    def at(cls, name: str, where: np.ndarray, **rest: object) -> Sighting:
+        """The sighting of a thing in the direction `where` ``(3,)``."""
+        azimuth, elevation = azimuth_elevation(np.asarray(where, dtype=np.float64))
+        return cls(name, float(azimuth), float(elevation), **rest)  # type: ignore[arg-type]
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Unit vector ``(3,)`` to its middle."""
+        return np.asarray(direction(np.float64(self.azimuth), np.float64(self.elevation)))
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A thing on the floor: `xy`, metres, what its range was taken from, and the standard deviation of it, metres."""
+
+    name: str
+    xy: tuple[float, float]
+    source: Source
+    weight: float = 1.0
+    spread: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class FloorLine:
+    """Where the walls meet the floor, as a room-layout estimator gives it: `points` ``(n, 2)`` metres, all around."""
+
+    points: np.ndarray
+
+    def __post_init__(self) -> None:
+        points = np.asarray(self.points, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3 or not np.isfinite(points).all():
+            raise DirectionError(
+                f"the floor line has shape {points.shape}; wanted at least 3 points (x, y) on the floor, metres"
+            )
+        object.__setattr__(self, "points", points)
+
+    @property
+    def axis(self) -> float:
+        """The direction (radians, in [-pi/4, pi/4)) along which most of the walls run, or across."""
+        way = np.roll(self.points, -1, axis=0) - self.points
+        length = np.hypot(*way.T)
+        usual = length <= max(3 * float(np.median(length)), 1e-9)  # longer ones jump to what lies behind an opening
+        turns = np.exp(4j * np.arctan2(way[:, 1], way[:, 0]))
+        return float(np.angle((np.where(usual, length**2, 0.0) * turns).sum()) / 4)
+
+    def range_at(self, azimuth: float) -> float | None:
+        """Metres to the wall at `azimuth`: the nearest edge of the line on that side; None where it is open."""
+        ahead = np.array([math.cos(azimuth), math.sin(azimuth)])
+        start, way = self.points, np.roll(self.points, -1, axis=0) - self.points
+        cross = ahead[0] * way[:, 1] - ahead[1] * way[:, 0]
+        safe = np.where(np.abs(cross) < 1e-12, 1.0, cross)
+        along = (start[:, 0] * way[:, 1] - start[:, 1] * way[:, 0]) / safe
+        share = (start[:, 0] * ahead[1] - start[:, 1] * ahead[0]) / safe
+        met = (np.abs(cross) >= 1e-12) & (along > 0) & (share >= -1e-9) & (share <= 1 + 1e-9)
+        return float(along[met].min()) if met.any() else None
+
+
+def floor_range(elevation: float, height: float) -> float | None:
+    """Metres on the floor to a point seen at `elevation` from `height` metres above it; None at or over the horizon."""
+    if elevation >= 0 or height <= 0:
+        return None
+    found = height / math.tan(-elevation) if elevation > -math.pi / 2 else 0.0
+    return found if found <= FARTHEST else None
+
+
+def contact_range(sighting: Sighting, height: float) -> float | None:
+    """Metres on the floor to the middle of a thing that touches it, None where its foot tells nothing.
+
+    From `foot` as it is. From the lowest edge, which is the near one, by adding half of the thing's depth, which is
+    taken to be `DEPTH` of its half width (for a round outline and `DEPTH` 1, d becomes d / (1 - sin w)), and at most
+    `DEEPEST`: furniture is wider than deep.
+    """
+    if sighting.foot is not None:
+        return floor_range(sighting.foot, height)
+    near = floor_range(sighting.bottom, height) if sighting.bottom is not None else None
+    if near is None:
+        return None
+    share = DEPTH * math.sin(min(sighting.half_width, WIDEST))
+    return min(near + min(near * share / (1 - share), DEEPEST), FARTHEST)
+
+
+def place(sightings: Sequence[Sighting], height: float, walls: FloorLine | None = None) -> list[Placed]:
+    """Every sighting on the floor, in the same order; `height` of the camera in metres.
+
+    Ranges come from, in this order: a depth cue; the contact with the floor; the contact of what the thing stands on;
+    the wall that it hangs on. Where the foot of a standing thing was not made out, its middle is taken to be at the
+    height `MIDDLE`. Where the walls are not known, what hangs there is put on a rectangle around what stands on the
+    floor ("beyond", `enclosing`), else at the middle range of the others ("guess").
+    """
+    ranges = [_measured(each, height, walls) for each in sightings]
+    standing = [
+        (each, found[0]) for each, found in zip(sightings, ranges, strict=True) if found and found[1] == "contact"
+    ]
+    known = [(each.azimuth, found[0]) for each, found in zip(sightings, ranges, strict=True) if found]
+    placed = []
+    for each, found in zip(sightings, ranges, strict=True):
+        away, source = found or _inferred(each, standing, known, walls, height)
+        xy = away * math.cos(each.azimuth), away * math.sin(each.azimuth)
+        spread = SPREAD[source]
+        if source == "contact" and each.foot is None:
+            spread = OUTLINE_SPREAD + OUTLINE_SHARE * away
+        placed.append(Placed(each.name, xy, source, each.weight, spread))
+    return placed
+
+
+def place_on_circle(sightings: Sequence[Sighting]) -> list[Placed]:
+    """Every sighting at the same range: what can be done with directions alone."""
+    return [
+        Placed(each.name, (math.cos(each.azimuth), math.sin(each.azimuth)), "guess", each.weight) for each in sightings
+    ]
+
+
+def _measured(each: Sighting, height: float, walls: FloorLine | None) -> tuple[float, Source] | None:
+    if each.depth is not None and math.isfinite(each.depth) and each.depth > 0:
+        return each.depth * math.cos(each.elevation), "depth"
+    if not each.contact:
+        return None
+    away = contact_range(each, height)
+    if away is None and each.foot is None and each.bottom is None and each.elevation < 0:
+        away = floor_range(each.elevation, height - MIDDLE)
+        return None if away is None else (away, "height")
+    if away is None:
+        return None
+    wall = walls.range_at(each.azimuth) if walls is not None and each.foot is None else None
+    return (away, "contact") if wall is None or away <= OUTSIDE * wall else (wall, "wall")
+
+
+def _inferred(
+    each: Sighting,
+    standing: Sequence[tuple[Sighting, float]],
+    known: Sequence[tuple[float, float]],
+    walls: FloorLine | None,
+    height: float,
+) -> tuple[float, Source]:
+    under = [] if each.name in HANGING else [_range_on(each, other, away, height) for other, away in standing]
+    under = [away for away in under if away is not None]
+    if under:
+        return min(under), "support"
+    wall = walls.range_at(each.azimuth) if walls is not None else None
+    if wall is not None:
+        return wall + RECESS.get(each.name, 0.0), "wall"
+    if not known:
+        return GUESS, "guess"
+    around = enclosing(known)
+    reach = around.range_at(each.azimuth) if around is not None else None
+    middle = float(np.median([away for _, away in known]))
+    return (reach, "beyond") if reach is not None else (middle, "guess")
+
+
+def _range_on(each: Sighting, other: Sighting, away: float, height: float) -> float | None:
+    """Metres on the floor to `each` if it stands on `other`, which is `away`; None if it cannot.
+
+    The upper edge of what is lower than the camera is its far rim, which gives the height of its top; a thing on it
+    touches that plane as others touch the floor, between the two rims.
+    """
+    if each.bottom is None or other.top is None or other is each or other.top >= 0:
+        return None
+    if abs(float(wrap(np.float64(each.azimuth - other.azimuth)))) > other.half_width:
+        return None
+    reach = away * math.sin(min(other.half_width, WIDEST))
+    above = (away + reach) * math.tan(-other.top)  # the camera, above the top
+    found = contact_range(replace(each, foot=None), above)
+    near, far = (1 - SLACK) * (away - reach), (1 + SLACK) * (away + reach)
+    return found if above < height and found is not None and near <= found <= far else None
+
+
+def enclosing(known: Sequence[tuple[float, float]]) -> FloorLine | None:
+    """The walls that things at these azimuths (radians) and ranges (metres) suggest: the smallest rectangle, and a bit.
+
+    Things stand along walls, `MARGIN` before them with their middles. None where they do not surround the camera.
+    """
+    points = np.array([(away * math.cos(at), away * math.sin(at)) for at, away in known])
+    if len(points) < 3:
+        return None
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = points[ConvexHull(points).vertices]
+    except QhullError:  # all in one line
+        return None
+    found, least = None, math.inf
+    for dx, dy in np.roll(hull, -1, axis=0) - hull:  # one side of the smallest rectangle is one of the hull's
+        turn = np.array([[dx, dy], [-dy, dx]]) / math.hypot(dx, dy)
+        low, high = (hull @ turn.T).min(axis=0), (hull @ turn.T).max(axis=0)
+        if (area := float(np.prod(high - low))) < least:
+            (x0, y0), (x1, y1), least = low - MARGIN, high + MARGIN, area
+            inside = x0 < 0 < x1 and y0 < 0 < y1
+            corners = np.array([[x1, y1], [x0, y1], [x0, y0], [x1, y0]]) @ turn
+            found = FloorLine(corners) if inside else None
+    return found
+
+
+def turn_to(P: Placed, O: Placed, Q: Placed) -> tuple[float, float]:
+    """Dot and cross product (square metres, positive to the left) of the ways from P to O and from P to Q."""
+    (px, py), (ox, oy), (qx, qy) = P.xy, O.xy, Q.xy
+    facing, asked = (ox - px, oy - py), (qx - px, qy - py)
+    return facing[0] * asked[0] + facing[1] * asked[1], facing[0] * asked[1] - facing[1] * asked[0]
+
+
+def nearest(start: Placed, others: Sequence[Placed]) -> Placed:
+    """The one of `others` nearest to `start`."""
+    return min(others, key=lambda each: math.dist(start.xy, each.xy))
+
+
+def direction_between(P: Placed, O: Sequence[Placed], Q: Sequence[Placed]) -> str:
+    """Where the nearest Q lies for one who stands at P and faces the nearest O: "Front Left", and so on."""
+    return named(*turn_to(P, nearest(P, O), nearest(P, Q)))

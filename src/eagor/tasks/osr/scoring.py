@@ -1,0 +1,182 @@
+"""How OSR-Bench scores an answer, by its own rules (`evaluation_re` and the map's score of the published code).
+
+One deviation, where the published code depends on the order of a set: it stops updating the totals of a map's score at
+the last category that both maps have, whichever that happens to be. Here all categories count.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from eagor.errors import FormatError
+from eagor.tasks.osr.layout import DIRECTIONS, SIZE, Grid, grid_of, layout_of
+
+COUNTING, DISTANCE, DIRECTION, MAP = "object_counting", "relative_distance", "relative_direction", "cognitive_map"
+SKILLS = (COUNTING, DISTANCE, DIRECTION, MAP)
+NEAR = 2.0  # cells: a thing of a map is right if it is at most so far from its place
+FAR = 15.0  # cells: the mean distance of a map without any match
+_ANSWER = re.compile(r"<answer>(.*?)</answer>", re.DOTALL)
+_HYPHENS = {f"{a} {b}": f"{a}-{b}" for a in ("front", "back") for b in ("left", "right")}
+
+
+def score(skill: str, truth: Any, answer: str, think: bool = False) -> float:
+    """The score in [0, 1] of `answer`, the model's words, where `truth` is the published answer.
+
+    - object_counting: 1 - |difference| / larger of the first whole number in the answer and the truth (0 without one).
+    - relative_distance: 1 if the whole answer is the truth, letter case and spaces around it aside.
+    - relative_direction: the same, with "front left" and "front-left" alike. A full stop is one character too many.
+    - cognitive_map: F1 of the map, see `score_map`; `truth` is the grid.
+
+    `think`: take what stands between <answer> and </answer>, where that is there. Raises `FormatError` for an unknown
+    skill, or a truth that is none.
+    """
+    if skill == MAP:
+        return score_map(truth, answer).f1
+    said, true = extracted(answer, think).strip().lower(), str(truth).strip().lower()
+    if skill == COUNTING:
+        return _counted(said, true)
+    if skill == DISTANCE:
+        return float(said == true)
+    if skill == DIRECTION:
+        return float(_HYPHENS.get(said, said) == _HYPHENS.get(true, true))
+    raise FormatError(f"there is no skill {skill!r}; known are {', '.join(SKILLS)}")
+
+
+def extracted(answer: str, think: bool) -> str:
+    """What counts of an answer: with `think`, the text between the tags, or all of it where there are none."""
+    found = _ANSWER.search(answer) if think else None
+    return found.group(1) if found else answer
+
+
+def lenient(skill: str, truth: Any, answer: str) -> float:
+    """The score of what was probably meant: the last direction, or the first choice, named anywhere in the answer.
+
+    Not the benchmark's; it tells mistakes of format from mistakes about the room. For other skills it is `score`.
+    """
+    if skill not in (DIRECTION, DISTANCE):
+        return score(skill, truth, answer, think=True)
+    said = extracted(answer, think=True).lower()
+    if skill == DISTANCE:
+        words = re.sub(r"[\s_]+", " ", said)
+        return float(re.search(rf"\b{re.escape(str(truth).lower().replace('_', ' '))}\b", words) is not None)
+    named = re.findall(r"\b(?:(?:front|back)(?:[ -](?:left|right))?|left|right)\b", said)
+    return score(DIRECTION, truth, named[-1] if named else said)
+
+
+def is_direction(answer: str) -> bool:
+    """Whether the scorer can take the answer for a direction at all."""
+    said = answer.strip().lower()
+    return said in {word.lower() for word in DIRECTIONS} or said in _HYPHENS.values()
+
+
+def _counted(said: str, true: str) -> float:
+    number = re.search(r"\d+", said)
+    if not re.fullmatch(r"[+-]?\d+", true):
+        raise FormatError(f"the true count is {true!r}; wanted a whole number")
+    if number is None:
+        return 0.0
+    count, wanted = int(number.group()), int(true)
+    if count == wanted:
+        return 1.0
+    return max(0.0, 1 - abs(count - wanted) / max(count, wanted))
+
+
+@dataclass(frozen=True)
+class MapScore:
+    """How well a map agrees with the truth: things at most `NEAR` cells from one of their category are found.
+
+    `distance`: mean over pairs, cells. `hallucinated`: share of the named categories that are not there (CHAIR_i);
+    `hallucinated_things`: of the things. `rotation`: degrees clockwise by which the map was turned.
+    """
+
+    precision: float = 0.0
+    recall: float = 0.0
+    f1: float = 0.0
+    distance: float = FAR
+    hallucinated: float = 0.0
+    hallucinated_things: float = 0.0
+    rotation: int = 0
+
+
+def score_map(truth: Grid, reply: str) -> MapScore:
+    """The score of the map in a reply, ``{"name": [[x, y], ...]}`` with x the column and y the row.
+
+    The last JSON object of the reply counts, turned by the multiple of 90 degrees with the highest F1 (of equal ones
+    the smallest); no reflection is tried. Things of a category are paired so that the sum of their distances is the
+    smallest. A reply without a usable map, or without any category that is there, scores 0. Raises `FormatError`
+    if `truth` is no grid.
+    """
+    there = layout_of(truth)
+    said = read_map(reply)
+    if said is None:
+        return MapScore()
+    grid, best = grid_of(said), MapScore(f1=-1.0)
+    for quarter in range(4):
+        found = _compared(there, layout_of(turned(grid, quarter)), 90 * quarter)
+        best = max(best, found, key=lambda each: each.f1)  # the first of equal ones
+    return best
+
+
+def read_map(reply: str) -> dict[str, list[list[int]]] | None:
+    """The layout, name -> [[row, column], ...], of the last JSON object in a reply; None if there is none."""
+    end = reply.rfind("}")
+    depth, start = 0, -1
+    for start in range(end, -1, -1):
+        depth += {"}": 1, "{": -1}.get(reply[start], 0)
+        if depth == 0:
+            break
+    if end < 0 or depth:
+        return None
+    try:
+        entry = json.loads(reply[start : end + 1])
+    except (ValueError, RecursionError):
+        return None
+    found: dict[str, list[list[int]]] = {}
+    for name, where in entry.items():
+        if not isinstance(where, list):
+            return None
+        for point in where:
+            if not (isinstance(point, list) and len(point) == 2 and all(isinstance(k, int | float) for k in point)):
+                return None
+            if any(not 0 <= k < SIZE for k in point):
+                continue  # the published code drops what lies outside,
+            if any(not isinstance(k, int) for k in point):
+                return None  # and gives up at fractions
+            found.setdefault(name, []).append([int(point[1]), int(point[0])])
+    return found
+
+
+def turned(grid: Grid, quarters: int) -> Grid:
+    """The grid turned clockwise by so many quarters."""
+    for _ in range(quarters):
+        grid = [list(column) for column in zip(*grid[::-1], strict=True)]
+    return grid
+
+
+def _compared(there: dict[str, list[list[int]]], said: dict[str, list[list[int]]], rotation: int) -> MapScore:
+    from scipy.optimize import linear_sum_assignment
+
+    right, pairs, total = 0, 0, 0.0
+    for name in sorted(set(there) & set(said)):
+        away = np.linalg.norm(np.array(there[name])[:, None] - np.array(said[name])[None], axis=-1)
+        chosen = away[linear_sum_assignment(away)]
+        right, pairs, total = right + int((chosen <= NEAR).sum()), pairs + len(chosen), total + float(chosen.sum())
+    if not pairs:
+        return MapScore(rotation=rotation)
+    named = sum(map(len, said.values()))
+    precision, recall = right / named, right / sum(map(len, there.values()))
+    strange = [name for name in said if name not in there]
+    return MapScore(
+        precision,
+        recall,
+        2 * precision * recall / (precision + recall) if right else 0.0,
+        total / pairs,
+        len(strange) / len(said),
+        sum(len(said[name]) for name in strange) / named,
+        rotation,
+    )

@@ -1,0 +1,319 @@
+"""OSR-Bench keeps the contract of benchmarks, over a scene that is made here, and over the shared samples."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from eagor.errors import EagorError, FormatError
+from eagor.tasks.benchmark import check_benchmark, load
+from eagor.tasks.chat import IMAGE, Message, Said
+from eagor.tasks.osr.agents import Majority, Vlm
+from eagor.tasks.osr.apartments import conversation
+from eagor.tasks.osr.dataset import SUFFIXES
+from eagor.tasks.osr.dataset import load as load_scenes
+from eagor.tasks.osr.drawing import layout_from
+from eagor.tasks.osr.eyes import BeliefLooker
+from eagor.tasks.osr.geometry import FloorLine
+from eagor.tasks.osr.layout import grid_of
+from eagor.tasks.osr.lmms import doc_to_text, doc_to_visual, process_results
+from eagor.tasks.osr.ours import Eagor
+from eagor.tasks.osr.play import work
+from eagor.tasks.osr.scoring import DIRECTION, MAP
+from eagor.tasks.osr.truth import Body, Room, write_room
+
+SAMPLES = Path(__file__).parents[2] / ".." / "shared" / "bench_samples"
+NAME = "ReplicaPano-made-here"
+CORNERS = np.array([[4.0, 3.5], [-4.0, 3.5], [-4.0, -3.5], [4.0, -3.5]])
+PLACES = {
+    "tv": [(3.5, 0.3)],
+    "sofa": [(-3.0, 0.5)],
+    "chair": [(1.2, 2.4), (-0.8, -2.5)],
+    "table": [(1.5, -1.4)],
+    "lamp": [(-2.0, 3.0)],
+    "plant": [(3.2, -2.9)],
+}
+
+
+def chat() -> Any:
+    """What ``--model`` names in these tests: a model that always says the same, and can draw a map."""
+
+    def reply(messages: Sequence[Message]) -> Said:
+        return Said('{"tv": [[5, 0]]}' if "[Task]" in messages[-1].text else "Front Left")
+
+    return reply
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    """A scene in the published layout, with its true places; one label is empty."""
+    folder = tmp_path / "data" / "nested" / NAME
+    folder.mkdir(parents=True)
+    Image.fromarray(np.full((64, 128, 3), 90, dtype=np.uint8)).save(folder / "rgb.png")
+    square = 0.2 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    bodies = [Body(name, np.array(xy) + square, 0.0, 0.7) for name, where in PLACES.items() for xy in where]
+    write_room(Room(tuple(bodies), 1.5, FloorLine(CORNERS)), folder)
+    layout = layout_from(PLACES, mirror=True)
+    counts = {name: len(where) for name, where in PLACES.items()}
+    (folder / "cognitive_map.json").write_text(json.dumps({"cognitive_map": grid_of(layout), "class_count": counts}))
+    for kind, more in (("qa", []), ("qa_with_negative", ["bed", "piano"])):
+        turns = list(conversation(layout, counts, [*counts, *more], 8, np.random.default_rng(5)))
+        turns.append({**turns[-1], "turn_id": 99, "answer": ""})
+        entry = {"image_id": f"data/{NAME}/rgb.png", "pre_prompt": "", "conversation": turns}
+        (folder / f"{NAME}_{kind}.json").write_text(json.dumps(entry))
+    return tmp_path / "data"
+
+
+def settled(data: Path, **settings: Any) -> dict[str, Any]:
+    return load("osr").settle({"data": str(data), **settings})
+
+
+def played(data: Path, **settings: Any) -> list[dict[str, Any]]:
+    found = settled(data, **settings)
+    do = work(found)
+    return [do(case.payload) for case in load("osr").cases(data, found)]
+
+
+def figure(records: Sequence[dict[str, Any]], key: str) -> float | None:
+    read = next(figure.read for figure in load("osr").figures if figure.key == key)
+    values = [value for record in records if (value := read(record)) is not None]
+    return float(np.mean(values)) if values else None
+
+
+@pytest.mark.parametrize("agent", ["constant", "majority", "random", "oracle"])
+def test_the_contract_holds(data: Path, agent: str) -> None:
+    records = check_benchmark(load("osr"), data, agent)
+    if agent == "oracle":
+        assert {record["score"] for record in records} == {1.0}
+
+
+@pytest.mark.skipif(not SAMPLES.exists(), reason="the shared benchmark samples are not here")
+@pytest.mark.parametrize("agent", ["constant", "majority", "random", "oracle"])
+def test_the_contract_holds_over_the_published_samples(agent: str) -> None:
+    check_benchmark(load("osr"), SAMPLES, agent)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_every_kind_of_file_is_read_and_empty_labels_are_not_asked(data: Path, suffix: str) -> None:
+    (scene,) = load_scenes(data, suffix)
+    assert scene.skipped == 1
+    assert all(question.turn != 99 for question in scene.questions)
+    assert (scene.map_question is None) == suffix.endswith("without_cogmap")
+    assert scene.image is not None
+
+
+def test_true_places_answer_with_the_corrected_labels_and_not_with_the_published_ones(data: Path) -> None:
+    records = played(data, agent="eagor", perception="truth", labels="both", suffix="qa")
+    # Four answers at most are exact: those on a border of cells cannot be known.
+    clear = [r for r in records if "clear" in r["tags"] and "tied" not in r["tags"]]
+    assert len(clear) >= 4
+    assert all(record["scores"]["corrected"] == 1 for record in clear)
+    wrong = [record for record in clear if record["answer"] not in ("Front", "Back")]
+    assert wrong
+    assert all(r["scores"]["official"] == 0 and r["cause"] == "left and right exchanged" for r in wrong)
+    assert figure(records, "counting") == 1
+    mapped = next(record for record in records if record["skill"] == MAP)
+    assert mapped["scores"]["corrected"] == 1 > mapped["scores"]["official"]
+
+
+def test_oracle_and_labels(data: Path) -> None:
+    both = played(data, agent="oracle", labels="both")
+    assert figure(both, "direction_official") == 1 > (figure(both, "direction_corrected") or 0)
+    corrected = played(data, agent="oracle", labels="corrected")
+    assert figure(corrected, "direction") == figure(corrected, "direction_corrected") == 1
+    assert figure(corrected, "direction_official") is None
+
+
+def test_errors_are_answered_only_where_something_may_be_absent(data: Path) -> None:
+    negative = played(data, agent="eagor", perception="truth", suffix="qa_with_negative_without_cogmap")
+    absent = [record for record in negative if "absent" in record["tags"]]
+    assert absent
+    assert {record["score"] for record in absent} == {1.0}
+
+
+@pytest.mark.parametrize(("suffix", "turns"), [("qa_without_cogmap", 1), ("qa", 3)])
+def test_the_model_is_asked_with_the_map_and_without(data: Path, suffix: str, turns: int) -> None:
+    heard: list[list[Message]] = []
+
+    def model(messages: Sequence[Message]) -> Said:
+        heard.append(list(messages))
+        return chat()(messages)
+
+    (scene,) = load_scenes(data, suffix)
+    agent = Vlm(model)
+    asked = [question for question in scene.questions if question.skill == DIRECTION]
+    assert {agent.answer(scene, question).text for question in asked} == {"Front Left"}
+    assert len(heard) == len(asked) + (turns > 1)  # the map is asked for once
+    last = heard[-1]
+    assert [message.role for message in last] == ["user", "assistant", "user"][:turns]
+    assert sum(len(message.images) for message in last) == 1
+    assert last[0].text.count(IMAGE) == 1
+    assert asked[-1].text in last[-1].text
+
+
+def test_the_prompt_that_asks_for_thoughts_reads_the_answer_between_tags(data: Path) -> None:
+    from eagor.tasks.osr.agents import Reply
+    from eagor.tasks.osr.play import judged
+
+    (scene,) = load_scenes(data, "qa")
+    question = next(question for question in scene.questions if question.skill == DIRECTION)
+    reply = Reply(f"<think>hm</think><answer>{question.answer}</answer>")
+    assert judged(scene, question, reply, settled(data, agent="constant", prompt="think", suffix="qa"))["score"] == 1
+    assert judged(scene, question, reply, settled(data, agent="constant", suffix="qa"))["cause"] == "format"
+
+
+def test_a_run_with_a_model_goes_through(data: Path) -> None:
+    records = played(data, agent="vlm", model="test_osr_bench:chat", suffix="qa")
+    assert {record["answer"] for record in records if record["skill"] == DIRECTION} == {"Front Left"}
+
+
+def test_predictions_from_elsewhere_are_judged(data: Path) -> None:
+    bench, settings = load("osr"), settled(data, agent="constant")
+    case = bench.cases(data, settings)[0]
+    for key in ("text", "answer", "model_answer"):
+        assert bench.judge(case, {key: "1"}, settings)["case"] == case.id
+    with pytest.raises(FormatError, match="wanted"):
+        bench.judge(case, {"score": 1}, settings)
+
+
+def test_exports(data: Path, tmp_path: Path) -> None:
+    bench = load("osr")
+    records, settings = played(data, agent="oracle", suffix="qa"), settled(data, agent="oracle", suffix="qa")
+    (table,) = bench.export("osr-csv", records, settings, tmp_path / "csv")
+    with table.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["turn_id"]) for row in rows] == sorted(int(row["turn_id"]) for row in rows)
+    assert {float(row["score"]) for row in rows} == {1.0}
+    task, utils, questions = bench.export("lmms-eval", [], settings, tmp_path / "lmms")
+    assert "generate_until" in task.read_text()
+    compile(utils.read_text(), str(utils), "exec")
+    docs = [json.loads(line) for line in questions.read_text().splitlines()]
+    assert len(docs) == len(records)
+    for doc in docs:
+        assert doc_to_visual(doc)[0].size == (128, 64)
+        assert doc["question"] in doc_to_text(doc)
+        if doc["skill"] != MAP:
+            assert max(process_results(doc, [doc["answer"]]).values()) == 1
+    with pytest.raises(EagorError, match="name a run"):
+        bench.export("osr-csv", [], settings, tmp_path)
+    with pytest.raises(EagorError, match="it has"):
+        bench.export("paper", [], settings, tmp_path)
+
+
+def test_the_hosted_table_is_read_as_the_files_are(data: Path, tmp_path: Path) -> None:
+    (scene,) = load_scenes(data, "qa")
+    with (tmp_path / "qa.csv").open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(["image_id", "turn_id", "question", "answer"])
+        for question in scene.questions:
+            table.writerow([f"data/{NAME}/rgb.png", question.turn, question.text, question.answer])
+    (found,) = load_scenes(tmp_path, "qa")
+    assert [(q.id, q.skill, q.answer) for q in found.questions] == [(q.id, q.skill, q.answer) for q in scene.questions]
+
+
+def test_a_belief_sees_what_a_detector_boxes_and_ranges_it_by_its_foot(data: Path) -> None:
+    from eagor.evidence import Evidence
+    from eagor.grids import ErpGrid
+
+    grid = ErpGrid(512, 1024)
+
+    def detector(panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
+        boxes = []
+        for x, y in PLACES.get(query, []):
+            azimuth, away = np.arctan2(y, x), np.hypot(x, y)
+            middle, half = 512 - azimuth / np.pi * 512, np.arcsin(0.2 / away) / np.pi * 512
+            top, foot = (256 + np.arctan2(1.5 - z, away - 0.2) / np.pi * 512 for z in (0.7, 0.0))
+            boxes.append([middle - half, top, middle + half, foot])
+        return Evidence.from_boxes(np.array(boxes), grid, stamp=stamp)
+
+    (scene,) = load_scenes(data, "qa")
+    agent = Eagor(BeliefLooker(detector))
+    around = agent.around(scene)
+    assert sorted(each.name for each in around.placed) == sorted(n for n, where in PLACES.items() for _ in where)
+    for each in around.placed:
+        assert min(np.hypot(*np.subtract(each.xy, xy)) for xy in PLACES[each.name]) < 0.9
+    asked = [question for question in scene.questions if question.skill == DIRECTION]
+    assert np.mean([agent.answer(scene, q).text == q.corrected for q in asked]) >= 0.6
+
+
+def test_what_is_not_seen_is_guessed_and_said_so(data: Path) -> None:
+    from eagor.tasks.osr.eyes import Seen
+    from eagor.tasks.osr.geometry import Sighting
+
+    (scene,) = load_scenes(data, "qa")
+    twice = tuple(Sighting(name, 0.3 + k, -0.3, foot=-0.4) for k, name in enumerate(["tv", "tv", "sofa", "sofa"]))
+    for things in ((), twice, twice[:1]):
+        agent = Eagor(lambda scene, names, things=things: Seen(things))
+        for question in scene.questions:
+            reply = agent.answer(scene, question)
+            if question.skill == DIRECTION and not {"tv", "sofa"} >= set(question.names):
+                assert reply.text in ("Front Left", "Front Right")
+                assert reply.notes["problem"].startswith("not seen")
+
+
+def test_majority_does_not_look_at_the_scene_it_answers(data: Path) -> None:
+    scenes = load_scenes(data, "qa")
+    question = next(q for q in scenes[0].questions if q.skill == DIRECTION)
+    assert Majority(scenes).answer(scenes[0], question).text == "Front Left"  # nothing else is known
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"agent": "eagor"}, "needs eyes"),
+        ({"agent": "vlm"}, "asks a model"),
+        ({"agent": "nobody"}, "it has eagor"),
+        ({"agent": "constant", "labels": "mine"}, "wanted official, corrected, both"),
+        ({"agent": "constant", "camera_height": -1}, "above 0"),
+        ({"agent": "eagor", "perception": "truth:blurred"}, "truth:outline"),
+        ({"agent": "eagor", "perception": "colour", "range": "depth"}, r"1 of 1 scenes have no depth\.npy"),
+    ],
+)
+def test_bad_settings_say_what_is_wanted(data: Path, settings: dict[str, Any], words: str) -> None:
+    with pytest.raises(EagorError, match=words):
+        settled(data, **settings)
+
+
+def test_what_is_no_such_data_says_so(tmp_path: Path, data: Path) -> None:
+    with pytest.raises(FormatError, match="there is no folder"):
+        load_scenes(tmp_path / "nowhere")
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    with pytest.raises(FormatError, match="is it OSR-Bench"):
+        load_scenes(empty)
+    path = next(data.rglob("*_qa.json"))
+    path.write_text('{"conversation": [{"question": "Why?", "answer": "so"}]}')
+    with pytest.raises(FormatError, match="known are"):
+        load_scenes(data, "qa")
+    path.write_text("{")
+    with pytest.raises(FormatError, match="cannot be read as JSON"):
+        load_scenes(data, "qa")
+
+
+def test_info_counts(data: Path) -> None:
+    found = load("osr").info(data)
+    assert set(found["files"]) == set(SUFFIXES)
+    assert found["files"]["qa"]["empty_labels_skipped"] == 1
+    assert (found["pictures"], found["with_true_places"], found["with_depth"]) == ({"128 x 64": 1}, 1, 0)
+
+
+def test_one_command_gives_the_table_and_goes_on_where_it_stopped(data: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "eagor", "bench", "run", "osr", "--data", str(data), "--agent", "eagor"]
+    command += ["--perception", "truth", "--labels", "both", "--out", str(tmp_path / "run"), "--json"]
+    first = subprocess.run([*command, "--limit", "3"], capture_output=True, text=True, check=False)
+    assert first.returncode == 0, first.stderr
+    assert json.loads(first.stdout)["episodes"] == 3
+    second = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert second.returncode == 0, second.stderr
+    found = json.loads(second.stdout)
+    assert found["episodes"] == len(played(data, agent="oracle"))
+    assert found["direction_corrected"] > found["direction_official"]
