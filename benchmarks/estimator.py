@@ -92,7 +92,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "memory": (
         *(f"{OURS}:keep={keep}" for keep in (1, 0.99, 0.95, 0.9, 0.8)),
         *(f"{OURS}:persistence={share}" for share in (0, 0.2, 0.4, 0.6, 0.8)),
-        *(f"{OURS}:surest={nats}" for nats in (6, 8, 10, 15, 1000)),
+        *(f"{OURS}:surest={nats}" for nats in (6, 8, 10, 12, 1000)),
+        f"{OURS}:degree=21,surest=10",
         f"{OURS}:wander=0",
         f"{OURS}:wander=0,diffusion=3",
         *(f"{OURS}:wander={angle}" for angle in (4, 8, 16)),
