@@ -61,7 +61,7 @@ $(VENV)/.eagor-installed: $(BIN)/python pyproject.toml
 $(VENV)/.eagor-test-installed: $(BIN)/python pyproject.toml
 	@echo "==> installing $(TORCH), then eagor with what the tests need (the first time takes minutes)"
 	$(PIP) "$(TORCH)"
-	$(PIP) -e ".[vlm,endpoint,oracles,dev]"
+	$(PIP) -e ".[vlm,endpoint,ray,oracles,dev]"
 	touch $(VENV)/.eagor-installed $@
 
 demo: $(VENV)/.eagor-installed

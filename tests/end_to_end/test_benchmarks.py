@@ -288,15 +288,13 @@ def test_threads_do_everything_once_and_try_again_what_fails(tmp_path, config):
     assert again == Outcome(0, 2, 10)
 
 
-def test_ray_is_asked_for_by_name(tmp_path, config):
-    if importlib.util.find_spec("ray") is not None:
-        pytest.skip("ray is here")
+def test_ray_is_asked_for_by_name(tmp_path, config, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(EagorError, match=r"eagor\[ray\]"):
         run_units(units(2), "units_of_work:squares", config, tmp_path / "run", 2, engine="ray")
 
 
 def test_ray_does_everything_and_outlives_its_workers(tmp_path, config, monkeypatch):
-    pytest.importorskip("ray")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([ENVIRONMENT["PYTHONPATH"], *sys.path]))  # what its workers import
     trouble = {3: "raise", 5: "die once", 7: "die"}
     done = run_units(units(12, trouble), "units_of_work:squares", config, tmp_path / "run", 2, engine="ray")
