@@ -154,9 +154,11 @@ class Told(TrackerMethod):
         peak = pose @ evidence.grid.directions.reshape(-1, 3)[int(response.argmax())]
         if float(peak @ direction) < math.cos(math.radians(12)):
             return
-        fits = np.exp(-0.5 * (np.log(still.ranges / distance) / 0.15) ** 2)
+        likely = 0.1 + 0.9 * np.exp(-0.5 * (np.log(still.ranges / distance) / 0.15) ** 2)
+        shares = np.gradient(np.log(still.ranges))
+        likely /= np.average(likely, weights=shares)  # it says how far, and nothing about whether
         near = _bump(still.degree, tuple(direction.tolist()))
-        told_still = replace(still, shells=still.shells + np.log(0.1 + 0.9 * fits)[:, None] * near)
+        told_still = replace(still, shells=still.shells + np.log(likely)[:, None] * near)
         belief = told_still if state.belief is still else replace(state.belief, still=told_still, field_of_still=None)
         self.tracker._states["target"] = replace(state, belief=belief)
 

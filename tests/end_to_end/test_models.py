@@ -13,16 +13,20 @@ import vlm_models
 from contract_server import ContractServer, Reply, reddish
 from PIL import Image
 
+from eagor.belief import Belief
 from eagor.cli import machine, main
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation.labelled import apartment_labels
-from eagor.grids import ErpGrid
+from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.harmonics import RealHarmonics
 from eagor.perception import is_model, load, short_name
+from eagor.perception.partial import look_at_view
 from eagor.perception.transformers import TransformersPerception, loading
 from eagor.perception.transformers.language import LanguageModel
 from eagor.perception.vlm.families import FAMILIES, Checkpoint
 from eagor.perception.vlm.labelled import Labelled, cap_radius, read_labelled
-from eagor.sphere import angular_distance, direction
+from eagor.perception.vlm.views import cut
+from eagor.sphere import angular_distance, direction, world_R_body
 from eagor.tasks.eyes import rows_of, shared
 from eagor.worlds.panorama import read_panorama
 
@@ -134,6 +138,49 @@ def test_locate_asks_a_server(eagor, panorama):
     assert code == 0
     assert found["azimuth_deg"] == pytest.approx(60, abs=3)
     assert found["elevation_deg"] == pytest.approx(10, abs=3)
+
+
+# --- one ordinary picture --------------------------------------------------------------------------------------------
+
+
+def seen_in_a_view(perception, place):
+    """Where a view of 54 x 96 pixels towards azimuth 0 has its best direction, with a red thing at `place`."""
+    pitch, hfov = 0.1, math.radians(100)
+    grid = PerspectiveGrid(54, 96, hfov, world_R_body(0.0, -pitch))
+    image = cut(vlm_models.marked(*place, radius=0.2, rows=256, seed=5), grid)
+    evidence = look_at_view(perception, image, pitch, hfov, "red thing", stamp=2.0)
+    return evidence, Belief.uniform(15).update(evidence).mode()
+
+
+@pytest.mark.parametrize("family", vlm_models.LANGUAGE)
+def test_a_model_looks_at_an_ordinary_picture(planted, family):
+    folder = planted(family)
+    pixels = {"pixels": vlm_models.PIXELS[family]} if family in vlm_models.PIXELS else {}
+    perception = TransformersPerception(
+        str(folder), extractor="attention", presence=False, heads=str(folder / "heads.json"), **pixels
+    )
+    for place in ((0.45, 0.2), (-0.5, 0.0)):
+        evidence, mode = seen_in_a_view(perception, place)
+        grid = evidence.grid
+        assert isinstance(grid, PerspectiveGrid)
+        assert evidence.stamp == 2.0
+        assert evidence.source["family"] == family
+        assert angular_distance(mode, direction(*place)) < 1.2 * grid.hfov / grid.width, (place, grid.shape)
+        # What the camera did not show was not looked at.
+        behind = evidence.coefficients(15) @ RealHarmonics(15).evaluate(direction(math.pi, 0.0))
+        assert abs(behind) < 0.1
+
+
+@pytest.mark.parametrize("model", ["qwen2.5-vl-7b", "gemma-3-4b"])
+def test_a_server_is_sent_an_ordinary_picture(model):
+    place = (0.45, 0.2)
+    with ContractServer(reddish, (model,)) as server:
+        perception = load(f"endpoint:{model}@{server.url}?pixels=451584&extractor=boxes")
+        evidence, mode = seen_in_a_view(perception, place)
+        images = [request.image.shape for request in server.requests if request.image is not None]
+    assert angular_distance(mode, direction(*place)) < math.radians(3)
+    assert (images[0][0] == images[0][1]) == model.startswith("gemma"), images
+    assert evidence.source["extractor"] == "boxes"
 
 
 # --- runs ------------------------------------------------------------------------------------------------------------

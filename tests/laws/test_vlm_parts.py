@@ -21,8 +21,8 @@ from eagor.perception.vlm.seam import seamless
 from eagor.perception.vlm.sizes import exact_size, resized
 from eagor.perception.vlm.styles import style_of
 from eagor.perception.vlm.tokens import Trace
-from eagor.perception.vlm.views import cut, lift, tangent_views
-from eagor.sphere import angular_distance, direction, world_R_body
+from eagor.perception.vlm.views import cut, filled, framed, lift, tangent_views
+from eagor.sphere import angular_distance, direction, unit, world_R_body
 
 SIDES = {"pixels": (896, 448), "thousand": (1000, 1000), "unit": (1, 1)}  # across, down
 SIZE = (448, 896)
@@ -644,3 +644,19 @@ def test_the_source_stays_with_the_evidence(calibration):
 
 def test_errors_are_ours():
     assert issubclass(AnswerError, EagorError)
+
+
+@pytest.mark.parametrize("size", [(28, 56), (56, 56), (90, 64), (33, 47)])
+def test_a_framed_picture_bends_nothing(size):
+    """Directions of the image's pixels stay where they are, whatever shape the model wants."""
+    grid = PerspectiveGrid(270, 480, math.radians(100), world_R_body(0.4, -0.2))
+    image = np.full((270, 480, 3), 40, dtype=np.uint8)
+    image[60:100, 300:340] = 250
+    picture, posed, inner = framed(image, grid, size)
+    assert picture.shape == (*size, 3)
+    brightness = np.maximum(picture.max(axis=-1) - 60.0, 0)  # the border is not much brighter than the image's rest
+    middle = unit(np.einsum("ij,ijk->k", brightness, posed.directions))
+    wanted = unit(grid.directions[60:100, 300:340].reshape(-1, 3).mean(axis=0))
+    assert angular_distance(middle, wanted) < posed.hfov / posed.width / 2
+    assert filled(size, size, inner).sum() == pytest.approx(inner[0] * inner[1])
+    assert filled((7, 9), size, inner).mean() == pytest.approx(inner[0] * inner[1] / (size[0] * size[1]))

@@ -22,7 +22,7 @@ from eagor.perception.vlm.prompts import ask_boxes, ask_presence, boxes_schema
 from eagor.perception.vlm.seam import merged
 from eagor.perception.vlm.sizes import resized
 from eagor.perception.vlm.styles import Style
-from eagor.perception.vlm.views import cut, lift
+from eagor.perception.vlm.views import cut, filled, framed, lift
 
 GRID = WHOLE_SPHERE  # where all responses come
 
@@ -104,6 +104,30 @@ def views_plan(
         return lift(responses, views, GRID, margin)
 
     return Plan(tuple(items), combine, views[0].shape, len(views))
+
+
+def view_plan(
+    image: np.ndarray,
+    grid: PerspectiveGrid,
+    query: str,
+    style: Style,
+    size: tuple[int, int],
+    boxes: bool,
+    manner: Manner,
+) -> tuple[Plan, PerspectiveGrid]:
+    """Boxes in, or the presence in, one ordinary picture; and the cells that the response is on, instead of `GRID`."""
+    framing, posed, inner = framed(image, grid, size)
+    picture, cells = Picture(framing, manner.image_format), canvas_of(posed)
+    assert isinstance(cells, PerspectiveGrid)  # a coarse copy of the view
+    if boxes:
+        item = _boxes_item(picture, query, style, posed, cells, manner.max_tokens)
+    else:
+        item = Item(Question(picture, ask_presence(query), manner.max_tokens, alternatives=True), _presence)
+
+    def combine(read: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        return np.broadcast_to(read[0], (1, *cells.shape)).astype(np.float32), filled(cells.shape, size, inner)
+
+    return Plan((item,), combine, size, 1), cells
 
 
 def _boxes_item(

@@ -17,7 +17,7 @@ import numpy as np
 from eagor.errors import AnswerError, EagorError
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
-from eagor.perception.endpoint.extractors import GRID, Manner, Plan, boxes_plan, views_plan
+from eagor.perception.endpoint.extractors import GRID, Manner, Plan, boxes_plan, view_plan, views_plan
 from eagor.perception.endpoint.messages import Answer
 from eagor.perception.endpoint.servers import DEFAULT_SERVER, Limits, Servers, checked_address
 from eagor.perception.vlm.boxes import Frame, Order
@@ -133,6 +133,28 @@ class EndpointPerception:
             return Look(np.zeros((0, *GRID.shape), np.float32), np.ones(GRID.shape), {})
         model = self._servers.model()
         plan = self._plan(image, words, model)
+        return self._look(plan, model, started)
+
+    def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
+        """Evidence for what `query` names in one ordinary picture ``(h, w, 3)`` uint8, whose pixels `grid` describes.
+
+        It is on cells with the grid's pose (`eagor.perception.partial.ViewPerception`). Errors as for a call.
+        """
+        started = time.perf_counter()
+        words, model = phrase(query), self._servers.model()
+        style = self.style(model)
+        boxes = self._extractor(style) == "boxes" or self.per_view == "boxes"
+        # What is fed panoramas as they are takes pictures as they are; what wants another shape wants it here, too.
+        aspect = grid.width / grid.height if style.aspect == 2.0 else style.aspect
+        size = exact_size(style.cell, self.pixels or style.pixels, aspect)
+        plan, cells = view_plan(image, grid, words, style, size, boxes, self._manner)
+        look = self._look(plan, model, started)
+        coverage = None if (look.coverage >= 1).all() else look.coverage
+        source = {**look.source, "extractor": "boxes" if boxes else "presence"}
+        return Evidence.from_response(look.responses[0], cells, self.calibration, stamp, coverage, source)
+
+    def _look(self, plan: Plan, model: str, started: float) -> Look:
+        """Ask what is planned, once more where an answer cannot be read."""
         answers = self._servers.ask([item.question for item in plan.items])
         readings, again = [], []
         for item, answer in zip(plan.items, answers, strict=True):

@@ -145,6 +145,29 @@ class TransformersPerception:
         """Responses ``(Q, h, w)`` float32 in [0, 1] to several queries; each image is run through the model once."""
         return self._respond(panorama, list(queries))[0]
 
+    def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
+        """Evidence for what `query` names in one ordinary picture ``(h, w, 3)`` uint8, whose pixels `grid` describes.
+
+        It is on cells with the grid's pose (`eagor.perception.partial.ViewPerception`). Where the extractor is
+        ``views``, the picture is the view. Errors as for a call.
+        """
+        from eagor.perception.vlm.views import filled, framed
+
+        began = time.perf_counter()
+        _check_words([query])
+        extractor = self.per_view if self.extractor == "views" else self.extractor
+        aspect = grid.width / grid.height
+        size, shape = self.looker.size(aspect), self.looker.cells(aspect, extractor)
+        if size[0] * shape[1] != size[1] * shape[0]:  # a model of one square size: its cells are square in a square
+            size, shape = self.looker.size(1.0), self.looker.cells(1.0, extractor)
+        picture, posed, inner = framed(image, grid, size)
+        cells = replace(posed, height=shape[0], width=shape[1])
+        found, cost = self.looker.look([picture], [cells], [query], extractor)
+        coverage = None if inner == size else filled(shape, size, inner)
+        source = {**self._known(), "extractor": extractor, "pixels": list(size), **cost.as_source()}
+        source["milliseconds"] = 1000 * (time.perf_counter() - began)
+        return Evidence.from_response(found[0, 0], cells, self.calibration, stamp, coverage=coverage, source=source)
+
     def find_heads(self, examples: Iterable[Labelled], take: int = 3) -> Heads:
         """The localisation heads of this model, found on labelled panoramas, which are looked at as a call would.
 
@@ -172,15 +195,16 @@ class TransformersPerception:
         from eagor.perception.vlm.sizes import checked_picture
 
         began = time.perf_counter()
-        if not all(isinstance(query, str) and query.split() for query in queries):
-            raise QueryError(f"the queries are {queries!r}; wanted words for each, such as 'red chair'")
+        _check_words(queries)
         image = checked_picture(panorama)
         look = self._views if self.extractor == "views" else self._whole
         response, coverage, source = look(image, queries)
-        known = {"model": self.looker.name, "revision": self.looker.revision, "family": self.family.name}
-        source = {**known, "extractor": self.extractor, **source}
+        source = {**self._known(), "extractor": self.extractor, **source}
         source["milliseconds"] = 1000 * (time.perf_counter() - began)
         return response, coverage, source
+
+    def _known(self) -> dict[str, object]:
+        return {"model": self.looker.name, "revision": self.looker.revision, "family": self.family.name}
 
     def _whole(self, image: np.ndarray, queries: list[str]) -> tuple[np.ndarray, None, dict[str, object]]:
         from eagor.perception.vlm.seam import merged
@@ -217,3 +241,8 @@ class TransformersPerception:
         lines = max(12, min(90, round(math.pi * grids[0].focal)))
         response, coverage = lift(list(found), views, PatchGrid(lines, 2 * lines))
         return response, coverage, {"pixels": [height, width], "per_view": self.per_view, **cost.as_source()}
+
+
+def _check_words(queries: Sequence[str]) -> None:
+    if not all(isinstance(query, str) and query.split() for query in queries):
+        raise QueryError(f"the queries are {list(queries)!r}; wanted words for each, such as 'red chair'")

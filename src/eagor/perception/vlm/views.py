@@ -98,6 +98,39 @@ def _depth(rays: np.ndarray, half_width: float, half_height: float) -> np.ndarra
     return np.minimum(half_width - np.arctan2(y, x), half_height - np.arctan2(z, x))
 
 
+def framed(
+    image: np.ndarray, grid: PerspectiveGrid, size: tuple[int, int]
+) -> tuple[np.ndarray, PerspectiveGrid, tuple[int, int]]:
+    """A picture of `size` (height, width) with `image` whole in its middle, its grid, and how much `image` fills of it.
+
+    Stretching to the size that a model wants would bend the view; so what is missing on two sides is the image's mean
+    colour. `grid` describes the image's pixels; what it fills is (rows, columns). Raises `ImageError`.
+    """
+    image = checked_picture(image, "the view")
+    height, width = size
+    scale = min(height / grid.height, width / grid.width)
+    # As even or odd as the whole, so that the middle stays the middle.
+    rows, cols = (
+        min(whole, max(2 - whole % 2, whole - 2 * round((whole - scale * side) / 2)))
+        for whole, side in ((height, grid.height), (width, grid.width))
+    )
+    picture = np.empty((height, width, 3), dtype=np.uint8)
+    picture[:] = np.rint(image.reshape(-1, 3).mean(axis=0)).astype(np.uint8)
+    top, left = (height - rows) // 2, (width - cols) // 2
+    picture[top : top + rows, left : left + cols] = resized(image, (rows, cols))
+    hfov = 2 * math.atan(width / (2 * scale * grid.focal))
+    return picture, PerspectiveGrid(height, width, hfov, grid.body_R_view), (rows, cols)
+
+
+def filled(shape: tuple[int, int], size: tuple[int, int], inner: tuple[int, int]) -> np.ndarray:
+    """How much of each cell ``(h, w)`` of a picture of `size` lies in the middle part of `inner` pixels, 0 to 1."""
+    shares = []
+    for count, whole, part in zip(shape, size, inner, strict=True):
+        edges = np.clip(np.arange(count + 1) * (whole / count), (whole - part) / 2, (whole + part) / 2)
+        shares.append(np.diff(edges) * (count / whole))
+    return np.minimum(shares[0][:, None] * shares[1], 1.0)
+
+
 def cut(panorama: np.ndarray, grid: PerspectiveGrid) -> np.ndarray:
     """What a camera with `grid` sees of the panorama ``(H, W, 3)`` uint8: uint8 ``(*grid.shape, 3)``.
 
