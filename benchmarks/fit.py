@@ -71,7 +71,10 @@ SPACES: dict[str, Callable[[Rng], Settings]] = {
         **_reading(rng),
         "keep": 1 - _log(rng, 0.01, 0.2),
         "wander": _log(rng, 4, 20),
-        "restless": _log(rng, 0.001, 0.1),
+        "restless": _log(rng, 0.0003, 0.03),
+        "doubt": _log(rng, 0.001, 0.1),
+        "settle": _log(rng, 0.05, 4),
+        "surest": _log(rng, 8, 25),
         "persistence": 1 - _log(rng, 0.05, 1),
     },
 }

@@ -14,12 +14,10 @@ from eagor._arrays import to_numpy
 from eagor.belief import Belief
 from eagor.errors import EagorError
 from eagor.evidence import Calibration
-from eagor.motion import StillOrMoving, standing
+from eagor.motion import DOUBT, SAME, SETTLE, StillOrMoving, standing
 from eagor.posterior import MIN_WEIGHT, PROMINENCE, RIVAL
 from eagor.ranged import RangedBelief, log_ranges
 from eagor.sphere import azimuth_elevation
-
-HOLD = math.radians(20)  # a peak within this of where it was before is the same one: near things move by parallax
 
 Status = Literal["searching", "tracking", "ambiguous", "stale"]
 
@@ -40,6 +38,9 @@ class TrackerConfig:
     - `wander`: radians per square root of a second by which a target wanders if it does not stand still; both cases
       are believed in side by side (`eagor.motion`). 0: every target stands still.
     - `restless`: changes per second between standing still and wandering.
+    - `doubt`: neither standing still nor wandering is ever less likely than this.
+    - `settle`: seconds in which what is known of the place where it stood fades, once it is surely elsewhere
+      (`eagor.motion.StillOrMoving.fading`).
     - `surest`: nats by which the best direction of a target that stands still may rise above a typical one; beyond, all
       its log-odds are scaled down. Looks share their mistakes, and things get moved: nothing is ever surer than that.
     - `history`: seconds for which poses and evidence are kept, so that late evidence finds its place.
@@ -62,6 +63,8 @@ class TrackerConfig:
     diffusion: float = 0.0
     wander: float = math.radians(9)
     restless: float = 0.001
+    doubt: float = DOUBT
+    settle: float = SETTLE
     surest: float = 15.0
     history: float = 10.0
     stale_after: float = 5.0
@@ -72,12 +75,15 @@ class TrackerConfig:
 
     def __post_init__(self) -> None:
         least = min(self.diffusion, self.wander, self.restless, self.history)
-        if not (0 < self.keep_per_second <= 1 and least >= 0 and self.wander < math.pi and self.surest > 0):
+        positive = min(self.surest, self.settle, self.doubt)
+        if not (
+            0 < self.keep_per_second <= 1 and least >= 0 and self.wander < math.pi and positive > 0 and self.doubt < 0.5
+        ):
             raise EagorError(
                 f"keep_per_second = {self.keep_per_second}, diffusion = {self.diffusion}, wander = {self.wander}, "
-                f"restless = {self.restless}, surest = {self.surest}, history = {self.history}; wanted 0 < "
-                "keep_per_second <= 1, diffusion and wander >= 0 (rad per sqrt s), restless >= 0 (per s), surest > 0 "
-                "(nats) and history >= 0 (s)"
+                f"restless = {self.restless}, doubt = {self.doubt}, settle = {self.settle}, surest = {self.surest}, "
+                f"history = {self.history}; wanted 0 < keep_per_second <= 1, diffusion and wander >= 0 (rad per "
+                "sqrt s), restless >= 0 (per s), 0 < doubt < 0.5, settle > 0 (s), surest > 0 (nats) and history >= 0 (s)"
             )
 
     @classmethod
@@ -196,8 +202,8 @@ class Estimate:
 
 def held(reading: Belief | RangedBelief | StillOrMoving, named: np.ndarray | None, margin: float) -> np.ndarray:
     """The peak ``(3,)`` that is the answer: the one that was `named` before, unless another is higher by `margin`."""
-    posterior = reading.posterior
-    kept = None if named is None or margin == 0 else posterior.peak_near(named, HOLD)
+    posterior = reading.likelier if isinstance(reading, StillOrMoving) else reading.posterior
+    kept = None if named is None or margin == 0 else posterior.peak_near(named, SAME)
     if kept is None or kept[1] < float(posterior.coarse.max()) - margin:
         return posterior.mode
     return kept[0]

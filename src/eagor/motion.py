@@ -24,12 +24,15 @@ from eagor.belief import Belief, Reading
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.peaks import decoding_grid
-from eagor.posterior import Field, log_integral, typical
+from eagor.posterior import Field, Posterior, log_integral, typical
 from eagor.ranged import RangedBelief
 
 ANYWHERE = 2e-2  # per second: the share of a wanderer's density that is spread evenly: it may have been carried off
-SURE = 1e-6  # neither hypothesis is ever less likely than this
+SETTLE = 0.8  # seconds: how soon what is known of the place where it stood fades, once it surely is elsewhere
+SAME = math.radians(20)  # peaks nearer than this are of the same thing: near things move by parallax
+DOUBT = 0.03  # neither case is ever less likely: things get moved, and looks share their mistakes
 _UNIFORM = 1 / math.sqrt(4 * math.pi)  # the coefficient of degree 0 of a density
+_SURE = 30.0  # nats: odds beyond are as good as certain
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +114,22 @@ class StillOrMoving(Reading):
         """One belief: no batch."""
         return ()
 
+    @cached_property
+    def moved(self) -> float:
+        """Probability that the target wanders and is elsewhere than it stood by the first case."""
+        grid, field = decoding_grid(self.degree), self.wanderer.field
+        place = grid.directions.reshape(-1, 3)[int(self._stays.argmax())]
+        density = np.exp(field - log_integral(field, grid.weights)) * grid.weights
+        return self.moving * float(density[grid.directions @ place < math.cos(SAME)].sum())
+
+    def fading(self, elapsed: float, settle: float = SETTLE) -> float:
+        """The share of the first case's log-odds that survives `elapsed` seconds.
+
+        What is known of the place where a thing stood is worth nothing once it has left it: should it stand still
+        again, it stands elsewhere. Of something that was carried off, exp(-elapsed / settle) stays.
+        """
+        return math.exp(-self.moved * elapsed / settle)
+
     def after(
         self, still: Belief | RangedBelief, elapsed: float, wander: float, restless: float, keep: float
     ) -> StillOrMoving:
@@ -125,8 +144,9 @@ class StillOrMoving(Reading):
         look: np.ndarray,
         share: float = 1.0,
         passing: np.ndarray | None = None,
+        doubt: float = DOUBT,
     ) -> StillOrMoving:
-        """With the log ratios `look` ``(size,)`` of one more look.
+        """With the log ratios `look` ``(size,)`` of one more look; neither case gets less likely than `doubt`.
 
         Looks repeat each other: `still` is the first case with `share` of the look added to it, and `passing`
         ``(size,)`` is what the look before it counted besides, until now. Either case is judged by how it foretells
@@ -145,10 +165,10 @@ class StillOrMoving(Reading):
             for field in (before + repeated, wanderer.field)
         ]
         odds = math.log(self.moving) - math.log1p(-self.moving) + gains[1] - gains[0]
-        moving = 1 / (1 + math.exp(min(max(-odds, math.log(SURE)), -math.log(SURE))))
+        moving = min(max(1 / (1 + math.exp(-min(max(odds, -_SURE), _SURE))), doubt), 1 - doubt)
         roamed = replace(wanderer, looks=wanderer.looks + look, evidence=wanderer.evidence + gains[1])
         # A look adds the same to every range, so that it adds as much to the field over all of them.
-        return StillOrMoving(still, roamed, min(max(moving, SURE), 1 - SURE), before + share * log_ratio)
+        return StillOrMoving(still, roamed, moving, before + share * log_ratio)
 
     def capped(self, most: float, newest: np.ndarray | None = None) -> StillOrMoving:
         """With the log-odds of the first case scaled so that its peak rises at most `most` nats above the typical.
@@ -173,6 +193,16 @@ class StillOrMoving(Reading):
     @cached_property
     def _stays(self) -> np.ndarray:
         return self.still.posterior.coarse if self.field_of_still is None else self.field_of_still
+
+    @cached_property
+    def likelier(self) -> Posterior:
+        """The posterior of the likelier case.
+
+        The answer is read there. In the mixture the sharper case has the higher peak even where it is the less likely.
+        """
+        if self.moving < 0.5:
+            return self.still.posterior
+        return Posterior(self.wanderer.evaluator(), decoding_grid(self.degree).height)
 
     def direction_belief(self) -> Belief:
         """The belief over directions alone, projected to this degree."""

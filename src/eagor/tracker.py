@@ -167,7 +167,8 @@ class DirectionTracker:
         still = standing(state.belief).plus(share * look.coefficients)
         whole: Belief | RangedBelief | StillOrMoving = still
         if isinstance(state.belief, StillOrMoving):
-            whole = state.belief.update(still, look.coefficients, share, passing).capped(self.config.surest, newest)
+            whole = state.belief.update(still, look.coefficients, share, passing, self.config.doubt)
+            whole = whole.capped(self.config.surest, newest)
         found = _State(whole, look.stamp, state.position, newest)
         if self.config.switch_at == 0 or self.config.decode == "mean":
             return found
@@ -203,8 +204,11 @@ class DirectionTracker:
         if isinstance(still, RangedBelief) and moved is not None:
             still = replace(still.predict(np.eye(3), moved), prior=self._prior(position))
         keep = self.config.keep_per_second**elapsed
-        if keep < 1:
-            still = still.forget(keep)
+        stays = keep
+        if isinstance(state.belief, StillOrMoving):
+            stays *= state.belief.fading(elapsed, self.config.settle)
+        if stays < 1:
+            still = still.forget(stays)
         if self.config.diffusion > 0:
             still = still.diffuse(self.config.diffusion * math.sqrt(elapsed))
         whole = still

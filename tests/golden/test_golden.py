@@ -31,7 +31,7 @@ def walk(config, steps=24):
 CASES = {
     "default": (
         TrackerConfig(),
-        {"angles": (173.9, 8.4), "error": 1.5, "status": "tracking", "presence": 1.0, "ratio": 0.982},
+        {"angles": (173.9, 8.9), "error": 1.5, "status": "tracking", "presence": 1.0, "ratio": 0.982},
     ),
     "turning only": (
         TrackerConfig(ranges=None),

@@ -114,6 +114,28 @@ def test_a_standing_target_is_taken_for_one_and_a_wandering_one_for_one():
     assert roaming.presence() > 0.99
 
 
+def test_a_place_is_forgotten_only_where_it_was_left_for_another():
+    """Both cases may agree on the place, whichever is the likelier: then nothing fades."""
+    here = filled(lambda step: direction(0.3, 0.0), steps=10)
+    there = filled(lambda step: direction(0.3 if step < 6 else 2.3, 0.0), steps=10)
+    assert here.moved < 0.1
+    assert here.fading(1.0, 0.8) > 0.9
+    assert there.moved > 0.2
+    assert there.fading(1.0, 0.8) == pytest.approx(math.exp(-there.moved / 0.8))
+    assert there.fading(0.4, 0.8) * there.fading(0.6, 0.8) == pytest.approx(there.fading(1.0, 0.8))
+
+
+def test_the_answer_is_that_of_the_likelier_case():
+    """A sharp peak in the less likely case does not outdo a blunt one in the other."""
+    belief = filled(lambda step: direction(0.3, 0.0), steps=10)
+    elsewhere = Wanderer.uniform(DEGREE).after(1.0, 0.2, keep=1.0)
+    elsewhere = Wanderer(elsewhere.spread, look(direction(-2.0, 0.0), 10.0).coefficients(DEGREE), elsewhere.least)
+    for moving, towards in ((0.4, direction(0.3, 0.0)), (0.6, direction(-2.0, 0.0))):
+        mixed = StillOrMoving(belief.still, elsewhere, moving)
+        assert angular_distance(mixed.likelier.mode, towards) < 0.1
+        assert angular_distance(mixed.posterior.mode, direction(0.3, 0.0)) < 0.1
+
+
 def test_nothing_seen_speaks_for_neither():
     belief = StillOrMoving.uniform(Belief.uniform(DEGREE))
     nothing = Evidence.from_points(np.zeros((0, 3)), 1.0).coefficients(DEGREE)

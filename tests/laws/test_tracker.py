@@ -225,18 +225,33 @@ def test_the_answer_stays_until_another_is_clearly_higher():
 
 @pytest.mark.parametrize("changes", [{}, {"ranges": None}])
 def test_nothing_is_ever_surer_than_the_configuration_allows(changes):
-    """However long a thing was in one place, it is found in another within a few looks."""
-    old, new, found = direction(0.5, -0.1), direction(-2.0, -0.1), {}
+    place = direction(0.5, -0.1)
     for surest in (8.0, 1e6):
         tracker = DirectionTracker(TrackerConfig(**changes, surest=surest, restless=0.0, keep_per_second=1.0))
-        for t in range(60):
+        for t in range(50):
             tracker.rotate(float(t), np.eye(3), np.zeros(3))
-            tracker.observe(repeating(look(old if t < 50 else new, float(t)), 0.5))
-        found[surest] = tracker.estimate(59.0)
+            tracker.observe(repeating(look(place, float(t)), 0.5))
         state = tracker._states["target"]
         still = state.belief.plus(state.newest).still.posterior
         assert (still.coarse.max() - typical(still.coarse, still.grid.weights) <= 8.1) == (surest == 8.0)
-    assert np.degrees(angular_distance(found[8.0].direction, new)) < 2
+
+
+@pytest.mark.parametrize("changes", [{}, {"ranges": None}])
+def test_what_was_carried_off_is_found_elsewhere(changes):
+    """However long a thing was in one place: of the place where it stood, little is remembered then."""
+    old, new, found = direction(0.5, -0.1), direction(-2.0, -0.1), {}
+    for settle in (0.8, 1e6):
+        tracker = DirectionTracker(TrackerConfig(**changes, settle=settle))
+        for t in range(58):
+            tracker.rotate(float(t), np.eye(3), np.zeros(3))
+            tracker.observe(repeating(look(old if t < 50 else new, float(t)), 0.8))
+            if t == 49:
+                assert tracker.estimate(49.0).moving < 0.1
+        estimate = tracker.estimate(57.0)
+        still = estimate.reading.still.posterior
+        found[settle] = estimate.direction, float(angular_distance(still.mode, new))
+    assert np.degrees(angular_distance(found[0.8][0], new)) < 2
+    assert np.degrees(found[0.8][1]) < 2 < np.degrees(found[1e6][1])
 
 
 def test_asking_does_not_change_the_answer():

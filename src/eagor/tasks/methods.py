@@ -236,6 +236,8 @@ _OURS = (
     "diffusion",
     "wander",
     "restless",
+    "doubt",
+    "settle",
     "heights",
     "surest",
     "switch",
@@ -260,8 +262,9 @@ def tracker_config(
     """`config` with settings from text; raises KeyError for one that there is not, ValueError for what is no number.
 
     degree, decode, keep (per second), shells (0: directions only), heights (0: it is not known where the floor is),
-    diffusion and wander (degrees per root second), restless (changes per second), surest and switch (nats), and floor,
-    neutral, temperature and persistence, which change `calibration` where the config has none of its own.
+    diffusion and wander (degrees per root second), restless (changes per second), doubt (a probability), settle
+    (seconds), surest and switch (nats), and floor, neutral, temperature and persistence, which change `calibration`
+    where the config has none of its own.
     """
     if unknown := [key for key in settings if key not in _OURS]:
         raise KeyError(unknown[0])
@@ -276,9 +279,9 @@ def tracker_config(
     if "keep" in numbers:
         changes["keep_per_second"] = numbers["keep"]
     changes |= {key: math.radians(numbers[key]) for key in ("diffusion", "wander") if key in numbers}
-    if "restless" in numbers:
-        changes["restless"] = numbers["restless"]
-    changes |= {field: numbers[key] for key, field in (("switch", "switch_at"), ("surest", "surest")) if key in numbers}
+    changes |= {key: numbers[key] for key in ("restless", "doubt", "settle", "surest") if key in numbers}
+    if "switch" in numbers:
+        changes["switch_at"] = numbers["switch"]
     if "heights" in numbers:
         changes["floor"] = FLOOR if numbers["heights"] else None
     if "shells" in numbers:
