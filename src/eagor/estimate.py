@@ -83,7 +83,8 @@ class TrackerConfig:
                 f"keep_per_second = {self.keep_per_second}, diffusion = {self.diffusion}, wander = {self.wander}, "
                 f"restless = {self.restless}, doubt = {self.doubt}, settle = {self.settle}, surest = {self.surest}, "
                 f"history = {self.history}; wanted 0 < keep_per_second <= 1, diffusion and wander >= 0 (rad per "
-                "sqrt s), restless >= 0 (per s), 0 < doubt < 0.5, settle > 0 (s), surest > 0 (nats) and history >= 0 (s)"
+                "sqrt s), restless >= 0 (per s), 0 < doubt < 0.5, settle > 0 (s), surest > 0 (nats) and "
+                "history >= 0 (s)"
             )
 
     @classmethod
