@@ -83,29 +83,30 @@ READINGS: dict[str, Reading] = {
 TOLD = "range told to 15 %"
 GROUPS: dict[str, tuple[str, ...]] = {
     "rivals": ("centroid", "cent_circ", "grid", "eagor_paper", "vmf", "grid_filter", "particle_filter"),
-    "reading": (
-        *(f"{OURS}:temperature={beta}" for beta in (0.3, 0.6, 1.2, 2.5)),
-        *(f"{OURS}:floor={floor}" for floor in (0.03, 0.1, 0.3, 0.8)),
-        *READINGS,
-    ),
-    "degree": tuple(f"{OURS}:degree={degree}" for degree in (5, 7, 11, 18, 21, 31)),
     "memory": (
-        *(f"{OURS}:keep={keep}" for keep in (1, 0.99, 0.95, 0.9, 0.8)),
-        *(f"{OURS}:persistence={share}" for share in (0, 0.2, 0.4, 0.6, 0.8)),
-        *(f"{OURS}:surest={nats}" for nats in (6, 8, 10, 12, 1000)),
-        f"{OURS}:degree=21,surest=10",
+        *(f"{OURS}:keep={keep}" for keep in (1, 0.95)),
+        *(f"{OURS}:persistence={share}" for share in (0, 0.5, 0.9)),
+        *(f"{OURS}:surest={nats}" for nats in (8, 1000)),
+        *(f"{OURS}:settle={seconds}" for seconds in (0.25, 3)),
+        f"{OURS}:settle=1e6,doubt=1e-6",
         f"{OURS}:wander=0",
         f"{OURS}:wander=0,diffusion=3",
-        *(f"{OURS}:wander={angle}" for angle in (4, 8, 16)),
-        *(f"{OURS}:restless={rate}" for rate in (0.0003, 0.003, 0.03)),
+        *(f"{OURS}:wander={angle}" for angle in (4, 16)),
+        f"{OURS}:restless=0.01",
+    ),
+    "reading": (
+        *(f"{OURS}:temperature={beta}" for beta in (1.2, 2.5, 5)),
+        *(f"{OURS}:floor={floor}" for floor in (0.03, 0.2)),
+        *READINGS,
     ),
     "range": (
         f"{OURS}:shells=0",
-        *(f"{OURS}:shells={count}" for count in (8, 14, 30)),
+        *(f"{OURS}:shells={count}" for count in (14, 30)),
         f"{OURS}:heights=0",
         TOLD,
     ),
-    "decoding": (f"{OURS}:decode=mean", *(f"{OURS}:switch={nats}" for nats in (0, 0.5, 2, 4))),
+    "degree": tuple(f"{OURS}:degree={degree}" for degree in (7, 11, 21, 31)),
+    "decoding": (f"{OURS}:decode=mean", *(f"{OURS}:switch={nats}" for nats in (0, 4))),
 }
 # What is shown, w: of Waypoint Following, t: of Target Tracking; which side is better, "" where neither is.
 COLUMNS = {

@@ -55,11 +55,12 @@ PER_PLACE = 2
 
 @dataclass(frozen=True)
 class Step:
-    """One answer: whether things that answer were seen so far (how many), and what was said."""
+    """One answer: how many things that answer were seen so far, how many are in sight now, and what was said."""
 
     seed: int
     kind: str
     seen: int
+    in_sight: int
     right: bool
     status: str
     presence: float
@@ -108,7 +109,8 @@ def _answers(
         if evidence is not None:
             tracker.observe(evidence)
         ids = place.ids(moment.position, moment.world_R_body)
-        seen |= np.array([np.count_nonzero(ids == member) >= PIXELS for member in members])
+        in_sight = np.array([np.count_nonzero(ids == member) >= PIXELS for member in members])
+        seen |= in_sight
         estimate = tracker.estimate(moment.stamp)
         offset = (centres - moment.position) @ moment.world_R_body
         ways = offset / np.linalg.norm(offset, axis=-1, keepdims=True)
@@ -121,6 +123,7 @@ def _answers(
                 seed=recording.episode.slot.seed,
                 kind=kind,
                 seen=int(seen.sum()),
+                in_sight=int(in_sight.sum()),
                 right=bool(near(estimate.direction).any()),
                 status=estimate.status,
                 presence=estimate.presence,
@@ -160,6 +163,7 @@ def tables(steps: list[Step]) -> dict[str, Any]:
         line(f"  right when it says {said}", lambda s: s.right, lambda s, said=said: s.seen > 0 and s.status == said)
     line("ambiguous while one was seen", lambda s: s.status == "ambiguous", lambda s: s.seen == 1)
     line("ambiguous once two were seen", lambda s: s.status == "ambiguous", lambda s: s.seen >= 2)
+    line("ambiguous while two are in sight", lambda s: s.status == "ambiguous", lambda s: s.in_sight >= 2)
     line("before: says searching", lambda s: s.status == "searching", lambda s: s.seen == 0)
     line("before: says tracking", lambda s: s.status == "tracking", lambda s: s.seen == 0)
     return report

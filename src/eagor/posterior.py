@@ -19,7 +19,7 @@ ERROR = 1e-4  # of the probability, per coarse cell, that the midpoint rule may 
 SHARE = 0.01  # ... and the most that a coarse cell may hold: regions are only as exact as their cells are light
 PROMINENCE = 0.7  # nats: a peak counts as a mode if it stands out by a factor of two from the saddle around it
 MIN_WEIGHT = 0.02  # ... and holds at least this share of the belief,
-RIVAL = 0.75  # or rises above a typical direction by this share of the best one's height
+RIVAL = 0.6  # or rises above a typical direction by this share of the best one's height
 
 
 def log_integral(values: np.ndarray, weights: np.ndarray) -> float:
