@@ -1,0 +1,90 @@
+"""Draw what a belief looks like: from the response of a detector to evidence, and from evidence to a probability.
+
+    python docs/figures/belief.py [FOLDER]
+
+A search in a built-in apartment with `scout`, five looks into it (docs/figures/moving.py plays the same one).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from common import INK, SIGNED, figure, keep, plain, titled
+from moving import search
+
+import eagor
+from eagor.drawing import paint_belief
+from eagor.perception import load
+from eagor.sphere import unit
+from eagor.tasks.methods import BASE
+from eagor.tasks.places import APARTMENT, load_place
+from eagor.tasks.rules import Camera
+
+SEED, EPISODE, LOOKS = 604, 2, 5
+ROWS, DEGREE = 320, 15
+WHOLE: Any = (180, -180, -90, 90)
+
+
+def signed(axes: Any, values: np.ndarray, most: float) -> Any:
+    """A field that is for or against the target: nothing is white."""
+    return axes.imshow(values, extent=WHOLE, aspect="auto", cmap=SIGNED, vmin=-most, vmax=most, interpolation="nearest")
+
+
+def framed(axes: Any, left: bool) -> None:
+    """Degrees along the sides."""
+    axes.set_xlim(180, -180)
+    axes.set_xticks(range(180, -181, -90))
+    axes.set_yticks([-90, -45, 0, 45, 90])
+    axes.set_yticklabels(["−90", "−45", "0", "45", "90"] if left else [])
+    axes.set_xticklabels(["180", "90", "0", "−90", "−180"])
+    plain(axes)
+
+
+def main() -> None:
+    """Draw it."""
+    way, camera, perceive = search(SEED, EPISODE), Camera(), load("scout")
+    renderer = load_place(APARTMENT, SEED, camera.radius).renderer
+    tracker, stamp = eagor.DirectionTracker(BASE), 0.0
+    for step in range(LOOKS):
+        position, turned, stamp = way.positions[step], way.rotations[step], step * camera.seconds
+        seen = renderer.panorama(position, turned, ROWS, range=False, ids=False).rgb
+        assert seen is not None
+        tracker.rotate(stamp, turned, position)
+        look = perceive(seen, way.query, stamp=stamp)
+        tracker.observe(look)
+    response, grid = np.asarray(look.response), look.grid
+    sheet = figure(1180, 700)
+    place = [(0.04, 0.565), (0.51, 0.565), (0.04, 0.075), (0.51, 0.075)]
+    a, b, c, d = (sheet.add_axes((x, y, 0.435, 0.37)) for x, y in place)
+    a.imshow(seen, extent=WHOLE, aspect="auto")
+    over = np.zeros((*response.shape, 4))
+    over[..., :3], over[..., 3] = (1.0, 0.55, 0.0), np.clip(1.2 * response, 0, 0.95)
+    a.imshow(over, extent=WHOLE, aspect="auto", interpolation="nearest")
+    titled(a, f"1  One look for the {way.query}: the response (orange)")
+    whole, most = np.asarray(look.log_ratio), float(np.abs(look.log_ratio).max())
+    shown = signed(b, whole, most)
+    titled(b, "2  Read as evidence, in nats: red for it, blue against it")
+    bar = sheet.colorbar(shown, cax=sheet.add_axes((0.955, 0.565, 0.012, 0.37)))
+    bar.ax.tick_params(labelsize=8.5)
+    # The same look through a camera that sees 100 degrees to the left of forward and nothing else.
+    inside = np.asarray(eagor.azimuth_elevation(grid.directions))
+    part = (inside[0] > 0.1) & (inside[0] < 1.85) & (np.abs(inside[1]) < 0.7)
+    some = eagor.Evidence.from_response(response, grid, look.calibration, coverage=part)
+    fine = eagor.PatchGrid(90, 180)
+    field = np.asarray(eagor.RealHarmonics(DEGREE).synthesise(some.coefficients(DEGREE), fine))
+    signed(c, field, float(np.abs(field).max()))
+    titled(c, "3  Had only this part been looked at (degree 15)")
+    estimate = tracker.estimate(stamp)
+    truth = unit(turned.T @ (way.target - position))
+    paint_belief(d, seen, tracker.belief(stamp), estimate, truth)
+    titled(d, f"4  {LOOKS} looks: belief, candidates, estimate, truth (green)")
+    for axes, left in ((a, True), (b, False), (c, True), (d, False)):
+        framed(axes, left)
+    for axes in (c, d):
+        axes.set_xlabel("azimuth in degrees, positive to the left", color=INK, fontsize=9.5)
+    keep(sheet, "method-belief.webp")
+
+
+if __name__ == "__main__":
+    main()
