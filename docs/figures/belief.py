@@ -2,7 +2,7 @@
 
     python docs/figures/belief.py [FOLDER]
 
-A search in a built-in apartment with `scout`, five looks into it (docs/figures/moving.py plays the same one).
+A search in a built-in apartment with `scout`, seven looks into it (docs/figures/moving.py plays the same one).
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 from common import INK, SIGNED, figure, keep, plain, titled
-from moving import search
+from moving import photograph, search
 
 import eagor
 from eagor.drawing import paint_belief
 from eagor.perception import load
-from eagor.sphere import unit
+from eagor.sphere import unit, wrap
 from eagor.tasks.methods import BASE
 from eagor.tasks.places import APARTMENT, load_place
 from eagor.tasks.rules import Camera
 
-SEED, EPISODE, LOOKS = 604, 2, 5
+SEED, EPISODE, LOOKS = 604, 2, 7
 ROWS, DEGREE = 320, 15
 WHOLE: Any = (180, -180, -90, 90)
 
@@ -48,35 +48,37 @@ def main() -> None:
     tracker, stamp = eagor.DirectionTracker(BASE), 0.0
     for step in range(LOOKS):
         position, turned, stamp = way.positions[step], way.rotations[step], step * camera.seconds
-        seen = renderer.panorama(position, turned, ROWS, range=False, ids=False).rgb
-        assert seen is not None
+        small = photograph(renderer, position, turned, perceive.rows)  # type: ignore[attr-defined]
         tracker.rotate(stamp, turned, position)
-        look = perceive(seen, way.query, stamp=stamp)
+        look = perceive(small, way.query, stamp=stamp)
         tracker.observe(look)
+    seen = photograph(renderer, position, turned, ROWS)
     response, grid = np.asarray(look.response), look.grid
     sheet = figure(1180, 700)
     place = [(0.04, 0.565), (0.51, 0.565), (0.04, 0.075), (0.51, 0.075)]
     a, b, c, d = (sheet.add_axes((x, y, 0.435, 0.37)) for x, y in place)
-    a.imshow(seen, extent=WHOLE, aspect="auto")
+    grey = seen.mean(axis=-1, keepdims=True)
+    a.imshow((0.45 * grey + 0.45 * seen).astype(np.uint8), extent=WHOLE, aspect="auto")
     over = np.zeros((*response.shape, 4))
-    over[..., :3], over[..., 3] = (1.0, 0.55, 0.0), np.clip(1.2 * response, 0, 0.95)
+    over[..., :3], over[..., 3] = (0.0, 0.9, 1.0), np.clip(1.4 * response, 0, 0.95)
     a.imshow(over, extent=WHOLE, aspect="auto", interpolation="nearest")
-    titled(a, f"1  One look for the {way.query}: the response (orange)")
+    titled(a, f"1  One look for the {way.query}: the response (bright)")
     whole, most = np.asarray(look.log_ratio), float(np.abs(look.log_ratio).max())
     shown = signed(b, whole, most)
     titled(b, "2  Read as evidence, in nats: red for it, blue against it")
     bar = sheet.colorbar(shown, cax=sheet.add_axes((0.955, 0.565, 0.012, 0.37)))
     bar.ax.tick_params(labelsize=8.5)
-    # The same look through a camera that sees 100 degrees to the left of forward and nothing else.
-    inside = np.asarray(eagor.azimuth_elevation(grid.directions))
-    part = (inside[0] > 0.1) & (inside[0] < 1.85) & (np.abs(inside[1]) < 0.7)
+    # The same look through a camera that sees 100 degrees about there, and nothing else.
+    truth = unit(turned.T @ (way.target - position))
+    azimuth, elevation = (np.asarray(angle) for angle in eagor.azimuth_elevation(grid.directions))
+    across = wrap(azimuth - eagor.azimuth_elevation(truth)[0] - 0.2)
+    part = (np.abs(across) < 0.87) & (np.abs(elevation) < 0.7)
     some = eagor.Evidence.from_response(response, grid, look.calibration, coverage=part)
     fine = eagor.PatchGrid(90, 180)
     field = np.asarray(eagor.RealHarmonics(DEGREE).synthesise(some.coefficients(DEGREE), fine))
     signed(c, field, float(np.abs(field).max()))
     titled(c, "3  Had only this part been looked at (degree 15)")
     estimate = tracker.estimate(stamp)
-    truth = unit(turned.T @ (way.target - position))
     paint_belief(d, seen, tracker.belief(stamp), estimate, truth)
     titled(d, f"4  {LOOKS} looks: belief, candidates, estimate, truth (green)")
     for axes, left in ((a, True), (b, False), (c, True), (d, False)):

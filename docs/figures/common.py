@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from PIL.Image import Image
 
-__all__ = ["GRID_LINE", "IMAGES", "INK", "LESS", "MORE", "OURS", "QUIET", "SIGNED", "TARGET", "THEIRS", "THIRD"]
+__all__ = ["INK", "OURS", "QUIET", "SIGNED", "TARGET", "THEIRS", "THIRD"]
 __all__ += ["figure", "keep", "lines", "plain", "titled"]
 
 IMAGES = Path(__file__).parents[1] / "images"
@@ -22,8 +22,7 @@ IMAGES = Path(__file__).parents[1] / "images"
 # Okabe and Ito's colours, which stay apart for the colour-blind: blue is ours, vermilion what it is compared with,
 # green the truth.
 OURS, THEIRS, TARGET, THIRD = "#0072b2", "#d55e00", "#009e73", "#cc79a7"
-MORE, LESS = "#d55e00", "#0072b2"  # of a signed field: for the target, and against it
-SIGNED = "RdBu_r"
+SIGNED = "RdBu_r"  # fields that are for the target (red) or against it
 
 
 def titled(axes: Axes, text: str, more: str = "") -> None:

@@ -29,6 +29,7 @@ from eagor.tasks.methods import BASE
 from eagor.tasks.places import APARTMENT, load_place
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
+from eagor.worlds.render import Renderer
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -37,7 +38,7 @@ ROWS = 256  # of the panoramas that are drawn
 BETWEEN = 3  # pictures per step
 HIGHEST = 60  # degrees of elevation that are shown
 MILLISECONDS = 120  # per picture
-QUALITY = 58
+QUALITY = 76
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,13 @@ def search(seed: int, index: int) -> Way:
     return Way(record["episode"]["query"], thing.centre, poses[:, :3], rotations)
 
 
+def photograph(renderer: Renderer, position: np.ndarray, world_R_body: np.ndarray, rows: int) -> np.ndarray:
+    """What the camera sees ``(rows, 2 rows, 3)``."""
+    rgb = renderer.panorama(position, world_R_body, rows, range=False, ids=False).rgb
+    assert rgb is not None
+    return rgb
+
+
 def pictures(way: Way, seed: int, width: int) -> list[Image]:
     """Go the way again, and draw it."""
     camera, perceive = Camera(), load("scout")
@@ -76,11 +84,11 @@ def pictures(way: Way, seed: int, width: int) -> list[Image]:
                 position = way.positions[step - 1] + share * (position - way.positions[step - 1])
                 turned = interpolate_rotation(way.rotations[step - 1], turned, share)
             stamp = (step - 1 + share) * camera.seconds
-            seen = renderer.panorama(position, turned, ROWS, range=False, ids=False).rgb
-            assert seen is not None
+            seen = photograph(renderer, position, turned, ROWS)
             tracker.rotate(stamp, turned, position)
-            if share == 1:
-                tracker.observe(perceive(seen, way.query, stamp=stamp))
+            if share == 1:  # it looks at what it looked at in the search
+                small = photograph(renderer, position, turned, perceive.rows)  # type: ignore[attr-defined]
+                tracker.observe(perceive(small, way.query, stamp=stamp))
             truth = unit(turned.T @ (way.target - position))
             drawn.append(draw(seen, tracker.estimate(stamp), truth, way, stamp, width))
     return drawn
