@@ -45,14 +45,18 @@ def main() -> None:
     """Draw it."""
     way, camera, perceive = search(SEED, EPISODE), Camera(), load("scout")
     renderer = load_place(APARTMENT, SEED, camera.radius).renderer
-    tracker, stamp = eagor.DirectionTracker(BASE), 0.0
+    tracker = eagor.DirectionTracker(BASE)
+
+    def looked(step: int) -> eagor.Evidence:
+        small = photograph(renderer, way.positions[step], way.rotations[step], perceive.rows)  # type: ignore[attr-defined]
+        return perceive(small, way.query, stamp=step * camera.seconds)
+
     for step in range(LOOKS):
-        position, turned, stamp = way.positions[step], way.rotations[step], step * camera.seconds
-        small = photograph(renderer, position, turned, perceive.rows)  # type: ignore[attr-defined]
-        tracker.rotate(stamp, turned, position)
-        look = perceive(small, way.query, stamp=stamp)
-        tracker.observe(look)
-    seen = photograph(renderer, position, turned, ROWS)
+        tracker.rotate(step * camera.seconds, way.rotations[step], way.positions[step])
+        tracker.observe(looked(step))
+    last = LOOKS - 1
+    stamp, position, turned = last * camera.seconds, way.positions[last], way.rotations[last]
+    look, seen = looked(last), photograph(renderer, position, turned, ROWS)
     response, grid = np.asarray(look.response), look.grid
     sheet = figure(1180, 700)
     place = [(0.04, 0.565), (0.51, 0.565), (0.04, 0.075), (0.51, 0.075)]
