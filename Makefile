@@ -7,7 +7,7 @@ SHELL := bash
 .NOTPARALLEL:
 MAKEFLAGS += --no-builtin-rules
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench contact-sheet build clean
+.PHONY: help demo test lint docs figures bench contact-sheet build clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -29,8 +29,10 @@ unexport PYTHONPATH PYTHONHOME
 
 help:
 	@echo "make demo    search a furnished apartment with every method, leave a report with pictures"
-	echo "make test    every check: ruff, pyright, import-linter, pytest"
+	echo "make test    every check: ruff, pyright, import-linter, the docs, pytest"
 	echo "make lint    the checks without the tests"
+	echo "make docs    the documentation site in site/, with warnings as errors"
+	echo "make figures the pictures of the docs, drawn anew (minutes)"
 	echo "make bench   the measured comparisons (minutes)"
 	echo "make contact-sheet   panoramas of 20 apartments for the docs (minutes)"
 	echo "make build   wheel and source archive in dist/"
@@ -61,7 +63,7 @@ $(VENV)/.eagor-installed: $(BIN)/python pyproject.toml
 $(VENV)/.eagor-test-installed: $(BIN)/python pyproject.toml
 	@echo "==> installing $(TORCH), then eagor with what the tests need (the first time takes minutes)"
 	$(PIP) "$(TORCH)"
-	$(PIP) -e ".[vlm,endpoint,ray,oracles,dev]"
+	$(PIP) -e ".[vlm,endpoint,ray,oracles,docs,dev]"
 	touch $(VENV)/.eagor-installed $@
 
 demo: $(VENV)/.eagor-installed
@@ -78,7 +80,12 @@ lint: $(VENV)/.eagor-test-installed
 	echo "==> lint-imports"
 	$(BIN)/lint-imports --no-logo
 
-test: lint
+# The variable silences a notice of the theme about its own future.
+docs: $(VENV)/.eagor-test-installed
+	@echo "==> mkdocs build --strict"
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+
+test: lint docs
 	@echo "==> pytest"
 	$(BIN)/python -m pytest -n $(WORKERS)
 
@@ -89,6 +96,12 @@ bench: $(VENV)/.eagor-test-installed
 	$(BIN)/python benchmarks/world.py
 	echo "==> benchmarks/quality.py"
 	$(BIN)/python benchmarks/quality.py
+
+figures: $(VENV)/.eagor-installed
+	@for figure in mean degree parallax belief moving; do
+	    echo "==> docs/figures/$$figure.py"
+	    $(BIN)/python docs/figures/$$figure.py
+	done
 
 contact-sheet: $(VENV)/.eagor-installed
 	@echo "==> docs/images/apartments.jpg"
@@ -102,5 +115,5 @@ build: $(VENV)/.eagor-test-installed
 
 clean:
 	@echo "==> removing $(VENV), caches and what the commands left behind"
-	rm -rf $(VENV) build dist eagor-demo runs .pytest_cache .ruff_cache .hypothesis .import_linter_cache
-	find src tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+	rm -rf $(VENV) build dist site eagor-demo runs .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	find src tests benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true

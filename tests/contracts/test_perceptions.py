@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import eagor.perception as perception_module
+from eagor import plugins
 from eagor.errors import EagorError, FormatError, ImageError, QueryError, ResponseError, TimeError
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
@@ -118,7 +118,7 @@ def test_load_makes_installed_ones(monkeypatch):
         EntryPoint("upside", "eagor.perception.colour:ColourPerception", "eagor.perceptions"),
         EntryPoint("broken", "eagor.no_such_module:Thing", "eagor.perceptions"),
     ]
-    monkeypatch.setattr(perception_module, "entry_points", lambda group: points)
+    monkeypatch.setattr(plugins, "entry_points", lambda group: points)
     assert isinstance(load("upside"), ColourPerception)
     with pytest.raises(EagorError, match=r"'broken'.*cannot be imported"):
         load("broken")

@@ -13,9 +13,10 @@ import synthetic_runs as runs
 
 from eagor.errors import EagorError, FormatError, WorldError
 from eagor.evaluation.kernels import half_width_deg, highest_sidelobe
-from eagor.evaluation.published import COLUMNS, FIGURES
+from eagor.evaluation.published import FIGURES
 from eagor.evaluation.report import write_report
 from eagor.evaluation.tables import shown, summarise
+from eagor.tasks.task import load
 from eagor.worlds.render import Frame
 
 METHODS = ("centroid", "cent_circ", "grid", "eagor_paper", "vmf", "eagor")
@@ -122,7 +123,9 @@ def test_every_figure_of_the_main_table_is_the_summarys_and_stands_beside_the_pu
     page = Page(text)
     title = page.captions[0]
     rows = page.cells[title][1:]
-    columns = [c for c in COLUMNS[summary["task"]] if any(r[c.key] is not None for r in summary["methods"].values())]
+    columns = [
+        c for c in load(summary["task"]).columns if any(r[c.key] is not None for r in summary["methods"].values())
+    ]
     heads = [row[0] for row in rows]
     published = FIGURES[summary["task"]]
     assert [head for head in heads if head != "as published"] == [n for n in summary["methods"] if ":" not in n]

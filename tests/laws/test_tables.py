@@ -15,13 +15,14 @@ from eagor.errors import EagorError
 from eagor.evaluation import curves
 from eagor.evaluation.export import FIELDS, table_csv
 from eagor.evaluation.kernels import half_width_deg, highest_sidelobe, kernel
-from eagor.evaluation.published import COLUMNS, FIGURES, OURS, ordered
+from eagor.evaluation.published import FIGURES, OURS, ordered
 from eagor.evaluation.samples import RESAMPLES, SEED, Gap, holm, mean_intervals
 from eagor.evaluation.sheets import main_sheet, ordering_sheet, split, verdict
 from eagor.evaluation.tables import as_text, best, mark, shown, summarise
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import direction
 from eagor.statistics import bootstrap_interval, paired_difference, wilson_interval
+from eagor.tasks.task import load
 
 MAKERS = {"waypoint": runs.waypoint, "navigation": runs.navigation, "tracking": runs.tracking}
 KEYS = {
@@ -47,7 +48,7 @@ def navigation():
 
 
 def column(task, key):
-    return next(c for c in COLUMNS[task] if c.key == key)
+    return next(c for c in load(task).columns if c.key == key)
 
 
 def test_the_columns_are_those_of_the_task_and_every_cell_says_how_many_cases_it_has(run):
@@ -253,7 +254,7 @@ def test_published_figures_are_those_that_were_printed():
         for line in text.split("\n")[1:]:
             name, *figures = line.split()
             assert list(FIGURES[task][name].values()) == [float(figure) for figure in figures]
-            assert set(FIGURES[task][name]) <= {c.key for c in COLUMNS[task]}
+            assert set(FIGURES[task][name]) <= {c.key for c in load(task).columns}
 
 
 @pytest.mark.parametrize(
@@ -365,7 +366,7 @@ def test_where_ours_is_behind_is_said_with_the_figures(run):
     _, summary = run
     summary = copy.deepcopy(summary)
     note = next(note for note in main_sheet(summary).notes if "behind another" in note or "is behind beyond" in note)
-    chosen = next(c for c in COLUMNS[summary["task"]] if c.better and c.key in summary["differences"]["vmf"])
+    chosen = next(c for c in load(summary["task"]).columns if c.better and c.key in summary["differences"]["vmf"])
     gap = {"difference": -1e3 if chosen.better == "low" else 1e3, "p_holm": 1e-4}
     summary["differences"]["vmf"][chosen.key] = gap
     changed = next(n for n in main_sheet(summary).notes if "is behind beyond" in n)

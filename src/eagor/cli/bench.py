@@ -12,7 +12,6 @@ from eagor.cli import terminal
 from eagor.cli.options import Bench, BenchReport, BenchRun
 from eagor.errors import EagorError
 
-SIMULATED = ("waypoint", "navigation", "tracking")
 SEED = 2000
 PERCEPTION = "scout"
 # Options that only benchmarks with published data have.
@@ -21,8 +20,10 @@ PUBLISHED_ONLY = ("data", "agent", "model", "scoring", "labels", "limit", "shard
 
 def bench(options: Bench) -> int:
     """Run the command; returns its exit code."""
+    from eagor.tasks import task
+
     action = options.action
-    if isinstance(action, BenchRun) and action.task in SIMULATED:
+    if isinstance(action, BenchRun) and action.task in task.known():
         return run(action)
     if isinstance(action, BenchReport) and not _is_benchmark(action.folders):
         return report(action)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from eagor.cli import terminal
-from eagor.cli.bench import SIMULATED, pairs_of
+from eagor.cli.bench import pairs_of
 from eagor.cli.options import (
     BenchCompare,
     BenchExport,
@@ -30,9 +30,18 @@ def bench(action: Any) -> int:
 
 def listed(options: BenchList) -> int:
     """``eagor bench list``."""
-    from eagor.tasks import benchmark
+    from eagor import worlds
+    from eagor.tasks import benchmark, task
 
-    found: dict[str, Any] = {name: {"kind": "simulated"} for name in SIMULATED}
+    found: dict[str, Any] = {}
+    places = sorted(worlds.known())
+    for name in task.known():
+        try:
+            simulated = task.load(name)
+        except EagorError as error:
+            found[name] = {"kind": "simulated", "unavailable": str(error)}
+            continue
+        found[name] = {"kind": "simulated", "title": simulated.title, "what": simulated.what, "worlds": places}
     for name in benchmark.known():
         try:
             known = benchmark.load(name)
@@ -52,9 +61,14 @@ def listed(options: BenchList) -> int:
     if options.json:
         terminal.emit(found)
         return terminal.OK
-    print(f"Simulated, no data needed: {', '.join(SIMULATED)} (eagor bench run TASK)\n")
+    simulated = {name: entry for name, entry in found.items() if entry["kind"] == "simulated"}
+    print("Simulated, no data needed (eagor bench run TASK)")
+    _columns(
+        {name: entry.get("what", f"not available ({entry.get('unavailable')})") for name, entry in simulated.items()}
+    )
+    print(f"  worlds (--world): {', '.join(places)}, or a GLB file\n")
     for name, entry in found.items():
-        if entry["kind"] == "simulated":
+        if name in simulated:
             continue
         if "unavailable" in entry:
             print(f"{name}: not available ({entry['unavailable']})\n")
@@ -97,10 +111,10 @@ def info(options: BenchInfo) -> int:
 def run(options: BenchRun) -> int:
     """``eagor bench run`` of a benchmark."""
     from eagor.evaluation import benchmarks, ledger, scores
-    from eagor.tasks import benchmark
+    from eagor.tasks import benchmark, task
 
     if options.task not in benchmark.known():
-        known = ", ".join((*SIMULATED, *sorted(benchmark.known())))
+        known = ", ".join((*task.known(), *sorted(benchmark.known())))
         raise terminal.UsageError(f"there is no task {options.task!r}; known are {known}")
     if options.data is None:
         raise terminal.UsageError(f"{options.task} needs its published files; name their folder with --data")

@@ -105,7 +105,7 @@ class BenchRun(Common):
     """
 
     task: Annotated[str, Positional, arg(metavar="TASK")]
-    """waypoint, navigation, tracking, or a benchmark: hstar-hos, hstar-hps, osr, ..."""
+    """waypoint, navigation, tracking, an installed task, or a benchmark: hstar-hos, hstar-hps, osr, ..."""
     perception: Annotated[str | None, arg(metavar="NAME")] = None
     """Who looks: scout (default of simulated tasks), a small network that sees the pictures; truth, a noisy detector
     made from what the simulator or the annotations know (truth:ideal has no noise, truth:miss=0.5,spread=4 its own);
@@ -151,7 +151,7 @@ class BenchRun(Common):
     """Other rules, such as success_distance=0.5 max_steps=200 stop=call sliding=false; of a benchmark: its other
     options, such as sure=0.8."""
     world: Annotated[str, arg(metavar="WORLD")] = "apartment"
-    """apartment, or a GLB file."""
+    """apartment, an installed world, or a GLB file."""
     rows: Annotated[int | None, arg(metavar="N")] = None
     """Rows of the panoramas (default: what the perception works at, else 256; truth reads ids instead)."""
     calibration: Annotated[Path | None, arg(metavar="FILE.json")] = None

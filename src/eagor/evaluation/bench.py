@@ -7,17 +7,18 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from eagor import plugins, worlds
 from eagor._version import __version__
 from eagor.errors import EagorError
 from eagor.evaluation import ledger
 from eagor.evaluation.workers import Engine, Outcome, Unit, run_units
 from eagor.perception.calibrated import Calibrated
+from eagor.tasks import task as tasks
 from eagor.tasks.episodes import slots
 from eagor.tasks.eyes import release, rows_of, shared
 from eagor.tasks.fitted import fitted
 from eagor.tasks.methods import NAMES, ORACLE, make_method
 from eagor.tasks.places import APARTMENT, DEVELOPMENT
-from eagor.tasks.play import RULES
 from eagor.tasks.rules import Camera, Disturbances, as_dict
 
 WORK = "eagor.tasks.play:work"
@@ -48,14 +49,13 @@ class Run:
 
         from eagor.worlds.apartment import VERSION
 
-        if self.task not in RULES:
-            raise EagorError(f"there is no task {self.task!r}; known are {', '.join(RULES)}")
+        task = tasks.load(self.task)
         for name in self.methods:
-            if name != ORACLE or self.task != "navigation":
+            if name != ORACLE or not task.walked:
                 make_method(name, np.random.default_rng(0))  # complains about unknown ones
         if len(set(self.methods)) != len(self.methods) or not self.methods:
             raise EagorError(f"methods {list(self.methods)}; wanted at least one, each once")
-        parts = {"rules": RULES[self.task](), "camera": Camera(), "disturbances": self.disturbances}
+        parts = {"rules": task.rules(), "camera": Camera(), "disturbances": self.disturbances}
         values = {name: as_dict(part) for name, part in parts.items()}
         for key, value in self.settings.items():
             homes = [name for name in values if key in values[name]]
@@ -77,15 +77,27 @@ class Run:
             "rows": self.rows or rows_of(shared(self.perception)),
             **({"calibrated": self.calibrated.as_json()} if self.calibrated else {}),
             **values,
-            "versions": {"eagor": __version__, "apartment": VERSION},
+            "versions": {"eagor": __version__, "apartment": VERSION, **self._plugins()},
         }
 
+    def _plugins(self) -> dict[str, str]:
+        """The versions of what other packages bring to this run, by kind and name."""
+        from eagor import perception
+
+        used = (
+            ("perception", perception.known(), self.perception.partition(":")[0]),
+            ("world", worlds.known(), self.world),
+            ("task", tasks.known(), self.task),
+        )
+        found = {f"{kind} {name}": plugins.version_of(known[name]) for kind, known, name in used if name in known}
+        return {name: version for name, version in found.items() if version is not None}
+
     def units(self) -> list[Unit]:
-        """One unit per episode; in navigation, one per episode and method: each goes its own way there."""
-        found = []
+        """One unit per episode; where the task is walked, one per episode and method: each goes its own way there."""
+        found, walked = [], tasks.load(self.task).walked
         for slot in slots(self.task, self.episodes, self.seed, self.world):
             name = f"{self.task}/{slot.id}"
-            if self.task == "navigation":
+            if walked:
                 keys = [(f"{name}/{method}", [method]) for method in self.methods]
             else:
                 keys = [(name, list(self.methods))]
@@ -121,7 +133,7 @@ def start(
 
 def variants(task: str) -> tuple[str, ...]:
     """The ablations of our tracker and of the published one, as methods."""
-    if task == "navigation":
+    if tasks.load(task).walked:
         return (ORACLE,)
     degrees = (3, 5, 7, 11, 15, 21, 31)
     return (

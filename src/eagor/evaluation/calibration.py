@@ -23,10 +23,11 @@ from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
 from eagor.metrics import angular_error_deg
 from eagor.perception import load
+from eagor.tasks import task as tasks
 from eagor.tasks.episodes import Slot
 from eagor.tasks.eyes import is_privileged, rows_of
 from eagor.tasks.places import APARTMENT, DEVELOPMENT, load_place
-from eagor.tasks.play import MASS, RULES, Player, Recording
+from eagor.tasks.play import MASS, Player, Recording
 from eagor.tasks.rules import Camera, Disturbances, as_dict
 from eagor.tasks.tracking import TrackingEpisode
 from eagor.tracker import DirectionTracker
@@ -107,7 +108,7 @@ class Recorder:
         config = {"perception": perception, "rows": rows or rows_of(seeing)}
         config |= {"camera": as_dict(Camera()), "disturbances": as_dict(Disturbances())}
         self.players = {
-            task: Player(config | {"task": task, "rules": as_dict(RULES[task]())}, seeing) for task in TASKS
+            task: Player(config | {"task": task, "rules": as_dict(tasks.load(task).rules())}, seeing) for task in TASKS
         }
 
     def record(self, slot: Slot) -> Recording:

@@ -7,8 +7,8 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
-from eagor.evaluation.published import COLUMNS
 from eagor.evaluation.sheets import Box, Sheet
+from eagor.tasks.task import load
 
 FIELDS = (
     "task", "stratum", "method", "column", "unit", "value", "low", "high", "n",
@@ -38,7 +38,7 @@ def table_csv(summary: dict[str, Any]) -> str:
         parts |= {f"{title}: {label}": part for label, part in labels.items()}
     for stratum, part in parts.items():
         for method, values in part["methods"].items():
-            for column in COLUMNS[summary["task"]]:
+            for column in load(summary["task"]).columns:
                 low, high = part["intervals"][method][column.key] or (None, None)
                 row: dict[Any, Any] = {
                     "task": summary["task"],

@@ -14,22 +14,15 @@ from eagor.evaluation.curves import Curve
 from eagor.evaluation.kernels import kernel
 from eagor.evaluation.published import OURS, PAPERS, RESOLUTION_DEG, RIVALS, is_rival, ordered
 from eagor.evaluation.samples import Record, method_names
+from eagor.tasks.task import Task
 
 Section = tuple[str, str, str]  # id, heading, content
 
 
-def curve_sections(records: Sequence[Record], task: str) -> list[Section]:
+def curve_sections(records: Sequence[Record], task: Task) -> list[Section]:
     """Errors against steps, for the methods of the paper and for the others, each beside ours."""
-    if task == "tracking":
-        parts = []
-        labels = dict.fromkeys(record["episode"].get("stratum", {}).get("scenario") for record in records)
-        for label in labels:
-            some = [r for r in records if r["episode"].get("stratum", {}).get("scenario") == label]
-            parts.append(f"<h3>{page.html.escape(str(label or 'all episodes'))}</h3>")
-            parts.append(
-                _panels(records, lambda name, some=some: curves.by_step(some, name), f"Error by step, {label}")
-            )
-        return [("steps", "Error by step", "".join(parts))] if parts else []
+    if not task.walked and not any("leg" in record["truth"] for record in records):
+        return _by_kind(records, task)
     seam = _panels(
         records,
         lambda method: curves.around(records, method, curves.crossings, curves.ABOUT_SEAM, curves.ABOUT_SEAM),
@@ -37,7 +30,7 @@ def curve_sections(records: Sequence[Record], task: str) -> list[Section]:
         "steps from the crossing",
         "seam",
     )
-    if task == "navigation":
+    if task.walked:
         steps = _panels(records, partial(curves.by_step, records), "Error by step")
         note = page.paragraph(
             "Every method goes its own way. A line ends where fewer than half of its episodes go on: those that arrive "
@@ -55,6 +48,18 @@ def curve_sections(records: Sequence[Record], task: str) -> list[Section]:
         )
         first = ("turns", "Error after a turn", turn)
     return [section for section in (first, ("seam", "Error around seam crossings", seam)) if section[2]]
+
+
+def _by_kind(records: Sequence[Record], task: Task) -> list[Section]:
+    """Errors by step, for each kind of episode by itself (the first of the task's strata)."""
+    key, parts = next(iter(task.strata), ""), []
+    labels = dict.fromkeys(record["episode"].get("stratum", {}).get(key) for record in records)
+    for label in labels:
+        some = [r for r in records if r["episode"].get("stratum", {}).get(key) == label]
+        said = "all episodes" if label is None else str(label)
+        parts.append(f"<h3>{page.html.escape(said)}</h3>")
+        parts.append(_panels(records, lambda name, some=some: curves.by_step(some, name), f"Error by step, {said}"))
+    return [("steps", "Error by step", "".join(parts))] if parts else []
 
 
 def _panels(

@@ -1,4 +1,4 @@
-"""The figures that the paper printed, and the columns in which its tables and ours are laid out.
+"""The figures that the paper printed, by task, method and column, and the order of the methods in tables.
 
 Source: the EAGOR paper's tables of Waypoint Following and Map-Free Navigation, digit by digit. They were measured in
 the paper's own setting (its worlds, its perception, its rules), so they are no yardstick for single figures of ours;
@@ -8,90 +8,8 @@ what can be compared is which method is better than which, and by roughly how mu
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from eagor.tasks.methods import EVERY, ORACLE
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column of a task's table.
-
-    `metric` is the name in the records' metrics; figures there times `scale` are what is shown. `better` is "low",
-    "high", or None where neither is better. `share`: the metric is 0 or 1 per episode, so its interval is Wilson's.
-    `only_if`: count only episodes whose metric of this name is above 0. `why`: what makes a method that is worse in all
-    other columns better in this one, for where ours is behind.
-    """
-
-    key: str
-    title: str
-    unit: str
-    better: str | None
-    metric: str
-    what: str
-    scale: float = 1.0
-    digits: int = 1
-    share: bool = False
-    only_if: str | None = None
-    why: str = ""
-
-
-_COVERAGE = Column(
-    "coverage", "Coverage", "%", None, "coverage", "share of steps with the truth inside the 90 % region; 90 is right",
-    scale=100.0,
-)  # fmt: skip
-_TC = "jump of the estimate from step to step, beyond what the true motion explains"
-_CALM = "an estimate that hardly follows its target hardly jumps: read it beside the error"
-_HOLD = (
-    "a filter with a short memory leaves the old place sooner; ours weighs all that spoke for it, which is what keeps "
-    "hidden targets"
-)
-COLUMNS: dict[str, tuple[Column, ...]] = {
-    "waypoint": (
-        Column("L1", "L1", "°", "low", "L1", "mean error on the first leg"),
-        Column("L2", "L2", "°", "low", "L2", "mean error on the second leg"),
-        Column("L3", "L3", "°", "low", "L3", "mean error on the third leg"),
-        Column("L4", "L4", "°", "low", "L4", "mean error on the fourth leg"),
-        Column("delta", "Δ", "°", "low", "delta", "growth of the error, L4 minus L1, mean over the episodes"),
-        Column("occ", "Occ", "°", "low", "occ", "mean error while the target is hidden"),
-        Column("seam", "Seam", "°", "low", "seam", "mean error where the true bearing crosses the seam"),
-        Column("tc", "TC", "°/step", "low", "tc", f"{_TC} (rotation and translation)", why=_CALM),
-        Column(
-            "tc_rotation", "TC, rotation", "°/step", "low", "tc_rotation",
-            f"{_TC} (rotation alone: parallax counts as a jump, so that who does not follow it scores low)",
-            why="it rewards an estimate that ignores parallax: it is the paper's reading, not one that we aim at",
-        ),
-        _COVERAGE,
-    ),
-    "navigation": (
-        Column("sr", "SR", "%", "high", "success", "episodes that end at the target", scale=100.0, share=True),
-        Column("spl", "SPL", "%", "high", "spl", "success weighted by path length", scale=100.0),
-        Column("soft_spl", "SoftSPL", "%", "high", "soft_spl", "progress weighted by path length", scale=100.0),
-        Column("steps", "Steps", "", "low", "steps", "mean number of steps"),
-        Column("mae", "MAE", "°", "low", "mae", "mean direction error"),
-        Column(
-            "seam_success", "Seam", "%", "high", "success", "success where the true bearing crossed the seam",
-            scale=100.0, share=True, only_if="seam_crossings",
-        ),
-        _COVERAGE,
-    ),
-    "tracking": (
-        Column("error", "Error", "°", "low", "error", "mean direction error"),
-        Column("tc", "TC", "°/step", "low", "tc", f"{_TC} (rotation and translation)", why=_CALM),
-        Column("time_lost", "Time lost", "%", "low", "time_lost", "share of steps at which the target is lost"),
-        Column(
-            "recovery", "Recovery", "s", "low", "recovery", "from the target's return until it is found again",
-            why=_HOLD,
-        ),
-        _COVERAGE,
-    ),
-}  # fmt: skip
-
-TITLES = {
-    "waypoint": "Waypoint Following",
-    "navigation": "Map-Free Navigation",
-    "tracking": "Target Direction Estimation",
-}
 
 OURS, PAPERS = "eagor", "eagor_paper"  # our default, and the method as published
 RIVALS = ("centroid", "cent_circ", "grid")  # what the paper compares itself with

@@ -14,11 +14,11 @@ from eagor.errors import EagorError
 from eagor.evaluation import export, figures, ledger, page, scenes, sheets
 from eagor.evaluation.charts import Series, legend, look_of
 from eagor.evaluation.curves import Curve
-from eagor.evaluation.published import COLUMNS, OURS, PAPERS, TITLES, is_ablation, is_rival, ordered
+from eagor.evaluation.published import OURS, PAPERS, is_ablation, is_rival, ordered
 from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, finished
 from eagor.evaluation.tables import shown, summarise
+from eagor.tasks.task import Task, load
 
-HEADLINE = {"waypoint": "L4", "navigation": "sr", "tracking": "error"}
 RADIUS = 0.18  # metres, of the body, where run.json does not say
 
 
@@ -39,11 +39,11 @@ def write_report(folder: Path, open_place: scenes.OpenPlace | None = None) -> Pa
     if not records:
         raise EagorError(f"{folder} has no records yet; run something into it first")
     summary = summarise([{"task": config.get("task"), **record} for record in records])
-    task = summary["task"]
+    task = load(summary["task"])
     good = finished(records)
     degrees = _degrees(config)
     main = sheets.main_sheet(summary)
-    ordering = sheets.ordering_sheet(good, task)
+    ordering = sheets.ordering_sheet(good, task.name)
     made_of = sheets.parts_sheet(good, summary)
     covered = sheets.coverage_sheet(good, summary)
     strata = sheets.strata_sheets(summary)
@@ -67,7 +67,7 @@ def write_report(folder: Path, open_place: scenes.OpenPlace | None = None) -> Pa
     sections.append(("episodes", "Three episodes to look at", _episodes(good, task, config, open_place)))
     if summary["failed"]:
         sections.append(("failed", "What could not be run", _failures(summary)))
-    title = f"{TITLES[task]}: {summary['episodes']} episodes, {len(summary['methods'])} methods"
+    title = f"{task.title}: {summary['episodes']} episodes, {len(summary['methods'])} methods"
     facts = _facts(config, records, summary)
     path = folder / "report.html"
     path.write_text(
@@ -96,7 +96,8 @@ def _lead(config: dict[str, Any], summary: dict[str, Any], facts: Sequence[tuple
 
 def _outcome(summary: dict[str, Any]) -> list[str]:
     """Ours, the published method and the best other one, in the column that says most."""
-    column = next(c for c in COLUMNS[summary["task"]] if c.key == HEADLINE[summary["task"]])
+    task = load(summary["task"])
+    column = next(c for c in task.columns if c.key == task.headline)
     figures = {name: row[column.key] for name, row in summary["methods"].items() if is_rival(name)}
     figures = {name: value for name, value in figures.items() if value is not None}
     others = [name for name in figures if name not in (OURS, PAPERS)]
@@ -115,7 +116,7 @@ def _facts(config: dict[str, Any], records: Sequence[Record], summary: dict[str,
     """What was run, from run.json and the records."""
     seeds = sorted({record["episode"]["seed"] for record in finished(records) if "seed" in record["episode"]})
     kinds = {True: "development seeds, not results", False: "not development seeds"}
-    pairs = [("Task", TITLES[summary["task"]])]
+    pairs = [("Task", load(summary["task"]).title)]
     pairs += [(name.capitalize(), _words(config[name])) for name in ("perception", "world", "rows") if name in config]
     if seeds:
         spread = f"{seeds[0]} to {seeds[-1]} ({len(seeds)} of them)" if len(seeds) > 1 else str(seeds[0])
@@ -173,8 +174,8 @@ def _words(value: Any) -> str:
     return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _column_notes(task: str) -> str:
-    pairs = [(f"{c.title}{f' ({c.unit})' if c.unit else ''}", c.what) for c in COLUMNS[task]]
+def _column_notes(task: Task) -> str:
+    pairs = [(f"{c.title}{f' ({c.unit})' if c.unit else ''}", c.what) for c in task.columns]
     return page.details("What the columns are", page.facts(pairs))
 
 
@@ -187,7 +188,9 @@ def _degrees(config: dict[str, Any]) -> dict[str, int]:
     return {OURS: TrackerConfig().degree, PAPERS: TrackerConfig.paper().degree}
 
 
-def _episodes(records: Sequence[Record], task: str, config: dict[str, Any], open_place: scenes.OpenPlace | None) -> str:
+def _episodes(
+    records: Sequence[Record], task: Task, config: dict[str, Any], open_place: scenes.OpenPlace | None
+) -> str:
     """The best, the median and the worst episode of our default method: a map, and six moments."""
     chosen = scenes.chosen(records, task)
     if not chosen:
@@ -199,7 +202,7 @@ def _episodes(records: Sequence[Record], task: str, config: dict[str, Any], open
     radius = float(config.get("camera", {}).get("radius", RADIUS))
     parts = [
         page.paragraph(
-            f"Chosen by the error of {OURS}" + (", after success and path length." if task == "navigation" else "."),
+            f"Chosen by the error of {OURS}" + (", after success and path length." if task.walked else "."),
             "note",
         )
     ]
@@ -215,10 +218,10 @@ def _episodes(records: Sequence[Record], task: str, config: dict[str, Any], open
     return "".join(parts)
 
 
-def _pictures(place: Any, record: Record, records: Sequence[Record], task: str) -> str:
+def _pictures(place: Any, record: Record, records: Sequence[Record], task: Task) -> str:
     """The map and the strip of one episode, with a legend."""
     others = []
-    if task == "navigation":
+    if task.walked:
         same = [r for r in records if r["episode"]["id"] == record["episode"]["id"]]
         others = [r for r in same if (name := next(iter(r["methods"]))) != OURS and not is_ablation(name)]
     from_above = page.figures([(scenes.floor_map(place, record, others), "From above; numbers: the moments.")], "map")
@@ -229,11 +232,11 @@ def _pictures(place: Any, record: Record, records: Sequence[Record], task: str) 
     return from_above + key + page.figures(scenes.strip(place, record), "strip") + page.paragraph(caption, "note")
 
 
-def _said(record: Record, task: str) -> str:
+def _said(record: Record, task: Task) -> str:
     """The episode's figures in words."""
     metrics = record["methods"][OURS]["metrics"]
     found = []
-    for column in COLUMNS[task]:
+    for column in task.columns:
         value = metrics.get(column.metric)
         if value is None or (column.only_if and not metrics.get(column.only_if)):
             continue

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.evaluation.published import Column
 from eagor.statistics import paired_difference, wilson_interval
+from eagor.tasks.task import Column
 
 SEED = 20260
 RESAMPLES = 2000

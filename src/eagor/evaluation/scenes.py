@@ -22,6 +22,7 @@ from eagor.evaluation.samples import Record, finished
 
 if TYPE_CHECKING:
     from eagor.tasks.places import Place
+    from eagor.tasks.task import Task
 
 MOMENTS = 6
 ROWS = 270  # of the panoramas, of which the belt between these elevations (degrees) is shown
@@ -31,7 +32,7 @@ SCALE = 40  # pixels of a map per metre
 OpenPlace = Callable[[str, int, float], "Place"]
 
 
-def chosen(records: Sequence[Record], task: str) -> dict[str, Record]:
+def chosen(records: Sequence[Record], task: Task) -> dict[str, Record]:
     """The best, the median and the worst episode of our default method (fewer, where there are fewer)."""
     ranked = sorted((record for record in finished(records) if OURS in record["methods"]), key=lambda r: _rank(r, task))
     if not ranked:
@@ -44,10 +45,10 @@ def chosen(records: Sequence[Record], task: str) -> dict[str, Record]:
     return found
 
 
-def _rank(record: Record, task: str) -> tuple[float, ...]:
+def _rank(record: Record, task: Task) -> tuple[float, ...]:
     """Lower is better."""
     entry = record["methods"][OURS]
-    if task == "navigation":
+    if task.walked:
         metrics = entry["metrics"]
         return -metrics["success"], -metrics["spl"], metrics["mae"]
     return (float(np.mean([error for error in entry["trace"]["error_deg"] if error is not None])),)

@@ -9,19 +9,10 @@ from typing import Any
 
 from eagor.evaluation import curves, parts
 from eagor.evaluation.kernels import half_width_deg, highest_sidelobe
-from eagor.evaluation.published import (
-    COLUMNS,
-    FIGURES,
-    OURS,
-    PAPERS,
-    RIVALS,
-    TITLES,
-    Column,
-    is_ablation,
-    is_rival,
-)
+from eagor.evaluation.published import FIGURES, OURS, PAPERS, RIVALS, is_ablation, is_rival
 from eagor.evaluation.samples import Gap, Record, gap, sample
 from eagor.evaluation.tables import SIGNIFICANT, best, corrected, mark, shown, shown_columns
+from eagor.tasks.task import Column, load
 
 FEW = 10  # apartments, below which intervals are too narrow to be trusted
 DAGGER = {"-": "†", "+": "‡", "": ""}
@@ -73,7 +64,7 @@ def main_sheet(summary: dict[str, Any]) -> Sheet:
     columns = shown_columns(summary)
     names = [name for name in summary["methods"] if not is_ablation(name)]
     rivals = [name for name in names if is_rival(name)]
-    published = FIGURES[summary["task"]]
+    published = FIGURES.get(summary["task"], {})
     rows = []
     for name in names:
         rows.append(Row(name, _boxes(summary, name, columns, rivals), "ours" if name == OURS else ""))
@@ -100,7 +91,7 @@ def main_sheet(summary: dict[str, Any]) -> Sheet:
             "cannot be compared with ours one to one."
         )
     return Sheet(
-        f"{TITLES[summary['task']]}: {summary['episodes']} episodes", _heads(columns), tuple(rows), tuple(notes)
+        f"{load(summary['task']).title}: {summary['episodes']} episodes", _heads(columns), tuple(rows), tuple(notes)
     )
 
 
@@ -137,8 +128,8 @@ def strata_sheets(summary: dict[str, Any]) -> list[Sheet]:
 
 def ordering_sheet(records: Sequence[Record], task: str) -> Sheet | None:
     """How far the paper's ordering carries over: what its method gains over each rival, published and measured."""
-    published = FIGURES[task]
-    columns = [column for column in COLUMNS[task] if published and column.key in published[PAPERS]]
+    published = FIGURES.get(task, {})
+    columns = [column for column in load(task).columns if published and column.key in published[PAPERS]]
     samples = {name: {column.key: sample(records, name, column) for column in columns} for name in (PAPERS, *RIVALS)}
     gaps: dict[tuple[str, ...], Gap | None] = {}
     for rival in RIVALS:
@@ -188,7 +179,9 @@ def verdict(published: float, measured: Gap | None) -> str:
 
 def coverage_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet | None:
     """How often the truth lay in the 90 % region: all steps, in sight, out of sight."""
-    column = next(column for column in COLUMNS[summary["task"]] if column.key == "coverage")
+    column = next((column for column in load(summary["task"]).columns if column.key == "coverage"), None)
+    if column is None:
+        return None
     rows = []
     for name, row in summary["methods"].items():
         if is_ablation(name) or row["coverage"] is None:

@@ -11,7 +11,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from eagor.errors import EagorError
-from eagor.evaluation.published import COLUMNS, OURS, TITLES, Column, compared_with, is_ablation, is_rival, ordered
+from eagor.evaluation.published import OURS, compared_with, is_ablation, is_rival, ordered
 from eagor.evaluation.samples import (
     Cell,
     Gap,
@@ -25,11 +25,8 @@ from eagor.evaluation.samples import (
     method_names,
     sample,
 )
+from eagor.tasks.task import Column, Task, known, load
 
-STRATA = {
-    "navigation": {"visible": "Target in sight at the start", "way": "Way to the target"},
-    "tracking": {"scenario": "Scenario"},
-}
 _WORDS = {True: "yes", False: "no"}
 SIGNIFICANT = 0.05
 
@@ -58,18 +55,18 @@ def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any
     """
     records = list(records)
     task = _task(records)
-    columns = COLUMNS[task]
+    columns = task.columns
     good = finished(records)
     cells, samples = _cells(good, columns)
     return {
-        "task": task,
+        "task": task.name,
         "episodes": len({record["episode"]["id"] for record in good}),
         "apartments": len({apartment(record) for record in good}),
         "failed": len(records) - len(good),
         **cells,
         "reference": reference,
         "differences": _differences(samples, columns, reference),
-        "strata": {title: _strata(good, columns, name) for name, title in STRATA.get(task, {}).items()},
+        "strata": {title: _strata(good, columns, name) for name, title in task.strata.items()},
         "failures": [
             {"key": record["key"], "attempt": record["attempt"], "error": record.get("error", "")}
             for record in records
@@ -82,7 +79,7 @@ def as_text(summary: dict[str, Any]) -> list[str]:
     """The table for a terminal: a line per method, one with the numbers of cases, and what the marks mean."""
     columns = shown_columns(summary)
     if not summary["methods"]:
-        return [f"{TITLES[summary['task']]}: no results; {summary['failed']} failed"]
+        return [f"{load(summary['task']).title}: no results; {summary['failed']} failed"]
     rows = [["", *(f"{column.title} {column.unit}".strip() for column in columns)]]
     marks = set()
     for name in summary["methods"]:
@@ -99,7 +96,7 @@ def as_text(summary: dict[str, Any]) -> list[str]:
         "  ".join(text.ljust(wide[k]) if k == 0 else text.rjust(wide[k]) for k, text in enumerate(row)).rstrip()
         for row in rows
     ]
-    head = f"{TITLES[summary['task']]}: {summary['episodes']} episodes"
+    head = f"{load(summary['task']).title}: {summary['episodes']} episodes"
     if summary["failed"]:
         head += f"; {summary['failed']} could not be run"
     notes = [text for sign, text in (("-", "- worse"), ("+", "+ better")) if sign in marks]
@@ -129,7 +126,7 @@ def best(summary: dict[str, Any], column: Column, names: Sequence[str]) -> set[s
 def shown_columns(summary: dict[str, Any]) -> list[Column]:
     """The columns in which some method has a case."""
     rows = summary["methods"].values()
-    return [column for column in COLUMNS[summary["task"]] if any(row[column.key] is not None for row in rows)]
+    return [column for column in load(summary["task"]).columns if any(row[column.key] is not None for row in rows)]
 
 
 def shown(value: float | None, column: Column, sign: bool = False) -> str:
@@ -157,13 +154,13 @@ def corrected(gaps: dict[tuple[str, ...], Gap | None]) -> dict[tuple[str, ...], 
     return nested
 
 
-def _task(records: Sequence[Record]) -> str:
+def _task(records: Sequence[Record]) -> Task:
     tasks = {record.get("task") for record in records} - {None}
-    if len(tasks) != 1 or (task := str(tasks.pop())) not in COLUMNS:
+    if len(tasks) != 1:
         raise EagorError(
-            f"the records are of the tasks {sorted(map(str, tasks)) or 'none'}; wanted one of {', '.join(COLUMNS)}"
+            f"the records are of the tasks {sorted(map(str, tasks)) or 'none'}; wanted one of {', '.join(known())}"
         )
-    return task
+    return load(str(tasks.pop()))
 
 
 def _cells(records: Sequence[Record], columns: Sequence[Column]) -> tuple[dict[str, Any], dict[str, dict[str, Sample]]]:

@@ -11,12 +11,13 @@ import inspect
 import os
 import re
 from collections.abc import Callable
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from eagor import plugins
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import Evidence
 
@@ -52,8 +53,7 @@ class Perception(Protocol):
 
 def known() -> dict[str, EntryPoint]:
     """The perceptions that `load` can make, by name; nothing is imported yet."""
-    found = {point.name: point for point in entry_points(group=GROUP)}
-    return found | {name: EntryPoint(name, value, GROUP) for name, value in BUILT_IN.items()}
+    return plugins.known(GROUP, BUILT_IN)
 
 
 def load(spec: str, **options: Any) -> Perception:
@@ -75,12 +75,7 @@ def load(spec: str, **options: Any) -> Perception:
             f"there is no perception {name!r}; known are {', '.join(sorted(choices))}, folders with a model, and hub "
             "names such as Qwen/Qwen2.5-VL-7B-Instruct"
         )
-    try:
-        make: Callable[..., Perception] = choices[name].load()
-    except (ImportError, AttributeError) as error:
-        raise EagorError(
-            f"perception {name!r} ({choices[name].value}) cannot be imported: {error}. Install what it needs"
-        ) from error
+    make: Callable[..., Perception] = plugins.bring(choices[name], "perception")
     arguments = (text,) if colon else ()
     try:
         inspect.signature(make).bind(*arguments, **options)

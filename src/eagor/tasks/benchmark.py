@@ -13,10 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
+from eagor import plugins
 from eagor.errors import EagorError
 
 GROUP = "eagor.benchmarks"
@@ -172,8 +173,7 @@ class Benchmark(Protocol):
 
 def known() -> dict[str, EntryPoint]:
     """The benchmarks that `load` can make, by name; nothing is imported yet."""
-    found = {point.name: point for point in entry_points(group=GROUP)}
-    return found | {name: EntryPoint(name, value, GROUP) for name, value in BUILT_IN.items()}
+    return plugins.known(GROUP, BUILT_IN)
 
 
 def load(name: str) -> Benchmark:
@@ -181,12 +181,7 @@ def load(name: str) -> Benchmark:
     choices = known()
     if name not in choices:
         raise EagorError(f"there is no benchmark {name!r}; known are {', '.join(sorted(choices))}")
-    try:
-        found: Any = choices[name].load()
-    except (ImportError, AttributeError) as error:
-        raise EagorError(
-            f"the benchmark {name!r} ({choices[name].value}) cannot be imported: {error}. Install what it needs"
-        ) from error
+    found: Any = plugins.bring(choices[name], "benchmark")
     return found if isinstance(found, Benchmark) else found()
 
 

@@ -37,6 +37,7 @@ from eagor.worlds.ball import Ball, with_ball
 Actions = Literal["continuous", "discrete"]
 STOP, FORWARD, LEFT, RIGHT = range(4)  # Habitat's order
 FAR = 100.0  # metres: no range in an observation is larger
+VISIBLE = 2  # pixels of a 64 x 128 panorama that make a target visible, where the rules do not say
 
 
 class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
@@ -82,7 +83,10 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         self.episode: Any = None
 
     # What each task fills in.
-    def _plan(self, slot: Slot) -> Episode:
+    rules: Any = None
+
+    def plan(self, slot: Slot) -> Episode:
+        """The episode of this slot: the same one each time. Raises `WorldError` if the world has none."""
         raise NotImplementedError
 
     def _measures(self) -> dict[str, Any]:
@@ -108,7 +112,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
                 int(self.np_random.integers(PER_PLACE)),
                 int(self.np_random.integers(6)),
             )
-            chosen = self._plan(slot)
+            chosen = self.plan(slot)
         self.episode = chosen
         self.place: Place = load_place(chosen.slot.world, chosen.slot.seed, self.camera.radius)
         if chosen.scene_hash != self.place.scene.hash:
@@ -195,7 +199,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         return info
 
     def _visible(self) -> bool:
-        return pixels_of(self.ids, self.episode.targets) >= 2
+        return pixels_of(self.ids, self.episode.targets) >= getattr(self.rules, "visible_pixels", VISIBLE)
 
     def _moved(self, xy: np.ndarray, yaw: float, collided: bool = False) -> None:
         """The body has gone to a new place: look again."""
@@ -253,7 +257,7 @@ class MapFreeNavigationEnv(PlaceEnv):
         self.rules, self.actions = rules or NavigationRules(), actions
         self.action_space = walking_space(actions, self.camera)
 
-    def _plan(self, slot: Slot) -> Episode:
+    def plan(self, slot: Slot) -> Episode:
         return navigation.plan(slot, self.camera, self.rules)
 
     def _start(self) -> None:
@@ -266,9 +270,6 @@ class MapFreeNavigationEnv(PlaceEnv):
     def _measures(self) -> dict[str, Any]:
         scores = navigation.score(self.rules, self.episode.shortest, self._left, self.body.walked, self._stopped)
         return {"distance_to_goal": self._left, **scores}
-
-    def _visible(self) -> bool:
-        return pixels_of(self.ids, self.episode.targets) >= self.rules.visible_pixels
 
     def step(self, action: Any) -> tuple[dict, float, bool, bool, dict]:
         turn, length, stop = as_walk(action, self.actions, self.camera)
@@ -288,10 +289,11 @@ class MapFreeNavigationEnv(PlaceEnv):
         return self._observation(), gained + info["success"], terminated, truncated, info
 
 
-class _AnsweringEnv(PlaceEnv):
+class AnsweringEnv(PlaceEnv):
     """The camera is carried along, and the action is the answer: a direction ``(3,)`` in the body frame.
 
-    The answer given to `step` is about the observation before it. The reward is minus its error, in radians.
+    The way is the episode's `route`, rows of x, y, yaw (metres, radians), of which the first is where it starts. The
+    answer given to `step` is about the observation before it. The reward is minus its error, in radians.
     """
 
     def __init__(self, **settings: Any) -> None:
@@ -303,9 +305,6 @@ class _AnsweringEnv(PlaceEnv):
 
     def _measures(self) -> dict[str, Any]:
         return {"error_deg": math.nan if self._error_deg is None else self._error_deg}
-
-    def _visible(self) -> bool:
-        return pixels_of(self.ids, self.episode.targets) >= self.rules.visible_pixels  # type: ignore[attr-defined]
 
     def _judge(self, answer: Any) -> float:
         """The reward of an answer about the step before; 0 while the target is away."""
@@ -323,8 +322,14 @@ class _AnsweringEnv(PlaceEnv):
         self._error_deg = math.degrees(error)
         return -error
 
+    def step(self, action: Any) -> tuple[dict, float, bool, bool, dict]:
+        reward, route = self._judge(action), self.episode.route
+        x, y, yaw = route[min(self.body.steps + 1, len(route) - 1)]
+        self._moved(np.array([x, y]), yaw)
+        return self._observation(), reward, self.body.steps >= len(route) - 1, False, self._info()
 
-class WaypointFollowingEnv(_AnsweringEnv):
+
+class WaypointFollowingEnv(AnsweringEnv):
     """Follow a route of four legs and name the direction at each step.
 
     - ``actions="guided"``: the body is carried along the route, and the action is the answer ``(3,)``.
@@ -348,7 +353,7 @@ class WaypointFollowingEnv(_AnsweringEnv):
             moves = walking_space(actions, self.camera)
             self.action_space = spaces.Dict({"answer": self.action_space, "move": moves})
 
-    def _plan(self, slot: Slot) -> Episode:
+    def plan(self, slot: Slot) -> Episode:
         return waypoint.plan(slot, self.camera, self.rules)
 
     def _start(self) -> None:
@@ -369,12 +374,7 @@ class WaypointFollowingEnv(_AnsweringEnv):
 
     def step(self, action: Any) -> tuple[dict, float, bool, bool, dict]:
         if self.actions == "guided":
-            reward = self._judge(action)
-            # The first row of the route is where the episode starts.
-            x, y, yaw = self.episode.route[min(self.body.steps + 1, len(self.episode.route) - 1)]
-            self._moved(np.array([x, y]), yaw)
-            over = self.body.steps >= len(self.episode.route) - 1
-            return self._observation(), reward, over, False, self._info()
+            return super().step(action)
         reward = self._judge(action["answer"])
         turn, length, _ = as_walk(action["move"], self.actions, self.camera)
         yaw = math.remainder(self.body.yaw + turn, 2 * math.pi)
@@ -388,7 +388,7 @@ class WaypointFollowingEnv(_AnsweringEnv):
         return self._observation(), reward, over, late, self._info()
 
 
-class TargetTrackingEnv(_AnsweringEnv):
+class TargetTrackingEnv(AnsweringEnv):
     """Name the direction of a ball while it moves, while the camera moves, or after it has been away."""
 
     task = "tracking"
@@ -397,7 +397,7 @@ class TargetTrackingEnv(_AnsweringEnv):
         super().__init__(**settings)
         self.rules = rules or TrackingRules()
 
-    def _plan(self, slot: Slot) -> Episode:
+    def plan(self, slot: Slot) -> Episode:
         return tracking.plan(slot, self.camera, self.rules)
 
     def _ball(self) -> Ball | None:
@@ -410,9 +410,3 @@ class TargetTrackingEnv(_AnsweringEnv):
     def _target(self) -> np.ndarray | None:
         ball = self._ball()
         return None if ball is None else ball.centre
-
-    def step(self, action: Any) -> tuple[dict, float, bool, bool, dict]:
-        reward = self._judge(action)
-        x, y, yaw = self.episode.route[min(self.body.steps + 1, len(self.episode.route) - 1)]
-        self._moved(np.array([x, y]), yaw)
-        return self._observation(), reward, self.body.steps >= len(self.episode.route) - 1, False, self._info()

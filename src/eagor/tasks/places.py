@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
+from eagor import worlds
 from eagor.queries import COLOURS, Query
 from eagor.worlds.ground import Field, Ground
 from eagor.worlds.render import Renderer
@@ -79,18 +79,11 @@ def _way_to(place: Place, targets: tuple[int, ...]) -> Field:
 
 @lru_cache(maxsize=4)
 def load_place(world: str, seed: int, radius: float) -> Place:
-    """The apartment of this seed, or the GLB file that `world` names, with a ground plan for a body of this radius.
+    """The scene of this seed in the world that `eagor.worlds.load` finds, with a ground plan for a body of this radius.
 
-    Raises `WorldError` if there is no such world.
+    Raises `WorldError` if there is no such world, or if nobody can stand in it.
     """
-    if world == APARTMENT:
-        from eagor.worlds.apartment import generate
-
-        scene = generate(seed)
-    else:
-        from eagor.worlds.glb import import_glb
-
-        scene = import_glb(Path(world))
+    scene = worlds.load(world)(seed)
     return Place(scene, Ground.from_scene(scene, radius=radius), Renderer(scene))
 
 

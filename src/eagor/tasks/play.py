@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,26 +17,19 @@ import numpy as np
 
 from eagor import metrics
 from eagor.conventions import rotation_from_wxyz, wxyz_from_rotation
-from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.perception.calibrated import from_json
 from eagor.sphere import azimuth_elevation
-from eagor.tasks import navigation, tracking, waypoint
-from eagor.tasks.environments import MapFreeNavigationEnv, PlaceEnv, TargetTrackingEnv, WaypointFollowingEnv
+from eagor.tasks import task
+from eagor.tasks.environments import PlaceEnv
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.eyes import Eye, is_privileged, open_eye, shared
 from eagor.tasks.methods import BASE, ORACLE, Method, make_method
 from eagor.tasks.policy import Policy
-from eagor.tasks.rules import Camera, Disturbances, NavigationRules, TrackingRules, WaypointRules, from_dict
+from eagor.tasks.rules import Camera, Disturbances, from_dict
+from eagor.tasks.task import Played
 
 MASS = 0.9  # of the credible regions whose coverage is measured
-RULES = {"waypoint": WaypointRules, "navigation": NavigationRules, "tracking": TrackingRules}
-_ENVIRONMENTS = {"waypoint": WaypointFollowingEnv, "navigation": MapFreeNavigationEnv, "tracking": TargetTrackingEnv}
-_PLANS: dict[str, Callable[..., Episode]] = {
-    "waypoint": waypoint.plan,
-    "navigation": navigation.plan,
-    "tracking": tracking.plan,
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,42 +69,41 @@ class Player:
 
     `config`: task, perception (as `eagor.perception.load` reads it), rules, camera, disturbances (JSON of
     `eagor.tasks.rules`), rows (of the panorama; unused where the perception reads ids), and perhaps calibrated (JSON of
-    `eagor.perception.calibrated`: how our tracker reads and forgets).
+    `eagor.perception.calibrated`: how our tracker reads and forgets). `perception` and `kind`, the task, where they are
+    at hand already.
     """
 
-    def __init__(self, config: dict[str, Any], perception: Any = None) -> None:
+    def __init__(self, config: dict[str, Any], perception: Any = None, kind: task.Task | None = None) -> None:
         if perception is None:
             perception = shared(config["perception"])
         self.config = config
-        self.task: str = config["task"]
-        if self.task not in RULES:
-            raise EagorError(f"there is no task {self.task!r}; known are {', '.join(RULES)}")
+        self.task = kind or task.load(config["task"])
         self.perception = perception
         self.camera = from_dict(Camera, config["camera"])
         self.disturbances = from_dict(Disturbances, config["disturbances"])
-        self.rules: Any = from_dict(RULES[self.task], config["rules"])
+        self.rules: Any = from_dict(self.task.rules, config["rules"])
         given = config.get("calibrated")
         self.ours = from_json(given, "the run's calibration").config(BASE) if given else BASE
         rows = None if is_privileged(perception) else int(config["rows"])
-        self.env: PlaceEnv = _ENVIRONMENTS[self.task](
+        self.env: PlaceEnv = self.task.environment(
             rules=self.rules, camera=self.camera, disturbances=self.disturbances, panorama=rows
         )
 
     def plan(self, slot: Slot) -> Episode:
         """The episode of this slot."""
-        return _PLANS[self.task](slot, self.camera, self.rules)
+        return self.env.plan(slot)
 
     def play(
         self, slot: Slot, names: list[str], watch: Callable[[Method | None], object] | None = None
     ) -> dict[str, Any]:
         """The record of one episode: its description, the truth, and each method's metrics and trace.
 
-        `watch`, for navigation, is called with the method after each of its answers.
+        `watch`, where the task is walked, is called with the method after each of its answers.
         """
         episode = self.plan(slot)
-        body: dict[str, Any] = {"task": self.task, "episode": episode.as_json()}
-        if self.task == "navigation":
-            return body | {"methods": {name: self._navigate(episode, name, watch) for name in names}}
+        body: dict[str, Any] = {"task": self.task.name, "episode": episode.as_json()}
+        if self.task.walked:
+            return body | {"methods": {name: self._walk(episode, name, watch) for name in names}}
         recording = self.record(episode)
         judged = {name: self.judge(recording, self.method(name, slot)) for name in names}
         looked = {"looked": recording.looked} if recording.looked else {}
@@ -136,14 +128,14 @@ class Player:
         image = info["instances"]["ids"] if eye.privileged else observation["panorama"]
         return eye.look(image, query or info["query"], stamp, info["truth"]["world_R_body"])
 
-    def _navigate(self, episode: Episode, name: str, watch: Callable[[Method | None], object] | None) -> dict[str, Any]:
-        """One method through one episode of navigation, closed loop."""
+    def _walk(self, episode: Episode, name: str, watch: Callable[[Method | None], object] | None) -> dict[str, Any]:
+        """One method through one episode in which it says where to go."""
         observation, info, eye = self._begin(episode)
         method = None if name == ORACLE else self.method(name, episode.slot)
         trace: dict[str, list[Any]] = defaultdict(list)
-        policy = Policy(self.camera.step, self.rules.detour)
+        policy = Policy(self.camera.step, getattr(self.rules, "detour", True))
         waiting: list[Evidence | None] = []
-        directions, over = [], False
+        directions, said, poses, places, over = [], [], [], [], False
         while not over:
             waiting.append(self._look(eye, observation, info))
             due = waiting.pop(0) if len(waiting) > self.disturbances.latency else None
@@ -151,6 +143,9 @@ class Player:
                 info["truth"]["direction"] if method is None else _told(method, observation, info, due, self.camera)
             )
             directions.append(info["truth"]["direction"])
+            said.append(direction)
+            poses.append(info["truth"]["world_R_body"])
+            places.append(info["truth"]["position"])
             _note_truth(trace, info, "true_")
             _note_answer(trace, method, direction, directions[-1])
             if watch is not None:
@@ -161,20 +156,16 @@ class Player:
             heading = policy.heading(azimuth, pose[:2], yaw)
             observation, _, terminated, truncated, info = self.env.step(np.array([heading, self.camera.step]))
             over = terminated or truncated
-        found = navigation.measure(trace, np.array(directions))
-        found |= {key: info[key] for key in ("success", "spl", "soft_spl")}
-        found |= {
-            "distance_to_goal": info["distance_to_goal"] if math.isfinite(info["distance_to_goal"]) else None,
-            "steps": info["num_steps"],
-            "path_m": self.env.body.walked,
-            "shortest_m": episode.shortest,
-            "collisions": info["collisions"]["count"],
-        }
-        looked = eye.account()
-        return {"metrics": _rounded(found), "trace": dict(trace)} | ({"looked": looked} if looked else {})
+        motion = metrics.ego_motion(np.array(poses), np.array(places))
+        played = Played(
+            trace, trace, np.array(directions), np.array(said), *motion, self.rules, self.camera, info,
+            self.env.body.walked, episode.shortest,
+        )  # fmt: skip
+        found, looked = _rounded(self.task.measure(played)), eye.account()
+        return {"metrics": found, "trace": dict(trace)} | ({"looked": looked} if looked else {})
 
     def record(self, episode: Episode, other: str = "") -> Recording:
-        """An open-loop episode as every method will meet it: poses, responses, and what was true.
+        """An episode that is not walked as every method will meet it: poses, responses, and what was true.
 
         `other`: a second query, about which nothing is known to be true; the perception is asked for it as well.
         """
@@ -223,13 +214,11 @@ class Player:
             said.append(method.direction())
             true = recording.directions[index] if recording.truth["present"][index] else None
             _note_answer(trace, method if regions else None, said[-1], true)
-        estimates, truth, motion = np.array(said), recording.truth, (recording.rotations, recording.translations)
-        if self.task == "waypoint":
-            scores = waypoint.measure(truth, trace, recording.directions, estimates, *motion)
-        else:
-            args = (truth, trace, recording.directions, estimates, recording.rotations)
-            scores = tracking.measure(*args, self.rules, self.camera)
-        return {"metrics": _rounded(scores), "trace": dict(trace)}
+        played = Played(
+            recording.truth, trace, recording.directions, np.array(said), recording.rotations, recording.translations,
+            self.rules, self.camera,
+        )  # fmt: skip
+        return {"metrics": _rounded(self.task.measure(played)), "trace": dict(trace)}
 
 
 def work(config: dict[str, Any]) -> Callable[[dict[str, Any]], dict[str, Any]]:
@@ -274,5 +263,5 @@ def _note_answer(
     trace["distance_m"].append(None if distance is None else round(distance, 3))
 
 
-def _rounded(values: dict[str, Any]) -> dict[str, Any]:
+def _rounded(values: Mapping[str, Any]) -> dict[str, Any]:
     return {key: round(value, 5) if isinstance(value, float) else value for key, value in values.items()}

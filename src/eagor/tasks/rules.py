@@ -121,7 +121,7 @@ class TrackingRules:
     visible_pixels: int = 2
 
 
-Rules = TypeVar("Rules", Camera, Disturbances, NavigationRules, WaypointRules, TrackingRules)
+Rules = TypeVar("Rules")
 
 
 def as_dict(rules: Any) -> dict[str, Any]:
@@ -131,7 +131,7 @@ def as_dict(rules: Any) -> dict[str, Any]:
 
 def from_dict(kind: type[Rules], values: dict[str, Any]) -> Rules:
     """The rules back from JSON. Raises `WorldError` for a rule that does not exist."""
-    known = {field.name for field in fields(kind)}
+    known = {field.name for field in fields(kind)}  # type: ignore[arg-type]
     if unknown := set(values) - known:
         raise WorldError(f"{kind.__name__} has no {sorted(unknown)}; it has {sorted(known)}")
     return kind(**{key: _tupled(value) for key, value in values.items()})

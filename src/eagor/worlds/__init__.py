@@ -1,1 +1,74 @@
-"""Where panoramas come from when there is no camera: rooms painted by our own code, and single photographs."""
+"""Where panoramas come from when there is no camera: furnished apartments, GLB scenes, painted rooms, photographs.
+
+A world is a function from a seed to a `Scene`. `load` finds one by its name, and packages add their own under the
+entry-point group ``eagor.worlds`` (a name, and the function); ``eagor bench run TASK --world NAME`` plays in it.
+`eagor.worlds.checking.check_world` is the test that every world has to pass.
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+from eagor import plugins
+from eagor.errors import WorldError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from eagor.worlds.render import Frame
+    from eagor.worlds.scene import Scene
+
+GROUP = "eagor.worlds"
+BUILT_IN = {"apartment": "eagor.worlds.apartment:generate"}
+FILES = (".glb", ".gltf")
+
+
+class World(Protocol):
+    """A place for every seed."""
+
+    def __call__(self, seed: int, /) -> Scene:
+        """The scene of this seed: the same one each time, for the same version of the world.
+
+        Metres, z up, the floor at z = 0. Its `source` names the world, its version and the seed. Instances have
+        categories in lower-case words and colours that `eagor.queries.COLOURS` knows, since that is how tasks ask for
+        them. Raises `WorldError` for a seed of which nothing can be made.
+        """
+        ...
+
+
+@runtime_checkable
+class View(Protocol):
+    """What can be looked at from a pose: the renderer of a scene, one photograph, another simulator."""
+
+    def panorama(
+        self, position: np.ndarray | tuple[float, float, float], world_R_body: np.ndarray, height: int, /, *,
+        rgb: bool = True, range: bool = True, ids: bool = True,
+    ) -> Frame:  # fmt: skip
+        """The panorama ``(height, 2 height)`` from `position` ``(3,)``, metres, in the pose `world_R_body`.
+
+        In the layout of `eagor.sphere`; a camera that turns to the left sees everything move to the right. A part that
+        is not asked for, or that this view cannot tell, is None. Raises `PoseError` where it cannot look from.
+        """
+        ...
+
+
+def known() -> dict[str, EntryPoint]:
+    """The worlds that `load` knows by name; nothing is imported yet."""
+    return plugins.known(GROUP, BUILT_IN)
+
+
+def load(name: str) -> World:
+    """The world `name`: ``"apartment"``, an installed one, or a GLB file (the same scene for every seed).
+
+    Raises `WorldError` for anything else, `EagorError` if it cannot be imported.
+    """
+    choices = known()
+    if name in choices:
+        return plugins.bring(choices[name], "world")
+    if Path(name).suffix.lower() in FILES:
+        from eagor.worlds.glb import import_glb
+
+        return lambda seed: import_glb(Path(name))
+    raise WorldError(f"there is no world {name!r}; known are {', '.join(sorted(choices))}, and GLB files (*.glb)")

@@ -1,0 +1,41 @@
+"""Finding what other packages bring: perceptions, worlds, tasks and benchmarks, by name.
+
+A package adds its own under an entry-point group in its ``pyproject.toml``, and it is known wherever that package is
+installed:
+
+- ``eagor.perceptions``: what makes a perception, a class or function (`eagor.perception`);
+- ``eagor.worlds``: a world, a function from a seed to a scene (`eagor.worlds`);
+- ``eagor.tasks``: a simulated task, an `eagor.tasks.task.Task`;
+- ``eagor.benchmarks``: a benchmark with published data, or what makes it (`eagor.tasks.benchmark`).
+
+Our own are known even where the package runs from a folder, without installed metadata. A name of ours cannot be taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from eagor.errors import EagorError
+
+
+def known(group: str, built_in: Mapping[str, str]) -> dict[str, EntryPoint]:
+    """Everything in `group` by name, `built_in` (name: ``"package.module:object"``) first; nothing is imported yet."""
+    installed = {point.name: point for point in entry_points(group=group)}
+    return installed | {name: EntryPoint(name, value, group) for name, value in built_in.items()}
+
+
+def bring(point: EntryPoint, kind: str) -> Any:
+    """The object that `point` names; `kind` says what it is ("perception"). Raises `EagorError` if it cannot be had."""
+    try:
+        return point.load()
+    except (ImportError, AttributeError) as error:
+        raise EagorError(
+            f"the {kind} {point.name!r} ({point.value}) cannot be imported: {error}. Install what it needs"
+        ) from error
+
+
+def version_of(point: EntryPoint) -> str | None:
+    """Name and version of the package that `point` came with, such as ``"eagor-example 1.0"``; None for our own."""
+    return f"{point.dist.name} {point.dist.version}" if point.dist is not None else None

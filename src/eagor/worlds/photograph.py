@@ -1,0 +1,51 @@
+"""One photograph as a place to look around in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image
+
+from eagor.errors import GridError, PoseError
+from eagor.sphere import check_rotation
+from eagor.worlds.panorama import turn
+from eagor.worlds.render import Frame
+
+
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """A panorama ``(H, W, 3)`` uint8, in the layout of `eagor.sphere`, taken in the pose "identity" at the origin.
+
+    The camera can turn in it. It cannot move, since a photograph does not say how far away things are: there are no
+    ranges and no ids.
+    """
+
+    image: np.ndarray
+
+    def panorama(
+        self,
+        position: np.ndarray | tuple[float, float, float],
+        world_R_body: np.ndarray,
+        height: int,
+        *,
+        rgb: bool = True,
+        range: bool = True,
+        ids: bool = True,
+    ) -> Frame:
+        """What the camera sees in the pose `world_R_body`, ``(height, 2 height, 3)``; range and ids are always None.
+
+        The photograph is averaged to the size first. Raises `PoseError` for a position other than the origin,
+        `GridError` for a height below 1, `RotationError` and `ImageError`.
+        """
+        if np.shape(position) != (3,) or np.any(np.asarray(position, dtype=float) != 0):
+            raise PoseError(
+                f"the camera stands at {position}; a photograph shows what is seen from (0, 0, 0), where it was taken"
+            )
+        if height < 1:
+            raise GridError(f"a panorama of height {height}; wanted at least one row")
+        pose = check_rotation(np.asarray(world_R_body, dtype=np.float64), "world_R_body")
+        if not rgb:
+            return Frame(None, None, None)
+        sized = Image.fromarray(self.image).resize((2 * height, height), Image.Resampling.BOX)
+        return Frame(turn(np.asarray(sized), pose.T), None, None)
