@@ -176,19 +176,34 @@ def check_perception(
     before = panorama.copy()
     evidence = perception(panorama, query, stamp=stamp)
     _require(isinstance(evidence, Evidence), f"returned {type(evidence).__name__}; wanted eagor.Evidence")
-    _require(np.array_equal(before, panorama), "changed the panorama; work on a copy")
-    _require(evidence.stamp == stamp, f"was given stamp={stamp}, but the evidence carries {evidence.stamp}")
+    _require(np.array_equal(before, panorama), "changed the panorama; wanted it left as it was: work on a copy")
+    _require(
+        evidence.stamp == stamp,
+        f"was given stamp={stamp}, and its evidence carries {evidence.stamp}; wanted the same: pass stamp=stamp on to "
+        "what makes the evidence",
+    )
     response = np.asarray(evidence.response)
     _require(
         response.shape == tuple(evidence.grid.shape),
-        f"response has shape {response.shape} on a grid of {tuple(evidence.grid.shape)}",
+        f"gives a response of shape {response.shape} on a grid of {tuple(evidence.grid.shape)}; wanted the grid that "
+        "the response was computed on",
     )
-    _require(bool(((response >= 0) & (response <= 1)).all()), "response leaves [0, 1] or is not finite")
-    _require(bool(np.isfinite(np.asarray(evidence.coefficients(3))).all()), "coefficients are not finite")
+    _require(
+        bool(((response >= 0) & (response <= 1)).all()),
+        f"gives responses from {response.min():g} to {response.max():g}; wanted [0, 1]: logits want a sigmoid",
+    )
+    _require(
+        bool(
+            np.isfinite(np.asarray(evidence.log_ratio)).all()
+            and np.isfinite(np.asarray(evidence.coefficients(3))).all()
+        ),
+        "gives evidence that is not finite; wanted finite log ratios: make it with Evidence.from_response",
+    )
     again = perception(panorama, query, stamp=stamp)
     _require(
         type(again.grid) is type(evidence.grid) and tuple(again.grid.shape) == tuple(evidence.grid.shape),
-        "a second call on the same panorama answers on another grid",
+        f"answers on {_named(evidence)}, then for the same panorama on {_named(again)}; wanted the same grid: no state "
+        "that a call changes",
     )
     if roll is None:
         return
@@ -198,9 +213,21 @@ def check_perception(
         f"answers with {response.shape[1]} columns, and roll={roll} is no whole number of those; choose another roll",
     )
     rolled = np.asarray(perception(np.roll(panorama, roll, axis=1), query, stamp=stamp).response)
-    _require(rolled.shape == response.shape, "a rolled panorama answers on another grid")
+    _require(
+        rolled.shape == response.shape,
+        f"answers with {response.shape}, and for the rolled panorama with {rolled.shape}; wanted the same grid for "
+        "every panorama of one size",
+    )
     worst = float(np.abs(rolled - np.roll(response, columns, axis=1)).max())
-    _require(worst <= tolerance, f"a roll of the panorama is not a roll of the response: they differ by {worst:.3g}")
+    _require(
+        worst <= tolerance,
+        f"answers a panorama rolled by {roll} columns with a response that is {worst:.3g} off the rolled one; wanted "
+        f"at most {tolerance:g}: treat all azimuths alike, the seam too, or leave roll out",
+    )
+
+
+def _named(evidence: Evidence) -> str:
+    return f"a {type(evidence.grid).__name__} of {tuple(evidence.grid.shape)}"
 
 
 def _require(holds: bool, text: str) -> None:

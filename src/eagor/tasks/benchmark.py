@@ -207,33 +207,64 @@ def check_benchmark(benchmark: Benchmark, data: Path, agent: str) -> list[dict[s
     writing and reading; the settings must survive being settled twice; every figure must read every record.
     """
     import importlib
-    import json
 
     options = read_options(benchmark, {})
     told = {"task": benchmark.name, "data": str(data), "agent": agent, "perception": None, "model": None, "seed": 0}
     settings = benchmark.settle(told | options)
-    _require(json.loads(json.dumps(settings)) == settings, "settle returns what JSON does not bring back")
-    _require(benchmark.settle(settings) == settings, "settle changes what it has settled before")
+    plain = "numbers, texts, lists and dicts with texts as keys"
+    _require(_survives(settings), f"settles {settings}, which JSON does not bring back; wanted {plain}")
+    again = benchmark.settle(settings)
+    _require(again == settings, f"settles {settings}, and that again to {again}; wanted the same")
     cases = benchmark.cases(data, settings)
-    _require(bool(cases), "has no cases in this data")
-    _require(len({case.id for case in cases}) == len(cases), "gives several cases the same id")
-    _require(cases == benchmark.cases(data, settings), "gives other cases the second time")
-    _require(json.loads(json.dumps([c.payload for c in cases])) == [c.payload for c in cases], "payloads are no JSON")
-    _require(bool(benchmark.figures) and benchmark.figures[0].key == "overall", 'the first figure is not "overall"')
-    _require(isinstance(benchmark.info(data), dict), "info returns no dict")
+    _require(bool(cases), f"has no cases in {data}; wanted one at least. Is that its data?")
+    ids = [case.id for case in cases]
+    twice = sorted({name for name in ids if ids.count(name) > 1}) if len(set(ids)) < len(ids) else []
+    _require(not twice, f"calls several cases {', '.join(twice)}; wanted an id of its own for each")
+    _require(
+        cases == benchmark.cases(data, settings),
+        "gives other cases the second time; wanted the same in the same order: sort what a folder lists, draw nothing",
+    )
+    for case in cases:
+        _require(_survives(case.payload), f"gives {case.id} the payload {case.payload!r}; wanted {plain}")
+    first = benchmark.figures[0].key if benchmark.figures else None
+    _require(first == "overall", f'has {first!r} as its first figure; wanted "overall": the headline comes first')
+    told = benchmark.info(data)
+    _require(isinstance(told, dict), f"tells info in a {type(told).__name__}; wanted a dict")
     module, _, function = benchmark.work.partition(":")
     do = getattr(importlib.import_module(module), function)(settings)
     records = []
     for case in cases:
         record = dict(do(case.payload))
-        _require(json.loads(json.dumps(record, allow_nan=False)) == record, f"the record of {case.id} is no plain JSON")
-        _require((record["case"], record["cluster"]) == (case.id, case.cluster), f"{case.id}: another case or cluster")
-        _require(0 <= record["score"] <= 1, f"{case.id}: score {record['score']!r} is not in [0, 1]")
+        _require(_survives(record), f"records {record} of {case.id}, which JSON does not bring back; wanted {plain}")
+        named = record.get("case"), record.get("cluster")
+        _require(
+            named == (case.id, case.cluster),
+            f"records case and cluster {named} of {case.id}; wanted {(case.id, case.cluster)}, those of the case",
+        )
+        score = record.get("score")
+        _require(
+            isinstance(score, int | float) and 0 <= score <= 1,
+            f"records the score {score!r} of {case.id}; wanted a number in [0, 1], 1 being success",
+        )
         for figure in benchmark.figures:
             value = figure.read(record)
-            _require(value is None or 0 <= value <= 1, f"{case.id}: the figure {figure.key} reads {value!r}")
+            _require(
+                value is None or 0 <= value <= 1,
+                f"reads {value!r} from the record of {case.id} as the figure {figure.key}; wanted a number in [0, 1], "
+                "or None where the record does not belong to it",
+            )
         records.append(record)
     return records
+
+
+def _survives(value: Any) -> bool:
+    """Whether `value` comes back from JSON as it was."""
+    import json
+
+    try:
+        return json.loads(json.dumps(value, allow_nan=False)) == value
+    except (TypeError, ValueError):
+        return False
 
 
 def _require(holds: bool, text: str) -> None:

@@ -1,0 +1,521 @@
+"""The checks that ship find what they say they find: for each rule, something good but for that one fault."""
+
+import itertools
+import math
+import sys
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import small_benchmark
+from box_scenes import scene_of, shell, thing
+from rooms import two_rooms
+
+from eagor import worlds
+from eagor.errors import EagorError, GridError, PoseError, WorldError
+from eagor.evidence import Evidence
+from eagor.grids import ErpGrid, PatchGrid
+from eagor.perception import check_perception
+from eagor.sphere import world_R_body
+from eagor.tasks import task as tasks
+from eagor.tasks.benchmark import Case, Figure, check_benchmark
+from eagor.tasks.checking import check_task
+from eagor.tasks.task import load
+from eagor.worlds.checking import check_world
+from eagor.worlds.painted import EYE, Room, paint, painted_room
+from eagor.worlds.photograph import Photograph
+from eagor.worlds.render import Frame, Renderer
+
+sys.path.append(str(Path(__file__).parents[2] / "examples" / "plugin"))
+import eagor_example as example
+
+HERE = (2.0, 2.9, 1.25)
+
+
+@pytest.fixture(autouse=True)
+def installed(monkeypatch):
+    """The example plugin's world and task, as if it were installed."""
+    monkeypatch.setitem(worlds.BUILT_IN, "hall", "eagor_example:hall")
+    monkeypatch.setitem(tasks.BUILT_IN, "turntable", "eagor_example:TURNTABLE")
+
+
+# --- what is ours passes ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", [3, 600])
+def test_apartments_keep_the_contract_of_worlds(seed):
+    check_world(worlds.load("apartment"), seed)
+
+
+def test_so_do_a_glb_file_a_photograph_and_a_painted_room(tmp_path):
+    from eagor.worlds.glb import export_glb
+
+    check_world(worlds.load(str(export_glb(two_rooms(), tmp_path / "flat.glb"))))
+    check_world(Photograph(painted_room(128, 256)))
+    check_world(Looking(lambda position, pose, rows: Frame(paint(Room(), position, pose, rows, 2 * rows), None, None)),
+                position=EYE)  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_so_does_the_examples_world(seed):
+    check_world(worlds.load("hall"), seed)
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"), [("waypoint", {"leg_steps": 5}), ("navigation", {}), ("tracking", {"steps": 16})]
+)
+@pytest.mark.parametrize("index", [0, 1, 2])
+def test_our_tasks_keep_the_contract_of_tasks(name, settings, index):
+    found = check_task(load(name), seed=3, index=index, settings=settings)
+    assert found["success" if name == "navigation" else load(name).headline] == (1.0 if name == "navigation" else 0.0)
+
+
+def test_so_does_the_examples_task_in_its_own_world_and_in_ours():
+    assert check_task(example.TURNTABLE, world="hall")["error"] == 0.0
+    assert check_task(example.TURNTABLE, seed=3, settings={"steps": 8})["last"] == 0.0
+
+
+@pytest.mark.parametrize("query", ["brightest", "darkest"])
+def test_so_does_the_examples_perception(query):
+    check_perception(example.Brightness(), painted_room(64, 128), query, roll=16)
+
+
+def test_a_photograph_says_where_it_can_be_looked_at_from():
+    view = Photograph(painted_room(32, 64))
+    with pytest.raises(PoseError, match="where it was taken"):
+        view.panorama((1.0, 0.0, 0.0), np.eye(3), 16)
+    with pytest.raises(GridError, match="at least one row"):
+        view.panorama((0.0, 0.0, 0.0), np.eye(3), 0)
+    assert view.panorama((0.0, 0.0, 0.0), np.eye(3), 16, rgb=False).rgb is None
+
+
+# --- worlds with one fault -------------------------------------------------------------------------------------------
+
+
+class Looking:
+    """A view made of a function of position, pose and rows."""
+
+    def __init__(self, look):
+        self.look = look
+
+    def panorama(self, position, world_R_body, height, *, rgb=True, range=True, ids=True):
+        return self.look(position, world_R_body, height)
+
+
+FLAT = Renderer(two_rooms())
+
+
+def flat(position, pose, rows):
+    return FLAT.panorama(position, pose, rows, rgb=False)
+
+
+def changed(**parts):
+    """The flat, with parts of each frame made anew from the frame."""
+    return Looking(lambda *where: replace(flat(*where), **{k: make(flat(*where)) for k, make in parts.items()}))
+
+
+def depth(frame):
+    """Ranges as a z-buffer of six faces has them."""
+    return (frame.range * np.abs(ErpGrid(*frame.range.shape).directions).max(axis=-1)).astype(np.float32)
+
+
+def noisy():
+    luck = np.random.default_rng(0)
+    return changed(ids=lambda f: luck.permutation(f.ids.ravel()).reshape(f.ids.shape))
+
+
+def nose_up(pose):
+    """The pose with pitch and roll of the other sign."""
+    yaw, pitch = math.atan2(pose[1, 0], pose[0, 0]), math.asin(-pose[2, 0])
+    return world_R_body(yaw, -pitch, math.atan2(pose[2, 1], pose[2, 2]))
+
+
+def furnished(*more, **changes):
+    things = [*shell(5.0, 4.0), thing("table", (1, 1, 0), (2, 1.6, 0.7), None, "brown"), *more]
+    return replace(scene_of(things), **changes) if changes else scene_of(things)
+
+
+def relabelled(**changes):
+    scene = furnished()
+    return replace(scene, instances=(*scene.instances[:-1], replace(scene.instances[-1], **changes)))
+
+
+def moved(change):
+    """The flat scene, with changed vertices and bounds that still fit."""
+    scene = furnished()
+    vertices = change(scene.vertices).astype(np.float32)
+    things = []
+    for index, one in enumerate(scene.instances):
+        mine = vertices[scene.triangles[scene.instance == index]].reshape(-1, 3).astype(float)
+        things.append(replace(one, low=mine.min(axis=0), high=mine.max(axis=0)))
+    return replace(scene, vertices=vertices, instances=tuple(things))
+
+
+_count = itertools.count()
+BROKEN_WORLDS = {
+    "no scene": (lambda seed: "a room", "made a str of seed 0; wanted a Scene"),
+    "draws anew": (
+        lambda seed: moved(lambda v: v * [1 + next(_count) / 100, 1, 1]),
+        "wanted the same each time: draw everything from",
+    ),
+    "a name in capitals": (lambda seed: relabelled(category="Coffee  Table"), "wanted lower-case words"),
+    "a colour of its own": (lambda seed: relabelled(colour="mauve"), "wanted None or one of black"),
+    "nothing to ask for": (
+        lambda seed: furnished(thing("table", (3, 1, 0), (4, 1.6, 0.7), None, "brown")),
+        "no category and colour that only one of them has",
+    ),
+    "a thing of no triangles": (
+        lambda seed: replace(furnished(), instances=(*furnished().instances, thing("cup", (1, 1, 1), (2, 2, 2)))),
+        "no triangle for instance 6",
+    ),
+    "bounds in centimetres": (lambda seed: relabelled(high=np.array([200, 160, 70.0])), "wanted theirs, metres"),
+    "y up": (lambda seed: moved(lambda v: v[:, [0, 2, 1]] * [1, 1, -1] + [0, 0, 9]), r"not Y up|its floor at z"),
+    "only walls": (lambda seed: scene_of([shell(5, 4)[1], thing("tv", (0, 0, 1), (1, 0.1, 2))]), "has no ground"),
+    "a floor upstairs": (lambda seed: moved(lambda v: v + np.array([0, 0, 3.0])), "its floor at z = 3.00 m; wanted 0"),
+    "in millimetres": (lambda seed: moved(lambda v: v * [0.15, 0.15, 1]), "Are the lengths metres"),
+    "no frame": (Looking(lambda *where: flat(*where).ids), "shows a ndarray; wanted an eagor.worlds.render.Frame"),
+    "nothing to see": (changed(ids=lambda f: None), "shows neither rgb nor ids"),
+    "a square picture": (changed(ids=lambda f: f.ids[:, ::2]), r"ids of shape \(32, 32\)"),
+    "ids as floats": (changed(ids=lambda f: f.ids.astype(float)), "signed integers"),
+    "colour in [0, 1]": (
+        changed(rgb=lambda f: np.zeros((*f.ids.shape, 3), np.float32)),
+        r"rgb of shape .* float32; wanted .*uint8",
+    ),
+    "whole metres": (changed(range=lambda f: f.range.astype(int)), "floating point"),
+    "no range is 0": (changed(range=lambda f: np.where(f.range > 2, 0, f.range)), "ranges down to 0 m; wanted all"),
+    "ids below -1": (changed(ids=lambda f: f.ids - 5), "ids down to -"),
+    "noise": (noisy(), "differently when it is looked at again"),
+    "mirrored": (
+        changed(ids=lambda f: f.ids[:, ::-1], range=lambda f: f.range[:, ::-1]),
+        "it turns the wrong way: is the picture mirrored",
+    ),
+    "transposed": (Looking(lambda p, pose, rows: flat(p, pose.T, rows)), "it turns the wrong way"),
+    "looks sideways": (
+        Looking(lambda p, pose, rows: flat(p, world_R_body(math.pi) if pose[0, 0] < 0.5 else np.eye(3), rows)),
+        "elsewhere than a quarter of the image to the right",
+    ),
+    "never tilts": (
+        Looking(lambda p, pose, rows: flat(p, world_R_body(math.atan2(pose[1, 0], pose[0, 0])), rows)),
+        "the camera does not tilt",
+    ),
+    "nose up": (Looking(lambda p, pose, rows: flat(p, nose_up(pose), rows)), "nose up is taken for nose down"),
+    "depth, not range": (changed(range=depth), "not depth along an axis"),
+    "position in centimetres": (
+        Looking(lambda p, pose, rows: flat(np.asarray(HERE) + (np.asarray(p) - HERE) / 100, pose, rows)),
+        "position is in metres",
+    ),
+}
+
+
+@pytest.mark.parametrize(("world", "says"), BROKEN_WORLDS.values(), ids=BROKEN_WORLDS)
+def test_the_check_of_worlds_finds(world, says):
+    with pytest.raises(AssertionError, match=says) as raised:
+        check_world(world, position=HERE)
+    assert "anted" in str(raised.value), "it says what was wanted"
+
+
+def test_a_world_that_cannot_be_looked_up_says_what_there_is():
+    with pytest.raises(WorldError, match=r"no world 'barn'; known are apartment, hall, and GLB files"):
+        worlds.load("barn")
+
+
+# --- tasks with one fault --------------------------------------------------------------------------------------------
+
+TURNTABLE = example.TURNTABLE
+
+
+def env(**overrides):
+    """The example's environment with some methods of its own."""
+    return type("Env", (example.TurntableEnv,), overrides)
+
+
+def planned(**changes):
+    """Episodes that differ from the good ones; functions are called with the episode."""
+
+    def plan(self, slot):
+        good = example.TurntableEnv.plan(self, slot)
+        return replace(good, **{k: make(good) if callable(make) else make for k, make in changes.items()})
+
+    return replace(TURNTABLE, environment=env(plan=plan))
+
+
+def measured(change):
+    return replace(TURNTABLE, measure=lambda played: change(example.measure(played)))
+
+
+def told(**changes):
+    """An environment whose truth is changed by functions of the good one."""
+
+    def info(self):
+        found = example.TurntableEnv._info(self)
+        found["truth"] |= {key: make(found["truth"]) for key, make in changes.items()}
+        return found
+
+    return replace(TURNTABLE, environment=env(_info=info))
+
+
+def column(**changes):
+    return replace(TURNTABLE, columns=(replace(TURNTABLE.columns[0], **changes), TURNTABLE.columns[1]))
+
+
+@dataclass
+class Soft:
+    steps: int = 8
+
+
+@dataclass(frozen=True)
+class Unset:
+    steps: int
+
+
+@dataclass(frozen=True)
+class Listed:
+    steps: int = 8
+    legs: list = field(default_factory=lambda: [1, 2])
+
+
+@dataclass(frozen=True)
+class Boundless:
+    steps: int = 8
+    far: float = math.inf
+
+
+def wandering():
+    turn = itertools.count()
+
+    def step(self, action):
+        self.body.xy = self.body.xy + 0.01 * next(turn)
+        return example.TurntableEnv.step(self, action)
+
+    return replace(TURNTABLE, environment=env(step=step))
+
+
+def obeying():
+    def step(self, action):
+        found = example.TurntableEnv.step(self, action)
+        if float(action[0]) > 0:
+            self._moved(self.body.xy, self.body.yaw + 0.5)
+            return (self._observation(), *found[1:4], self._info())
+        return found
+
+    return replace(TURNTABLE, environment=env(step=step))
+
+
+def endless():
+    def step(self, action):
+        observation, reward, _, _, info = example.TurntableEnv.step(self, action)
+        return observation, reward, False, False, info
+
+    def look(self):
+        """Nothing is rendered: only the number of steps matters."""
+        self.ids, self._picture = np.full((64, 128), -1, np.int32), None
+
+    return replace(TURNTABLE, environment=env(step=step, _frame=look))
+
+
+def unrewarding():
+    def step(self, action):
+        observation, _, *rest = example.TurntableEnv.step(self, action)
+        return observation, math.nan, *rest
+
+    return replace(TURNTABLE, environment=env(step=step))
+
+
+def forgetful():
+    """Plans that depend on how many were made before."""
+    made = itertools.count()
+    return planned(yaw=lambda episode: episode.yaw + 0.001 * next(made))
+
+
+BROKEN_TASKS = {
+    "no task": ("turntable", "is a str; wanted an eagor.tasks.task.Task"),
+    "a name with a space": (replace(TURNTABLE, name="Turn table"), "wanted lower-case letters and digits"),
+    "no column": (replace(TURNTABLE, columns=()), "wanted one at least"),
+    "a column twice": (replace(TURNTABLE, columns=TURNTABLE.columns[:1] * 2), "each key once"),
+    "no headline": (replace(TURNTABLE, headline="score"), "wanted one of its columns, error, last"),
+    "better is less": (column(better="less"), "wanted 'low', 'high' or None"),
+    "rules that change": (replace(TURNTABLE, rules=Soft), "wanted a frozen dataclass"),
+    "rules without a default": (replace(TURNTABLE, rules=Unset), "Wanted a default for each"),
+    "rules that are no JSON": (replace(TURNTABLE, rules=Boundless), "Wanted a default for each"),
+    "rules in lists": (replace(TURNTABLE, rules=Listed), "which come back from JSON as"),
+    "no episode": (replace(TURNTABLE, environment=env(plan=lambda self, slot: (slot, 1))), "plans a tuple"),
+    "another episode each time": (forgetful(), "draw everything from slot.rng"),
+    "of another slot": (planned(slot=lambda e: replace(e.slot, number=77)), "wanted slot=slot"),
+    "the same episode for all": (
+        replace(TURNTABLE, environment=env(plan=lambda self, slot: replace(
+            example.TurntableEnv.plan(self, replace(slot, index=0)), slot=slot))),
+        "plans the same episode for slots",
+    ),
+    "NumPy in an episode": (planned(stratum={"colour": "red", "size": np.float32(1)}), "float.x., not NumPy's"),
+    "another scene": (planned(scene_hash="0" * 16), "wanted place.scene.hash"),
+    "inside a wall": (planned(start=(-0.05, 1.0)), "wanted a point on which the body can stand"),
+    "unknown words": (planned(query="grand piano"), "asks for something that is not there"),
+    "targets that are not meant": (planned(targets=(0,)), "wanted the same: place.nameable"),
+    "a way that is drawn anew": (wandering(), "draw from episode.slot.rng"),
+    "a way that answers bend": (obeying(), "wanted the same whatever is answered"),
+    "a direction that is no unit vector": (told(direction=lambda t: 2 * t["direction"]), "wanted a unit vector"),
+    "a distance of 0": (told(distance=lambda t: 0.0), "wanted metres above 0"),
+    "the direction in the world": (
+        told(direction=lambda t: t["world_R_body"] @ t["direction"]),
+        r"from the nearest pixel that shows it",
+    ),
+    "no end": (endless(), "has not ended after"),
+    "no reward": (unrewarding(), "wanted a finite number"),
+    "figures that are arrays": (measured(lambda m: m | {"more": np.ones(2)}), "wanted a finite number, or None"),
+    "a figure that is NaN": (measured(lambda m: m | {"last": math.nan}), "wanted a finite number, or None"),
+    "a figure that is missing": (measured(lambda m: {"error": m["error"]}), "wanted also last, which its table shows"),
+    "a share of degrees": (
+        replace(measured(lambda m: m | {"error": m["error"] + 0.5}), columns=column(share=True).columns),
+        "wanted 0 or 1 per episode",
+    ),
+    "better the other way round": (column(better="high"), "wanted it the other way round"),
+    "a stratum that is not told": (replace(TURNTABLE, strata={"size": "Size"}), "wanted that key in Episode.stratum"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("task", "says"), BROKEN_TASKS.values(), ids=BROKEN_TASKS)
+def test_the_check_of_tasks_finds(task, says):
+    with pytest.raises(AssertionError, match=says) as raised:
+        check_task(task, world="hall")
+    assert "anted" in str(raised.value), "it says what was wanted"
+
+
+def test_a_walked_task_wants_the_figures_that_reports_read():
+    navigation = load("navigation")
+    broken = replace(navigation, measure=lambda played: {"success": 1.0, "spl": 1.0, "steps": 3, "soft_spl": 1.0})
+    with pytest.raises(AssertionError, match="wanted also coverage, mae, seam_crossings"):
+        check_task(broken, seed=3)
+
+
+def test_a_task_that_cannot_be_looked_up_says_what_there_is(monkeypatch):
+    with pytest.raises(EagorError, match="no task 'chess'; known are waypoint, navigation, tracking, turntable"):
+        load("chess")
+    monkeypatch.setitem(tasks.BUILT_IN, "spin", "eagor_example:TURNTABLE")
+    with pytest.raises(EagorError, match=r"'spin'.*is the task 'turntable'; wanted .*whose name is that of the entry"):
+        load("spin")
+    monkeypatch.setitem(tasks.BUILT_IN, "spin", "eagor_example:hall")
+    with pytest.raises(EagorError, match="is a function; wanted"):
+        load("spin")
+
+
+# --- perceptions with one fault --------------------------------------------------------------------------------------
+
+GRID = ErpGrid(32, 64)
+
+
+def evidence(stamp, **changes):
+    return replace(Evidence.from_response(np.zeros(GRID.shape), GRID, stamp=stamp), **changes)
+
+
+def painting(panorama, query, *, stamp=None):
+    panorama[:] = 0
+    return evidence(stamp)
+
+
+_turns = itertools.count()
+BROKEN_PERCEPTIONS = {
+    "an array": (lambda p, q, *, stamp=None: p, "returned ndarray; wanted eagor.Evidence"),
+    "paints": (painting, "changed the panorama; wanted it left"),
+    "no stamp": (lambda p, q, *, stamp=None: evidence(None), "carries None; wanted the same"),
+    "another grid": (
+        lambda p, q, *, stamp=None: evidence(stamp, grid=PatchGrid(4, 8)),
+        "wanted the grid that the response was computed on",
+    ),
+    "beyond 1": (
+        lambda p, q, *, stamp=None: evidence(stamp, log_ratio=4 * np.ones(GRID.shape), peak=2.0),
+        r"wanted \[0, 1\]",
+    ),
+    "infinite": (
+        lambda p, q, *, stamp=None: evidence(stamp, log_ratio=np.full(GRID.shape, np.inf)),
+        "not finite; wanted finite log ratios",
+    ),
+    "grids in turn": (
+        lambda p, q, *, stamp=None: Evidence.from_response(*_sized(2 + next(_turns)), stamp=stamp),
+        "wanted the same grid: no state",
+    ),
+    "azimuth counts": (
+        lambda p, q, *, stamp=None: Evidence.from_response(np.eye(32, 64), GRID, stamp=stamp),
+        "treat all azimuths alike",
+    ),
+    "the first pixel counts": (
+        lambda p, q, *, stamp=None: Evidence.from_response(*_sized(16 if p[0, 0, 0] else 32), stamp=stamp),
+        "wanted the same grid for every panorama",
+    ),
+}  # fmt: skip
+
+
+def _sized(rows):
+    return np.zeros((rows, 64)), PatchGrid(rows, 64)
+
+
+@pytest.mark.parametrize(("perception", "says"), BROKEN_PERCEPTIONS.values(), ids=BROKEN_PERCEPTIONS)
+def test_the_check_of_perceptions_finds(perception, says):
+    panorama = np.full((32, 64, 3), 9, np.uint8)
+    panorama[:, :8] = 0
+    with pytest.raises(AssertionError, match=says) as raised:
+        check_perception(perception, panorama, "red", roll=8)
+    assert "wanted" in str(raised.value)
+
+
+# --- benchmarks with one fault ---------------------------------------------------------------------------------------
+
+
+class Good(small_benchmark.Numbers):
+    pass
+
+
+def faulty(faults):
+    """A benchmark whose records have these faults."""
+    return type("Faulty", (Good,), {"settle": lambda self, s: Good.settle(self, s) | {"faults": faults}})()
+
+
+def other(**members):
+    return type("Other", (Good,), members)()
+
+
+_seen = itertools.count()
+CASES = [Case("a1", "a1", "a", "a1")]
+BROKEN_BENCHMARKS = {
+    "settings with a set": (other(settle=lambda self, s: {"some": {1, 2}}), "which JSON does not bring back"),
+    "settings that grow": (
+        other(settle=lambda self, s: Good.settle(self, s) | {"more": s.get("more", 0) + 1}),
+        "and that again to",
+    ),
+    "no cases": (other(cases=lambda self, data, s: []), "has no cases in"),
+    "an id twice": (other(cases=lambda self, data, s: CASES * 2), "calls several cases a1"),
+    "other cases each time": (
+        other(cases=lambda self, data, s: [replace(CASES[0], id=f"a{next(_seen)}")]),
+        "wanted the same in the same order",
+    ),
+    "a payload with bytes": (
+        other(cases=lambda self, data, s: [replace(CASES[0], payload=b"a1")]),
+        "gives a1 the payload b'a1'",
+    ),
+    "no headline": (
+        other(figures=(Figure("share", "Share", "", lambda record: record["score"]),)),
+        "has 'share' as its first figure",
+    ),
+    "info in words": (other(info=lambda self, data: "three"), "tells info in a str"),
+    "a record with NaN": (faulty({"views": math.nan}), "which JSON does not bring back"),
+    "another case": (faulty({"case": "z9"}), r"wanted \('a1', 'a'\)"),
+    "another cluster": (faulty({"cluster": "z"}), r"wanted \('a1', 'a'\)"),
+    "a score of 100": (faulty({"score": 100}), r"wanted a number in \[0, 1\], 1 being success"),
+    "no score": (faulty({"score": None}), r"wanted a number in \[0, 1\], 1 being success"),
+    "a figure in per cent": (
+        other(figures=(Figure("overall", "Overall", "", lambda record: 100 * record["score"]),)),
+        "reads 100.0 from the record of a1",
+    ),
+}
+
+
+def test_a_small_benchmark_keeps_the_contract(tmp_path):
+    records = check_benchmark(Good(), small_benchmark.write(tmp_path), "right")
+    assert [record["score"] for record in records] == [1.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize(("benchmark", "says"), BROKEN_BENCHMARKS.values(), ids=BROKEN_BENCHMARKS)
+def test_the_check_of_benchmarks_finds(benchmark, says, tmp_path):
+    with pytest.raises(AssertionError, match=says) as raised:
+        check_benchmark(benchmark, small_benchmark.write(tmp_path), "right")
+    assert "wanted" in str(raised.value)

@@ -1,0 +1,128 @@
+"""The examples run, and what they print is true."""
+
+import os
+import re
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+FILES = sorted(EXAMPLES.glob("[0-9]*.py"))
+NUMBER = r"-?\d+(?:\.\d+)?"
+
+
+@pytest.fixture
+def printed(tmp_path):
+    """What an example prints, line by line, run where there is nothing else, with warnings as errors."""
+
+    def run(name):
+        (file,) = EXAMPLES.glob(f"{name}*.py")
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "TMPDIR": str(tmp_path)}
+        done = subprocess.run(
+            [sys.executable, "-W", "error", file],
+            capture_output=True,
+            text=True,
+            timeout=300,
+            cwd=tmp_path,
+            env=environment,
+        )
+        assert done.returncode == 0, done.stderr
+        assert done.stderr == ""
+        return done.stdout.splitlines()
+
+    return run
+
+
+def numbers(line, *before):
+    """The numbers in `line` that stand right before each of these words."""
+    return [float(re.search(rf"({NUMBER}){re.escape(word)}", line).group(1)) for word in before]
+
+
+def test_they_are_numbered_short_and_say_what_is_learnt():
+    assert [int(file.name[:2]) for file in FILES] == list(range(1, 8))
+    listed = (EXAMPLES / "README.md").read_text()
+    for file in FILES:
+        text = file.read_text()
+        assert len(text.splitlines()) < 60, file.name
+        assert "What is learnt:" in text.split('"""')[1], file.name
+        assert not re.search(r"(import|\.|\s)_[a-z]", text), f"{file.name} uses what is private"
+        assert f"]({file.name})" in listed
+
+
+def test_a_belief_turns_with_the_camera_and_grows_surer(printed):
+    first, turned, later = (numbers(line, " deg left", " deg off", " deg\n") for line in _ended(printed("01")))
+    assert (first[0], turned[0], later[0]) == (90.0, 60.0, 60.0)
+    assert max(first[1], turned[1], later[1]) <= 0.5
+    assert turned[2] == first[2] > 10 * later[2], "turning changes nothing about how sure it is; looks do"
+
+
+def test_a_detector_feeds_a_tracker_through_a_file(printed):
+    record, *lines = printed("02")
+    assert '"label": "red ball"' in record
+    azimuths = [numbers(line, " deg, ", " deg off") for line in lines]
+    assert len(azimuths) == 6
+    assert all(off < 1.0 for _, off in azimuths)
+    assert all(19 < a[0] - b[0] < 21 for a, b in pairwise(azimuths)), "20 degrees per look"
+    assert all(line.endswith("tracking") for line in lines)
+
+
+def test_late_evidence_counts_for_when_it_was_captured(printed):
+    lines = printed("03")
+    assert len(lines) == 4
+    for line in lines:
+        right, wrong = (float(value) for value in re.findall(rf"({NUMBER}) deg off", line))
+        assert right < 0.5
+        assert wrong == pytest.approx(60, abs=1), "40 degrees per second for 1.5 seconds"
+
+
+def test_walking_past_tells_the_distance(printed):
+    lines = [numbers(line, " m:", " deg off", " m away", " %", " m)") for line in printed("04")]
+    assert [walked for walked, *_ in lines] == [0.0, 0.75, 1.5, 2.25, 3.0]
+    assert all(off < 3 for _, off, *_ in lines)
+    spreads = [spread for *_, spread, _ in lines]
+    assert spreads == sorted(spreads, reverse=True)
+    assert spreads[-1] < 15
+    for _, _, distance, spread, true in lines:
+        assert abs(distance - true) / true < spread / 100
+    assert abs(lines[-1][2] - lines[-1][4]) < 0.2
+
+
+def test_several_targets_are_followed_and_a_missing_one_is_searched_for(printed):
+    *there, missing = printed("05")
+    assert [line.split()[0] for line in there] == ["red", "blue", "yellow", "green"]
+    for line in there:
+        off, distance, true = numbers(line, " deg off", " m away", " m)")
+        assert line.split()[2] == "tracking"
+        assert off < 3
+        assert abs(distance - true) / true < 0.35
+    assert missing.startswith("purple ball  searching")
+    assert numbers(missing, " %")[0] < 20
+
+
+def test_the_checker_finds_what_a_perception_forgets(printed):
+    fails, passes, found = printed("06")
+    assert fails == "Forgetful fails: " + fails.removeprefix("Forgetful fails: ")
+    assert "stamp=12.5" in fails
+    assert passes == "Darkest passes"
+    assert numbers(found, " deg off")[0] < 2
+
+
+def test_a_benchmark_runs_goes_on_and_is_reported(printed):
+    lines = printed("07")
+    assert lines[0].startswith("3 episodes played; the second time 0, since 3 are recorded")
+    rows = {line.split()[0]: line.split()[1:] for line in lines if line.startswith(("centroid ", "vmf ", "eagor "))}
+    said = next(line for line in lines if line.startswith("mean error of eagor"))
+    ours, pixel = (float(value) for value in re.findall(rf"({NUMBER}) deg", said))
+    assert [float(rows[name][0].rstrip("-+")) for name in ("eagor", "centroid")] == [ours, pixel]
+    assert ours < 30 < pixel
+    steps = next(line for line in lines if "error by step" in line).rpartition(": ")[2].split()
+    assert len(steps) == 24
+    page = Path(lines[-1].removeprefix("the report: "))
+    assert "Target Direction Estimation: 3 episodes" in page.read_text()
+
+
+def _ended(lines):
+    return [f"{line}\n" for line in lines]

@@ -1,0 +1,188 @@
+"""What is shipped: the wheel is complete and clean, runs without the repository, and finds plugins by name."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+import tomllib
+import zipfile
+from importlib.metadata import PathDistribution
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from eagor import __version__, perception, worlds
+from eagor.tasks import benchmark, task
+from eagor.worlds.painted import EYE, Room, bearing, painted_room
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PIP = (sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--disable-pip-version-check")
+
+
+def done(*words, **more):
+    """Run a command to its end; what it printed."""
+    found = subprocess.run([*map(str, words)], capture_output=True, text=True, timeout=300, **more)
+    assert found.returncode == 0, found.stdout + found.stderr
+    return found.stdout
+
+
+@pytest.fixture(scope="module")
+def dist(tmp_path_factory):
+    """Source archive, and the wheel that is built from it."""
+    folder = tmp_path_factory.mktemp("dist")
+    done(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, ROOT)
+    (archive,), (wheel,) = folder.glob("*.tar.gz"), folder.glob("*.whl")
+    return archive, wheel
+
+
+@pytest.fixture(scope="module")
+def installed(dist, tmp_path_factory):
+    """A folder into which the wheel and the example plugin are installed, each as a package of its own."""
+    target, source = tmp_path_factory.mktemp("target"), tmp_path_factory.mktemp("source") / "plugin"
+    shutil.copytree(ROOT / "examples" / "plugin", source, ignore=shutil.ignore_patterns("__pycache__"))
+    done(*PIP, "--target", target, dist[1])
+    done(*PIP, "--no-build-isolation", "--target", target, source)
+    return target
+
+
+@pytest.fixture
+def eagor(installed, tmp_path):
+    """Runs the installed command where there is no repository."""
+    environment = os.environ | {"PYTHONPATH": str(installed), "OPENBLAS_NUM_THREADS": "1"}
+
+    def run(*words):
+        return done(sys.executable, "-m", "eagor", *words, cwd=tmp_path, env=environment)
+
+    return run
+
+
+def files_of(archive):
+    """The files of an archive, by path, with their bytes."""
+    if archive.suffix == ".whl":
+        with zipfile.ZipFile(archive) as file:
+            return {name: file.read(name) for name in file.namelist() if not name.endswith("/")}
+    with tarfile.open(archive) as file:
+        found = {}
+        for member in file.getmembers():
+            assert member.isfile() or member.isdir(), f"{member.name} is a link"
+            content = file.extractfile(member)
+            if content is not None:
+                found[member.name.partition("/")[2]] = content.read()
+        return found
+
+
+def test_the_wheel_holds_the_package_and_nothing_else(dist):
+    files = files_of(dist[1])
+    info = f"eagor-{__version__}.dist-info"
+    package = {path.relative_to(ROOT / "src").as_posix() for path in (ROOT / "src" / "eagor").rglob("*")
+               if path.is_file() and "__pycache__" not in path.parts}  # fmt: skip
+    assert {name for name in files if not name.startswith(info)} == package
+    for name in ("eagor/py.typed", "eagor/perception/scout/scout.onnx", "eagor/perception/scout/vocabulary.json"):
+        assert files[name] == (ROOT / "src" / name).read_bytes()
+    assert files[f"{info}/licenses/LICENSE"] == (ROOT / "LICENSE").read_bytes()
+    assert {name.removeprefix(f"{info}/") for name in files if name.startswith(info)} == {
+        "METADATA", "RECORD", "WHEEL", "entry_points.txt", "licenses/LICENSE",
+    }  # fmt: skip
+
+
+def test_the_wheel_says_what_it_is_and_needs(dist):
+    metadata = files_of(dist[1])[f"eagor-{__version__}.dist-info/METADATA"].decode()
+    heads = metadata.partition("\n\n")[0].splitlines()
+    for line in (f"Version: {__version__}", "License-Expression: Apache-2.0", "Requires-Python: >=3.11"):
+        assert line in heads
+    needed = {line.partition(": ")[2].split(">")[0].split(";")[0].strip() for line in heads
+              if line.startswith("Requires-Dist") and "extra ==" not in line}  # fmt: skip
+    assert needed == {text.split(">")[0].split(";")[0] for text in PROJECT["project"]["dependencies"]}
+    assert not needed & {"torch", "transformers", "torchvision", "ducc0", "healpy", "openai", "ray"}
+
+
+def test_the_source_archive_is_complete(dist):
+    files = files_of(dist[0])
+    for name in ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "Makefile", "examples/README.md",
+                 "examples/plugin/pyproject.toml", "examples/plugin/eagor_example.py", "docs/conventions.md",
+                 "tests/end_to_end/test_packaging.py", "training/scout/train.py", "benchmarks/core.py",
+                 "src/eagor/perception/scout/scout.onnx"):  # fmt: skip
+        assert name in files, name
+    tops = {name.partition("/")[0] for name in files}
+    assert tops <= {"src", "tests", "training", "benchmarks", "docs", "examples", "pyproject.toml", "README.md",
+                    "LICENSE", "CHANGELOG.md", "Makefile", "PKG-INFO", ".gitignore", "mkdocs.yml"}  # fmt: skip
+    assert not [name for name in files if "__pycache__" in name or name.endswith((".pyc", ".so", ".pickle"))]
+
+
+def test_nothing_of_this_machine_is_shipped(dist):
+    here = {str(ROOT), sys.prefix, str(Path(tempfile.gettempdir(), "pytest-"))}
+    for archive in dist:
+        for name, content in files_of(archive).items():
+            for place in here:
+                assert place.encode() not in content, f"{place} in {name} of {archive.name}"
+
+
+def test_the_entry_points_are_those_that_work_without_metadata(dist):
+    groups = PROJECT["project"]["entry-points"]
+    for module in (perception, worlds, task, benchmark):
+        assert groups[module.GROUP] == module.BUILT_IN
+    text = files_of(dist[1])[f"eagor-{__version__}.dist-info/entry_points.txt"].decode()
+    for group, points in groups.items():
+        assert f"[{group}]" in text
+        for name, value in points.items():
+            assert f"{name} = {value}" in text
+
+
+def test_the_package_runs_without_the_repository(eagor, installed, tmp_path):
+    where = done(sys.executable, "-c", "import eagor; print(eagor.__file__)", cwd=tmp_path,
+                 env=os.environ | {"PYTHONPATH": str(installed)})  # fmt: skip
+    assert where.strip() == str(installed / "eagor" / "__init__.py")
+    Image.fromarray(painted_room(64, 128)).save(tmp_path / "room.png")
+    found = json.loads(eagor("locate", "room.png", "the red ball", "--json"))
+    azimuth, elevation = (np.degrees(a) for a in _angles(bearing(Room().balls[0], EYE, np.eye(3))[0]))
+    assert abs(found["azimuth_deg"] - azimuth) < 3
+    assert abs(found["elevation_deg"] - elevation) < 3
+    assert "status" in json.loads(eagor("locate", "room.png", "chair", "--perception", "scout", "--json"))
+
+
+def test_a_plugin_is_found_by_name(eagor, installed, tmp_path):
+    dist_info = next(installed.glob("eagor_example-*.dist-info"))
+    assert {point.group for point in PathDistribution(dist_info).entry_points} == {
+        "eagor.perceptions", "eagor.worlds", "eagor.tasks",
+    }  # fmt: skip
+    picture = np.full((64, 128, 3), 120, np.uint8)
+    picture[20:24, 30:34] = 255  # azimuth 180 - 360 * 32 / 128, elevation 90 - 180 * 22 / 64
+    Image.fromarray(picture).save(tmp_path / "lamp.png")
+    found = json.loads(eagor("locate", "lamp.png", "brightest", "--perception", "brightness", "--json"))
+    assert abs(found["azimuth_deg"] - 90) < 2
+    assert abs(found["elevation_deg"] - 28.1) < 2
+    assert json.loads(eagor("doctor", "--json"))["perceptions"]["brightness"] == "ready"
+    listed = json.loads(eagor("bench", "list", "--json"))["turntable"]
+    assert (listed["kind"], listed["title"]) == ("simulated", "Turntable")
+    assert "hall" in listed["worlds"]
+    text = eagor("bench", "list")
+    assert "turntable   name the direction of a thing" in text
+    assert "worlds (--world): apartment, hall, or a GLB file" in text
+
+
+def test_a_plugins_task_in_a_plugins_world_is_run_and_reported(eagor, tmp_path):
+    run = ("bench", "run", "turntable", "--world", "hall", "--perception", "truth:ideal", "--episodes", "2", "--seed",
+           "3", "--methods", "centroid", "eagor", "--set", "steps=8", "--out", "run")  # fmt: skip
+    first = json.loads(eagor(*run, "--json"))
+    assert (first["task"], first["episodes"], first["failed"]) == ("turntable", 2, 0)
+    assert first["methods"]["eagor"]["error"] < 5
+    config = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert config["rules"] == {"steps": 8, "visible_pixels": 6}
+    assert config["versions"]["world hall"] == config["versions"]["task turntable"] == "eagor-example 1.0"
+    assert "perception truth" not in config["versions"], "ours have the package's version"
+    eagor("bench", "report", "run")
+    page = (tmp_path / "run" / "report.html").read_text()
+    for part in ("Turntable: 2 episodes", "Colour of the target", "Error by step", "Three episodes to look at"):
+        assert part in page
+    assert "No pictures" not in page
+
+
+def _angles(direction):
+    x, y, z = direction
+    return np.arctan2(y, x), np.arcsin(z)
