@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from eagor._json import parsed
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation.lines import as_line
 
@@ -135,9 +136,11 @@ def description(folder: Path) -> dict[str, Any]:
     """What ``run.json`` says. Raises `FormatError` where there is none, or it is no JSON object."""
     path = Path(folder) / RUN
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = parsed(path.read_bytes())
     except FileNotFoundError:
         raise FormatError(f"{folder} has no {RUN}; name the folder of a run") from None
+    except OSError as error:
+        raise FormatError(f"{path} cannot be read ({error.strerror or error}); name the folder of a run") from None
     except ValueError as error:
         raise FormatError(f"{path} is no JSON ({error}); restore it, or start the run in another folder") from None
     if not isinstance(found, dict):
@@ -238,7 +241,7 @@ def _keep_name(folder: Path) -> None:
 
 def _is_json(line: bytes) -> bool:
     try:
-        json.loads(line)
+        parsed(line)
     except ValueError:
         return False
     return True
@@ -246,11 +249,11 @@ def _is_json(line: bytes) -> bool:
 
 def _record(line: bytes, path: Path, number: int) -> dict[str, Any]:
     try:
-        found = json.loads(line)
+        found = parsed(line)
     except ValueError as error:
         raise FormatError(f"{path}, line {number}: no JSON ({error}); restore the line, or delete it") from None
-    whole = isinstance(found, dict) and isinstance(found.get("key"), str) and isinstance(found.get("attempt"), int)
-    if not whole or found.get("status") not in ("ok", "failed"):
+    whole = isinstance(found, dict) and isinstance(found.get("key"), str) and type(found.get("attempt")) is int
+    if not whole or found["attempt"] < 1 or found.get("status") not in ("ok", "failed"):
         raise FormatError(
             f"{path}, line {number}: no record; wanted an object with key (text), attempt (1, 2, ...) and status "
             "('ok' or 'failed'). Restore the line, or delete it"
@@ -262,7 +265,7 @@ def _differences(found: Any, wanted: Any, place: str = "") -> Iterator[str]:
     """Where two descriptions differ, in words."""
     if isinstance(found, dict) and isinstance(wanted, dict):
         for key in dict.fromkeys([*found, *wanted]):
-            inner = f"{place}.{key}" if place else key
+            inner = f"{place}.{_cut(key)}" if place else _cut(key)
             if key not in wanted:
                 yield f"{inner} is {_short(found[key])} there and nothing was asked for"
             elif key not in found:
@@ -274,5 +277,8 @@ def _differences(found: Any, wanted: Any, place: str = "") -> Iterator[str]:
 
 
 def _short(value: Any) -> str:
-    text = json.dumps(value, ensure_ascii=False)
+    return _cut(json.dumps(value, ensure_ascii=False))
+
+
+def _cut(text: str) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from eagor._json import number, parsed, whole
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid
 from eagor.perception.transformers.attention import blurred, densities
@@ -64,10 +65,10 @@ class Heads:
 def read_heads(file: str | Path) -> Heads:
     """The heads in a file. Raises `EagorError` if it cannot be read or is something else."""
     try:
-        stored = json.loads(Path(file).read_text(encoding="utf-8"))
-        heads = tuple((int(layer), int(head)) for layer, head in stored["heads"])
+        stored = parsed(Path(file).read_bytes())
+        heads = tuple((whole(layer), whole(head)) for layer, head in stored["heads"])
         found = Heads(
-            str(stored["model"]), str(stored["model_type"]), heads, float(stored["saturation"]),
+            str(stored["model"]), str(stored["model_type"]), heads, number(stored["saturation"]),
             dict(stored.get("found_by", {})),
         )  # fmt: skip
     except OSError as error:
