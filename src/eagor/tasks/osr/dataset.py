@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import ast
 import csv
-import json
+import os
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -19,6 +19,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from eagor._json import parsed, shown
 from eagor.errors import FormatError
 from eagor.tasks.osr.layout import layout_of
 from eagor.tasks.osr.questions import Question, read
@@ -121,11 +122,11 @@ def _questions(turns: Iterable[Any], scene: str, suffix: str, where: str) -> tup
     skipped, taken = 0, {}
     for number, turn in enumerate(turns):
         if not isinstance(turn, dict) or not isinstance(turn.get("question"), str) or "answer" not in turn:
-            raise FormatError(f"{where}, turn {number}: {str(turn)[:60]!r}; wanted an object with question and answer")
+            raise FormatError(f"{where}, turn {number}: {shown(turn)}; wanted an object with question and answer")
         asked = read(turn["question"])
         skill = turn.get("skills_tested") or turn.get("follow_up") or (asked.skill if asked else None)
         if skill not in SKILLS:
-            raise FormatError(f"{where}, turn {number}: the skill is {skill!r}; known are {', '.join(SKILLS)}")
+            raise FormatError(f"{where}, turn {number}: the skill is {shown(skill)}; known are {', '.join(SKILLS)}")
         if skill == MAP and suffix.endswith(WITHOUT):
             continue
         answer = turn["answer"]
@@ -134,8 +135,8 @@ def _questions(turns: Iterable[Any], scene: str, suffix: str, where: str) -> tup
             continue
         try:
             index = int(turn.get("turn_id", number))
-        except (TypeError, ValueError):
-            raise FormatError(f"{where}, turn {number}: turn_id = {turn['turn_id']!r}; wanted a number") from None
+        except (TypeError, ValueError, OverflowError):
+            raise FormatError(f"{where}, turn {number}: turn_id = {shown(turn['turn_id'])}; wanted a number") from None
         if skill == MAP:
             answer = _grid(answer, f"{where}, turn {index}")
         again = taken[index] = taken.get(index, 0) + 1
@@ -148,7 +149,7 @@ def _grid(answer: Any, where: str) -> Any:
     """A map's grid; in CSV it is text."""
     if isinstance(answer, str):
         try:
-            answer = json.loads(answer)
+            answer = parsed(answer)
         except ValueError:
             try:
                 answer = ast.literal_eval(answer)
@@ -167,7 +168,7 @@ def _image(folder: Path, image_id: str) -> Path | None:
     if image_id:
         choices += [above / image_id for above in (folder, *folder.parents[:3])]
         choices += [above / PurePosixPath(image_id).parent.name / "rgb.png" for above in (folder, *folder.parents[:2])]
-    return next((path for path in choices if path.is_file()), None)
+    return next((path for path in choices if os.path.isfile(path)), None)  # False for names that no file can have
 
 
 def _tables(data: Path, suffix: str) -> Iterator[Scene]:
@@ -199,6 +200,6 @@ def _tables(data: Path, suffix: str) -> Iterator[Scene]:
 
 def _json(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        return parsed(path.read_bytes().decode("utf-8-sig"))
     except (OSError, ValueError) as error:
         raise FormatError(f"{path} cannot be read as JSON ({error})") from None
