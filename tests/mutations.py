@@ -14,9 +14,10 @@ from eagor.errors import EagorError
 
 # Values that a careless writer puts where another was wanted. The tagged texts become what json.dumps cannot write.
 ODD = [
-    None, True, False, 0, 1, -1, 0.5, 2.5, -0.0, 1e-300, 1e6, 1e12, 1e300, -1e300, 10**30, -(10**400), math.nan, math.inf,
-    -math.inf, "", " ", "0", "12", "nan", "x", "../x", "a\0b", "\ud800", "\u2028", "\N{GREEK SMALL LETTER ALPHA}", [], {},
-    [[]], [None], ["1", "2"], [1], [1, 2], [2, 1], [1, 2, 3], [1, 2, 3, 4], [[1, 2], [3, 4]], {"a": 1}, "\x01digits",
+    None, True, False, 0, 1, -1, 0.5, 2.5, -0.0, 1e-300, 1e6, 1e12, 1e300, -1e300, 10**30, -(10**400), math.nan,
+    math.inf, -math.inf, "", " ", "0", "12", "nan", "x", "../x", "a\0b", "\ud800", "\u2028", "\u03b1",
+    [], {}, [[]], [None], ["1", "2"], [1], [1, 2], [2, 1], [1, 2, 3], [1, 2, 3, 4], [[1, 2], [3, 4]], {"a": 1},
+    "\x01digits",
     "\x01large", "\x01deep", "\x01deeper", "\x01long",
 ]  # fmt: skip
 TAGGED = {
@@ -26,8 +27,9 @@ TAGGED = {
     '"\\u0001deeper"': "[" * 3000 + "]" * 3000,
     '"\\u0001long"': '"' + "long " * 400 + '"',
 }
-BITS = [b"", b"\0", b"\xff", b"\xfe\xff", b"\xef\xbb\xbf", b"\n", b"\r", b"\r\n", b",", b'"', b"'", b"{", b"}", b"[", b"]",
-        b"nan", b"1e999", b"-", b"#", b"\xc3", "\u2028".encode(), b"\x1a", b" " * 50, b"9" * 5000, b"[" * 3000]  # fmt: skip
+BITS = [b"", b"\0", b"\xff", b"\xfe\xff", b"\xef\xbb\xbf", b"\n", b"\r", b"\r\n", b",", b'"', b"'", b"{", b"}",
+        b"[", b"]", b"nan", b"1e999", b"-", b"#", b"\xc3", "\u2028".encode(), b"\x1a", b" " * 50,
+        b"9" * 5000, b"[" * 3000]  # fmt: skip
 
 
 def places(tree, path=()):

@@ -1,4 +1,4 @@
-"""Readers of pictures and of worlds: a right value, or an error with a name; no room is made for what is only claimed."""
+"""Readers of pictures and of worlds: a right value, or an error with a name; no room for what is only claimed."""
 
 import gzip
 import io
@@ -26,7 +26,7 @@ from eagor.worlds.scene import Instance, Material, Scene
 
 PIXELS = painted_room(16, 32)
 MODES = {
-    "PNG": ["RGB", "L", "1", "P", "RGBA", "LA", "I;16", "I"],
+    "PNG": ["RGB", "L", "1", "P", "RGBA", "LA", "I;16"],
     "JPEG": ["RGB", "L", "CMYK", "YCbCr"],
     "TIFF": ["RGB", "L", "1", "P", "RGBA", "LA", "CMYK", "I;16", "F", "LAB"],
     "WEBP": ["RGB", "RGBA"],

@@ -1,4 +1,4 @@
-"""Readers of text: whatever a file holds, a right value or an error that names the file, and the line where it has lines."""
+"""Readers of text: whatever a file holds, a right value, or an error that names the file, and the line if any."""
 
 import json
 import math

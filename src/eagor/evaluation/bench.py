@@ -47,6 +47,7 @@ class Run:
         import numpy as np
 
         from eagor.worlds.apartment import VERSION
+        from eagor.worlds.glb import import_glb
 
         if self.task not in RULES:
             raise EagorError(f"there is no task {self.task!r}; known are {', '.join(RULES)}")
@@ -55,6 +56,8 @@ class Run:
                 make_method(name, np.random.default_rng(0))  # complains about unknown ones
         if len(set(self.methods)) != len(self.methods) or not self.methods:
             raise EagorError(f"methods {list(self.methods)}; wanted at least one, each once")
+        if self.world != APARTMENT:
+            import_glb(Path(self.world))  # complains about one that cannot be read
         parts = {"rules": RULES[self.task](), "camera": Camera(), "disturbances": self.disturbances}
         values = {name: as_dict(part) for name, part in parts.items()}
         for key, value in self.settings.items():

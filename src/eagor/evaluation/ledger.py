@@ -7,14 +7,16 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from eagor._json import parsed
-from eagor.errors import EagorError, FormatError
+from eagor.errors import EagorError, FormatError, StorageError
 from eagor.evaluation.lines import as_line
 
 try:
@@ -24,10 +26,6 @@ except ImportError:  # not a POSIX system: there is no lock, so numbers are only
 
 RUN = "run.json"
 WORKER = "worker-{}.jsonl"
-
-
-class StorageError(EagorError):
-    """The disk does not take what a run has to keep; what was kept before is whole."""
 
 
 class Ledger:
@@ -59,8 +57,9 @@ class Ledger:
                 raise
         except OSError as error:
             raise StorageError(
-                f"could not keep the record {record.get('key')!r} in {path}: {error.strerror or error}; everything "
-                "recorded before it is safe. Make room, then start the same run again: it goes on where it stopped"
+                f"could not keep the record {record.get('key')!r} ({len(line)} bytes) in {path}: "
+                f"{error.strerror or error}; everything recorded before it is safe. Make room, then start the same run "
+                "again: it goes on where it stopped"
             ) from error
 
     def open(self) -> Path:
@@ -78,7 +77,8 @@ class Ledger:
                 raise
         except OSError as error:
             raise StorageError(
-                f"cannot write in {self._folder}: {error.strerror or error}; make room there, or choose another folder"
+                f"cannot write in {self._folder}: {error.strerror or error}; everything recorded there is safe. Make "
+                "room there and let it be written to, then start the same run again; or choose another folder"
             ) from error
         return self.path
 
@@ -101,7 +101,7 @@ def begin(folder: Path, config: Mapping[str, Any]) -> None:
     `config` is anything that JSON can hold: task, seed, episodes, methods, versions, ...
 
     Raises:
-        EagorError: the folder holds a run with another description; the text lists what differs.
+        EagorError: the folder holds a run with another description (the text lists what differs), or can be none.
         FormatError: its ``run.json`` is no JSON object.
         StorageError: it cannot be written.
     """
@@ -119,6 +119,11 @@ def begin(folder: Path, config: Mapping[str, Any]) -> None:
     temporary = path.with_name(f"{RUN}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+            raise StorageError(f"could not make {folder}: {error.strerror}; choose another folder") from error
+        raise EagorError(f"{folder} cannot be made a folder ({error.strerror or error}); choose another") from error
+    try:
         file = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
         try:
             _write(file, (json.dumps(wanted, indent=1, ensure_ascii=False) + "\n").encode())
@@ -128,7 +133,8 @@ def begin(folder: Path, config: Mapping[str, Any]) -> None:
         os.replace(temporary, path)
         _keep_name(path.parent)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink()
         raise StorageError(f"could not write {path}: {error.strerror or error}; choose another folder") from error
 
 

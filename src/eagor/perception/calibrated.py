@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from eagor._files import written
 from eagor._json import number, parsed, shown
 from eagor.errors import EagorError
 from eagor.estimate import TrackerConfig
@@ -40,11 +41,8 @@ class Calibrated:
         return {"perception": self.perception, **parts}
 
     def write(self, file: Path) -> None:
-        """Store it as JSON. Raises `OSError` if the disk does not take it."""
-        part = file.with_name(file.name + ".part")
-        file.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(json.dumps(self.as_json(), indent=1) + "\n", encoding="utf-8")
-        part.replace(file)
+        """Store it as JSON. Raises `StorageError` if the disk does not take it."""
+        written(file, json.dumps(self.as_json(), indent=1) + "\n")
 
 
 def calibration_of(values: Mapping[str, float]) -> Calibration:

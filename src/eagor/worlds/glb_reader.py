@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from eagor.conventions import from_gltf
 from eagor._json import number, parsed, shown
+from eagor.conventions import from_gltf
 from eagor.errors import WorldError
 from eagor.worlds.gltf import FORMAT, from_pbr, name_from_nodes
 from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
-
 
 _MOST_ZEROS = 10_000_000  # entries of an accessor without data, which glTF has for zeros
 
@@ -42,8 +41,8 @@ def import_glb(path: Path | str) -> Scene:
             if isinstance(error, WorldError):
                 raise WorldError(f"{companion}: {error}") from error
             raise WorldError(
-                f"{companion} cannot be read ({type(error).__name__}: {error}); wanted what export_glb writes; export "
-                "again, or remove it to import the GLB by itself"
+                f"{companion} cannot be read ({type(error).__name__}: {str(error)[:300]}); wanted what export_glb writes; "
+                "export again, or remove it to import the GLB by itself"
             ) from error
     corners = [part.vertices[part.triangles].reshape(-1, 3) for part in parts]
     instances = [
@@ -106,7 +105,8 @@ def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
         if isinstance(error, WorldError):
             raise WorldError(f"{path}: {error}") from error
         raise WorldError(
-            f"{path} cannot be read as glTF 2.0 ({type(error).__name__}: {error}); is it complete? Export it again"
+            f"{path} cannot be read as glTF 2.0 ({type(error).__name__}: {str(error)[:300]}); is it complete? "
+            "Export it again"
         ) from error
     if not parts:
         raise WorldError(f"{path} holds no triangles; wanted a GLB with at least one mesh")

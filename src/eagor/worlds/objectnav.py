@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._json import parsed
+from eagor._json import parsed, shown
 from eagor.errors import EagorError, WorldError
 from eagor.worlds.ground import Ground
 from eagor.worlds.objectnav_json import (
@@ -206,7 +206,7 @@ def _scene_from_json(path: Path, content: dict[str, Any]) -> SceneEpisodes:
         goals: dict[str, tuple[Goal, ...]] = {}
         by_key: dict[str, str] = {}
         for key, entries in content.get("goals_by_category", {}).items():
-            where = f"{path}, goals {key!r}"
+            where = f"{path}, goals {shown(key)}"
             read = tuple(goal_from_json(entry) for entry in entries)
             if read:
                 goals[read[0].category] = goals.get(read[0].category, ()) + read
@@ -220,5 +220,5 @@ def _scene_from_json(path: Path, content: dict[str, Any]) -> SceneEpisodes:
     except KeyError as error:
         raise WorldError(f"{where} lacks the key {error}; wanted the layout of HM3D ObjectNav v1 or v2") from error
     except (EagorError, TypeError, ValueError, OverflowError, AttributeError) as error:
-        raise WorldError(f"{where}: {error}; wanted the layout of HM3D ObjectNav v1 or v2") from error
+        raise WorldError(f"{where}: {str(error)[:300]}; wanted the layout of HM3D ObjectNav v1 or v2") from error
     return SceneEpisodes(tuple(episodes), goals)

@@ -16,7 +16,6 @@ from eagor.errors import ImageError
 from eagor.grids import ErpGrid, Grid
 from eagor.sphere import check_rotation
 
-
 _SMALL = 1 << 23  # pixels: 4096 x 2048
 _DENSEST = 5000  # pixels per byte
 

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from eagor._files import written
 from eagor._json import number, parsed, whole
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid
@@ -55,11 +56,8 @@ class Heads:
         return tuple(sorted({layer for layer, _ in self.heads}))
 
     def write(self, file: Path) -> None:
-        """Store it as JSON. Raises `OSError` if the disk does not take it."""
-        part = file.with_name(file.name + ".part")
-        file.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
-        part.replace(file)
+        """Store it as JSON. Raises `StorageError` if the disk does not take it."""
+        written(file, json.dumps(asdict(self), indent=1) + "\n")
 
 
 def read_heads(file: str | Path) -> Heads:

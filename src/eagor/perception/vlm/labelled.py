@@ -47,12 +47,12 @@ def labelled_lines(file: Path) -> list[tuple[int, dict[str, Any]]]:
     except (OSError, ValueError) as error:
         raise FormatError(f"{file} cannot be read ({error}); give the path of a JSONL file of labels") from error
     found = []
-    for number, line in enumerate(text.split("\n"), start=1):
+    for row, line in enumerate(text.split("\n"), start=1):
         if line.strip():
             try:
-                found.append((number, _checked(_entry(line))))
+                found.append((row, _checked(_entry(line))))
             except (ValueError, TypeError, KeyError) as error:
-                raise FormatError(f"{file}, line {number}: {_reason(error)}") from error
+                raise FormatError(f"{file}, line {row}: {_reason(error)}") from error
     if not found:
         raise FormatError(f"{file} holds no labels; wanted one JSON object per line")
     return found
@@ -65,7 +65,7 @@ def read_labelled(file: Path, read: Callable[[Path], np.ndarray]) -> Iterator[La
     `FormatError` for the file, and what `read` raises.
     """
     last: tuple[Path, np.ndarray] | None = None
-    for number, entry in labelled_lines(file):
+    for row, entry in labelled_lines(file):
         path = Path(file).parent / entry["image"]
         if last is None or last[0] != path:
             last = path, read(path)
@@ -75,7 +75,7 @@ def read_labelled(file: Path, read: Callable[[Path], np.ndarray]) -> Iterator[La
             try:
                 centre, _ = moments(np.array(entry["box"], dtype=float), grid)
             except ResponseError as error:
-                raise FormatError(f"{file}, line {number}: {error}") from error
+                raise FormatError(f"{file}, line {row}: {error}") from error
             yield Labelled(panorama, entry["query"], centre, _radius(entry["box"], grid))
         else:
             azimuth, elevation, radius = (

@@ -297,7 +297,7 @@ def _in_archive(archive: Path) -> list[tuple[str, Panorama, Any]]:
     try:
         with zipfile.ZipFile(archive) as file:
             names = sorted(name for name in file.namelist() if not name.startswith("__MACOSX"))
-    except (zipfile.BadZipFile, OSError) as error:
+    except Exception as error:  # zipfile raises whatever the damage leads it to
         raise FormatError(f"{archive} is no zip archive that can be read ({error}); fetch it again") from error
     found = []
     for name in names:
