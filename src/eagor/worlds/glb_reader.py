@@ -41,8 +41,8 @@ def import_glb(path: Path | str) -> Scene:
             if isinstance(error, WorldError):
                 raise WorldError(f"{companion}: {error}") from error
             raise WorldError(
-                f"{companion} cannot be read ({type(error).__name__}: {str(error)[:300]}); wanted what export_glb writes; "
-                "export again, or remove it to import the GLB by itself"
+                f"{companion} cannot be read ({type(error).__name__}: {str(error)[:200]}); wanted what export_glb "
+                "writes; export again, or remove it to import the GLB by itself"
             ) from error
     corners = [part.vertices[part.triangles].reshape(-1, 3) for part in parts]
     instances = [
