@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,6 @@ class Run:
         import numpy as np
 
         from eagor.worlds.apartment import VERSION
-        from eagor.worlds.glb import import_glb
 
         if self.task not in RULES:
             raise EagorError(f"there is no task {self.task!r}; known are {', '.join(RULES)}")
@@ -57,7 +57,7 @@ class Run:
         if len(set(self.methods)) != len(self.methods) or not self.methods:
             raise EagorError(f"methods {list(self.methods)}; wanted at least one, each once")
         if self.world != APARTMENT:
-            import_glb(Path(self.world))  # complains about one that cannot be read
+            _read_world(self.world)  # complains about one that cannot be read
         parts = {"rules": RULES[self.task](), "camera": Camera(), "disturbances": self.disturbances}
         values = {name: as_dict(part) for name, part in parts.items()}
         for key, value in self.settings.items():
@@ -120,6 +120,14 @@ def start(
         return run_units(units, WORK, config, folder, workers, 2, on_done, retry_failed, engine=engine, address=address)
     finally:
         release()
+
+
+@lru_cache(maxsize=1)
+def _read_world(world: str) -> None:
+    """Read a GLB file once, so that one that cannot be read is no failure of every episode. Raises `WorldError`."""
+    from eagor.worlds.glb import import_glb
+
+    import_glb(Path(world))
 
 
 def variants(task: str) -> tuple[str, ...]:

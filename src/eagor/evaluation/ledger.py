@@ -11,10 +11,10 @@ import errno
 import json
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from eagor._files import written
 from eagor._json import parsed
 from eagor.errors import EagorError, FormatError, StorageError
 from eagor.evaluation.lines import as_line
@@ -116,25 +116,16 @@ def begin(folder: Path, config: Mapping[str, Any]) -> None:
                 f"{folder} holds another run: {shown}. Ask for what it holds to go on with it, or choose another folder"
             )
         return
-    temporary = path.with_name(f"{RUN}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
             raise StorageError(f"could not make {folder}: {error.strerror}; choose another folder") from error
         raise EagorError(f"{folder} cannot be made a folder ({error.strerror or error}); choose another") from error
+    written(path, json.dumps(wanted, indent=1, ensure_ascii=False) + "\n")
     try:
-        file = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
-        try:
-            _write(file, (json.dumps(wanted, indent=1, ensure_ascii=False) + "\n").encode())
-            os.fsync(file)
-        finally:
-            os.close(file)
-        os.replace(temporary, path)
         _keep_name(path.parent)
     except OSError as error:
-        with suppress(OSError):
-            temporary.unlink()
         raise StorageError(f"could not write {path}: {error.strerror or error}; choose another folder") from error
 
 
