@@ -55,3 +55,11 @@ class AnswerError(EagorError):
 
 class ServerError(EagorError):
     """A server that a model runs on cannot be reached, or refuses what is asked of it."""
+
+
+class StorageError(EagorError):
+    """The disk does not take what has to be kept; what was kept before is whole."""
+
+
+class WorkError(EagorError):
+    """The work of a run cannot be begun: it cannot be imported, or cannot be set up from its settings."""

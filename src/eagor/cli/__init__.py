@@ -20,6 +20,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 
 # Our matrices are small: threads inside the matrix library cost far more than they bring (the demo takes several times
@@ -31,19 +32,21 @@ if not sys.stderr.isatty():  # read by transformers: where nobody watches, no ba
 
 from eagor._version import __version__
 from eagor.cli import terminal
-from eagor.errors import AnswerError, EagorError, ServerError
+from eagor.errors import AnswerError, EagorError, ServerError, StorageError, WorkError
 
 DESCRIPTION = """In which direction is the thing I asked for, and how sure are we, while the camera turns and moves?
 
 Azimuth is positive to the LEFT, elevation positive up, both in degrees; the middle of a panorama is forward."""
 
-_NO_FAULT_OF_THE_INPUT = (terminal.RunError, ServerError, AnswerError)
+_NO_FAULT_OF_THE_INPUT = (terminal.RunError, ServerError, AnswerError, StorageError, WorkError)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command in `argv` (default: the process's own) and return its exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments or bool(os.environ.get("EAGOR_DEBUG"))
+    with suppress(AttributeError):  # names of files, and queries, may hold bytes that are no text
+        sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
         with terminal.warnings_as_lines():
             code = _run(arguments)

@@ -65,7 +65,10 @@ def run(options: BenchRun) -> int:
     out = options.out or Path("runs") / f"{options.task}-{short_name(perception)}-{seed}"
     if options.workers < 1:
         raise terminal.UsageError(f"--workers {options.workers}; wanted 1 or more")
+    if options.rows is not None and options.rows < 8:
+        raise terminal.UsageError(f"--rows {options.rows}; wanted 8 or more")
     units = wanted.units()
+    wanted.config()  # what cannot be is told before anything is said to go on
     terminal.log(f"{options.episodes} episodes, {len(methods)} methods; records go to {out}")
     with terminal.progress(f"{options.task}", len(units)) as advance:
 
@@ -96,10 +99,7 @@ def report(options: BenchReport) -> int:
     folder = next(iter(options.folders))
     if len(options.folders) > 1 or options.out:
         raise terminal.UsageError("a run of a simulated task is reported alone, into its own folder")
-    try:
-        page = write_report(folder)
-    except OSError as error:
-        raise terminal.RunError(f"the report cannot be written into {folder} ({error})") from error
+    page = write_report(folder)
     if options.json:
         terminal.emit({"report": str(page)})
     else:

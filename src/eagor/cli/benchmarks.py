@@ -89,17 +89,18 @@ def info(options: BenchInfo) -> int:
     from eagor.tasks import benchmark
 
     found: dict[str, dict[str, Any]] = {}
-    refused = []
+    refused: dict[str, list[str]] = {}
     for name in [options.task] if options.task else sorted(benchmark.known()):
         try:
             told = benchmark.load(name).info(options.data)
         except EagorError as error:
-            refused.append(f"as {name}: {error}")
+            refused.setdefault(str(error), []).append(name)
             continue
         if told not in found.values():
             found[name] = told
     if not found:
-        raise FormatError(f"{options.data} is no benchmark's data that is known here; " + "; ".join(refused))
+        reasons = "; ".join(f"as {', '.join(names)}: {why}" for why, names in refused.items())
+        raise FormatError(f"{options.data} is no benchmark's data that is known here; " + reasons)
     if options.json:
         terminal.emit(found)
         return terminal.OK
@@ -180,10 +181,7 @@ def report(options: BenchReport) -> int:
     """``eagor bench report`` of benchmarks' runs."""
     from eagor.evaluation.benchmark_report import write_report
 
-    try:
-        page = write_report(options.folders, options.out)
-    except OSError as error:
-        raise terminal.RunError(f"the report cannot be written ({error})") from error
+    page = write_report(options.folders, options.out)
     if options.json:
         terminal.emit({"report": str(page)})
     else:
@@ -232,6 +230,8 @@ def failures(options: BenchFailures) -> int:
     from eagor.evaluation import benchmark_sheets, benchmarks, scores
     from eagor.evaluation.benchmark_report import failure_sheets
 
+    if options.limit < 0:
+        raise terminal.UsageError(f"--limit {options.limit}; wanted 0 or more")
     settings, records = benchmarks.read_run(options.run)
     summary = scores.summarise(settings, records)
     lines = benchmark_sheets.failed_lines(records)

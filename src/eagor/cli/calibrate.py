@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eagor.cli import terminal
+from eagor.cli.looking import checked_out
 from eagor.cli.options import Calibrate
 from eagor.errors import EagorError
 
@@ -33,7 +34,7 @@ def responses(options: Calibrate) -> int:
         raise terminal.UsageError(
             f"--workers {options.workers} --trials {options.trials} --episodes {options.episodes}; wanted 1 or more"
         )
-    out = options.out or Path(f"calibration-{short_name(options.perception)}.json")
+    out = checked_out(options.out or Path(f"calibration-{short_name(options.perception)}.json"))
     with terminal.progress("looking", options.episodes) as advance:
         recordings = record_episodes(
             options.perception, options.episodes, options.seed, options.rows, advance, terminal.warning
@@ -74,7 +75,7 @@ def heads(options: Calibrate) -> int:
         examples = apartment_labels(count, options.seed, options.rows or rows_of(perception))
     else:
         examples = read_labelled(options.labels, read_panorama)
-    out = options.out or Path(f"heads-{short_name(options.perception)}.json")
+    out = checked_out(options.out or Path(f"heads-{short_name(options.perception)}.json"))
     with terminal.progress("looking", count) as advance:
         try:
             found = perception.find_heads(_counted(examples, advance), options.take)

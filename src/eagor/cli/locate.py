@@ -15,6 +15,7 @@ from eagor.cli.looking import (
     checked_picture,
     checked_query,
     first_stamp,
+    keep_picture,
     look,
     make_perception,
     read_frame,
@@ -112,7 +113,4 @@ def _draw(
 
     title = f"“{options.query}”: {in_words(estimate.azimuth, estimate.elevation)} ({estimate.status})"
     picture = draw_belief(panorama, belief, estimate, modes=modes, title=title)
-    try:
-        picture.save(path)
-    except OSError as error:
-        raise terminal.RunError(f"the picture cannot be written to {path} ({error})") from error
+    keep_picture(picture, path)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import io
+import os
 import re
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
+from eagor._files import written
 from eagor.cli.terminal import UsageError
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
 from eagor.estimate import TrackerConfig
@@ -43,6 +47,21 @@ def checked_picture(path: Path) -> Path:
     if not path.absolute().parent.is_dir():
         raise UsageError(f"--picture {path}: there is no folder {path.absolute().parent}; make it first")
     return path
+
+
+def checked_out(path: Path) -> Path:
+    """`path` of a file to be written after long work, once it is likely that it can be."""
+    folder = next(place for place in path.absolute().parents if place.exists())
+    if path.is_dir() or not folder.is_dir() or not os.access(path if path.exists() else folder, os.W_OK):
+        raise UsageError(f"--out {path} cannot be written; name a file in a folder that can be written to")
+    return path
+
+
+def keep_picture(picture: Image.Image, path: Path) -> None:
+    """Write a picture in the format of its name, whole or not at all. Raises `StorageError`."""
+    buffer = io.BytesIO()
+    picture.save(buffer, Image.registered_extensions()[path.suffix.lower()])
+    written(path, buffer.getvalue())
 
 
 def make_perception(spec: str) -> Perception:

@@ -143,7 +143,7 @@ def _check_header(names: Sequence[str]) -> None:
             raise FormatError(f"has {', '.join(found)} but not {', '.join(n for n in group if n not in found)}")
     if "stamp" not in names or bool(groups[QUATERNION]) == bool(groups[ANGLES]):
         hint = " (fields must be separated by commas)" if len(names) == 1 else ""
-        raise FormatError(f"the columns are {', '.join(names)}{hint}; wanted {HEADERS}")
+        raise FormatError(f"the columns are {_cut(', '.join(names))}{hint}; wanted {HEADERS}")
 
 
 def _pose(names: Sequence[str], fields: Sequence[str]) -> Pose:
@@ -170,12 +170,16 @@ def _from_quaternion(wxyz: Sequence[float]) -> np.ndarray:
 
 def _number(row: dict[str, str], name: str) -> float:
     try:
-        value = float(row[name])
+        value = float("x" if "_" in row[name] else row[name])  # Python would take 1_0 for 10
     except ValueError:
-        raise FormatError(f"{name} is {row[name]!r}; wanted a number") from None
+        raise FormatError(f"{name} is {_cut(repr(row[name]))}; wanted a number") from None
     if not math.isfinite(value):
-        raise FormatError(f"{name} is {row[name]}; wanted a finite number. Leave out lines without a known pose")
+        raise FormatError(f"{name} is {_cut(row[name])}; wanted a finite number. Leave out lines without a known pose")
     return value
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= 200 else text[:197] + "..."
 
 
 def _some(names: Sequence[str]) -> str:

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eagor._files import written
 from eagor._version import __version__
 from eagor.cli.demo import OURS, PICTURE_ROWS, PUBLISHED, Search, summary
+from eagor.cli.looking import keep_picture
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import draw_errors, draw_map, draw_strip
 from eagor.sphere import direction
@@ -34,14 +36,12 @@ tr.ours{background:#e8f6f8}.note{color:#5b6472;font-size:.92em}
 
 
 def write_report(search: Search, folder: Path) -> Path:
-    """Draw the pictures into `folder` and write report.html there; returns its path. Raises OSError."""
+    """Draw the pictures into `folder` and write report.html there; returns its path. Raises `StorageError`."""
     place = load_place(search.slot.world, search.slot.seed, Camera().radius)
     pictures = {"beliefs": _strip(search, place), "errors": _errors(search), "map": _map(search, place)}
     for name, picture in pictures.items():
-        picture.save(folder / f"{name}.png")
-    path = folder / "report.html"
-    path.write_text(_page(search, pictures), encoding="utf-8")
-    return path
+        keep_picture(picture, folder / f"{name}.png")
+    return written(folder / "report.html", _page(search, pictures))
 
 
 def _strip(search: Search, place: Place) -> Image:

@@ -7,15 +7,18 @@ exit code is 3. The file of ``--out`` is flushed after every line, so that nothi
 from __future__ import annotations
 
 import csv
+import io
 import json
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+from eagor._files import Lines
 from eagor.cli import terminal
 from eagor.cli.following import Result, follow
-from eagor.cli.looking import checked_query, find_frames, make_perception, tracker_config
+from eagor.cli.looking import checked_out, checked_query, find_frames, keep_picture, make_perception, tracker_config
 from eagor.cli.methods import NAMES
 from eagor.cli.options import Track
 from eagor.cli.poses import Step, pair, read_poses
@@ -39,9 +42,9 @@ def track(options: Track) -> int:
         write = stack.enter_context(_table(options.out, options.compare)) if options.out else None
         draw = _painter(options.picture, query) if options.picture else None
         advance = stack.enter_context(terminal.progress("looking", len(images), shown=options.json))
-        if not options.json:
-            print(_header(options.compare), flush=True)
         for number, result in enumerate(follow(steps, perception, query, config, options.compare)):
+            if number == 0 and not options.json:
+                print(_header(options.compare), flush=True)
             if result.problem is not None:
                 terminal.warning(f"{result.image.name} is left out: {result.problem}")
                 bad += 1
@@ -90,6 +93,8 @@ def _line(result: Result) -> str:
 def _checked_floor(floor: float | None, steps: Sequence[Step]) -> float | None:
     """The floor's height, once every pose that has a position is above it."""
     heights = [float(step.pose.position[2]) for step in steps if step.pose.position is not None]
+    if floor is not None and not math.isfinite(floor):
+        raise terminal.UsageError(f"--floor {floor:g}; wanted a height in metres")
     if floor is not None and heights and min(heights) <= floor:
         raise terminal.UsageError(
             f"--floor {floor:g}: the camera comes down to z = {min(heights):g} m; wanted below it"
@@ -99,28 +104,27 @@ def _checked_floor(floor: float | None, steps: Sequence[Step]) -> float | None:
 
 @contextmanager
 def _table(path: Path, compare: bool) -> Iterator[Callable[[Result], None]]:
-    """The file of ``--out``; what this yields writes one line and flushes it."""
+    """The file of ``--out``; what this yields writes one line and flushes it. The first line makes the file."""
     if path.suffix.lower() not in (".csv", ".jsonl"):
         raise terminal.UsageError(f"--out {path}: wanted a file name that ends in .csv or .jsonl")
-    try:
-        file = path.open("w", encoding="utf-8", newline="")
-    except OSError as error:
-        raise terminal.UsageError(f"--out {path} cannot be written ({error})") from error
-    with file:
-        if path.suffix.lower() == ".jsonl":
-            yield lambda result: print(json.dumps(result.as_json()), file=file, flush=True)
-            return
-        extra = [f"{name.replace('-', '_')}_{angle}_deg" for name in NAMES for angle in ("azimuth", "elevation")]
-        writer = csv.writer(file)
-        writer.writerow([*COLUMNS, "modes", "problem", *(extra if compare else [])])
-        file.flush()
+    if not path.absolute().parent.is_dir():
+        raise terminal.UsageError(f"--out {path}: there is no folder {path.absolute().parent}; make it first")
+    checked_out(path)
+    extra = [f"{name.replace('-', '_')}_{angle}_deg" for name in NAMES for angle in ("azimuth", "elevation")]
+    head = [[*COLUMNS, "modes", "problem", *(extra if compare else [])]]
+    with Lines(path) as file:
 
         def write(result: Result) -> None:
             entry = result.as_json()
+            if path.suffix.lower() == ".jsonl":
+                file.add(json.dumps(entry) + "\n")
+                return
             row = [entry[name] for name in COLUMNS] + [len(entry["modes"]), entry.get("problem", "")]
             row += [angle for method in entry.get("methods", {}).values() for angle in method.values()]
-            writer.writerow(row)
-            file.flush()
+            text = io.StringIO(newline="")
+            csv.writer(text).writerows([*head, row])
+            head.clear()
+            file.add(text.getvalue())
 
         yield write
 
@@ -140,9 +144,6 @@ def _painter(folder: Path, query: str) -> Callable[[int, Result], None]:
         title = f"“{query}” at {result.stamp:.2f} s ({result.estimate.status})"
         shown = {name: result.others[name] for name in ("centroid", "eagor_paper") if name in result.others}
         picture = draw_belief(result.panorama, result.belief, result.estimate, others=shown, title=title)
-        try:
-            picture.save(folder / f"{number:04d}.png")
-        except OSError as error:
-            raise terminal.RunError(f"the picture cannot be written into {folder} ({error})") from error
+        keep_picture(picture, folder / f"{number:04d}.png")
 
     return draw

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,8 @@ class Run:
                 make_method(name, np.random.default_rng(0))  # complains about unknown ones
         if len(set(self.methods)) != len(self.methods) or not self.methods:
             raise EagorError(f"methods {list(self.methods)}; wanted at least one, each once")
+        if self.world not in worlds.known():
+            _read_world(self.world)  # complains about one that cannot be read
         parts = {"rules": task.rules(), "camera": Camera(), "disturbances": self.disturbances}
         values = {name: as_dict(part) for name, part in parts.items()}
         for key, value in self.settings.items():
@@ -129,6 +132,12 @@ def start(
         return run_units(units, WORK, config, folder, workers, 2, on_done, retry_failed, engine=engine, address=address)
     finally:
         release()
+
+
+@lru_cache(maxsize=1)
+def _read_world(world: str) -> None:
+    """Read a GLB file once, so that one that cannot be read is no failure of every episode. Raises `WorldError`."""
+    worlds.load(world)(0)
 
 
 def variants(task: str) -> tuple[str, ...]:

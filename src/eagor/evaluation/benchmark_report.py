@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from eagor._files import written
 from eagor._version import __version__
 from eagor.errors import EagorError
 from eagor.evaluation import benchmark_sheets, export, page, scores
@@ -64,10 +65,10 @@ def write_report(folders: Sequence[Path], out: Path | None = None) -> Path:
     facts = [fact for run, summary in zip(runs, summaries, strict=True) for fact in _facts(run[0], summary, run[1])]
     lead = page.paragraph(_outcome(summaries)) + page.details("What was run", page.facts(facts))
     path = out / "report.html"
-    path.write_text(page.document(title, lead, sections, f"Made by eagor {__version__}."), encoding="utf-8")
-    (out / "tables.md").write_text(export.markdown(title, facts, sheets), encoding="utf-8")
-    (out / "tables.csv").write_text(figures_csv(summaries), encoding="utf-8")
-    (out / "tables.tex").write_text(latex(sheets[0]), encoding="utf-8")
+    written(path, page.document(title, lead, sections, f"Made by eagor {__version__}."))
+    written(out / "tables.md", export.markdown(title, facts, sheets))
+    written(out / "tables.csv", figures_csv(summaries))
+    written(out / "tables.tex", latex(sheets[0]))
     return path
 
 

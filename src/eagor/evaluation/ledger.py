@@ -7,13 +7,16 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from eagor.errors import EagorError, FormatError
+from eagor._files import written
+from eagor._json import parsed
+from eagor.errors import EagorError, FormatError, StorageError
 from eagor.evaluation.lines import as_line
 
 try:
@@ -23,10 +26,6 @@ except ImportError:  # not a POSIX system: there is no lock, so numbers are only
 
 RUN = "run.json"
 WORKER = "worker-{}.jsonl"
-
-
-class StorageError(EagorError):
-    """The disk does not take what a run has to keep; what was kept before is whole."""
 
 
 class Ledger:
@@ -58,8 +57,9 @@ class Ledger:
                 raise
         except OSError as error:
             raise StorageError(
-                f"could not keep the record {record.get('key')!r} in {path}: {error.strerror or error}; everything "
-                "recorded before it is safe. Make room, then start the same run again: it goes on where it stopped"
+                f"could not keep the record {record.get('key')!r} ({len(line)} bytes) in {path}: "
+                f"{error.strerror or error}; everything recorded before it is safe. Make room, then start the same run "
+                "again: it goes on where it stopped"
             ) from error
 
     def open(self) -> Path:
@@ -77,7 +77,8 @@ class Ledger:
                 raise
         except OSError as error:
             raise StorageError(
-                f"cannot write in {self._folder}: {error.strerror or error}; make room there, or choose another folder"
+                f"cannot write in {self._folder}: {error.strerror or error}; everything recorded there is safe. Make "
+                "room there and let it be written to, then start the same run again; or choose another folder"
             ) from error
         return self.path
 
@@ -100,7 +101,7 @@ def begin(folder: Path, config: Mapping[str, Any]) -> None:
     `config` is anything that JSON can hold: task, seed, episodes, methods, versions, ...
 
     Raises:
-        EagorError: the folder holds a run with another description; the text lists what differs.
+        EagorError: the folder holds a run with another description (the text lists what differs), or can be none.
         FormatError: its ``run.json`` is no JSON object.
         StorageError: it cannot be written.
     """
@@ -115,19 +116,16 @@ def begin(folder: Path, config: Mapping[str, Any]) -> None:
                 f"{folder} holds another run: {shown}. Ask for what it holds to go on with it, or choose another folder"
             )
         return
-    temporary = path.with_name(f"{RUN}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
-        try:
-            _write(file, (json.dumps(wanted, indent=1, ensure_ascii=False) + "\n").encode())
-            os.fsync(file)
-        finally:
-            os.close(file)
-        os.replace(temporary, path)
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+            raise StorageError(f"could not make {folder}: {error.strerror}; choose another folder") from error
+        raise EagorError(f"{folder} cannot be made a folder ({error.strerror or error}); choose another") from error
+    written(path, json.dumps(wanted, indent=1, ensure_ascii=False) + "\n")
+    try:
         _keep_name(path.parent)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise StorageError(f"could not write {path}: {error.strerror or error}; choose another folder") from error
 
 
@@ -135,9 +133,11 @@ def description(folder: Path) -> dict[str, Any]:
     """What ``run.json`` says. Raises `FormatError` where there is none, or it is no JSON object."""
     path = Path(folder) / RUN
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = parsed(path.read_bytes())
     except FileNotFoundError:
         raise FormatError(f"{folder} has no {RUN}; name the folder of a run") from None
+    except OSError as error:
+        raise FormatError(f"{path} cannot be read ({error.strerror or error}); name the folder of a run") from None
     except ValueError as error:
         raise FormatError(f"{path} is no JSON ({error}); restore it, or start the run in another folder") from None
     if not isinstance(found, dict):
@@ -238,7 +238,7 @@ def _keep_name(folder: Path) -> None:
 
 def _is_json(line: bytes) -> bool:
     try:
-        json.loads(line)
+        parsed(line)
     except ValueError:
         return False
     return True
@@ -246,11 +246,11 @@ def _is_json(line: bytes) -> bool:
 
 def _record(line: bytes, path: Path, number: int) -> dict[str, Any]:
     try:
-        found = json.loads(line)
+        found = parsed(line)
     except ValueError as error:
         raise FormatError(f"{path}, line {number}: no JSON ({error}); restore the line, or delete it") from None
-    whole = isinstance(found, dict) and isinstance(found.get("key"), str) and isinstance(found.get("attempt"), int)
-    if not whole or found.get("status") not in ("ok", "failed"):
+    whole = isinstance(found, dict) and isinstance(found.get("key"), str) and type(found.get("attempt")) is int
+    if not whole or found["attempt"] < 1 or found.get("status") not in ("ok", "failed"):
         raise FormatError(
             f"{path}, line {number}: no record; wanted an object with key (text), attempt (1, 2, ...) and status "
             "('ok' or 'failed'). Restore the line, or delete it"
@@ -262,7 +262,7 @@ def _differences(found: Any, wanted: Any, place: str = "") -> Iterator[str]:
     """Where two descriptions differ, in words."""
     if isinstance(found, dict) and isinstance(wanted, dict):
         for key in dict.fromkeys([*found, *wanted]):
-            inner = f"{place}.{key}" if place else key
+            inner = f"{place}.{_cut(key)}" if place else _cut(key)
             if key not in wanted:
                 yield f"{inner} is {_short(found[key])} there and nothing was asked for"
             elif key not in found:
@@ -274,5 +274,8 @@ def _differences(found: Any, wanted: Any, place: str = "") -> Iterator[str]:
 
 
 def _short(value: Any) -> str:
-    text = json.dumps(value, ensure_ascii=False)
+    return _cut(json.dumps(value, ensure_ascii=False))
+
+
+def _cut(text: str) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."

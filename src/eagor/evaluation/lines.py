@@ -18,7 +18,8 @@ def as_line(record: Mapping[str, Any]) -> bytes:
     Raises `EagorError`, which names the place, for NaN, infinity, and what JSON does not know.
     """
     name = str(record.get("key", "record"))
-    return json.dumps(_plain(record, name), allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode() + b"\n"
+    text = json.dumps(_plain(record, name), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    return text.encode("utf-8", "backslashreplace") + b"\n"  # half a pair of surrogates is written as JSON escapes it
 
 
 def _plain(value: Any, place: str) -> Any:

@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from eagor._files import written
+from eagor._json import parsed, shown
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger
 from eagor.evaluation.benchmarks import KIND, BenchmarkRun, read_run
@@ -83,30 +85,28 @@ def samples(settings: Mapping[str, Any], records: Sequence[Record], folder: Path
     run = BenchmarkRun(str(settings["task"]), Path(str(settings["data"])))
     cases = run.benchmark.cases(run.data, settings)
     by_case = {str(record["case"]): record for record in finished(records)}
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / SAMPLES
-    with path.open("w", encoding="utf-8") as file:
-        for number, case in enumerate(cases):
-            record = by_case.get(case.id)
-            if records and record is None:
-                continue
-            text = "" if record is None or record.get("answer") is None else _text(record["answer"])
-            content = json.dumps(case.payload, sort_keys=True)
-            line = {
-                "doc_id": number,
-                "doc_hash": hashlib.sha256(content.encode()).hexdigest(),
-                "input": None if record is None else record.get("words", record.get("question")),
-                "target": None if record is None else record.get("target", record.get("truth")),
-                "resps": [[text]],
-                "filtered_resps": [text],
-                "case": case.id,
-                "cluster": case.cluster,
-            }
-            if record is not None:
-                left_out = ("key", "attempt", "status", "seconds", "case", "cluster")
-                line |= {key: value for key, value in record.items() if key not in left_out and key not in line}
-            file.write(json.dumps(line, ensure_ascii=False) + "\n")
-    return path
+    lines = []
+    for number, case in enumerate(cases):
+        record = by_case.get(case.id)
+        if records and record is None:
+            continue
+        text = "" if record is None or record.get("answer") is None else _text(record["answer"])
+        content = json.dumps(case.payload, sort_keys=True)
+        line = {
+            "doc_id": number,
+            "doc_hash": hashlib.sha256(content.encode()).hexdigest(),
+            "input": None if record is None else record.get("words", record.get("question")),
+            "target": None if record is None else record.get("target", record.get("truth")),
+            "resps": [[text]],
+            "filtered_resps": [text],
+            "case": case.id,
+            "cluster": case.cluster,
+        }
+        if record is not None:
+            left_out = ("key", "attempt", "status", "seconds", "case", "cluster")
+            line |= {key: value for key, value in record.items() if key not in left_out and key not in line}
+        lines.append(json.dumps(line, ensure_ascii=False) + "\n")
+    return written(folder / SAMPLES, "".join(lines))
 
 
 def _of_record(record: Record) -> dict[str, Any]:
@@ -119,16 +119,18 @@ def _of_record(record: Record) -> dict[str, Any]:
 
 def _lines(source: Path, ids: Sequence[str]) -> dict[str, dict[str, Any]]:
     try:
-        text = source.read_text(encoding="utf-8-sig")
+        text = source.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
         raise FormatError(f"there is no {source}; wanted a JSON lines file, or the folder of a run") from None
+    except (OSError, ValueError) as error:
+        raise FormatError(f"{source} cannot be read as text ({error}); wanted a JSON lines file") from None
     known, found = set(ids), {}
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(text.split("\n"), start=1):
         if not line.strip():
             continue
         where = f"{source}, line {number}"
         try:
-            given = json.loads(line)
+            given = parsed(line)
         except ValueError as error:
             raise FormatError(f"{where}: no JSON ({error})") from None
         if not isinstance(given, dict):
@@ -149,8 +151,8 @@ def _case(given: Mapping[str, Any], ids: Sequence[str], known: set[str], where: 
             return ids[value]
     said = {name: given[name] for name in IDS if name in given}
     raise FormatError(
-        f"{where}: names no case of this data ({said or 'none of ' + ', '.join(IDS)}); wanted an id such as "
-        f"{ids[0]!r}, or a number from 0 to {len(ids) - 1} as doc_id"
+        f"{where}: names no case of this data ({shown(said, 200) if said else 'none of ' + ', '.join(IDS)}); wanted an "
+        f"id such as {ids[0]!r}, or a number from 0 to {len(ids) - 1} as doc_id"
     )
 
 
@@ -163,7 +165,7 @@ def _prediction(given: Mapping[str, Any]) -> dict[str, Any]:
         replies = replies[-1]
     text = replies if isinstance(replies, str) else ""
     try:
-        held = json.loads(text)
+        held = parsed(text)
     except ValueError:
         held = None
     return held if isinstance(held, dict) else {"text": text}

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from eagor._files import written
 from eagor._version import __version__
 from eagor.errors import EagorError
 from eagor.evaluation import export, figures, ledger, page, scenes, sheets
@@ -70,12 +71,10 @@ def write_report(folder: Path, open_place: scenes.OpenPlace | None = None) -> Pa
     title = f"{task.title}: {summary['episodes']} episodes, {len(summary['methods'])} methods"
     facts = _facts(config, records, summary)
     path = folder / "report.html"
-    path.write_text(
-        page.document(title, _lead(config, summary, facts), sections, f"Made by eagor {__version__}."), encoding="utf-8"
-    )
+    written(path, page.document(title, _lead(config, summary, facts), sections, f"Made by eagor {__version__}."))
     tables = [sheet for sheet in (main, ordering, made_of, *strata, covered, *varied) if sheet is not None]
-    (folder / "tables.md").write_text(export.markdown(title, facts, tables), encoding="utf-8")
-    (folder / "tables.csv").write_text(export.table_csv(summary), encoding="utf-8")
+    written(folder / "tables.md", export.markdown(title, facts, tables))
+    written(folder / "tables.csv", export.table_csv(summary))
     return path
 
 

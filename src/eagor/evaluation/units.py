@@ -10,17 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from eagor.errors import EagorError
-from eagor.evaluation.ledger import Ledger, StorageError, read
+from eagor.errors import EagorError, StorageError, WorkError
+from eagor.evaluation.ledger import Ledger, read
 
 LONGEST_ERROR = 2000  # characters of an error's text that are kept
 
 Do = Callable[[Any], Mapping[str, Any]]
 Told = Callable[[dict[str, Any]], object]
-
-
-class WorkError(EagorError):
-    """The work cannot be begun: it cannot be imported, or cannot be set up from its settings."""
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from eagor._files import written
+from eagor._json import number, parsed, shown
 from eagor.errors import EagorError
 from eagor.estimate import TrackerConfig
 from eagor.evidence import Calibration
@@ -39,11 +41,8 @@ class Calibrated:
         return {"perception": self.perception, **parts}
 
     def write(self, file: Path) -> None:
-        """Store it as JSON. Raises `OSError` if the disk does not take it."""
-        part = file.with_name(file.name + ".part")
-        file.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(json.dumps(self.as_json(), indent=1) + "\n", encoding="utf-8")
-        part.replace(file)
+        """Store it as JSON. Raises `StorageError` if the disk does not take it."""
+        written(file, json.dumps(self.as_json(), indent=1) + "\n")
 
 
 def calibration_of(values: Mapping[str, float]) -> Calibration:
@@ -55,16 +54,17 @@ def from_json(stored: Any, source: str) -> Calibrated:
     """The calibration in what `as_json` gave; `source` is for errors. Raises `EagorError` for anything else."""
     try:
         reading, forgetting = (
-            {key: float(value) for key, value in stored[part].items()} for part in ("calibration", "forgetting")
+            {key: number(value) for key, value in stored[part].items()} for part in ("calibration", "forgetting")
         )
         unknown = sorted((reading.keys() - {*READING}) | (forgetting.keys() - {*FORGETTING}))
         if unknown:
-            raise EagorError(f"{source} sets {', '.join(unknown)}; known are {', '.join((*READING, *FORGETTING))}")
-        found = Calibrated(str(stored["perception"]), calibration_of(reading), forgetting, stored.get("found_by", {}))
+            raise EagorError(f"sets {shown(', '.join(unknown))}; known are {', '.join((*READING, *FORGETTING))}")
+        found_by = dict(stored.get("found_by", {}))
+        found = Calibrated(str(stored["perception"]), calibration_of(reading), forgetting, found_by)
         found.config()  # complains about numbers that are out of range
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, EagorError):
-            raise
+            raise EagorError(f"{source}: {error}") from error
         raise EagorError(
             f"{source} is no calibration ({type(error).__name__}: {error}); wanted what `eagor calibrate` writes"
         ) from error
@@ -74,7 +74,7 @@ def from_json(stored: Any, source: str) -> Calibrated:
 def read_calibrated(file: Path) -> Calibrated:
     """The calibration in a file. Raises `EagorError` if it cannot be read or is something else."""
     try:
-        stored = json.loads(Path(file).read_text(encoding="utf-8"))
+        stored = parsed(Path(file).read_bytes())
     except OSError as error:
         raise EagorError(f"the calibration {file} cannot be read ({error}); `eagor calibrate` makes one") from error
     except ValueError as error:

@@ -9,10 +9,12 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn, TextIO
+from typing import Any, TextIO
 
 import numpy as np
 
+from eagor._json import parsed
+from eagor._json import shown as _short
 from eagor.errors import EagorError, FormatError
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
@@ -90,8 +92,8 @@ def parse_record(line: str | bytes) -> Record:
     """One line as a `Record`. Raises `FormatError` that says what is wrong and what is wanted."""
     try:
         text = line.decode("utf-8") if isinstance(line, bytes) else line
-        entry = json.loads(text, parse_constant=_no_constant)
-    except (ValueError, RecursionError) as error:  # UnicodeDecodeError and JSONDecodeError are ValueErrors
+        entry = parsed(text, strict=True)
+    except ValueError as error:  # UnicodeDecodeError and JSONDecodeError are ValueErrors
         raise FormatError(f"is not JSON ({error}); wanted one JSON object") from error
     _need(isinstance(entry, dict), "the line", entry, "one JSON object")
     stamp = _number(entry, "stamp")
@@ -217,11 +219,6 @@ def _need(holds: bool, what: str, came: Any, wanted: str) -> None:
         raise FormatError(f"{what} {found}; wanted {wanted}")
 
 
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
 def _words(text: str) -> list[str]:
     """Lower-case words: runs of letters and digits of any script."""
     return re.findall(r"\w+", text.casefold())
@@ -233,10 +230,6 @@ def _is_json(line: bytes) -> bool:
     except (ValueError, RecursionError):
         return False
     return True
-
-
-def _no_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is not a JSON number")
 
 
 def _plain(value: Any) -> Any:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from eagor._json import number, parsed, shown
 from eagor.conventions import from_gltf
 from eagor.errors import WorldError
 from eagor.worlds.gltf import FORMAT, from_pbr, name_from_nodes
 from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
+
+_MOST_ZEROS = 10_000_000  # entries of an accessor without data, which glTF has for zeros
 
 
 def import_glb(path: Path | str) -> Scene:
@@ -34,13 +36,13 @@ def import_glb(path: Path | str) -> Scene:
     companion = path.with_suffix(".semantic.json")
     if companion.is_file():
         try:
-            return _annotated(path, parts, materials, json.loads(companion.read_text(encoding="utf-8")), blob)
-        except (ValueError, KeyError, TypeError, IndexError) as error:
+            return _annotated(path, parts, materials, parsed(companion.read_bytes()), blob)
+        except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
             if isinstance(error, WorldError):
-                raise
+                raise WorldError(f"{companion}: {error}") from error
             raise WorldError(
-                f"{companion} cannot be read ({type(error).__name__}: {error}); wanted what export_glb writes; export "
-                "again, or remove it to import the GLB by itself"
+                f"{companion} cannot be read ({type(error).__name__}: {str(error)[:200]}); wanted what export_glb "
+                "writes; export again, or remove it to import the GLB by itself"
             ) from error
     corners = [part.vertices[part.triangles].reshape(-1, 3) for part in parts]
     instances = [
@@ -82,11 +84,11 @@ def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
     import trimesh
 
     try:
-        if path.suffix.lower() == ".gltf":
-            model, entries = trimesh.load_scene(path), json.loads(blob).get("materials", [])
-        else:
-            model = trimesh.load_scene(io.BytesIO(blob), file_type="glb")
-            entries = json.loads(blob[20 : 20 + int.from_bytes(blob[12:16], "little")]).get("materials", [])
+        text = path.suffix.lower() == ".gltf"
+        tree = parsed(blob if text else blob[20 : 20 + int.from_bytes(blob[12:16], "little")])
+        _check_tree(tree)
+        model = trimesh.load_scene(path) if text else trimesh.load_scene(io.BytesIO(blob), file_type="glb")
+        entries = tree.get("materials", [])
         parts, materials, known = [], [], {}
         for node in model.graph.nodes_geometry:
             transform, geometry = model.graph[node]
@@ -101,13 +103,34 @@ def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
             parts.append(_part(mesh, np.asarray(transform), names, known[id(pbr)]))
     except Exception as error:  # trimesh raises whatever its parsing runs into
         if isinstance(error, WorldError):
-            raise
+            raise WorldError(f"{path}: {error}") from error
         raise WorldError(
-            f"{path} cannot be read as glTF 2.0 ({type(error).__name__}: {error}); is it complete? Export it again"
+            f"{path} cannot be read as glTF 2.0 ({type(error).__name__}: {str(error)[:300]}); is it complete? "
+            "Export it again"
         ) from error
     if not parts:
         raise WorldError(f"{path} holds no triangles; wanted a GLB with at least one mesh")
     return parts, materials
+
+
+def _check_tree(tree: Any) -> None:
+    """Raise `WorldError` for what would be walked through for ever, or made room for without being there."""
+    for index, entry in enumerate(tree.get("accessors", [])):
+        if "bufferView" not in entry and entry.get("count", 0) > _MOST_ZEROS:
+            raise WorldError(f"accessor {index} claims {entry['count']} entries and has no data; export it again")
+    nodes = tree.get("nodes", [])
+    parents = [0] * len(nodes)
+    for child in (child for node in nodes for child in node.get("children", [])):
+        parents[child] += 1
+    ready, reached = [index for index, count in enumerate(parents) if count == 0], 0
+    while ready:
+        reached += 1
+        for child in nodes[ready.pop()].get("children", []):
+            parents[child] -= 1
+            if parents[child] == 0:
+                ready.append(child)
+    if reached < len(nodes):
+        raise WorldError(f"{len(nodes) - reached} of its {len(nodes)} nodes are below themselves; export it again")
 
 
 def _lineage(model: Any, node: str) -> list[str]:
@@ -151,12 +174,18 @@ def _annotated(path: Path, parts: list[_Part], materials: list[Material], known:
     place = {entry["gltf"]: index for index, entry in enumerate(known["materials"])}
     textures = {material.name: material.texture for material in materials}
     exact = [
-        Material(entry["name"], tuple(entry["colour"]), textures.get(entry["gltf"]), entry["emission"])
+        Material(str(entry["name"]), _triple(entry["colour"]), textures.get(entry["gltf"]), number(entry["emission"]))
         for entry in known["materials"]
     ]
     looks = np.array([place[materials[part.material].name] for part in parts])
     instances = [
-        Instance(thing["category"], thing["colour"], thing["room"], np.array(thing["low"]), np.array(thing["high"]))
+        Instance(
+            str(thing["category"]),
+            _words(thing["colour"]),
+            _words(thing["room"]),
+            np.array(_triple(thing["low"])),
+            np.array(_triple(thing["high"])),
+        )
         for thing in known["instances"]
     ]
     facts = dict(known["facts"])
@@ -169,11 +198,31 @@ def _annotated(path: Path, parts: list[_Part], materials: list[Material], known:
         looks,
         instances,
         exact,
-        rooms=tuple(Room(r["name"], r["kind"], np.array(r["rectangles"], dtype=np.float64)) for r in known["rooms"]),
-        lamps=tuple(Lamp(np.array(lamp["position"]), np.array(lamp["power"])) for lamp in known["lamps"]),
-        daylight=tuple(known["daylight"]),
+        rooms=tuple(Room(str(r["name"]), str(r["kind"]), _rectangles(r["rectangles"])) for r in known["rooms"]),
+        lamps=tuple(
+            Lamp(np.array(_triple(lamp["position"])), np.array(_triple(lamp["power"]))) for lamp in known["lamps"]
+        ),
+        daylight=_triple(known["daylight"]),
         facts=facts,
     )
+
+
+def _triple(values: Any) -> tuple[float, float, float]:
+    a, b, c = (number(value) for value in values)
+    return a, b, c
+
+
+def _rectangles(values: Any) -> np.ndarray:
+    sides = [[number(side) for side in rectangle] for rectangle in values]
+    if any(len(rectangle) != 4 for rectangle in sides):
+        raise ValueError(f"{shown(values)} where rectangles [x0, y0, x1, y1] were wanted")
+    return np.array(sides).reshape(-1, 4)
+
+
+def _words(value: Any) -> str | None:
+    if not (value is None or isinstance(value, str)):
+        raise ValueError(f"{shown(value)} where words were wanted")
+    return value
 
 
 def _joined(

@@ -17,10 +17,11 @@ import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
+from eagor._json import parsed, shown
 from eagor.errors import EagorError, WorldError
 from eagor.worlds.ground import Ground
 from eagor.worlds.objectnav_json import (
@@ -186,11 +187,8 @@ def read_episodes(
 
 
 def _read(path: Path) -> dict[str, Any]:
-    def refuse(word: str) -> NoReturn:
-        raise ValueError(f"{word} is no number")
-
     try:
-        content = json.loads(gzip.decompress(path.read_bytes()), parse_constant=refuse)
+        content = parsed(gzip.decompress(path.read_bytes()), strict=True)
     except OSError as error:  # also what gzip raises where there is no gzip
         raise WorldError(f"{path} cannot be read: {error}; wanted gzipped JSON") from error
     except (EOFError, zlib.error) as error:
@@ -208,7 +206,7 @@ def _scene_from_json(path: Path, content: dict[str, Any]) -> SceneEpisodes:
         goals: dict[str, tuple[Goal, ...]] = {}
         by_key: dict[str, str] = {}
         for key, entries in content.get("goals_by_category", {}).items():
-            where = f"{path}, goals {key!r}"
+            where = f"{path}, goals {shown(key)}"
             read = tuple(goal_from_json(entry) for entry in entries)
             if read:
                 goals[read[0].category] = goals.get(read[0].category, ()) + read
@@ -221,6 +219,6 @@ def _scene_from_json(path: Path, content: dict[str, Any]) -> SceneEpisodes:
                 raise WorldError("its category has no goals")
     except KeyError as error:
         raise WorldError(f"{where} lacks the key {error}; wanted the layout of HM3D ObjectNav v1 or v2") from error
-    except (EagorError, TypeError, ValueError, AttributeError) as error:
-        raise WorldError(f"{where}: {error}; wanted the layout of HM3D ObjectNav v1 or v2") from error
+    except (EagorError, TypeError, ValueError, OverflowError, AttributeError) as error:
+        raise WorldError(f"{where}: {str(error)[:300]}; wanted the layout of HM3D ObjectNav v1 or v2") from error
     return SceneEpisodes(tuple(episodes), goals)

@@ -46,13 +46,12 @@ def floor_height(corners: np.ndarray, level: np.ndarray, upward: np.ndarray, are
     if not chosen.any():
         return 0.0
     heights, areas = corners[chosen][:, :, 2].mean(axis=1), area[chosen]
-    bins = np.round(heights / 0.05).astype(np.int64)
-    first = int(bins.min())
-    total = np.bincount(bins - first, weights=areas)
-    large = np.flatnonzero(total >= 0.5 * total.max()) + first
+    levels, bins = np.unique(np.round(heights / 0.05), return_inverse=True)
+    total = np.bincount(bins, weights=areas)
+    large = levels[total >= 0.5 * total.max()]
     if 0 in large:
         return 0.0
-    within = bins == large[0]
+    within = levels[bins] == large[0]
     return float(np.average(heights[within], weights=areas[within]))
 
 

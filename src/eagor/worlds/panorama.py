@@ -16,6 +16,9 @@ from eagor.errors import ImageError
 from eagor.grids import ErpGrid, Grid
 from eagor.sphere import check_rotation
 
+_SMALL = 1 << 23  # pixels: 4096 x 2048
+_DENSEST = 5000  # pixels per byte
+
 
 def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
     """The image file at `path` as ``(H, W, 3)`` uint8.
@@ -33,6 +36,7 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
         raise ImageError(f"{name!r} is empty (0 bytes); an interrupted copy or download? Fetch the image again")
     try:
         with Image.open(name) as file:
+            check_claim(file, os.path.getsize(name))
             file.load()
             image = as_rgb(file)
     except ImageError as error:
@@ -51,6 +55,16 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
             stacklevel=2,
         )
     return image
+
+
+def check_claim(image: Image.Image, size: int) -> None:
+    """Raise `ImageError` if a file of `size` bytes claims more pixels than it can hold, before they are made room for.
+
+    No coder packs a picture that shows anything so densely; small pictures may be as empty as they like.
+    """
+    width, height = image.size
+    if width * height > _SMALL and width * height > _DENSEST * size:
+        raise ImageError(f"claims {width} x {height} pixels in {size} bytes; it is corrupt, or a picture of nothing")
 
 
 def as_rgb(image: Image.Image) -> np.ndarray:

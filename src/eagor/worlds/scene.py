@@ -142,7 +142,7 @@ class Scene:
         for array in (self.vertices, self.triangles, self.instance, self.material, self.uv):
             digest.update(np.ascontiguousarray(array).tobytes())
         for thing in self.instances:
-            digest.update(f"{thing.category}|{thing.colour}|{thing.room};".encode())
+            digest.update(f"{thing.category}|{thing.colour}|{thing.room};".encode("utf-8", "surrogatepass"))
         for material in self.materials:
             digest.update(f"{material.colour}|{material.emission};".encode())
             if material.texture is not None:

@@ -18,6 +18,8 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from eagor._files import written
+from eagor._json import number, parsed, whole
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid
 from eagor.perception.transformers.attention import blurred, densities
@@ -54,20 +56,17 @@ class Heads:
         return tuple(sorted({layer for layer, _ in self.heads}))
 
     def write(self, file: Path) -> None:
-        """Store it as JSON. Raises `OSError` if the disk does not take it."""
-        part = file.with_name(file.name + ".part")
-        file.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
-        part.replace(file)
+        """Store it as JSON. Raises `StorageError` if the disk does not take it."""
+        written(file, json.dumps(asdict(self), indent=1) + "\n")
 
 
 def read_heads(file: str | Path) -> Heads:
     """The heads in a file. Raises `EagorError` if it cannot be read or is something else."""
     try:
-        stored = json.loads(Path(file).read_text(encoding="utf-8"))
-        heads = tuple((int(layer), int(head)) for layer, head in stored["heads"])
+        stored = parsed(Path(file).read_bytes())
+        heads = tuple((whole(layer), whole(head)) for layer, head in stored["heads"])
         found = Heads(
-            str(stored["model"]), str(stored["model_type"]), heads, float(stored["saturation"]),
+            str(stored["model"]), str(stored["model_type"]), heads, number(stored["saturation"]),
             dict(stored.get("found_by", {})),
         )  # fmt: skip
     except OSError as error:

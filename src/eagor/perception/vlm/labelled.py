@@ -11,7 +11,6 @@ angular radius, or a box x0, y0, x1, y1 in the panorama's pixels (x0 > x1 means 
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from eagor._json import number, parsed, shown
 from eagor.detections import moments
 from eagor.errors import FormatError, ResponseError
 from eagor.grids import ErpGrid
@@ -43,16 +43,16 @@ def labelled_lines(file: Path) -> list[tuple[int, dict[str, Any]]]:
     Raises `FormatError`, which names the file and the line of what is wrong.
     """
     try:
-        text = Path(file).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = Path(file).read_bytes().decode("utf-8-sig")
+    except (OSError, ValueError) as error:
         raise FormatError(f"{file} cannot be read ({error}); give the path of a JSONL file of labels") from error
     found = []
-    for number, line in enumerate(text.splitlines(), start=1):
+    for row, line in enumerate(text.split("\n"), start=1):
         if line.strip():
             try:
-                found.append((number, _checked(json.loads(line))))
+                found.append((row, _checked(_entry(line))))
             except (ValueError, TypeError, KeyError) as error:
-                raise FormatError(f"{file}, line {number}: {_reason(error)}") from error
+                raise FormatError(f"{file}, line {row}: {_reason(error)}") from error
     if not found:
         raise FormatError(f"{file} holds no labels; wanted one JSON object per line")
     return found
@@ -65,7 +65,7 @@ def read_labelled(file: Path, read: Callable[[Path], np.ndarray]) -> Iterator[La
     `FormatError` for the file, and what `read` raises.
     """
     last: tuple[Path, np.ndarray] | None = None
-    for number, entry in labelled_lines(file):
+    for row, entry in labelled_lines(file):
         path = Path(file).parent / entry["image"]
         if last is None or last[0] != path:
             last = path, read(path)
@@ -75,7 +75,7 @@ def read_labelled(file: Path, read: Callable[[Path], np.ndarray]) -> Iterator[La
             try:
                 centre, _ = moments(np.array(entry["box"], dtype=float), grid)
             except ResponseError as error:
-                raise FormatError(f"{file}, line {number}: {error}") from error
+                raise FormatError(f"{file}, line {row}: {error}") from error
             yield Labelled(panorama, entry["query"], centre, _radius(entry["box"], grid))
         else:
             azimuth, elevation, radius = (
@@ -96,19 +96,26 @@ def _radius(box: list[float], grid: ErpGrid) -> float:
     return cap_radius(2 * math.pi * width * (math.sin(top) - math.sin(bottom)))
 
 
+def _entry(line: str) -> Any:
+    try:
+        return parsed(line)
+    except ValueError as error:
+        raise FormatError(f"is not JSON ({error}); wanted one JSON object") from None
+
+
 def _checked(entry: Any) -> dict[str, Any]:
     if not isinstance(entry, dict):
         raise TypeError(f"is {type(entry).__name__}; wanted an object with image, query and a place")
     phrase(entry["query"])
     if not isinstance(entry["image"], str):
-        raise TypeError(f"image is {entry['image']!r}; wanted a path")
+        raise TypeError(f"image is {shown(entry['image'])}; wanted a path")
     if "box" in entry:
-        if len(entry["box"]) != 4 or not all(math.isfinite(float(value)) for value in entry["box"]):
-            raise ValueError(f"box is {entry['box']!r}; wanted [x0, y0, x1, y1] in pixels")
-        return {"image": entry["image"], "query": entry["query"], "box": [float(value) for value in entry["box"]]}
-    angles = {key: float(entry[key]) for key in ("azimuth_deg", "elevation_deg", "radius_deg")}
-    if not (all(map(math.isfinite, angles.values())) and abs(angles["elevation_deg"]) <= 90):
-        raise ValueError(f"the place is {angles}; wanted degrees, the elevation between -90 and 90")
+        if not isinstance(entry["box"], list) or len(entry["box"]) != 4:
+            raise ValueError(f"box is {shown(entry['box'])}; wanted [x0, y0, x1, y1] in pixels")
+        return {"image": entry["image"], "query": entry["query"], "box": [number(value) for value in entry["box"]]}
+    angles = {key: number(entry[key]) for key in ("azimuth_deg", "elevation_deg", "radius_deg")}
+    if not (abs(angles["azimuth_deg"]) <= 360 and abs(angles["elevation_deg"]) <= 90):
+        raise ValueError(f"the place is {angles}; wanted degrees, the azimuth to 360, the elevation to 90 either way")
     if not 0 < angles["radius_deg"] <= 90:
         raise ValueError(f"radius_deg is {angles['radius_deg']:g}; wanted more than 0, at most 90")
     return {"image": entry["image"], "query": entry["query"], **angles}
@@ -117,6 +124,4 @@ def _checked(entry: Any) -> dict[str, Any]:
 def _reason(error: Exception) -> str:
     if isinstance(error, KeyError):
         return f"{error.args[0]!r} is missing; wanted image, query, and box or azimuth_deg, elevation_deg, radius_deg"
-    if isinstance(error, json.JSONDecodeError):
-        return f"is not JSON ({error}); wanted one JSON object"
     return str(error)

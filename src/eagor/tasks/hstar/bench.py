@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from eagor._json import shown
 from eagor._version import __version__
 from eagor.errors import EagorError, FormatError
 from eagor.tasks.benchmark import Case, Figure, Option, Record, read_options
@@ -183,14 +184,16 @@ def _submission(prediction: Mapping[str, Any], form: str) -> tuple[dict[str, int
         try:
             yaw, pitch = (round(float(value)) for value in found)
         except (TypeError, ValueError, OverflowError):
-            raise FormatError(f"a prediction submits {found!r}; wanted yaw and pitch in degrees") from None
+            raise FormatError(f"a prediction submits {shown(found)}; wanted yaw and pitch in degrees") from None
         return {"yaw": yaw, "pitch": pitch}, None
     texts = prediction.get("replies", prediction.get("text"))
     if texts is None:
         raise FormatError(
-            f"a prediction has {', '.join(map(str, prediction)) or 'nothing'}; wanted submit: [yaw, pitch], or yaw and "
+            f"a prediction has {shown(', '.join(prediction), 200)}; wanted submit: [yaw, pitch], or yaw and "
             "pitch, or text (the model's last reply), or replies (all of them)"
         )
+    if not isinstance(texts, str | list):
+        raise FormatError(f"a prediction says {shown(texts)}; wanted the model's reply, or a list of all of them")
     read = [parse_action(str(text), form).action for text in ([texts] if isinstance(texts, str) else texts)]
     for action in read[:MAX_TURNS]:
         if action is not None and action.kind == "submit":

@@ -19,12 +19,14 @@ from typing import Any, Literal
 
 import numpy as np
 
+from eagor._json import number, parsed, shown
 from eagor.errors import EagorError, FormatError, ImageError
-from eagor.tasks.hstar.rules import window_of
+from eagor.tasks.hstar.rules import FARTHEST, window_of
 
 Kind = Literal["hos", "hps"]
 
 ANNOTATION = "annotation.json"
+_LARGEST = 1 << 29  # bytes of a file in an archive
 STARTS = (0, 90, 180, 270)  # degrees of yaw, where an entry names none
 SHUFFLE = 42  # the published environment shuffles its episodes with this seed
 LEVELS = {"hos": ("easy", "medium", "hard"), "hps": ("easy", "medium", "hard", "extreme")}
@@ -150,11 +152,12 @@ def open_panorama(panorama: Panorama) -> np.ndarray:
     """
     from PIL import Image
 
-    from eagor.worlds.panorama import as_rgb
+    from eagor.worlds.panorama import as_rgb, check_claim
 
     try:
         data = Path(panorama.path).read_bytes() if not panorama.member else _member(panorama)
         with Image.open(io.BytesIO(data)) as file:
+            check_claim(file, len(data))
             file.load()
             image = as_rgb(file)
     except Exception as error:  # decoders raise whatever the damage leads them to
@@ -234,10 +237,21 @@ def _starts(item: Mapping[str, Any]) -> list[tuple[float, int | None]]:
     if "initial yaw" not in item:
         starts: list[float] = list(STARTS)
     else:
-        starts = [float(start) for start in item["initial yaw"]]
-    if isinstance(level, list):
-        return [(start, int(found)) for start, found in zip(starts, level, strict=False)]
-    return [(start, None if level is None else int(level)) for start in starts]
+        given = item["initial yaw"]
+        if not isinstance(given, list):
+            raise FormatError(f"initial yaw is {shown(given)}; wanted a list of angles in degrees")
+        starts = [number(start) for start in given]
+        if any(abs(start) > FARTHEST for start in starts):
+            raise FormatError(f"initial yaw is {shown(given)}; wanted angles of at most {FARTHEST:g} degrees")
+    levels = level if isinstance(level, list) else [level] * len(starts)
+    return [(start, None if one is None else _rank(one)) for start, one in zip(starts, levels, strict=False)]
+
+
+def _rank(level: Any) -> int:
+    found = number(level)
+    if found < 0 or not found.is_integer():
+        raise FormatError(f"level is {shown(level)}; wanted 0, 1, 2, ...")
+    return int(found)
 
 
 def _level(item: Mapping[str, Any], start: float) -> int:
@@ -249,13 +263,13 @@ def _level(item: Mapping[str, Any], start: float) -> int:
 
 
 def _items(where: Any) -> tuple[Mapping[str, Any], ...]:
-    if isinstance(where, str):
-        text, name = Path(where).read_bytes(), where
-    else:
-        archive, member = where
-        text, name = _member(Panorama(archive, member)), f"{archive}: {member}"
+    name = where if isinstance(where, str) else f"{where[0]}: {where[1]}"
     try:
-        found = json.loads(text.decode("utf-8-sig"))
+        text = Path(where).read_bytes() if isinstance(where, str) else _member(Panorama(*where))
+    except Exception as error:  # zipfile raises whatever the damage leads it to
+        raise FormatError(f"{name} cannot be read ({type(error).__name__}: {error}); fetch it again") from None
+    try:
+        found = parsed(text.decode("utf-8-sig"))
     except ValueError as error:
         raise FormatError(f"{name} is no JSON ({error}); restore it from the published archive") from None
     if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):
@@ -263,7 +277,7 @@ def _items(where: Any) -> tuple[Mapping[str, Any], ...]:
     for index, item in enumerate(found):
         try:
             if not isinstance(item.get("task"), str):
-                raise FormatError(f'task is {item.get("task")!r}; wanted words such as "Find the red chair"')
+                raise FormatError(f'task is {shown(item.get("task"))}; wanted words such as "Find the red chair"')
             window_of(item)
             _starts(item)
         except (EagorError, TypeError, ValueError) as error:
@@ -283,7 +297,7 @@ def _in_archive(archive: Path) -> list[tuple[str, Panorama, Any]]:
     try:
         with zipfile.ZipFile(archive) as file:
             names = sorted(name for name in file.namelist() if not name.startswith("__MACOSX"))
-    except (zipfile.BadZipFile, OSError) as error:
+    except Exception as error:  # zipfile raises whatever the damage leads it to
         raise FormatError(f"{archive} is no zip archive that can be read ({error}); fetch it again") from error
     found = []
     for name in names:
@@ -305,7 +319,11 @@ def _archive(path: str) -> zipfile.ZipFile:
 
 
 def _member(panorama: Panorama) -> bytes:
-    return _archive(panorama.path).read(panorama.member)
+    archive = _archive(panorama.path)
+    size = archive.getinfo(panorama.member).file_size  # zipfile reads no more than that
+    if size > _LARGEST:
+        raise FormatError(f"it claims {size} bytes; wanted at most {_LARGEST}")
+    return archive.read(panorama.member)
 
 
 def _name(relative: Path, data: Path) -> str:

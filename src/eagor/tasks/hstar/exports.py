@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from eagor._files import written
 from eagor.errors import EagorError
 from eagor.tasks.benchmark import Record
 from eagor.tasks.hstar.data import LEVELS, Kind, read_episodes
@@ -30,23 +31,24 @@ def lmms_eval(benchmark: HStar, data: Path, settings: Mapping[str, Any], folder:
     installed. The episodes hold the paths of their panoramas on this machine.
     """
     folder = Path(folder).resolve()
-    folder.mkdir(parents=True, exist_ok=True)
     name = f"eagor_hstar_{benchmark.kind}"
     levels = list(LEVELS[benchmark.kind])
     kept = {key: settings[key] for key in ("turns", "window", "form", "resolution", "scoring") if key in settings}
     episodes = folder / f"{name}.jsonl"
-    with episodes.open("w", encoding="utf-8") as file:
-        for episode in read_episodes(data, benchmark.kind):
-            # As text: a table of nested lists would have to agree on their types over all rows.
-            line = {"id": episode.id, "task": episode.task, "level": episode.level_name, "levels": levels, **kept}
-            file.write(json.dumps(line | {"episode": json.dumps(episode.as_json())}, ensure_ascii=False) + "\n")
+    lines = []
+    for episode in read_episodes(data, benchmark.kind):
+        # As text: a table of nested lists would have to agree on their types over all rows.
+        line = {"id": episode.id, "task": episode.task, "level": episode.level_name, "levels": levels, **kept}
+        lines.append(json.dumps(line | {"episode": json.dumps(episode.as_json())}, ensure_ascii=False) + "\n")
+    written(episodes, "".join(lines))
     metrics = "".join(
         f"  - metric: {metric}\n    aggregation: !function utils.mean\n    higher_is_better: true\n"
         for metric in ("success", *(f"success_{level}" for level in levels))
     )
     turns = int(settings.get("turns", MAX_TURNS))
     task = folder / f"{name}.yaml"
-    task.write_text(
+    written(
+        task,
         f"""task: {name}
 dataset_path: json
 dataset_kwargs:
@@ -67,10 +69,9 @@ metric_list:
 {metrics}metadata:
   - version: 1.0
 """,
-        encoding="utf-8",
     )
     utils = folder / "utils.py"
-    utils.write_text(_UTILS, encoding="utf-8")
+    written(utils, _UTILS)
     return [task, utils, episodes]
 
 
@@ -92,8 +93,5 @@ def level_file(kind: Kind, records: Sequence[Record], folder: Path) -> list[Path
     for record in done:
         if record["score"] == 1:
             steps[min(int(record.get("views", 1)), MAX_TURNS)] += 1
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"hstar_{kind}.txt"
-    path.write_text("\n".join([*lines, f"step_success {' '.join(map(str, steps))}", ""]), encoding="utf-8")
-    return [path]
+    text = "\n".join([*lines, f"step_success {' '.join(map(str, steps))}", ""])
+    return [written(Path(folder) / f"hstar_{kind}.txt", text)]

@@ -7,12 +7,12 @@ environment (H*Bench, humanoid-vstar/hstar at 7a52247), quirks included, and hel
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
+from eagor._json import number, shown
 from eagor.errors import EagorError, FormatError
 
 Scoring = Literal["official", "strict"]
@@ -22,6 +22,7 @@ MAX_TURNS = 10
 YAW_TOLERANCE = {"hos": 30, "hps": 10}  # degrees to both sides of a narrower target's middle
 PITCH_TOLERANCE = 20
 SEPARATOR = "|"
+FARTHEST = 3600.0  # degrees in an annotation; more is a mistake
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,7 @@ class Reply(Mapping[str, Any]):
         return len(_REPLY)
 
 
+_LARGEST = 10**6  # degrees in a reply
 _REPLY = ("think_content", "actions", "format_correct")
 
 
@@ -155,31 +157,61 @@ def parse_action(text: str, form: str = "free_think") -> Reply:
     ``free_think`` takes the first ``<answer>`` wherever it stands; the others want their form kept. Of several actions
     (parted by ``|``) the first counts. Raises `EagorError` for another form.
     """
-    if form not in _WHOLE:
-        raise EagorError(f"the form of replies is {form!r}; wanted one of {', '.join(_WHOLE)}")
+    if form not in _MARKS:
+        raise EagorError(f"the form of replies is {form!r}; wanted one of {', '.join(_MARKS)}")
     text = text.replace("<image>", "")
-    kept = _WHOLE[form].fullmatch(text.strip())
-    found = _ANSWER[form].search(text) if form != "no_think" else kept
-    if found is None:
+    whole = text.strip()
+    kept = _along(whole, _MARKS[form], at_start=True)
+    if kept is not None and not (whole.endswith(_END) and kept[-1].end() <= len(whole) - len(_END)):
+        kept = None
+    if form == "no_think":
+        read = None if kept is None else ("", whole[kept[-1].end() : -len(_END)])
+    elif form == "grounding":
+        read = _between(text, _along(text, _MARKS[form]), "<observation>", "</reasoning>")
+    else:
+        read = _between(text, _along(text, _THOUGHT, at_start=True)) or _between(text, _along(text, _THOUGHT[-1:]))
+    if read is None:
         return Reply("", [], kept is not None)
-    parts = found.groupdict()
-    actions = [part.strip() for part in parts["answer"].split(SEPARATOR) if part.strip()]
-    return Reply(parts.get("think") or "", actions[:1], kept is not None)
+    actions = [part.strip() for part in read[1].split(SEPARATOR) if part.strip()]
+    return Reply(read[0], actions[:1], kept is not None)
 
 
-_WHOLE = {
-    "free_think": re.compile(r"<think>(?P<think>.*?)</think>\s*<answer>(?P<answer>.*?)</answer>\s*", re.DOTALL),
-    "no_think": re.compile(r"<answer>(?P<answer>.*?)</answer>\s*", re.DOTALL),
-    "grounding": re.compile(
-        r"<think>\s*(?P<think><observation>.*?</observation>\s*<reasoning>.*?</reasoning>)\s*</think>\s*"
-        r"<answer>(?P<answer>.*?)</answer>\s*",
-        re.DOTALL,
+# What the published patterns have between their lazy dots, in order. One search after the other finds what the whole
+# pattern would, in time that grows with the text alone: where the first of a mark leads nowhere, no later one does.
+_MARKS = {
+    "free_think": ("<think>", r"</think>\s*<answer>"),
+    "no_think": ("<answer>",),
+    "grounding": (
+        r"<think>\s*<observation>",
+        r"</observation>\s*<reasoning>",
+        r"</reasoning>\s*</think>\s*<answer>",
     ),
 }
-_ANSWER = {
-    "free_think": re.compile(r"(?:<think>(?P<think>.*?)</think>)?.*?<answer>(?P<answer>.*?)</answer>", re.DOTALL),
-    "grounding": _WHOLE["grounding"],
-}
+_THOUGHT = ("<think>", "</think>", "<answer>")
+_END = "</answer>"
+
+
+def _along(text: str, marks: tuple[str, ...], at_start: bool = False) -> list[re.Match[str]] | None:
+    """The first place of each mark after the one before; None where one is missing."""
+    found: list[re.Match[str]] = []
+    for mark in marks:
+        pattern = re.compile(mark)
+        place = pattern.match(text) if at_start and not found else pattern.search(text, found[-1].end() if found else 0)
+        if place is None:
+            return None
+        found.append(place)
+    return found
+
+
+def _between(text: str, marks: list[re.Match[str]] | None, first: str = "", last: str = "") -> tuple[str, str] | None:
+    """Thought and answer; the thought with the tags `first` and `last`, which belong to the outer marks."""
+    end = -1 if marks is None else text.find(_END, marks[-1].end())
+    if marks is None or end < 0:
+        return None
+    # In free_think the thought ends where the second of three marks begins, in grounding where the last does.
+    close = marks[-1 if last else -2] if len(marks) > 1 else None
+    thought = "" if close is None else text[marks[0].end() - len(first) : close.start() + len(last)]
+    return thought, text[marks[-1].end() : end]
 
 
 def read_action(text: str) -> Action | None:
@@ -191,9 +223,12 @@ def read_action(text: str) -> Action | None:
         if text.startswith(kind):
             parts = text.replace(kind, "").strip("()").split(",")
             try:
-                return Action(kind, int(parts[0].strip()), int(parts[1].strip()))
+                yaw, pitch = int(parts[0].strip()), int(parts[1].strip())
             except (ValueError, IndexError):
                 return None
+            if max(abs(yaw), abs(pitch)) > _LARGEST:  # means the same, and a float can hold it
+                yaw, pitch = yaw % 360, max(-_LARGEST, min(_LARGEST, pitch))
+            return Action(kind, yaw, pitch)
     return None
 
 
@@ -205,9 +240,9 @@ def turned(yaw: float, pitch: float, action: Action) -> tuple[float, float]:
 def _pair(item: Mapping[str, Any], key: str) -> tuple[float, float]:
     value = item.get(key)
     try:
-        low, high = (float(number) for number in value)  # type: ignore[union-attr]
-    except (TypeError, ValueError):
-        raise FormatError(f"an item has {key} = {value!r}; wanted two angles in degrees") from None
-    if not (math.isfinite(low) and math.isfinite(high)):
-        raise FormatError(f"an item has {key} = {value!r}; wanted two finite angles in degrees")
+        low, high = map(number, value if isinstance(value, list | tuple) else ())
+    except ValueError:  # not two, or no numbers
+        raise FormatError(f"an item has {key} = {shown(value)}; wanted two finite angles in degrees") from None
+    if max(abs(low), abs(high)) > FARTHEST:
+        raise FormatError(f"an item has {key} = {shown(value)}; wanted two angles of at most {FARTHEST:g} degrees")
     return low, high

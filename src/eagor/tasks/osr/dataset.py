@@ -11,14 +11,15 @@ from __future__ import annotations
 
 import ast
 import csv
-import json
+import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from eagor._json import parsed, shown
 from eagor.errors import FormatError
 from eagor.tasks.osr.layout import layout_of
 from eagor.tasks.osr.questions import Question, read
@@ -116,16 +117,20 @@ def _scene(path: Path, suffix: str) -> Scene:
     return Scene(name, path.parent, _image(path.parent, str(entry.get("image_id", ""))), questions, skipped)
 
 
-def _questions(turns: Iterable[Any], scene: str, suffix: str, where: str) -> tuple[tuple[Question, ...], int]:
+def _questions(
+    turns: Iterable[Any], scene: str, suffix: str, where: str, lines: Sequence[int] = ()
+) -> tuple[tuple[Question, ...], int]:
+    """The questions, and how many had no answer; `lines` of the file that the turns stand on, where it has lines."""
     found: list[Question] = []
     skipped, taken = 0, {}
     for number, turn in enumerate(turns):
+        place = f"{where}, line {lines[number]}" if lines else f"{where}, turn {number}"
         if not isinstance(turn, dict) or not isinstance(turn.get("question"), str) or "answer" not in turn:
-            raise FormatError(f"{where}, turn {number}: {str(turn)[:60]!r}; wanted an object with question and answer")
+            raise FormatError(f"{place}: {shown(turn)}; wanted an object with question and answer")
         asked = read(turn["question"])
         skill = turn.get("skills_tested") or turn.get("follow_up") or (asked.skill if asked else None)
         if skill not in SKILLS:
-            raise FormatError(f"{where}, turn {number}: the skill is {skill!r}; known are {', '.join(SKILLS)}")
+            raise FormatError(f"{place}: the skill is {shown(skill)}; known are {', '.join(SKILLS)}")
         if skill == MAP and suffix.endswith(WITHOUT):
             continue
         answer = turn["answer"]
@@ -134,10 +139,10 @@ def _questions(turns: Iterable[Any], scene: str, suffix: str, where: str) -> tup
             continue
         try:
             index = int(turn.get("turn_id", number))
-        except (TypeError, ValueError):
-            raise FormatError(f"{where}, turn {number}: turn_id = {turn['turn_id']!r}; wanted a number") from None
+        except (TypeError, ValueError, OverflowError):
+            raise FormatError(f"{place}: turn_id = {shown(turn['turn_id'])}; wanted a number") from None
         if skill == MAP:
-            answer = _grid(answer, f"{where}, turn {index}")
+            answer = _grid(answer, place)
         again = taken[index] = taken.get(index, 0) + 1
         identity = f"{scene}/{suffix}/{index}" + (f"-{again}" if again > 1 else "")
         found.append(Question(identity, scene, index, skill, turn["question"], answer if skill == MAP else str(answer)))
@@ -148,7 +153,7 @@ def _grid(answer: Any, where: str) -> Any:
     """A map's grid; in CSV it is text."""
     if isinstance(answer, str):
         try:
-            answer = json.loads(answer)
+            answer = parsed(answer)
         except ValueError:
             try:
                 answer = ast.literal_eval(answer)
@@ -167,7 +172,7 @@ def _image(folder: Path, image_id: str) -> Path | None:
     if image_id:
         choices += [above / image_id for above in (folder, *folder.parents[:3])]
         choices += [above / PurePosixPath(image_id).parent.name / "rgb.png" for above in (folder, *folder.parents[:2])]
-    return next((path for path in choices if path.is_file()), None)
+    return next((path for path in choices if os.path.isfile(path)), None)  # False for names that no file can have
 
 
 def _tables(data: Path, suffix: str) -> Iterator[Scene]:
@@ -180,25 +185,29 @@ def _tables(data: Path, suffix: str) -> Iterator[Scene]:
     for path in named:
         if path.suffix != ".csv":
             continue
-        rows: dict[str, list[dict[str, Any]]] = {}
+        rows: dict[str, list[tuple[int, dict[str, Any]]]] = {}
         csv.field_size_limit(min(sys.maxsize, 2**31 - 1))
         try:
             with path.open(newline="", encoding="utf-8-sig") as file:
-                for row in csv.DictReader(file):
+                reader = csv.DictReader(file)
+                for row in reader:
                     if missing := {"image_id", "question", "answer"} - {key for key in row if key}:
                         raise FormatError(f"{path} has no column {', '.join(sorted(missing))}")
-                    rows.setdefault(str(row["image_id"]), []).append({k: v for k, v in row.items() if v is not None})
+                    rows.setdefault(str(row["image_id"]), []).append(
+                        (reader.line_num, {k: v for k, v in row.items() if v is not None})
+                    )
         except (OSError, UnicodeError, csv.Error) as error:
             raise FormatError(f"{path} cannot be read as CSV ({error})") from None
-        for image_id, turns in rows.items():
+        for image_id, found in rows.items():
+            lines, turns = zip(*found, strict=True)
             name = PurePosixPath(image_id).parent.name or PurePosixPath(image_id).stem
-            questions, skipped = _questions(turns, name, suffix, f"{path}, {image_id}")
+            questions, skipped = _questions(turns, name, suffix, str(path), lines)
             image = _image(path.parent, image_id)
             yield Scene(name, image.parent if image else path.parent / name, image, questions, skipped)
 
 
 def _json(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        return parsed(path.read_bytes().decode("utf-8-sig"))
     except (OSError, ValueError) as error:
         raise FormatError(f"{path} cannot be read as JSON ({error})") from None

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from eagor._files import written
 from eagor.errors import EagorError, FormatError
 from eagor.tasks.benchmark import Record
 from eagor.tasks.osr.dataset import load
@@ -33,7 +35,6 @@ def csv_files(records: Sequence[Record], settings: Mapping[str, Any], folder: Pa
     if not done:
         raise EagorError("the tables hold a run's answers; name a run with results")
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     model = settings.get("model") or settings["agent"]
     by_scene: dict[str, list[Record]] = {}
     for record in done:
@@ -41,14 +42,14 @@ def csv_files(records: Sequence[Record], settings: Mapping[str, Any], folder: Pa
     files = []
     for scene, answers in sorted(by_scene.items()):
         path = folder / f"{scene}_{settings['suffix']}_results.csv"
-        with path.open("w", newline="", encoding="utf-8") as file:
-            table = csv.writer(file)
-            table.writerow(COLUMNS)
-            for record in sorted(answers, key=lambda each: _turn(each["case"])):
-                turn, image = _turn(record["case"])[0], f"data/{scene}/rgb.png"
-                said = (record["question"], record["answer"], record.get("truth", ""), record["score"])
-                table.writerow((image, model, turn, record["skill"], *said))
-        files.append(path)
+        text = io.StringIO(newline="")
+        table = csv.writer(text)
+        table.writerow(COLUMNS)
+        for record in sorted(answers, key=lambda each: _turn(each["case"])):
+            turn, image = _turn(record["case"])[0], f"data/{scene}/rgb.png"
+            said = (record["question"], record["answer"], record.get("truth", ""), record["score"])
+            table.writerow((image, model, turn, record["skill"], *said))
+        files.append(written(path, text.getvalue()))
     return files
 
 
@@ -61,25 +62,26 @@ def lmms_eval(settings: Mapping[str, Any], folder: Path) -> list[Path]:
     """
     scenes = load(Path(settings["data"]), settings["suffix"])
     folder = Path(folder).resolve()
-    folder.mkdir(parents=True, exist_ok=True)
     questions = folder / f"{TASK}.jsonl"
-    with questions.open("w", encoding="utf-8") as file:
-        for scene in scenes:
-            if scene.image is None:
-                raise FormatError(f"the scene {scene.id} has no picture (rgb.png); the data set is incomplete")
-            for question in scene.questions:
-                if settings["skill"] not in ("all", question.skill):
-                    continue
-                text = json.dumps(question.answer) if question.skill == MAP else question.answer
-                line = {"id": question.id, "scene": scene.id, "turn": question.turn, "skill": question.skill}
-                line |= {"question": question.text, "answer": text, "image": str(scene.image.resolve())}
-                file.write(json.dumps(line | {"prompt": settings["prompt"]}, ensure_ascii=False) + "\n")
+    lines = []
+    for scene in scenes:
+        if scene.image is None:
+            raise FormatError(f"the scene {scene.id} has no picture (rgb.png); the data set is incomplete")
+        for question in scene.questions:
+            if settings["skill"] not in ("all", question.skill):
+                continue
+            text = json.dumps(question.answer) if question.skill == MAP else question.answer
+            line = {"id": question.id, "scene": scene.id, "turn": question.turn, "skill": question.skill}
+            line |= {"question": question.text, "answer": text, "image": str(scene.image.resolve())}
+            lines.append(json.dumps(line | {"prompt": settings["prompt"]}, ensure_ascii=False) + "\n")
+    written(questions, "".join(lines))
     metrics = "".join(
         f"  - metric: {metric}\n    aggregation: !function utils.mean\n    higher_is_better: true\n"
         for metric in ("direction_official", "direction_corrected", "distance", "counting", "map")
     )
     task = folder / f"{TASK}.yaml"
-    task.write_text(
+    written(
+        task,
         f"""task: {TASK}
 dataset_path: json
 dataset_kwargs:
@@ -99,10 +101,9 @@ metric_list:
 {metrics}metadata:
   - version: 1.0
 """,
-        encoding="utf-8",
     )
     utils = folder / "utils.py"
-    utils.write_text(_UTILS, encoding="utf-8")
+    written(utils, _UTILS)
     return [task, utils, questions]
 
 

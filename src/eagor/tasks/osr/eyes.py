@@ -156,12 +156,12 @@ def read_depth(folder: Path) -> np.ndarray | None:
     if not path.is_file():
         return None
     try:
-        found = np.load(path, allow_pickle=False)
-    except (OSError, ValueError) as error:
-        raise FormatError(f"{path} cannot be read as a NumPy array ({error})") from None
+        found = np.lib.format.open_memmap(path, mode="r")  # mapped: a header may claim more than is there
+    except Exception as error:  # its header is Python, which may be wrong in many ways
+        raise FormatError(f"{path} cannot be read as a NumPy array ({type(error).__name__}: {error})") from None
     if found.ndim != 2 or found.dtype.kind not in "fiu" or not found.size:
         raise FormatError(f"{path} has shape {found.shape}, {found.dtype}; wanted ranges (H, W) in metres")
-    return found
+    return np.array(found)
 
 
 def depth_at(ranges: np.ndarray, thing: Sighting) -> float | None:

@@ -15,6 +15,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from eagor._json import shown
 from eagor.errors import FormatError
 
 SIZE = 10  # rows and columns of a layout
@@ -144,7 +145,7 @@ def layout_of(grid: Any) -> dict[str, list[list[int]]]:
     for i, row in enumerate(grid):
         for j, cell in enumerate(row):
             if not isinstance(cell, list) or not all(isinstance(name, str) for name in cell):
-                raise FormatError(f"the map's cell in row {i}, column {j} is {cell!r}; wanted a list of names")
+                raise FormatError(f"the map's cell in row {i}, column {j} is {shown(cell)}; wanted a list of names")
             for name in cell:
                 found.setdefault(name, []).append([i, j])
     return found

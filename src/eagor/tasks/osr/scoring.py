@@ -6,13 +6,13 @@ the last category that both maps have, whichever that happens to be. Here all ca
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from eagor._json import parsed, shown
 from eagor.errors import FormatError
 from eagor.tasks.osr.layout import DIRECTIONS, SIZE, Grid, grid_of, layout_of
 
@@ -20,7 +20,6 @@ COUNTING, DISTANCE, DIRECTION, MAP = "object_counting", "relative_distance", "re
 SKILLS = (COUNTING, DISTANCE, DIRECTION, MAP)
 NEAR = 2.0  # cells: a thing of a map is right if it is at most so far from its place
 FAR = 15.0  # cells: the mean distance of a map without any match
-_ANSWER = re.compile(r"<answer>(.*?)</answer>", re.DOTALL)
 _HYPHENS = {f"{a} {b}": f"{a}-{b}" for a in ("front", "back") for b in ("left", "right")}
 
 
@@ -49,8 +48,9 @@ def score(skill: str, truth: Any, answer: str, think: bool = False) -> float:
 
 def extracted(answer: str, think: bool) -> str:
     """What counts of an answer: with `think`, the text between the tags, or all of it where there are none."""
-    found = _ANSWER.search(answer) if think else None
-    return found.group(1) if found else answer
+    _, opened, rest = answer.partition("<answer>")
+    said, closed, _ = rest.partition("</answer>")
+    return said if think and opened and closed else answer
 
 
 def lenient(skill: str, truth: Any, answer: str) -> float:
@@ -76,9 +76,9 @@ def is_direction(answer: str) -> bool:
 
 def _counted(said: str, true: str) -> float:
     number = re.search(r"\d+", said)
-    if not re.fullmatch(r"[+-]?\d+", true):
-        raise FormatError(f"the true count is {true!r}; wanted a whole number")
-    if number is None:
+    if not re.fullmatch(r"[+-]?\d{1,9}", true):
+        raise FormatError(f"the true count is {shown(true)}; wanted a whole number")
+    if number is None or len(number.group()) > 4000:  # more digits than Python reads: as good as infinitely many
         return 0.0
     count, wanted = int(number.group()), int(true)
     if count == wanted:
@@ -133,8 +133,8 @@ def read_map(reply: str) -> dict[str, list[list[int]]] | None:
     if end < 0 or depth:
         return None
     try:
-        entry = json.loads(reply[start : end + 1])
-    except (ValueError, RecursionError):
+        entry = parsed(reply[start : end + 1])
+    except ValueError:
         return None
     found: dict[str, list[list[int]]] = {}
     for name, where in entry.items():

@@ -22,12 +22,14 @@ from typing import Any
 
 import numpy as np
 
+from eagor._json import number, parsed, shown
 from eagor.errors import FormatError
 from eagor.sphere import wrap
 from eagor.tasks.osr.geometry import FloorLine, Sighting
 
 FILE = "physical_truth.json"
 HEIGHT = 1.5  # metres of the camera above the floor, where nobody says
+_FARTHEST = 1e6  # metres from the camera; more is a mistake
 TOUCHING = 0.05  # metres above the floor: what begins below stands on it
 
 
@@ -66,11 +68,14 @@ def read_room(folder: Path) -> Room | None:
     if not path.is_file():
         return None
     try:
-        entry = json.loads(path.read_text(encoding="utf-8"))
+        entry = parsed(path.read_bytes())
         bodies = tuple(_body(item) for item in entry["objects"])
         walls = entry.get("walls")
-        line = None if walls is None else FloorLine(_turned(np.array(walls, dtype=np.float64)))
-        return Room(bodies, float(entry.get("camera", HEIGHT)), line)
+        line = None if walls is None else FloorLine(_turned(_points(walls)))
+        camera = number(entry.get("camera", HEIGHT))
+        if camera <= 0:
+            raise ValueError(f"camera {camera:g}; wanted metres above the floor, above 0")
+        return Room(bodies, camera, line)
     except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
         raise FormatError(f"{path} is no room ({type(error).__name__}: {error}); see eagor.tasks.osr.truth") from None
 
@@ -140,16 +145,25 @@ def _closest(footprint: np.ndarray) -> float:
 
 
 def _body(item: dict[str, Any]) -> Body:
-    size = np.array(item["size"], dtype=np.float64)
+    size = np.array([number(side) for side in item["size"]])
+    if size.shape != (3,) or size.min() < 0:
+        raise ValueError(f"{item.get('name')!r} has the size {size.tolist()}; wanted three lengths in metres")
     corners = item.get("corners")
     if corners is None:
         half = size[:2] / 2 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-        corners = np.array(item["xy"], dtype=np.float64) + half
-    middle = float(item["z_centre"])
-    footprint = _turned(np.array(corners, dtype=np.float64))
-    if footprint.shape[1:] != (2,) or len(footprint) < 3 or not np.isfinite(footprint).all():
-        raise ValueError(f"{item.get('name')!r} has no footprint of finite corners")
+        corners = (_points([item["xy"]]) + half).tolist()
+    middle, footprint = number(item["z_centre"]), _turned(_points(corners))
+    if len(footprint) < 3:
+        raise ValueError(f"{item.get('name')!r} has a footprint of {len(footprint)} corners; wanted three or more")
     return Body(str(item["name"]), footprint, middle - size[2] / 2, middle + size[2] / 2)
+
+
+def _points(written: Any) -> np.ndarray:
+    """Points ``(n, 2)`` in metres. Raises `ValueError` for anything else."""
+    points = [[number(value) for value in point] for point in written]
+    if not points or any(len(point) != 2 or max(map(abs, point)) > _FARTHEST for point in points):
+        raise ValueError(f"{shown(written)} where points [x, y] in metres were wanted")
+    return np.array(points)
 
 
 def _turned(points: np.ndarray) -> np.ndarray:

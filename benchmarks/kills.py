@@ -1,0 +1,189 @@
+"""Runs that are killed at random moments (kill -9) come to what they would have come to: the proof, as often as wanted.
+
+    python benchmarks/kills.py [--kills 20] [--workers 2] [--task waypoint] [--data DIR] [--who all parent worker]
+
+A run is made once without a stop. Then the same is run into another folder, killed at a moment drawn evenly from the
+time that the first one took, and started again, until it is complete; and so on until there were so many kills. `all`
+kills every process of the run, `parent` only the one that was started (its workers have to leave by themselves),
+`worker` only one worker (the run itself has to go on). After each kill the ledger must be readable, with everything
+that it held before; at the end the records must be those of the run without a stop, but for the times that things took
+and, where a worker was killed, the number of the attempt. Exit code 1 where something else is found. Linux.
+"""
+
+from __future__ import annotations
+
+import os
+
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import argparse
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from eagor.evaluation import ledger
+
+PATIENCE = 60.0  # seconds that processes have to leave: nobody measures how long they take, only that they do
+TIMES = ("seconds", "ms", "milliseconds")
+SIMULATED = ("waypoint", "navigation", "tracking")
+
+
+def command(options: argparse.Namespace, out: Path) -> list[str]:
+    """The run."""
+    words = [sys.executable, "-m", "eagor", "bench", "run", options.task, "--perception", options.perception]
+    words += ["--workers", str(options.workers), "--out", str(out), "--json"]
+    if options.task in SIMULATED:
+        words += ["--episodes", str(options.episodes), "--methods", "eagor", "vmf", "--rows", "32"]
+    else:
+        words += ["--data", str(options.data), "--limit", str(options.episodes)]
+    return words
+
+
+def begun(options: argparse.Namespace, out: Path) -> subprocess.Popen[bytes]:
+    """The run, begun in a session of its own, so that what belongs to it can be found."""
+    return subprocess.Popen(
+        command(options, out), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
+    )
+
+
+def members(session: int) -> dict[int, str]:
+    """The processes of a session that are alive, with their command lines."""
+    found = {}
+    for place in Path("/proc").iterdir():
+        if not place.name.isdigit():
+            continue
+        try:
+            state = (place / "stat").read_text().rpartition(")")[2].split()
+            if int(state[3]) == session and state[0] != "Z":
+                found[int(place.name)] = (place / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+        except (OSError, ValueError, IndexError):
+            continue  # it has just ended
+    return found
+
+
+def kill(who: str, run: subprocess.Popen[bytes], luck: random.Random) -> bool:
+    """Kill; False if there was nobody to be killed any more."""
+    if who == "worker":
+        workers = [one for one, words in members(run.pid).items() if "--multiprocessing-fork" in words]
+        if not workers:
+            return False
+        victims = [luck.choice(workers)]
+    else:
+        victims = [run.pid] if who == "parent" else list(members(run.pid))
+    if run.poll() is not None:
+        return False
+    for victim in victims:
+        try:
+            os.kill(victim, signal.SIGKILL)
+        except ProcessLookupError:
+            continue
+    return True
+
+
+def left_behind(session: int) -> dict[int, str]:
+    """What is still there of a session when everybody had time to leave."""
+    end = time.monotonic() + PATIENCE
+    while (there := members(session)) and time.monotonic() < end:
+        time.sleep(0.05)
+    return there
+
+
+def timeless(value: Any) -> Any:
+    """A record without the times that its parts took, however deep they stand."""
+    if isinstance(value, dict):
+        return {key: timeless(inner) for key, inner in value.items() if key not in TIMES}
+    return [timeless(inner) for inner in value] if isinstance(value, list) else value
+
+
+def records(folder: Path) -> dict[str, dict]:
+    """The records by key, without times."""
+    found = ledger.read(folder) if folder.exists() else []
+    return {record["key"]: timeless(record) for record in found}
+
+
+def check(holds: bool, what: str) -> None:
+    """Stop with exit code 1 unless it holds."""
+    if not holds:
+        print(f"FAILED: {what}", file=sys.stderr)
+        raise SystemExit(1)
+
+
+def same(found: dict[str, dict], wanted: dict[str, dict], who: list[str]) -> None:
+    """Check the records of a run that was killed against those of one that was not."""
+    if "worker" in who:
+        found, wanted = ({k: v | {"attempt": 0} for k, v in each.items()} for each in (found, wanted))
+    odd = [key for key in found.keys() | wanted.keys() if found.get(key) != wanted.get(key)]
+    check(not odd, f"{len(odd)} of {len(wanted)} records differ, such as {sorted(odd)[:3]}")
+
+
+def main(options: argparse.Namespace, home: Path) -> None:
+    """Run, kill, go on, compare."""
+    luck = random.Random(options.seed)
+    start = time.monotonic()
+    whole = begun(options, home / "whole")
+    _, said = whole.communicate()
+    check(whole.returncode == 0, f"the run without a stop ended with {whole.returncode}: {said.decode()[-500:]}")
+    long, wanted = time.monotonic() - start, records(home / "whole")
+    print(f"{len(wanted)} records in {long:.1f} s without a stop")
+    kills = runs = caught = 0
+    out = home / "killed"
+    while kills < options.kills:
+        before, who = records(out), options.who[kills % len(options.who)]
+        run = begun(options, out)
+        time.sleep(luck.uniform(0, long))
+        hit = kill(who, run, luck)
+        if who == "worker" and hit:
+            _, said = run.communicate()
+            check(run.returncode == 0, f"a run that lost a worker ended with {run.returncode}: {said.decode()[-500:]}")
+        _, said = run.communicate()
+        check(not (there := left_behind(run.pid)), f"processes were left behind: {there}")
+        after = records(out)
+        lost = [key for key, record in before.items() if after.get(key) != record]
+        check(not lost, f"records were lost or changed by a kill: {lost[:3]}")
+        if hit:
+            kills, caught = kills + 1, caught + (0 < len(after) < len(wanted))
+        if not hit or who == "worker":
+            check(run.returncode == 0, f"a run that nobody killed ended with {run.returncode}: {said.decode()[-500:]}")
+            same(after, wanted, options.who)
+            runs += 1
+            shutil.rmtree(out)
+    last = begun(options, out)
+    _, said = last.communicate()
+    check(last.returncode == 0, f"the last run ended with {last.returncode}: {said.decode()[-500:]}")
+    same(records(out), wanted, options.who)
+    print(
+        f"{kills} kills ({', '.join(options.who)}), {caught} of them with some but not all records written; {runs + 1} "
+        f"runs completed, each with the {len(wanted)} records of the run without a stop; no process left behind"
+    )
+
+
+def parsed() -> argparse.Namespace:
+    """The options."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--task", default="waypoint", help="a simulated task, or a benchmark with --data")
+    parser.add_argument("--data", type=Path, help="its published files")
+    parser.add_argument("--perception", default="truth:miss=0.5")
+    parser.add_argument("--episodes", type=int, default=10, help="or cases")
+    parser.add_argument("--who", nargs="+", choices=["all", "parent", "worker"], default=["all"], help="in turn")
+    parser.add_argument("--seed", type=int, default=0, help="of the moments")
+    options = parser.parse_args()
+    if options.task not in SIMULATED and options.data is None:
+        parser.error(f"{options.task} needs --data")
+    if "worker" in options.who and options.workers < 2:
+        parser.error("one worker is the run itself; --who worker wants --workers 2 or more")
+    return options
+
+
+if __name__ == "__main__":
+    told = parsed()
+    with tempfile.TemporaryDirectory(prefix="eagor-kills-") as place:
+        main(told, Path(place))

@@ -1,0 +1,63 @@
+"""JSON that others wrote: whatever is wrong with it is a `ValueError` whose text can be shown."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any, NoReturn
+
+_DEEPEST = 200  # lists within lists: Python's own functions (repr, a copy, JSON once more) surely get to the bottom
+
+
+def parsed(text: str | bytes, strict: bool = False) -> Any:
+    """The value that `text` holds; `strict`: NaN and Infinity are refused, as JSON has them not.
+
+    Raises `ValueError` for all that is wrong: no JSON, bytes that are no text, numbers of thousands of digits, and
+    lists or objects so deep within each other that a recursion over them might not come back.
+    """
+    try:
+        found = json.loads(text, parse_constant=_refused if strict else None)
+    except RecursionError:
+        raise ValueError("lists within lists, too deep to be read") from None
+    opened = text.count(b"[") + text.count(b"{") if isinstance(text, bytes) else text.count("[") + text.count("{")
+    if opened > _DEEPEST and _is_deep(found):
+        raise ValueError(f"lists within lists, more than {_DEEPEST} deep")
+    return found
+
+
+def number(value: Any) -> float:
+    """`value` as a float, once it is a finite number: no text, no True. Raises `ValueError`."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{shown(value)} where a number was wanted")
+    try:
+        found = float(value)
+    except OverflowError:
+        found = math.inf
+    if not math.isfinite(found):
+        raise ValueError(f"{shown(value)} where a finite number was wanted")
+    return found
+
+
+def whole(value: Any) -> int:
+    """`value`, once it is a whole number. Raises `ValueError`."""
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise ValueError(f"{shown(value)} where a whole number was wanted")
+    return value
+
+
+def shown(value: Any, most: int = 60) -> str:
+    """`value` for the text of an error, cut at so many characters."""
+    text = repr(value)
+    return text if len(text) <= most else text[: most - 3] + "..."
+
+
+def _is_deep(value: Any) -> bool:
+    level = [value]
+    for _ in range(_DEEPEST):
+        inner = [each.values() if isinstance(each, dict) else each for each in level if isinstance(each, dict | list)]
+        level = [value for values in inner for value in values]
+    return any(isinstance(each, dict | list) for each in level)
+
+
+def _refused(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not a JSON number")

@@ -1,0 +1,176 @@
+"""Disks that are full, folders that are not ours: what was computed stays, and it is said where room is wanted.
+
+A limit on the size of files stands for a full disk: the kernel then refuses to write on, in the middle of a line too.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import hstar_data
+import pytest
+from PIL import Image
+
+from eagor._files import Lines, written
+from eagor.cli import main
+from eagor.errors import StorageError
+from eagor.evaluation import ledger
+from eagor.worlds.painted import painted_room
+
+resource = pytest.importorskip("resource")  # POSIX
+ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "EAGOR_DEBUG"} | {
+    "OPENBLAS_NUM_THREADS": "1"
+}
+
+
+def eagor(*words, room=None):
+    """The command in a process whose files may hold so many bytes."""
+
+    def limited():
+        if room is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+
+    command = [sys.executable, "-B", "-m", "eagor", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=600, env=ENVIRONMENT, preexec_fn=limited)
+
+
+def refused(*words, room, says):
+    """Exit code 1, one line that says where and how much, nothing on stdout."""
+    done = eagor(*words, room=room)
+    assert (done.returncode, done.stdout) == (1, ""), done.stderr
+    assert "Traceback" not in done.stderr
+    line = done.stderr.splitlines()[-1]
+    assert line.startswith("eagor: error: ")
+    assert "File too large" in line
+    assert "bytes" in line
+    assert says in line
+
+
+def timeless(value):
+    if isinstance(value, dict):
+        return {key: timeless(inner) for key, inner in value.items() if key not in ("seconds", "ms", "milliseconds")}
+    return [timeless(inner) for inner in value] if isinstance(value, list) else value
+
+
+def records(folder):
+    return {record["key"]: timeless(record) for record in ledger.read(folder)}
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory):
+    data = hstar_data.write(tmp_path_factory.mktemp("data"))
+    return ("bench", "run", "hstar-hos", "--data", data, "--perception", "truth:miss=0.5", "--json")
+
+
+@pytest.fixture(scope="module")
+def whole(told, tmp_path_factory):
+    out = tmp_path_factory.mktemp("whole") / "run"
+    assert main([*map(str, told), "--out", str(out)]) == 0
+    return out
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_run_without_room_says_where_and_goes_on_when_there_is_room_again(told, whole, tmp_path, capsys, workers):
+    out = tmp_path / "run"
+    words = (*told, "--out", out, "--workers", workers)
+    room = (whole / "worker-0.jsonl").stat().st_size // 4
+    refused(*words, room=room, says=str(out))
+    kept = records(out)
+    assert 0 < len(kept) < 16
+    assert all(path.read_bytes().endswith(b"}\n") for path in ledger.files(out) if path.stat().st_size)
+    capsys.readouterr()
+    assert main(list(map(str, words))) == 0
+    assert json.loads(capsys.readouterr().out)["episodes"] == 16
+    assert records(out) == records(whole)
+    assert all(records(out)[key] == record for key, record in kept.items())
+
+
+def test_a_run_that_has_no_room_to_begin_leaves_nothing(told, tmp_path):
+    refused(*told, "--out", tmp_path / "run", room=10, says=str(tmp_path / "run"))
+    assert list((tmp_path / "run").iterdir()) == []
+
+
+def test_reports_and_exports_are_whole_or_not_there(whole, tmp_path):
+    refused("bench", "export", whole, "--out", tmp_path, room=200, says="samples.jsonl")
+    refused("bench", "report", whole, "--out", tmp_path, room=200, says="report.html")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_pictures_and_tables_are_whole_or_not_there(tmp_path):
+    frames = tmp_path / "frames"
+    frames.mkdir()
+    for name in "abcd":
+        Image.fromarray(painted_room(24, 48)).save(frames / f"{name}.png")
+    poses = tmp_path / "poses.csv"
+    poses.write_text("stamp,yaw_deg,pitch_deg,roll_deg\n0,0,0,0\n1,9,0,0\n2,9,0,0\n3,9,0,0\n")
+    picture, out = tmp_path / "where.png", tmp_path / "out.csv"
+    refused("locate", frames / "a.png", "red", "--picture", picture, room=1000, says=str(picture))
+    assert not picture.exists()
+    done = eagor("track", frames, "red", "--poses", poses, "--out", out, room=300)
+    assert done.returncode == 1
+    assert str(out) in done.stderr
+    text = out.read_text()
+    assert text.endswith("\n")
+    assert 2 <= len(text.splitlines()) < 5
+
+
+def test_what_was_there_stays_where_the_new_one_has_no_room(tmp_path, monkeypatch):
+    path = written(tmp_path / "new" / "kept.txt", "old")
+
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(StorageError, match=r"kept\.txt.*No space left.*3 bytes"):
+        written(path, "new")
+    assert path.read_text() == "old"
+    assert [place.name for place in path.parent.iterdir()] == ["kept.txt"]
+
+
+def test_lines_are_made_with_the_first_and_stay_whole(tmp_path):
+    path = tmp_path / "lines.txt"
+    with Lines(path) as lines:
+        assert not path.exists()
+        lines.add("a\n")
+        lines.add("half a letter: \ud800\n")
+    assert path.read_text() == "a\nhalf a letter: \\ud800\n"
+    with Lines(tmp_path / "nowhere" / "x") as lines, pytest.raises(StorageError, match="2 bytes"):
+        lines.add("a\n")
+
+
+def test_a_file_in_place_of_the_folder_and_a_folder_of_another_run_are_refused(told, whole, tmp_path, capsys):
+    (tmp_path / "file").write_text("x")
+    for out, says in ((tmp_path / "file", "cannot be made a folder"), (whole, "holds another run")):
+        assert main([*map(str, told), "--out", str(out), "--set", "sure=0.7"]) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert says in said.err.splitlines()[-1]
+    assert (tmp_path / "file").read_text() == "x"
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_that_cannot_be_written_to_is_named(told, whole, tmp_path, capsys):
+    out = tmp_path / "run"
+    assert main([*map(str, told), "--limit", "2", "--out", str(out)]) == 0
+    out.chmod(0o555)
+    Path(out / "worker-0.jsonl").chmod(0o444)
+    try:
+        capsys.readouterr()
+        assert main([*map(str, told), "--out", str(out)]) == 1
+        assert str(out) in capsys.readouterr().err.splitlines()[-1]
+    finally:
+        out.chmod(0o755)
+
+
+def test_a_folder_that_vanishes_is_named_and_nothing_is_lost_but_what_was_in_it(tmp_path):
+    with ledger.Ledger(tmp_path / "run") as book:
+        book.append({"key": "a", "attempt": 1, "status": "ok"})
+        book.close()
+        for path in (tmp_path / "run").iterdir():
+            path.unlink()
+        (tmp_path / "run").rmdir()
+        (tmp_path / "run").write_text("somebody else's")
+        with pytest.raises(StorageError, match="run"):
+            book.append({"key": "b", "attempt": 1, "status": "ok"})

@@ -1,0 +1,83 @@
+"""What a newcomer types wrong: one line that says what to do, exit code 2, nothing left behind."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from PIL import Image
+
+from eagor.cli import main
+from eagor.worlds.painted import painted_room
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A folder with two frames and their poses, which is where the command runs."""
+    monkeypatch.chdir(tmp_path)
+    for name in "ab":
+        Image.fromarray(painted_room(24, 48)).save(tmp_path / f"{name}.png")
+    (tmp_path / "poses.csv").write_text("stamp,yaw_deg,pitch_deg,roll_deg\n0,0,0,0\n1,10,0,0\n")
+    (tmp_path / "bad.json").write_text("[" * 3000)
+    (tmp_path / "torn.glb").write_bytes(b"glTF\x02\0\0\0")
+    (tmp_path / "folder").mkdir()
+    return tmp_path
+
+
+TRACK = ("track", "a.png", "b.png")
+WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("locate", "folder", "red"), "is a folder"),
+        (("locate", "a.png", "red", "--stamp", "nan"), "a finite number"),
+        (("locate", "a.png", "red", "--calibration", "bad.json"), "bad.json is no JSON"),
+        (("locate", "a.png", "red", "--calibration", "folder"), "folder cannot be read"),
+        ((*TRACK, "chair", "--poses", "poses.csv", "--out", "new.csv"), "names no colour"),
+        ((*TRACK, "red", "--poses", "poses.csv", "--floor", "nan"), "--floor nan"),
+        ((*TRACK, "red", "--poses", "poses.csv", "--out", "nowhere/new.csv"), "no folder"),
+        ((*TRACK, "red", "--poses", "folder"), "folder cannot be read"),
+        (("demo", "--out", "a.png"), "cannot be made a folder"),
+        (("demo", "--seed", "-1"), "0 to 9999"),
+        ((*WAYPOINT, "--workers", "0"), "--workers 0"),
+        ((*WAYPOINT, "--episodes", "-1"), "1 or more"),
+        ((*WAYPOINT, "--rows", "0"), "--rows 0"),
+        ((*WAYPOINT, "--methods", "nonsense"), "no method 'nonsense'"),
+        ((*WAYPOINT, "--world", "nowhere.glb"), "nowhere.glb cannot be read"),
+        ((*WAYPOINT, "--world", "torn.glb"), "torn.glb"),
+        (("bench", "failures", "folder", "--limit", "-1"), "--limit -1"),
+        (("bench", "report", "folder"), "no run.json"),
+        (("bench", "info", "folder"), "as hstar-hos, hstar-hps: "),
+        (("calibrate", "--perception", "truth", "--out", "folder"), "--out folder"),
+        (("calibrate", "--perception", "truth", "--out", "a.png/x.json"), "cannot be written"),
+        (("calibrate", "--perception", "truth", "--seed", "-1", "--episodes", "1"), "between 0 and 1999"),
+    ],
+)
+def test_one_line_and_nothing_left_behind(place, capsys, words, says):
+    before = sorted(place.rglob("*"))
+    for more in ((), ("--json",)):
+        assert main([*words, *more]) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert "Traceback" not in said.err
+        (line,) = said.err.splitlines()
+        assert line.startswith("eagor: error: ")
+        assert says in line
+    assert sorted(place.rglob("*")) == before
+
+
+def test_a_table_that_is_there_is_not_lost_to_a_query_that_means_nothing(place, capsys):
+    (place / "old.csv").write_text("yesterday's")
+    assert main([*TRACK, "chair", "--poses", "poses.csv", "--out", "old.csv"]) == 2
+    assert (place / "old.csv").read_text() == "yesterday's"
+
+
+def test_words_that_are_no_text_are_printed_as_json_escapes_them(place):
+    words = [sys.executable, "-m", "eagor", "locate", b"a.png", b"red \xff", "--json"]
+    environment = os.environ | {"PYTHONIOENCODING": "utf-8:strict"}
+    done = subprocess.run(words, capture_output=True, timeout=300, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["query"] == "red \udcff"

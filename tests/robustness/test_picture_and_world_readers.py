@@ -1,0 +1,281 @@
+"""Readers of pictures and of worlds: a right value, or an error with a name; no room for what is only claimed."""
+
+import gzip
+import io
+import json
+import os
+import struct
+import subprocess
+import sys
+import zlib
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from mutations import as_text, damaged, reads, trees
+from PIL import Image
+
+from eagor.tasks.hstar.data import Panorama, open_panorama
+from eagor.worlds.glb import export_glb, import_glb
+from eagor.worlds.ground import Ground
+from eagor.worlds.objectnav import read_episodes
+from eagor.worlds.painted import painted_room
+from eagor.worlds.panorama import read_panorama
+from eagor.worlds.scene import Instance, Material, Scene
+
+PIXELS = painted_room(16, 32)
+MODES = {
+    "PNG": ["RGB", "L", "1", "P", "RGBA", "LA", "I;16"],
+    "JPEG": ["RGB", "L", "CMYK", "YCbCr"],
+    "TIFF": ["RGB", "L", "1", "P", "RGBA", "LA", "CMYK", "I;16", "F", "LAB"],
+    "WEBP": ["RGB", "RGBA"],
+}
+
+
+def encoded(mode="RGB", kind="PNG", **more):
+    file = io.BytesIO()
+    if mode in ("I;16", "I", "F"):
+        grey = PIXELS[..., 0].astype({"I;16": np.uint16, "I": np.int32, "F": np.float32}[mode]) * 257
+        image = Image.fromarray(grey)
+    else:
+        image = Image.fromarray(PIXELS).convert(mode)
+    image.save(file, kind, **more)
+    return file.getvalue()
+
+
+PICTURES = [encoded(), encoded(kind="JPEG"), encoded(kind="WEBP"), encoded("P"), encoded("I;16"), encoded(kind="GIF"),
+            encoded(kind="BMP"), encoded("CMYK", "TIFF"), encoded("RGBA"), encoded(kind="PPM")]  # fmt: skip
+
+
+def png(width, height, depth=8, colour=2, data=b""):
+    """A PNG that claims a size."""
+
+    def chunk(name, body):
+        return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+
+    header = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(data)) + chunk(b"IEND", b"")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("pictures")
+
+
+@given(damaged(PICTURES))
+@example(png(0, 0))
+@example(png(2**31 - 1, 2**31 - 1))
+def test_pictures(folder, blob):
+    path = folder / "pano.bin"
+    path.write_bytes(blob)
+    image = reads(lambda: read_panorama(path), "pano.bin")
+    if image is not None:
+        assert image.dtype == np.uint8
+        assert image.ndim == 3
+        assert image.shape[2] == 3
+    open_panorama.cache_clear()
+    again = reads(lambda: open_panorama(Panorama(str(path))), "pano.bin")
+    assert (again is None) == (image is None)
+    assert image is None or np.array_equal(again, image)
+
+
+@pytest.mark.parametrize(("kind", "mode"), [(kind, mode) for kind, modes in MODES.items() for mode in modes])
+def test_every_mode_is_read_as_colours_or_refused_by_name(folder, mode, kind):
+    blob = encoded(mode, kind, **({"lossless": True} if kind == "WEBP" else {}))
+    path = folder / f"{mode.replace(';', '')}.{kind.lower()}"
+    path.write_bytes(blob)
+    image = reads(lambda: read_panorama(path), path.name)
+    if image is None:
+        assert mode in ("F", "LAB")
+        return
+    assert mode != "F"
+    assert image.shape == PIXELS.shape
+    grey = {"L", "1", "LA", "I;16", "I"}
+    wanted = PIXELS if mode not in grey else np.repeat(PIXELS[..., :1], 3, axis=-1)
+    if mode in ("RGB", "RGBA", "I;16", "I") and kind != "JPEG":
+        assert np.array_equal(image, wanted)
+    elif mode != "1":
+        assert np.abs(image.astype(int) - wanted).mean() < 40  # other colours, coarser colours, but the same picture
+
+
+def test_the_orientation_tag_does_not_turn_a_panorama(folder):
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    path = folder / "turned.jpg"
+    path.write_bytes(encoded(kind="JPEG", exif=exif, quality=95))
+    assert np.abs(read_panorama(path).astype(int) - PIXELS).mean() < 8
+
+
+LIMITED = """
+import resource, sys, warnings
+warnings.simplefilter("ignore")
+from eagor.errors import EagorError
+from eagor.evidence import Evidence
+from eagor.perception.records import parse_record
+from eagor.tasks.osr.eyes import read_depth
+from eagor.worlds.glb import import_glb
+from eagor.worlds.panorama import read_panorama
+import numpy, trimesh
+from pathlib import Path
+
+size = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (size + (300 << 20), resource.RLIM_INFINITY))
+folder = Path(sys.argv[1])
+for name, read in (("claims.png", read_panorama), ("claims.jpg", read_panorama), ("claims.glb", import_glb)):
+    try:
+        read(folder / name)
+    except EagorError as error:
+        assert name in str(error), error
+        assert "MemoryError" not in str(error), error
+        print(error)
+    else:
+        raise AssertionError(name)
+try:
+    read_depth(folder)
+except EagorError as error:
+    print(error)
+line = '{"stamp": 1, "image": {"width": 65536, "height": 65536}, "boxes": [{"box": [10, 10, 900, 900]}]}'
+print(numpy.asarray(parse_record(line).evidence("x").coefficients(5)).shape)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits memory as Linux does")
+def test_no_room_is_made_for_what_a_file_only_claims(tmp_path):
+    (tmp_path / "claims.png").write_bytes(png(12_000, 12_000))
+    jpeg = bytearray(encoded(kind="JPEG"))
+    at = jpeg.index(b"\xff\xc0")
+    jpeg[at + 5 : at + 9] = struct.pack(">HH", 12_000, 14_000)
+    (tmp_path / "claims.jpg").write_bytes(jpeg)
+    tree = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"componentType": 5126, "count": 300_000_000, "type": "VEC3"}],
+    }
+    (tmp_path / "claims.glb").write_bytes(glb(tree))
+    np.save(tmp_path / "depth.npy", np.ones((4, 8)))
+    whole = (tmp_path / "depth.npy").read_bytes()
+    (tmp_path / "depth.npy").write_bytes(whole.replace(b"(4, 8), }", b"(90000, 90000), }"))
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, tmp_path],
+        capture_output=True, text=True, timeout=300, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) == 5, done.stdout
+
+
+# Worlds
+
+
+def glb(tree, binary=b""):
+    text = tree if isinstance(tree, bytes) else as_text(tree).encode("utf-8", "surrogatepass")
+    text += b" " * (-len(text) % 4)
+    body = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
+
+
+def box_scene():
+    """A floor and a box on it."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float32)
+    floor = np.array([[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]], dtype=np.float32)
+    box = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6]]
+    triangles = np.array([[0, 1, 2], [0, 2, 3], *(np.array(box) + 4).tolist()], dtype=np.int32)
+    owner = np.array([0, 0, *[1] * len(box)], dtype=np.int32)
+    return Scene(
+        np.concatenate([floor, corners]), triangles, owner, owner, np.zeros((len(triangles), 3, 2), np.float32),
+        (Instance("floor", None, None, floor.min(axis=0), floor.max(axis=0)),
+         Instance("chair", "red", None, corners.min(axis=0), corners.max(axis=0))),
+        (Material("wood", (0.5, 0.4, 0.3)), Material("red", (0.9, 0.1, 0.1))),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def world(folder):
+    """The parts of an exported GLB: its JSON, its binary, and the semantic JSON."""
+    path = export_glb(box_scene(), folder / "box.glb")
+    blob = path.read_bytes()
+    length = int.from_bytes(blob[12:16], "little")
+    tree = json.loads(blob[20 : 20 + length])
+    return blob, tree, blob[28 + length :], json.loads((folder / "box.semantic.json").read_text())
+
+
+def looked_at(path):
+    scene = reads(lambda: import_glb(path), path.stem)
+    if scene is not None:
+        assert np.isfinite(scene.vertices).all()
+        reads(lambda: Ground.from_scene(scene))
+        assert scene.hash
+
+
+@given(st.data())
+def test_worlds(folder, world, draw):
+    blob, tree, binary, _ = world
+    path = folder / "world.glb"
+    how = draw.draw(st.sampled_from(["tree", "tree", "bytes"]))
+    content = glb(draw.draw(trees([tree])), binary) if how == "tree" else draw.draw(damaged([blob]))
+    path.write_bytes(content)
+    looked_at(path)
+
+
+@given(st.data())
+def test_worlds_as_text(folder, world, draw):
+    path = folder / "world.gltf"
+    path.write_bytes(as_text(draw.draw(trees([world[1]]))).encode("utf-8", "surrogatepass"))
+    looked_at(path)
+
+
+def test_nodes_below_themselves_are_refused(folder, world):
+    tree = json.loads(json.dumps(world[1]))
+    for node in tree["nodes"]:
+        node.setdefault("children", [])
+    tree["nodes"][-1]["children"].append(len(tree["nodes"]) - 1)
+    (folder / "loop.glb").write_bytes(glb(tree, world[2]))
+    assert reads(lambda: import_glb(folder / "loop.glb"), "loop.glb", "below themselves") is None
+
+
+@given(st.data())
+def test_semantics(folder, world, draw):
+    path = folder / "told.glb"
+    path.write_bytes(world[0])
+    told = draw.draw(trees([world[3]]))
+    path.with_suffix(".semantic.json").write_bytes(as_text(told).encode("utf-8", "surrogatepass"))
+    looked_at(path)
+
+
+def test_a_floor_far_below_another_takes_no_room_for_what_is_between():
+    scene = box_scene()
+    far = scene.vertices.copy()
+    far[4:] += np.array([0, 0, 3e9], dtype=np.float32)
+    high = Scene(far, scene.triangles, scene.instance, scene.material, scene.uv, scene.instances, scene.materials)
+    assert Ground.from_scene(high).floor == 0.0
+
+
+EPISODES = {
+    "goals_by_category": {
+        "box.glb_chair": [
+            {"position": [0.5, 0.5, -0.5], "radius": None, "object_id": 1, "object_name": "chair_1",
+             "object_category": "chair", "room_name": None,
+             "view_points": [{"agent_state": {"position": [1, 0, 1], "rotation": [0, 0, 0, 1]}, "iou": 0.5}]}
+        ]
+    },
+    "episodes": [
+        {"episode_id": "0", "scene_id": "box.glb", "start_position": [-1, 0, 1], "start_rotation": [0, 0, 0, 1],
+         "info": {"geodesic_distance": 1.5, "eagor": {"scene_hash": "x", "version": "1", "radius": 0.2, "cell": 0.05}},
+         "object_category": "chair"}
+    ],
+}  # fmt: skip
+
+
+@given(st.data())
+def test_episodes(folder, draw):
+    path = folder / "split.json.gz"
+    how = draw.draw(st.sampled_from(["tree", "tree", "bytes"]))
+    whole = gzip.compress(json.dumps(EPISODES).encode(), mtime=0)
+    text = as_text(draw.draw(trees([EPISODES]))).encode("utf-8", "surrogatepass")
+    path.write_bytes(gzip.compress(text, mtime=0) if how == "tree" else draw.draw(damaged([whole])))
+    for found in reads(lambda: read_episodes(path), "split.json.gz") or ():
+        for episode in found.episodes:
+            assert np.isfinite(episode.position).all()
+            assert episode.category in found.goals

@@ -1,0 +1,178 @@
+"""Readers of text: whatever a file holds, a right value, or an error that names the file, and the line if any."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from mutations import as_text, damaged, reads, trees
+
+from eagor.cli.poses import read_poses
+from eagor.evaluation import ledger, predictions
+from eagor.evidence import Evidence
+from eagor.perception.calibrated import Calibrated, read_calibrated
+from eagor.perception.replay import ReplayPerception, read_records
+from eagor.perception.transformers.heads import read_heads
+from eagor.perception.vlm.labelled import labelled_lines, read_labelled
+
+POSES = [
+    b"stamp,qw,qx,qy,qz,x,y,z,frame\n0,1,0,0,0,0,0,1,a.png\n0.5,0.99,0.1,0.1,0,0.1,0,1,\n1,0,0,0,1,0,0,1,b.png\n",
+    b"\xef\xbb\xbf# odometry\r\nstamp,yaw_deg,pitch_deg,roll_deg\r\n0,0,0,0\r\n1.5,-10,\"2\",3\r\n",
+]  # fmt: skip
+PANO, VIEW = {"width": 64, "height": 32}, {"projection": "perspective", "width": 32, "height": 24, "hfov_deg": 90}
+RECORDS = [
+    {"stamp": 1.0, "query": "red chair", "image": PANO, "boxes": [{"box": [3, 4, 9, 12], "score": 0.5, "label": "x"}]},
+    {"stamp": 2, "image": VIEW, "boxes": [{"box": [1, 1, 9, 9]}]},
+    {"stamp": 3.5, "points": [{"azimuth_deg": 30, "elevation_deg": -5, "spread_deg": 4, "score": 0.9}]},
+    {"stamp": 4, "response": {"rows": 2, "cols": 4, "values": [0, 0.1, 0.2, 0.3, 1, 0, 0, 0.5]}},
+    {"stamp": 5, "image": VIEW | {"yaw_left_deg": 30, "pitch_up_deg": 10}, "points": []},
+]
+CALIBRATION = {
+    "perception": "scout",
+    "calibration": {"floor": 0.3, "neutral": 0.05, "temperature": 2.0, "persistence": 0.1},
+    "forgetting": {"keep_per_second": 0.9, "wander": 0.1, "restless": 0.2, "surest": 20.0},
+    "found_by": {"judged by": [1]},
+}
+HEADS = {"model": "m", "model_type": "qwen2_5_vl", "heads": [[3, 1], [4, 0]], "saturation": 0.7, "found_by": {"of": 8}}
+LABELS = [
+    {"image": "a.png", "query": "red chair", "azimuth_deg": 30.5, "elevation_deg": -12, "radius_deg": 6},
+    {"image": "a.png", "query": "the sofa", "box": [10, 4, 20, 9]},
+]
+KEPT = [
+    {"key": "a", "task": "t", "attempt": 1, "status": "ok", "seconds": 0.1, "x": [1]},
+    {"key": "a", "task": "t", "attempt": 2, "status": "failed", "error": "no"},
+    {"key": "b", "task": "t", "attempt": 1, "status": "ok", "seconds": 0.1},
+]
+RUN = {"task": "navigation", "seed": 3, "versions": {"eagor": "1", "apartment": 4}, "methods": ["eagor"]}
+
+
+def lines(entries):
+    return "".join(as_text(entry) + "\n" for entry in entries).encode("utf-8", "surrogatepass")
+
+
+def blobs(*valid):
+    """JSON lines of which one is mutated, or the whole as damaged bytes."""
+    entries = list(valid)
+
+    @st.composite
+    def changed(draw):
+        at = draw(st.integers(0, len(entries) - 1))
+        return lines([*entries[:at], draw(trees([entries[at]])), *entries[at + 1 :]])
+
+    return st.one_of(changed(), damaged([lines(entries)]))
+
+
+def objects(valid):
+    """One JSON object, mutated, or its text as damaged bytes."""
+    return st.one_of(trees([valid]).map(lambda tree: lines([tree])), damaged([json.dumps(valid).encode()]))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("texts")
+
+
+@given(damaged(POSES))
+@example(b"stamp,yaw_deg,pitch_deg,roll_deg\n1_0,0,0,0\n")
+def test_poses(folder, blob):
+    path = folder / "poses.csv"
+    path.write_bytes(blob)
+    poses = reads(lambda: read_poses(path), "poses.csv", also=("line ", "cannot be read", "is empty", "no poses"))
+    for pose in poses or ():
+        assert math.isfinite(pose.stamp)
+        assert np.allclose(pose.world_R_body @ pose.world_R_body.T, np.eye(3), atol=1e-6)
+        assert pose.position is None or np.isfinite(pose.position).all()
+    stamps = [pose.stamp for pose in poses or ()]
+    assert stamps == sorted(set(stamps))
+
+
+@given(blobs(*RECORDS))
+def test_replays(folder, blob):
+    path = folder / "looks.jsonl"
+    path.write_bytes(blob)
+    found = reads(lambda: read_records(path), "looks.jsonl", also=("line ", "cannot be read", "no records"))
+    for record in found or ():
+        evidence = reads(lambda record=record: record.evidence("red chair"))
+        assert evidence is None or np.isfinite(np.asarray(evidence.log_ratio)).all()
+    if found:
+        perception = ReplayPerception(path)
+        look = reads(lambda: perception(None, "red chair", stamp=found[0].stamp), "looks.jsonl")
+        assert look is None or isinstance(look, Evidence)
+
+
+@given(objects(CALIBRATION))
+def test_calibrations(folder, blob):
+    path = folder / "calibration.json"
+    path.write_bytes(blob)
+    found = reads(lambda: read_calibrated(path), "calibration.json")
+    if found is not None:
+        assert isinstance(found, Calibrated)
+        assert all(math.isfinite(value) for value in found.forgetting.values())
+        found.write(folder / "again.json")
+        assert read_calibrated(folder / "again.json") == found
+
+
+@given(objects(HEADS))
+def test_heads(folder, blob):
+    path = folder / "heads.json"
+    path.write_bytes(blob)
+    found = reads(lambda: read_heads(path), "heads.json")
+    if found is not None:
+        assert found.heads
+        assert math.isfinite(found.saturation)
+        found.write(folder / "again.json")
+        assert read_heads(folder / "again.json") == found
+
+
+@given(blobs(*LABELS))
+def test_labels(folder, blob):
+    path = folder / "labels.jsonl"
+    path.write_bytes(blob)
+    found = reads(lambda: labelled_lines(path), "labels.jsonl", also=("line ", "cannot be read", "no labels"))
+    assert found is None or all(isinstance(entry["image"], str) for _, entry in found)
+    looks = reads(
+        lambda: list(read_labelled(path, lambda _: np.zeros((32, 64, 3), np.uint8))),
+        "labels.jsonl",
+        also=("line ", "cannot be read", "no labels"),
+    )
+    for look in looks or ():
+        assert abs(np.linalg.norm(look.direction) - 1) < 1e-9
+        assert 0 < look.radius <= math.pi
+
+
+@given(blobs(*KEPT))
+@example(lines([KEPT[0]]) + b"[" * 3000)  # a torn last line that json cannot even refuse in the usual way
+@example(lines([KEPT[0] | {"attempt": 0}]))
+@example(lines([KEPT[0] | {"attempt": True}]))
+def test_ledgers(folder, blob):
+    path = folder / "worker-1.jsonl"
+    path.write_bytes(blob)
+    before = reads(lambda: ledger.read(folder), "worker-1.jsonl, line ")
+    with ledger.Ledger(folder, first=1) as book:
+        assert book.open() == path
+        book.append({"key": "z", "attempt": 1, "status": "ok"})
+    after = reads(lambda: ledger.read(folder), "worker-1.jsonl, line ")
+    assert (before is None) == (after is None)
+    if after is not None:
+        kept = {record["key"]: record for record in before} | {"z": {"key": "z", "attempt": 1, "status": "ok"}}
+        assert {r["key"]: r for r in after if r["key"] != "z"} == {k: r for k, r in kept.items() if k != "z"}
+        assert [r["key"] for r in after] == sorted(kept)
+        assert all(r["attempt"] >= 1 and r["status"] in ("ok", "failed") for r in after)
+
+
+@given(objects(RUN))
+def test_descriptions_of_runs(folder, blob):
+    (folder / "run.json").write_bytes(blob)
+    found = reads(lambda: ledger.description(folder), "run.json")
+    assert found is None or isinstance(found, dict)
+    reads(lambda: ledger.begin(folder, RUN), str(folder))
+
+
+@given(blobs({"case": "a/0/0", "submit": [3, 4]}, {"doc_id": 1, "filtered_resps": [["<answer>x</answer>"]]}))
+def test_predictions(folder, blob):
+    path = folder / "predictions.jsonl"
+    path.write_bytes(blob)
+    found = reads(lambda: predictions._lines(path, ["a/0/0", "b/0/0"]), "predictions.jsonl", also=("line ", "cannot"))
+    assert found is None or set(found) <= {"a/0/0", "b/0/0"}
