@@ -14,8 +14,9 @@ import pytest
 from PIL import Image
 
 from eagor.errors import EagorError, FormatError, ImageError
+from eagor.perception.endpoint.chat import ServedChat
 from eagor.tasks import benchmark
-from eagor.tasks.chat import IMAGE, Message, ServedChat, load_chat
+from eagor.tasks.chat import IMAGE, Message, load_chat
 from eagor.tasks.hstar import data
 from eagor.tasks.hstar.bench import HOS, HPS
 from eagor.tasks.hstar.causes import CAUSES, cause_of

@@ -18,6 +18,7 @@ from eagor.errors import AnswerError
 from eagor.evidence import Evidence
 from eagor.perception import Perception, load
 from eagor.queries import Named
+from eagor.tasks.chat import shared_chat
 
 ROWS = 256  # of the panoramas, for perceptions that do not say
 
@@ -111,8 +112,9 @@ def shared(perception: str) -> Perception:
 
 
 def release() -> None:
-    """Let go of the perception that `shared` keeps, and of its room on a GPU."""
+    """Let go of the perception that `shared` keeps, of the model of `shared_chat`, and of their room on a GPU."""
     shared.cache_clear()
+    shared_chat.cache_clear()
     gc.collect()
     torch = sys.modules.get("torch")
     if torch is not None and torch.cuda.is_available():
