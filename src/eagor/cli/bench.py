@@ -5,6 +5,7 @@ Benchmarks with published data go on from here to `eagor.cli.benchmarks`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -95,11 +96,16 @@ def report(options: BenchReport) -> int:
     folder = next(iter(options.folders))
     if len(options.folders) > 1 or options.out:
         raise terminal.UsageError("a run of a simulated task is reported alone, into its own folder")
+    return reported(lambda: write_report(folder), options.json)
+
+
+def reported(write: Callable[[], Path], as_json: bool) -> int:
+    """Write a report, and say where it is. Raises `RunError` where the disk does not take it."""
     try:
-        page = write_report(folder)
+        page = write()
     except OSError as error:
-        raise terminal.RunError(f"the report cannot be written into {folder} ({error})") from error
-    if options.json:
+        raise terminal.RunError(f"the report cannot be written ({error})") from error
+    if as_json:
         terminal.emit({"report": str(page)})
     else:
         print(f"The report: {page}")

@@ -18,7 +18,7 @@ from eagor.errors import EagorError
 from eagor.perception import local_model, parse_options
 from eagor.perception.vlm.talk import IMAGE, Chat, Message, Said
 
-__all__ = ["IMAGE", "Chat", "Message", "Said", "check_chat", "digest", "load_chat", "shared_chat"]
+__all__ = ["IMAGE", "Chat", "Message", "Said", "digest", "load_chat", "shared_chat"]
 
 
 def load_chat(spec: str) -> Chat:
@@ -68,16 +68,6 @@ def shared_chat(spec: str) -> Chat:
     if check is not None:
         check()
     return made
-
-
-def check_chat(spec: str | None, agent: str) -> None:
-    """Raise `EagorError` unless `spec` names a model that can be made and answers; `agent` is who needs it."""
-    if not spec:
-        raise EagorError(
-            f"the agent {agent} asks a model; name it with --model, such as MODEL@http://localhost:8000/v1, a folder "
-            "or hub name, or package.module:function"
-        )
-    shared_chat(spec)
 
 
 def digest(messages: Sequence[Message]) -> str:

@@ -17,7 +17,8 @@ from eagor.perception.truth import Noise
 from eagor.sphere import world_R_body
 from eagor.tasks.eyes import shared
 from eagor.tasks.hstar.camera import HFOV_DEG, View, render_view
-from eagor.tasks.hstar.data import Episode, open_panorama
+from eagor.tasks.hstar.data import Episode
+from eagor.tasks.hstar.files import open_panorama
 from eagor.tasks.hstar.truth import TruthEye
 from eagor.tasks.hstar.words import head_of, phrase_of, thing_of
 

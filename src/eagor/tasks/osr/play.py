@@ -9,7 +9,7 @@ from typing import Any
 
 from eagor.errors import EagorError
 from eagor.tasks.chat import shared_chat
-from eagor.tasks.eyes import shared
+from eagor.tasks.eyes import recalibration, shared
 from eagor.tasks.osr.agents import AGENTS, Agent, Constant, Labels, Majority, Oracle, Random, Reply, Vlm
 from eagor.tasks.osr.dataset import Scene, load
 from eagor.tasks.osr.eyes import BeliefLooker, Looker, TruthLooker
@@ -71,7 +71,8 @@ def open_looker(perception: str, settings: Mapping[str, Any]) -> Looker:
         if how not in ("", "exact", "outline"):
             raise EagorError(f"perception {perception!r}; wanted truth, truth:exact or truth:outline for osr")
         return TruthLooker(exact=how != "outline")
-    return BeliefLooker(shared(perception), settings["degree"], settings["camera_height"], settings["range"] == "depth")
+    depth, calibration = settings["range"] == "depth", recalibration(settings)
+    return BeliefLooker(shared(perception), settings["degree"], settings["camera_height"], depth, calibration)
 
 
 def judged(scene: Scene, question: Question, reply: Reply, settings: Mapping[str, Any]) -> dict[str, Any]:
