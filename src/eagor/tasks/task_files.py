@@ -11,7 +11,12 @@ _CALLED = ("doc_to_target", "doc_to_text", "doc_to_visual", "mean", "process_res
 
 
 def write_task(
-    folder: Path, name: str, module: str, documents: Iterable[Mapping[str, Any]], metrics: Sequence[str], turns: int = 1
+    folder: Path,
+    name: str,
+    module: str,
+    documents: Iterable[Mapping[str, Any]],
+    metrics: Sequence[str],
+    turns: int | None = None,
 ) -> list[Path]:
     """Write ``NAME.yaml``, ``NAME_utils.py`` and ``NAME.jsonl`` into `folder`; returns the files.
 
@@ -24,7 +29,7 @@ def write_task(
             `doc_to_target`, `process_results`, and `mean`, which aggregates every metric.
         documents: one JSON object per case. A table is made of them: the same keys in all, and no nested lists.
         metrics: names of what `process_results` returns.
-        turns: of a conversation; several make it an agentic task.
+        turns: at most, of a conversation, which makes it an agentic task; None: one question, one answer.
     """
     folder = Path(folder).resolve()
     folder.mkdir(parents=True, exist_ok=True)
@@ -46,7 +51,7 @@ __all__ = [{", ".join(f'"{function}"' for function in _CALLED)}]
         f"  - metric: {metric}\n    aggregation: !function {utils.stem}.mean\n    higher_is_better: true\n"
         for metric in metrics
     )
-    steps = f"  max_agentic_steps: {turns}\n" if turns > 1 else ""
+    steps = f"  max_agentic_steps: {turns}\n" if turns else ""
     task.write_text(
         f"""task: {name}
 dataset_path: json
@@ -54,7 +59,7 @@ dataset_kwargs:
   data_files:
     test: {json.dumps(str(data))}
 test_split: test
-output_type: {"generate_until_agentic" if turns > 1 else "generate_until"}
+output_type: {"generate_until_agentic" if turns else "generate_until"}
 {calls}generation_kwargs:
   max_new_tokens: 512
   temperature: 0
