@@ -2,9 +2,10 @@
 
     python benchmarks/lmms_eval_tasks.py FOLDER [--packages DIR ...]
 
-FOLDER is what `eagor bench export --to lmms-eval` wrote, of one benchmark or of both. Each task is loaded by lmms-eval's
-`TaskManager` with `include_path`, its documents are read, and the first is played to its end with a model that always
-says the same; what the task makes of the replies is printed.
+FOLDER is what `eagor bench export --to lmms-eval` wrote, of one benchmark or of both. Each task is loaded by
+lmms-eval's `TaskManager` with `include_path`, its documents are read, and the first is played to its end, by
+lmms-eval's own loop where it is a conversation, with a model that always says the same. What the task makes of the
+replies is printed.
 
 lmms-eval wants torchvision, which this project does without. Its loader runs without it: `pip install --no-deps
 lmms-eval` into a folder, and what its import then misses (datasets, evaluate, loguru, tenacity, pytz, sacrebleu,
