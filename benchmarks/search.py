@@ -42,8 +42,9 @@ from eagor.statistics import bootstrap_interval, calibration_error, reliability,
 from eagor.tasks.hstar.agents import make_agent
 from eagor.tasks.hstar.apartments import spot, write_scene
 from eagor.tasks.hstar.camera import render_view
-from eagor.tasks.hstar.data import Episode, open_panorama, read_episodes
+from eagor.tasks.hstar.data import Episode, read_episodes
 from eagor.tasks.hstar.eyes import open_eye
+from eagor.tasks.hstar.files import open_panorama
 from eagor.tasks.hstar.play import play
 from eagor.tasks.hstar.search import SearchRules
 

@@ -1,11 +1,22 @@
-"""How long the fuzzed readers are tried: `ci` (hypothesis' own, the same cases each time) or `long`.
+"""Fixtures that several test files use, and how long the fuzzed readers are tried.
 
 ``pytest tests/robustness --hypothesis-profile=long`` draws other cases each time, many of them; what fails is kept in
-.hypothesis and tried first the next time.
+.hypothesis and tried first the next time. Without it: hypothesis' own profile `ci`, the same cases each time.
 """
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 settings.register_profile(
     "long", max_examples=2000, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large]
 )
+
+
+@pytest.fixture(scope="module")
+def one_thread():
+    """PyTorch on one thread: small models are slower on several, and tests run side by side."""
+    torch = pytest.importorskip("torch")
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)

@@ -14,12 +14,14 @@ import pytest
 from PIL import Image
 
 from eagor.errors import EagorError, FormatError, ImageError
+from eagor.perception.endpoint.chat import ServedChat
 from eagor.tasks import benchmark
-from eagor.tasks.chat import IMAGE, Message, ServedChat, load_chat
+from eagor.tasks.chat import IMAGE, Message, load_chat
 from eagor.tasks.hstar import data
 from eagor.tasks.hstar.bench import HOS, HPS
 from eagor.tasks.hstar.causes import CAUSES, cause_of
-from eagor.tasks.hstar.data import Episode, open_panorama, read_episodes
+from eagor.tasks.hstar.data import Episode, read_episodes
+from eagor.tasks.hstar.files import open_panorama
 from eagor.tasks.hstar.play import play, work
 from eagor.tasks.hstar.prompts import conversation, first_text, system_text
 from eagor.tasks.hstar.talking import VlmAgent

@@ -11,37 +11,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import osr_data
 import pytest
-from PIL import Image
 
 from eagor.errors import EagorError, FormatError
 from eagor.tasks.benchmark import check_benchmark, load
 from eagor.tasks.chat import IMAGE, Message, Said
 from eagor.tasks.osr.agents import Majority, Vlm
-from eagor.tasks.osr.apartments import conversation
 from eagor.tasks.osr.dataset import SUFFIXES
 from eagor.tasks.osr.dataset import load as load_scenes
-from eagor.tasks.osr.drawing import layout_from
 from eagor.tasks.osr.eyes import BeliefLooker
-from eagor.tasks.osr.geometry import FloorLine
-from eagor.tasks.osr.layout import grid_of
 from eagor.tasks.osr.lmms import doc_to_text, doc_to_visual, process_results
 from eagor.tasks.osr.ours import Eagor
 from eagor.tasks.osr.play import work
 from eagor.tasks.osr.scoring import DIRECTION, MAP
-from eagor.tasks.osr.truth import Body, Room, write_room
 
 SAMPLES = Path(__file__).parents[2] / ".." / "shared" / "bench_samples"
-NAME = "ReplicaPano-made-here"
-CORNERS = np.array([[4.0, 3.5], [-4.0, 3.5], [-4.0, -3.5], [4.0, -3.5]])
-PLACES = {
-    "tv": [(3.5, 0.3)],
-    "sofa": [(-3.0, 0.5)],
-    "chair": [(1.2, 2.4), (-0.8, -2.5)],
-    "table": [(1.5, -1.4)],
-    "lamp": [(-2.0, 3.0)],
-    "plant": [(3.2, -2.9)],
-}
+NAME, PLACES = osr_data.NAME, osr_data.PLACES
 
 
 def chat() -> Any:
@@ -56,21 +42,7 @@ def chat() -> Any:
 @pytest.fixture
 def data(tmp_path: Path) -> Path:
     """A scene in the published layout, with its true places; one label is empty."""
-    folder = tmp_path / "data" / "nested" / NAME
-    folder.mkdir(parents=True)
-    Image.fromarray(np.full((64, 128, 3), 90, dtype=np.uint8)).save(folder / "rgb.png")
-    square = 0.2 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-    bodies = [Body(name, np.array(xy) + square, 0.0, 0.7) for name, where in PLACES.items() for xy in where]
-    write_room(Room(tuple(bodies), 1.5, FloorLine(CORNERS)), folder)
-    layout = layout_from(PLACES, mirror=True)
-    counts = {name: len(where) for name, where in PLACES.items()}
-    (folder / "cognitive_map.json").write_text(json.dumps({"cognitive_map": grid_of(layout), "class_count": counts}))
-    for kind, more in (("qa", []), ("qa_with_negative", ["bed", "piano"])):
-        turns = list(conversation(layout, counts, [*counts, *more], 8, np.random.default_rng(5)))
-        turns.append({**turns[-1], "turn_id": 99, "answer": ""})
-        entry = {"image_id": f"data/{NAME}/rgb.png", "pre_prompt": "", "conversation": turns}
-        (folder / f"{NAME}_{kind}.json").write_text(json.dumps(entry))
-    return tmp_path / "data"
+    return osr_data.write(tmp_path)
 
 
 def settled(data: Path, **settings: Any) -> dict[str, Any]:

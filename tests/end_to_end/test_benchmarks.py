@@ -201,7 +201,11 @@ def test_the_task_files_for_lmms_eval_load_and_play(folder, tmp_path):
     yaml = pytest.importorskip("yaml")
     files = answer("export", "--task", "hstar-hos", "--data", folder, "--to", "lmms-eval", "--out", tmp_path,
                    "--set", "resolution=36")["files"]  # fmt: skip
-    assert [Path(file).name for file in files] == ["eagor_hstar_hos.yaml", "utils.py", "eagor_hstar_hos.jsonl"]
+    assert [Path(file).name for file in files] == [
+        "eagor_hstar_hos.yaml",
+        "eagor_hstar_hos_utils.py",
+        "eagor_hstar_hos.jsonl",
+    ]
 
     def function(loader, node):
         module, name = loader.construct_scalar(node).rsplit(".", 1)

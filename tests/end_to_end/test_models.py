@@ -7,7 +7,6 @@ import sys
 
 import numpy as np
 import pytest
-import torch
 import transformers
 import vlm_models
 from contract_server import ContractServer, Reply, reddish
@@ -39,12 +38,7 @@ EXAMPLES = [
 RUNS = {"waypoint": "leg_steps=4", "navigation": "max_steps=3", "tracking": "steps=6"}
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")

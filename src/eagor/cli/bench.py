@@ -5,6 +5,7 @@ Benchmarks with published data go on from here to `eagor.cli.benchmarks`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -99,8 +100,13 @@ def report(options: BenchReport) -> int:
     folder = next(iter(options.folders))
     if len(options.folders) > 1 or options.out:
         raise terminal.UsageError("a run of a simulated task is reported alone, into its own folder")
-    page = write_report(folder)
-    if options.json:
+    return reported(lambda: write_report(folder), options.json)
+
+
+def reported(write: Callable[[], Path], as_json: bool) -> int:
+    """Write a report, and say where it is. Raises `StorageError` where the disk does not take it."""
+    page = write()
+    if as_json:
         terminal.emit({"report": str(page)})
     else:
         print(f"The report: {page}")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from eagor.cli import terminal
-from eagor.cli.bench import pairs_of
+from eagor.cli.bench import pairs_of, reported
+from eagor.cli.columns import table, words
+from eagor.cli.offers import info, listed
 from eagor.cli.options import (
     BenchCompare,
     BenchExport,
@@ -18,7 +19,7 @@ from eagor.cli.options import (
     BenchRun,
     BenchScore,
 )
-from eagor.errors import EagorError, FormatError
+from eagor.errors import EagorError
 
 FLAGS = ("scoring", "labels")  # options of benchmarks that have a flag of their own
 
@@ -28,90 +29,10 @@ def bench(action: Any) -> int:
     return _COMMANDS[type(action)](action)
 
 
-def listed(options: BenchList) -> int:
-    """``eagor bench list``."""
-    from eagor import worlds
-    from eagor.tasks import benchmark, task
-
-    found: dict[str, Any] = {}
-    places = sorted(worlds.known())
-    for name in task.known():
-        try:
-            simulated = task.load(name)
-        except EagorError as error:
-            found[name] = {"kind": "simulated", "unavailable": str(error)}
-            continue
-        found[name] = {"kind": "simulated", "title": simulated.title, "what": simulated.what, "worlds": places}
-    for name in benchmark.known():
-        try:
-            known = benchmark.load(name)
-        except EagorError as error:
-            found[name] = {"kind": "published data", "unavailable": str(error)}
-            continue
-        found[name] = {
-            "kind": "published data",
-            "title": known.title,
-            "agents": dict(known.agents),
-            "options": {
-                key: {"default": o.default, "what": o.what, "choices": _short(o.choices)}
-                for key, o in known.options.items()
-            },
-            "exports": {"jsonl": "samples as JSON lines with lmms-eval's keys", **known.exports},
-        }
-    if options.json:
-        terminal.emit(found)
-        return terminal.OK
-    simulated = {name: entry for name, entry in found.items() if entry["kind"] == "simulated"}
-    print("Simulated, no data needed (eagor bench run TASK)")
-    _columns(
-        {name: entry.get("what", f"not available ({entry.get('unavailable')})") for name, entry in simulated.items()}
-    )
-    print(f"  worlds (--world): {', '.join(places)}, or a GLB file\n")
-    for name, entry in found.items():
-        if name in simulated:
-            continue
-        if "unavailable" in entry:
-            print(f"{name}: not available ({entry['unavailable']})\n")
-            continue
-        print(f"{name}  {entry['title']} (eagor bench run {name} --data DIR)")
-        print("  agents")
-        _columns(entry["agents"])
-        print("  options (--scoring, --labels, others with --set OPTION=VALUE)")
-        _columns({key: f"{value['what']} (default {value['default']})" for key, value in entry["options"].items()})
-        print("  exports")
-        _columns(entry["exports"])
-        print()
-    return terminal.OK
-
-
-def info(options: BenchInfo) -> int:
-    """``eagor bench info``."""
-    from eagor.tasks import benchmark
-
-    found: dict[str, dict[str, Any]] = {}
-    refused: dict[str, list[str]] = {}
-    for name in [options.task] if options.task else sorted(benchmark.known()):
-        try:
-            told = benchmark.load(name).info(options.data)
-        except EagorError as error:
-            refused.setdefault(str(error), []).append(name)
-            continue
-        if told not in found.values():
-            found[name] = told
-    if not found:
-        reasons = "; ".join(f"as {', '.join(names)}: {why}" for why, names in refused.items())
-        raise FormatError(f"{options.data} is no benchmark's data that is known here; " + reasons)
-    if options.json:
-        terminal.emit(found)
-        return terminal.OK
-    for told in found.values():
-        _columns({key: _words(value) for key, value in told.items()}, 0)
-    return terminal.OK
-
-
 def run(options: BenchRun) -> int:
     """``eagor bench run`` of a benchmark."""
     from eagor.evaluation import benchmarks, ledger, scores
+    from eagor.perception import short_name
     from eagor.tasks import benchmark, task
 
     if options.task not in benchmark.known():
@@ -139,8 +60,8 @@ def run(options: BenchRun) -> int:
         shard=_shard(options.shard),
     )
     settings = wanted.settings()
-    who = (settings.get("perception") or settings.get("model") or "").partition(":")[0].strip("/").rpartition("/")[2]
-    parts = [options.task, settings["agent"], who.partition("@")[0], str(wanted.seed)]
+    who = settings.get("perception") or (settings.get("model") or "").partition("@")[0]
+    parts = [options.task, settings["agent"], short_name(who) if who else "", str(wanted.seed)]
     out = options.out or Path("runs") / "-".join(part for part in parts if part)
     cases = wanted.cases(settings)
     terminal.log(f"{len(cases)} cases for the agent {settings['agent']}; records go to {out}")
@@ -181,12 +102,7 @@ def report(options: BenchReport) -> int:
     """``eagor bench report`` of benchmarks' runs."""
     from eagor.evaluation.benchmark_report import write_report
 
-    page = write_report(options.folders, options.out)
-    if options.json:
-        terminal.emit({"report": str(page)})
-    else:
-        print(f"The report: {page}")
-    return terminal.OK
+    return reported(lambda: write_report(options.folders, options.out), options.json)
 
 
 def compare(options: BenchCompare) -> int:
@@ -202,7 +118,7 @@ def compare(options: BenchCompare) -> int:
         f"(a only: {found['only_in_a']}, b only: {found['only_in_b']})"
     )
     for key, (a, b) in found["settings"].items():
-        print(f"  {key}: a {_words(a)}, b {_words(b)}")
+        print(f"  {key}: a {words(a)}, b {words(b)}")
     rows = [["", "a, %", "b, %", "a - b", "95 % interval", "p", "only a", "only b", "McNemar p"]]
     for figure in found["figures"].values():
         test = figure.get("mcnemar", {})
@@ -220,7 +136,7 @@ def compare(options: BenchCompare) -> int:
                 f"{test['p']:.2g}" if test else "-",
             ]
         )
-    _table(rows)
+    table(rows)
     print("p: sign flips of whole clusters; McNemar takes cases as independent.")
     return terminal.OK
 
@@ -246,7 +162,7 @@ def failures(options: BenchFailures) -> int:
         return terminal.OK
     for sheet in failure_sheets(settings, summary):
         print(sheet.title)
-        _table([list(sheet.heads), *([row.head, *(box.text for box in row.boxes)] for row in sheet.rows)])
+        table([list(sheet.heads), *([row.head, *(box.text for box in row.boxes)] for row in sheet.rows)])
         print()
     if not lines:
         print("No case failed." if summary["episodes"] else "No case has a result.")
@@ -332,7 +248,7 @@ def _said(summary: dict[str, Any], out: Path | None, as_json: bool) -> int:
             for row in sheet.rows
         ]
         print(f"{sheet.title}: {summary['episodes']} cases in {summary['clusters']} clusters")
-        _table([list(sheet.heads), *boxes])
+        table([list(sheet.heads), *boxes])
         print("In brackets: 95 %, Wilson's | cluster bootstrap.")
         if summary["failed"]:
             print(f"{summary['failed']} could not be run; they are in no figure.")
@@ -342,27 +258,3 @@ def _said(summary: dict[str, Any], out: Path | None, as_json: bool) -> int:
         terminal.error("no case could be run" + (f"; {out} says why" if out else ""))
         return terminal.FAILED
     return terminal.INCOMPLETE if summary["failed"] else terminal.OK
-
-
-def _table(rows: list[list[str]]) -> None:
-    wide = [max(len(row[k]) for row in rows if k < len(row)) for k in range(len(rows[0]))]
-    for row in rows:
-        cells = (text.ljust(wide[k]) if k == 0 else text.rjust(wide[k]) for k, text in enumerate(row))
-        print("  ".join(cells).rstrip())
-
-
-def _columns(pairs: dict[str, Any], indent: int = 4) -> None:
-    wide = max((len(name) for name in pairs), default=0)
-    for name, what in pairs.items():
-        print(f"{' ' * indent}{name.ljust(wide)}  {what}")
-
-
-def _short(choices: tuple[Any, ...]) -> Any:
-    """Ranges of numbers as their ends: nobody reads fifty of them."""
-    if len(choices) > 8 and all(isinstance(choice, int) for choice in choices):
-        return f"{min(choices)} to {max(choices)}"
-    return list(choices)
-
-
-def _words(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

@@ -114,8 +114,9 @@ class BenchRun(Common):
     """Of a benchmark: the folder with its published files."""
     agent: Annotated[str | None, arg(metavar="NAME")] = None
     """Of a benchmark: who plays (default: eagor)."""
-    model: Annotated[str | None, arg(metavar="MODEL@ADDRESS")] = None
-    """Of a benchmark: the model that the agent vlm talks with, on one or several servers (commas between addresses)."""
+    model: Annotated[str | None, arg(metavar="MODEL")] = None
+    """Of a benchmark: the model that the agent vlm talks with: FOLDER or hub name, run here; MODEL@ADDRESS, on one or
+    several servers (commas between addresses); options after ?."""
     scoring: Annotated[Literal["official", "strict"] | None, arg(metavar="WAY")] = None
     """Of H*Bench: official, or strict (the pitch counts also where a window crosses yaw 0)."""
     labels: Annotated[Literal["official", "corrected", "both"] | None, arg(metavar="WHICH")] = None

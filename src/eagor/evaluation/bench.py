@@ -11,12 +11,11 @@ from typing import Any
 from eagor import plugins, worlds
 from eagor._version import __version__
 from eagor.errors import EagorError
-from eagor.evaluation import ledger
-from eagor.evaluation.workers import Engine, Outcome, Unit, run_units
+from eagor.evaluation.workers import Engine, Outcome, Unit, carry_out
 from eagor.perception.calibrated import Calibrated
 from eagor.tasks import task as tasks
 from eagor.tasks.episodes import slots
-from eagor.tasks.eyes import release, rows_of, shared
+from eagor.tasks.eyes import rows_of, shared
 from eagor.tasks.fitted import fitted
 from eagor.tasks.methods import NAMES, ORACLE, make_method
 from eagor.tasks.places import APARTMENT, DEVELOPMENT
@@ -124,14 +123,7 @@ def start(
     does not exist; `StorageError` if the disk does not take the results.
     """
     config = run.config()  # makes the perception: one that cannot be made is no failure of an episode
-    units = run.units()
-    ledger.begin(folder, config)
-    if workers > 1:
-        release()  # each worker makes its own; ours would only take room beside them
-    try:
-        return run_units(units, WORK, config, folder, workers, 2, on_done, retry_failed, engine=engine, address=address)
-    finally:
-        release()
+    return carry_out(run.units(), WORK, config, folder, workers, on_done, retry_failed, engine, address)
 
 
 @lru_cache(maxsize=1)

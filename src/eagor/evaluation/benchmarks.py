@@ -9,7 +9,7 @@ from typing import Any
 
 from eagor.errors import EagorError
 from eagor.evaluation import ledger
-from eagor.evaluation.workers import Engine, Outcome, Unit, run_units
+from eagor.evaluation.workers import Engine, Outcome, Unit, carry_out
 from eagor.tasks.benchmark import Benchmark, Case, load, read_options
 
 KIND = "benchmark"  # in run.json: which kind of run this is
@@ -85,12 +85,10 @@ def start(
     Raises `EagorError` if the folder holds another run (it says what differs), or for anything that `run` names and
     does not exist; `StorageError` if the disk does not take the results.
     """
-    settings = run.settings()  # makes the perception: one that cannot be made is no failure of a case
+    settings = run.settings()  # makes the perception or the model: one that cannot be made is no failure of a case
     todo = units(settings, run.cases(settings))
-    ledger.begin(folder, settings)
-    outcome = run_units(
-        todo, run.benchmark.work, settings, folder, workers, 2, on_done, retry_failed, engine=engine, address=address
-    )
+    work = run.benchmark.work
+    outcome = carry_out(todo, work, settings, folder, workers, on_done, retry_failed, engine, address)
     return outcome, len(todo)
 
 

@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from eagor.errors import EagorError
+from eagor.evaluation import ledger
 from eagor.evaluation.units import Book, Told, Unit, WorkError, attempt_unit, load
+from eagor.tasks.eyes import release
 
-__all__ = ["Engine", "Outcome", "Unit", "WorkError", "run_units"]
+__all__ = ["Engine", "Outcome", "Unit", "WorkError", "carry_out", "run_units"]
 
 Engine = Literal["processes", "threads", "ray"]
 
@@ -85,6 +87,33 @@ def run_units(
 
                 work_together(book, work, config, workers)
     return Outcome(book.done, book.failed, book.skipped)
+
+
+def carry_out(
+    units: Sequence[Unit],
+    work: str,
+    config: dict[str, Any],
+    folder: Path,
+    workers: int = 1,
+    on_done: Told | None = None,
+    retry_failed: bool = False,
+    engine: Engine = "processes",
+    address: str | None = None,
+) -> Outcome:
+    """A whole run: `run_units` into the folder of the run that `config` describes.
+
+    What was made for making sure that it can be made (a perception, a model that talks) is let go of before workers
+    make their own, beside which it would only take room, and after the run. Raises as `run_units`, and `EagorError` if
+    the folder holds another run.
+    """
+    ledger.begin(folder, config)
+    here = engine == "threads" or (engine == "processes" and workers == 1)
+    if not here:
+        release()
+    try:
+        return run_units(units, work, config, folder, workers, 2, on_done, retry_failed, engine=engine, address=address)
+    finally:
+        release()
 
 
 def _alone(book: Book, work: str, config: dict[str, Any]) -> None:

@@ -142,19 +142,27 @@ def _model(name: str, options: dict[str, Any]) -> Perception:
     """The model with this hub name or in this folder."""
     from eagor.perception.transformers import TransformersPerception
 
+    return local_model(TransformersPerception, name, options)
+
+
+def local_model(make: Callable[..., Any], name: str, options: dict[str, Any]) -> Any:
+    """What `make` makes of the model with this hub name or in this folder, with options by name.
+
+    Raises `EagorError` for a folder without a model in it, or options that `make` does not take.
+    """
     folder = Path(name).expanduser()
     if folder.is_dir() and not (folder / "config.json").is_file():
         raise EagorError(f"the folder {name!r} has no config.json; wanted one that holds a model")
     if not folder.is_dir() and name.startswith((".", "~", "/")):
         raise EagorError(f"there is no folder {name!r}; wanted one that holds a model, or a hub name")
     try:
-        inspect.signature(TransformersPerception).bind(name, **options)
+        inspect.signature(make).bind(name, **options)
     except TypeError as error:
         raise EagorError(
             f"the model {name!r} cannot be taken with the options {sorted(options)}: {error}. It takes "
-            f"{', '.join([*inspect.signature(TransformersPerception).parameters][1:])}"
+            f"{', '.join([*inspect.signature(make).parameters][1:])}"
         ) from error
-    return TransformersPerception(str(folder) if folder.is_dir() else name, **options)
+    return make(str(folder) if folder.is_dir() else name, **options)
 
 
 def check_perception(

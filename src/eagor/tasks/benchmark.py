@@ -18,9 +18,11 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from eagor import plugins
+from eagor._version import __version__
 from eagor.errors import EagorError
 
 GROUP = "eagor.benchmarks"
+TALKING = "vlm"  # the agent that asks a model, by whichever benchmark
 BUILT_IN = {
     "hstar-hos": "eagor.tasks.hstar.bench:HOS",
     "hstar-hps": "eagor.tasks.hstar.bench:HPS",
@@ -197,6 +199,40 @@ def read_options(benchmark: Benchmark, values: Mapping[str, Any]) -> dict[str, A
     return {
         name: option.read(name, given[name]) if name in given else option.default
         for name, option in benchmark.options.items()
+    }
+
+
+def settled(benchmark: Benchmark, settings: Mapping[str, Any], looking: Sequence[str], truth: str) -> dict[str, Any]:
+    """What `Benchmark.settle` returns, complete, before anything is made: who plays, with what, by which options.
+
+    `looking`: the agents that need a perception; `truth`: what the perception truth is
+    in this benchmark, for the text of an error. Raises `EagorError` for an agent or an option that there is not, or
+    where something to look with, or to ask, is missing.
+    """
+    agent = settings.get("agent") or next(iter(benchmark.agents))
+    if agent not in benchmark.agents:
+        raise EagorError(f"{benchmark.name} has no agent {agent!r}; it has {', '.join(benchmark.agents)}")
+    perception, model = settings.get("perception"), settings.get("model")
+    if agent in looking and not perception:
+        raise EagorError(
+            f"the agent {agent} needs eyes: name a --perception, such as a model (folder or hub name), "
+            f"endpoint:MODEL@ADDRESS, or truth ({truth})"
+        )
+    if agent == TALKING and not model:
+        raise EagorError(
+            f"the agent {agent} asks a model; name it with --model, such as MODEL@http://localhost:8000/v1, a folder "
+            "or hub name, or package.module:function"
+        )
+    return {
+        "task": benchmark.name,
+        "data": str(settings["data"]),
+        "agent": agent,
+        "perception": perception if agent in looking else None,
+        "model": model if agent == TALKING else None,
+        "seed": int(settings.get("seed") or 0),
+        **read_options(benchmark, {name: settings.get(name) for name in benchmark.options}),
+        **({"calibrated": settings["calibrated"]} if settings.get("calibrated") and agent in looking else {}),
+        "versions": {"eagor": __version__},
     }
 
 

@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import gc
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
 
 from eagor.errors import AnswerError
-from eagor.evidence import Evidence
+from eagor.evidence import Calibration, Evidence
 from eagor.perception import Perception, load
+from eagor.perception.calibrated import from_json
 from eagor.queries import Named
+from eagor.tasks.chat import shared_chat
 
 ROWS = 256  # of the panoramas, for perceptions that do not say
 
@@ -111,12 +113,18 @@ def shared(perception: str) -> Perception:
 
 
 def release() -> None:
-    """Let go of the perception that `shared` keeps, and of its room on a GPU."""
+    """Let go of the perception that `shared` keeps, of the model of `shared_chat`, and of their room on a GPU."""
     shared.cache_clear()
+    shared_chat.cache_clear()
     gc.collect()
     torch = sys.modules.get("torch")
     if torch is not None and torch.cuda.is_available():
         torch.cuda.empty_cache()
+
+
+def recalibration(settings: Mapping[str, Any]) -> Calibration | None:
+    """How the settings of a run say that responses are to be read ("calibrated"); None: as the perception does."""
+    return from_json(settings["calibrated"], "the settings").calibration if settings.get("calibrated") else None
 
 
 def rows_of(perception: Any) -> int:

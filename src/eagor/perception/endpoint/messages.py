@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+from collections.abc import Set
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -52,7 +53,12 @@ class Question:
     temperature: float = 0.0
 
     @property
-    def features(self) -> set[str]:
+    def size(self) -> tuple[int, int]:
+        """(height, width) of the picture."""
+        return self.picture.size
+
+    @property
+    def features(self) -> Set[str]:
         """What a server may not know."""
         return {"logprobs", "response_format"} if self.schema else {"logprobs"}
 
@@ -83,6 +89,10 @@ class Question:
             named = {"name": "answer", "schema": self.schema, "strict": True}
             body["response_format"] = {"type": "json_schema", "json_schema": named}
         return body
+
+    def read(self, completion: Any, tries: int) -> Answer:
+        """As `read_answer`; `tries`: how many requests it took."""
+        return read_answer(completion, tries)
 
 
 @dataclass(frozen=True)

@@ -22,13 +22,11 @@ def from_text(text: str = "", /, **options: Any) -> EndpointPerception:
     if find_spec("openai") is None:
         raise EagorError("a served model needs the openai package: pip install 'eagor[endpoint]'")
     place, _, written = text.partition("?")
-    model, at, addresses = place.rpartition("@")
-    if not at:
-        model, addresses = ("", place) if "://" in place else (place, "")
+    model, addresses = place_of(place)
     known = {field.name: field.default for field in fields(EndpointPerception)}
     given: dict[str, Any] = {"model": model}
     if addresses:
-        given["servers"] = tuple(address for address in addresses.split(",") if address)
+        given["servers"] = addresses
     for name, value in parse_qsl(written, keep_blank_values=True):
         given[name] = _read_option(name, value, known)
     given |= options
@@ -36,6 +34,14 @@ def from_text(text: str = "", /, **options: Any) -> EndpointPerception:
     if unknown:
         raise EagorError(f"an endpoint has no option {', '.join(unknown)}; it has {', '.join(known)}")
     return EndpointPerception(**given)
+
+
+def place_of(text: str) -> tuple[str, tuple[str, ...]]:
+    """Model and addresses in ``MODEL@ADDRESS[,ADDRESS...]``; empty where they are missing."""
+    model, at, addresses = text.rpartition("@")
+    if not at:
+        model, addresses = ("", text) if "://" in text else (text, "")
+    return model, tuple(address for address in addresses.split(",") if address)
 
 
 def _read_option(name: str, value: str, known: dict[str, Any]) -> Any:

@@ -6,19 +6,43 @@ import random
 import threading
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol, TypeVar
 from urllib.parse import urlsplit
 
 from eagor.errors import EagorError, QueryError, ServerError
 from eagor.perception.endpoint.faults import Asked, explained, message, refused_feature, retry_after, worth_retrying
-from eagor.perception.endpoint.messages import Answer, Question, read_answer
 
 DEFAULT_SERVER = "http://localhost:8000/v1"
 LONGEST_REST = 30.0  # seconds that a failing server is left alone at most, unless it asks for more
 _CONNECT = 10.0  # seconds to reach a server
+
+
+Read = TypeVar("Read", covariant=True)
+
+
+class Asking(Protocol[Read]):
+    """One request: a `eagor.perception.endpoint.messages.Question`, or a conversation."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) of its picture, for the text of errors."""
+        ...
+
+    @property
+    def features(self) -> Set[str]:
+        """What a server may not know."""
+        ...
+
+    def body(self, model: str, refused: frozenset[str]) -> dict[str, Any]:
+        """The arguments of ``chat.completions.create``, without the features that the server refused."""
+        ...
+
+    def read(self, completion: Any, tries: int) -> Read:
+        """What the client returned. Raises `AnswerError`, or AttributeError or TypeError if it is no completion."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -36,6 +60,7 @@ class _Server:
     url: str
     client: Any
     busy: int = 0
+    asked: int = 0
     failures: int = 0  # in a row
     rests_until: float = 0.0
     refused: set[str] = field(default_factory=set)  # optional features that it does not know
@@ -86,7 +111,7 @@ class Servers:
             self._model = names[0]
         return self._model
 
-    def ask(self, questions: Sequence[Question]) -> list[Answer]:
+    def ask(self, questions: Sequence[Asking[Read]]) -> list[Read]:
         """The answers to `questions`, in their order; as many at once as the limits allow.
 
         Raises the first error (`ServerError`, `QueryError`, `AnswerError`); what is not yet sent then stays unsent.
@@ -109,7 +134,7 @@ class Servers:
                 self._free.notify_all()
             pool.shutdown(wait=False, cancel_futures=True)
 
-    def _ask(self, question: Question, stop: threading.Event) -> Answer:
+    def _ask(self, question: Asking[Read], stop: threading.Event) -> Read:
         """One answer, after as many tries as it takes and is allowed."""
         import openai
 
@@ -117,12 +142,12 @@ class Servers:
         while True:
             server = self._next(stop)
             failed: Exception | None = None
-            answer: Answer | None = None
+            answer: Read | None = None
             tries += 1
             refused = frozenset(server.refused)
             try:
                 body = question.body(self._model, refused)
-                answer = read_answer(server.client.chat.completions.create(**body), tries)
+                answer = question.read(server.client.chat.completions.create(**body), tries)
             except openai.OpenAIError as error:
                 failed = error
             except (ValueError, AttributeError, TypeError) as error:  # what came is no chat completion
@@ -139,7 +164,7 @@ class Servers:
                 server.refused.add(feature)
                 tries -= 1
             elif tries >= most or not worth_retrying(failed):
-                asked = self._asked(server, question.picture.size, tries)
+                asked = self._asked(server, question.size, tries)
                 raise explained(failed, asked, self._names_after(failed, server)) from failed
 
     def _next(self, stop: threading.Event) -> _Server:
@@ -152,8 +177,9 @@ class Servers:
                 room = [server for server in self._servers if server.busy < self._limits.concurrency]
                 ready = [server for server in room if server.rests_until <= now]
                 if ready:
-                    server = min(ready, key=lambda s: (s.failures, s.busy))
+                    server = min(ready, key=lambda s: (s.failures, s.busy, s.asked))
                     server.busy += 1
+                    server.asked += 1
                     return server
                 self._free.wait(min((server.rests_until - now for server in room), default=None))
 

@@ -7,6 +7,7 @@ their exact size here, and the image processor only normalises (and cuts patches
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +18,7 @@ import torch
 from eagor.errors import EagorError, ImageError
 from eagor.perception.transformers.layout import Block, Layout
 from eagor.perception.vlm.families import Family
-from eagor.perception.vlm.sizes import exact_size, resized
+from eagor.perception.vlm.sizes import exact_size, nearest_size, resized
 
 _MOST_TILES = 12
 _MARK = "QUESTION"
@@ -53,9 +54,7 @@ def plan(family: Family, config: Any, aspect: float, pixels: int | None = None) 
     vision = config.vision_config
     if family.fit == "exact":
         cell = vision.patch_size * vision.spatial_merge_size
-        size = exact_size(cell, pixels or family.pixels, aspect)
-        shape = (size[0] // cell, size[1] // cell)
-        return Plan(size, Layout(shape, (Block(*shape),)), None, size[0] * size[1])
+        return _exact(cell, exact_size(cell, pixels or family.pixels, aspect))
     side = _first(vision.image_size)
     if family.fit == "squash":
         rows = math.isqrt(config.mm_tokens_per_image)
@@ -65,6 +64,27 @@ def plan(family: Family, config: Any, aspect: float, pixels: int | None = None) 
         return _padded(side, rows, aspect)
     rows = round(side // _first(vision.patch_size) * config.downsample_ratio)
     return _tiled(side, rows, aspect, pixels or family.pixels)
+
+
+def picture_plan(
+    family: Family, config: Any, processor: Any, shape: tuple[int, int], pixels: int | None = None
+) -> Plan:
+    """How an ordinary picture ``(height, width)`` is fed where nobody asks for directions in it.
+
+    It keeps its size as nearly as the model can take it: in the families that leave a choice as few and as many pixels
+    as the checkpoint's own processor allows, and at most `pixels`.
+    """
+    vision = config.vision_config
+    if family.fit == "exact":
+        cell = vision.patch_size * vision.spatial_merge_size
+        most = min(int(processor.size["longest_edge"]), pixels or sys.maxsize)
+        return _exact(cell, nearest_size(cell, shape, min(int(processor.size["shortest_edge"]), most), most))
+    return plan(family, config, shape[1] / shape[0], min(shape[0] * shape[1], pixels or sys.maxsize))
+
+
+def _exact(cell: int, size: tuple[int, int]) -> Plan:
+    shape = (size[0] // cell, size[1] // cell)
+    return Plan(size, Layout(shape, (Block(*shape),)), None, size[0] * size[1])
 
 
 def _first(value: Any) -> int:
@@ -153,20 +173,36 @@ def prompt(tokenizer: Any, family: Family, template: str, text: str, image_token
     know the image token.
     """
     written = template.replace(family.placeholder, family.expansion).replace("{text}", text)
+    return tokens_of(tokenizer, family, written, image_token, [count])
+
+
+def tokens_of(tokenizer: Any, family: Family, written: str, image_token: int, counts: Sequence[int]) -> Prompt:
+    """The tokens of a prompt with one image token for each image, which become as many as `counts` tells.
+
+    Raises `EagorError` if it has another number of image tokens.
+    """
     begins = tokenizer.bos_token is not None and written.startswith(tokenizer.bos_token)
     ids = tokenizer(written, add_special_tokens=not begins)["input_ids"]
     places = [place for place, token in enumerate(ids) if token == image_token]
-    if len(places) != 1:
+    if len(places) != len(counts):
         raise EagorError(
-            f"the prompt has {len(places)} image tokens ({family.image_token!r}, id {image_token}); wanted one. Do the "
-            "tokenizer and the model belong together, and does the question hold no such token?"
+            f"the prompt has {len(places)} image tokens ({family.image_token!r}, id {image_token}); wanted "
+            f"{len(counts)}. Do the tokenizer and the model belong together, and does the text hold no such token?"
         )
-    place = places[0]
-    prefix = [*ids[:place], *([image_token] * count)]
+    prefix: list[int] = []
+    columns: list[int] = []
+    done = 0
+    for place, count in zip(places, counts, strict=True):
+        prefix += ids[done:place]
+        columns += range(len(prefix), len(prefix) + count)
+        prefix += [image_token] * count
+        done = place + 1
+    if not counts:  # something has to run before the answer's first token
+        prefix, done = ids[:-1], len(ids) - 1
     return Prompt(
         prefix=torch.tensor([prefix]),
-        columns=torch.arange(place, place + count),
-        suffix=torch.tensor([ids[place + 1 :]]),
+        columns=torch.tensor(columns, dtype=torch.long),
+        suffix=torch.tensor([ids[done:]]),
     )
 
 
@@ -175,17 +211,21 @@ def template_of(tokenizer: Any, family: Family) -> str:
 
     Checkpoints of one family differ in their system prompts; what they were trained with stands in their template.
     """
+    written = own_template(tokenizer, family)
+    if written is None or written.index(_MARK) < written.index(family.placeholder):
+        return family.template  # the image has to stand first, or nothing could be shared between questions
+    return written.replace(_MARK, "{text}")
+
+
+def own_template(tokenizer: Any, family: Family) -> str | None:
+    """What the checkpoint's own template makes of one image and a mark; None without one that knows images."""
     if not getattr(tokenizer, "chat_template", None):
-        return family.template
+        return None
     content = [{"type": "image"}, {"type": "text", "text": _MARK}]
     written = tokenizer.apply_chat_template(
         [{"role": "user", "content": content}], tokenize=False, add_generation_prompt=True
     )
-    if written.count(family.placeholder) != 1 or written.count(_MARK) != 1:
-        return family.template  # a template of the language model alone, which knows no images
-    if written.index(_MARK) < written.index(family.placeholder):
-        return family.template  # the image has to stand first, or nothing could be shared between questions
-    return written.replace(_MARK, "{text}")
+    return written if written.count(family.placeholder) == 1 and written.count(_MARK) == 1 else None
 
 
 def typed(family: Family, ids: torch.Tensor, image_token: int) -> dict[str, torch.Tensor]:

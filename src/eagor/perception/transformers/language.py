@@ -212,7 +212,7 @@ class LanguageModel:
 
     def _boxes(self, running: Any, logits: torch.Tensor, planned: Plan, account: Account) -> list[list[Box]]:
         """The boxes that the model goes on to write, per image."""
-        stops = _stops(self.model, self.tokenizer)
+        stops = stops_of(self.model, self.tokenizer)
         answer = running.decode(logits, self.most, stops)
         found = []
         for ids, logs in zip(answer.ids, answer.log_probabilities, strict=True):
@@ -262,7 +262,7 @@ def _answers(tokenizer: Any) -> tuple[list[int], list[int]]:
     return sorted(yes - no), sorted(no - yes)
 
 
-def _stops(model: Any, tokenizer: Any) -> list[int]:
+def stops_of(model: Any, tokenizer: Any) -> list[int]:
     """Tokens that end an answer."""
     stops = getattr(model.generation_config, "eos_token_id", None)
     stops = stops if stops is not None else tokenizer.eos_token_id

@@ -33,20 +33,10 @@ def load_model(
 
     Raises `EagorError` if packages are missing, nothing can be loaded there, or it is of no known family.
     """
-    try:
-        import torch
-        import transformers
-    except ImportError as error:
-        raise EagorError(
-            f"{name} needs torch and transformers ({error}). On a CPU machine install torch==2.13.0 first, then "
-            "pip install 'eagor[vlm]' (and no torchvision)"
-        ) from error
-    if int(transformers.__version__.partition(".")[0]) < 5:
-        raise EagorError(
-            f"{name} needs transformers 5.23 or newer; this is {transformers.__version__}: pip install -U 'eagor[vlm]'"
-        )
-    config = _loaded(name, "config.json", transformers.AutoConfig.from_pretrained, revision)
-    family = family_of(config, name)
+    config, family = read_family(name, revision)
+    import torch
+    import transformers
+
     # What cannot be is said before gigabytes are read.
     how = chosen(extractor or family.default(heads), family, "extractor")
     each = chosen(per_view or family.per_view, family, "per_view")
@@ -90,6 +80,27 @@ def load_model(
         most=most,
         pixels=most_pixels or (family.view_pixels if how == "views" else None),
     )
+
+
+def read_family(name: str, revision: str | None = None) -> tuple[Any, Family]:
+    """The configuration of the model with this hub name or in this folder, and its family; weights are not read.
+
+    Raises `EagorError` if packages are missing, nothing can be loaded there, or it is of no known family.
+    """
+    try:
+        import torch  # noqa: F401
+        import transformers
+    except ImportError as error:
+        raise EagorError(
+            f"{name} needs torch and transformers ({error}). On a CPU machine install torch==2.13.0 first, then "
+            "pip install 'eagor[vlm]' (and no torchvision)"
+        ) from error
+    if int(transformers.__version__.partition(".")[0]) < 5:
+        raise EagorError(
+            f"{name} needs transformers 5.23 or newer; this is {transformers.__version__}: pip install -U 'eagor[vlm]'"
+        )
+    config = _loaded(name, "config.json", transformers.AutoConfig.from_pretrained, revision)
+    return config, family_of(config, name)
 
 
 def _localiser(about: dict[str, Any], pixels: int | None, threshold: float | None, foreign: dict[str, Any]) -> Looker:

@@ -34,11 +34,11 @@ class Prefix:
     Attributes:
         model: the model that they belong to.
         batch: number of images.
-        columns: positions ``(n,)`` of the image tokens.
+        columns: positions ``(n,)`` of the image tokens, none where there is no image.
         length: number of tokens.
         position: the position of the next token, which after an image with rotary positions in rows and columns is not
             the number of tokens so far; None where the model counts by itself.
-        cache: keys and values; never written to.
+        cache: keys and values; never written to, but by the last run.
     """
 
     model: Any
@@ -48,9 +48,9 @@ class Prefix:
     position: int | None
     cache: Any
 
-    def continued(self) -> Running:
-        """A run that goes on behind the image, on a copy."""
-        return Running(self, _copied(self.cache), self.position)
+    def continued(self, last: bool = False) -> Running:
+        """A run that goes on behind the image, on a copy; `last`: on the cache itself, where nobody else needs it."""
+        return Running(self, self.cache if last else _copied(self.cache), self.position)
 
 
 @dataclass
@@ -105,17 +105,23 @@ class Running:
 def share(
     model: Any, family: Family, prompt: Prompt, tensors: Mapping[str, torch.Tensor], batch: int, image_token: int
 ) -> Prefix:
-    """Run a prompt up to its image, for `batch` images of the same size whose tensors are in `tensors`."""
+    """Run a prompt up to its last image, for `batch` prompts with images of the same sizes.
+
+    `tensors` are those of all images, one prompt after the other; empty where there are none.
+    """
     device = model.device
     ids = prompt.prefix.expand(batch, -1).to(device)
     feed: dict[str, Any] = {name: tensor.to(device) for name, tensor in tensors.items()}
-    feed["pixel_values"] = feed["pixel_values"].to(model.dtype)
+    if "pixel_values" in feed:
+        feed["pixel_values"] = feed["pixel_values"].to(model.dtype)
     types = typed(family, ids, image_token)
     feed.update(input_ids=ids, **types)
     check_typed(family, feed, image_token)
     position = None
     if family.type_ids == "mm_token_type_ids":
-        places, _ = model.model.get_rope_index(ids, types["mm_token_type_ids"], image_grid_thw=feed["image_grid_thw"])
+        places, _ = model.model.get_rope_index(
+            ids, types["mm_token_type_ids"], image_grid_thw=feed.get("image_grid_thw")
+        )
         feed["position_ids"] = places
         position = int(places.max()) + 1
     cache = model.model(**feed, use_cache=True).past_key_values

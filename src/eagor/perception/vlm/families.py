@@ -55,6 +55,34 @@ class Served:
 
 
 @dataclass(frozen=True)
+class Dialogue:
+    """How a conversation is written, for checkpoints that bring no template of their own.
+
+    Attributes:
+        user: what a user's message becomes; ``{text}`` stands for its words and pictures, in the others for the words.
+        assistant: the same for a reply.
+        reply: what stands before the next reply.
+        picture: what stands for a picture, the family's placeholder in it.
+        system: the same as `user` for a system message; empty where its words go before those of the first user.
+        begin: what stands before everything.
+        helper: the words of the system message where nobody gives any; empty for no such message.
+    """
+
+    user: str
+    assistant: str
+    reply: str
+    picture: str
+    system: str = ""
+    begin: str = ""
+    helper: str = ""
+
+
+def _chatml(picture: str, helper: str = "") -> Dialogue:
+    parts = {role: f"<|im_start|>{role}\n{{text}}<|im_end|>\n" for role in ("system", "user", "assistant")}
+    return Dialogue(**parts, reply="<|im_start|>assistant\n", picture=picture, helper=helper)
+
+
+@dataclass(frozen=True)
 class Family:
     """A family of models.
 
@@ -73,7 +101,7 @@ class Family:
         placeholder: what the checkpoint's chat template writes where an image goes.
         expansion: what the placeholder becomes; the image token in it is then repeated.
         image_token: that token.
-        template: the prompt, for checkpoints that bring no template of their own.
+        dialogue: how conversations are written, for checkpoints that bring no template of their own.
         depth: the layer whose attention is read by default, as a fraction of all layers. 22 of 28 for Qwen2.5-VL-7B
             and 14 of 32 for LLaVA-1.5-7B are the published choices (Zhang et al., arXiv 2502.17422); the rest are not
             measured.
@@ -94,11 +122,20 @@ class Family:
     placeholder: str = ""
     expansion: str = ""
     image_token: str = ""
-    template: str = ""
+    dialogue: Dialogue | None = None
     depth: float = 0.6
     pixels: int = 700 * 1400
     localiser: bool = False
     served: Served | None = None
+
+    @property
+    def template(self) -> str:
+        """The prompt about one picture, with ``{text}`` for the question; empty where it holds no conversations."""
+        if self.dialogue is None:
+            return ""
+        said = self.dialogue
+        helper = said.system.replace("{text}", said.helper) if said.helper else ""
+        return said.begin + helper + said.user.replace("{text}", said.picture + "{text}") + said.reply
 
     @property
     def view_pixels(self) -> int | None:
@@ -117,7 +154,6 @@ class Family:
         return ("attention", "boxes", "both", "views") if self.frame else ("attention", "views")
 
 
-_CHATML = "<|im_start|>user\n{image}{text}<|im_end|>\n<|im_start|>assistant\n"
 _QWEN_IMAGE = "<|vision_start|><|image_pad|><|vision_end|>"
 
 FAMILIES: tuple[Family, ...] = (
@@ -132,8 +168,7 @@ FAMILIES: tuple[Family, ...] = (
         placeholder="<|image_pad|>",
         expansion="<|image_pad|>",
         image_token="<|image_pad|>",
-        template="<|im_start|>system\nYou are a helpful assistant.<|im_end|>\n"
-        + _CHATML.replace("{image}", _QWEN_IMAGE),
+        dialogue=_chatml(_QWEN_IMAGE, "You are a helpful assistant."),
         depth=22 / 28,
         served=Served(r"qwen[\W_]?2[._]?5[\W_]?vl", cell=28, view=560),
         checkpoints=(
@@ -153,7 +188,7 @@ FAMILIES: tuple[Family, ...] = (
         placeholder="<|image_pad|>",
         expansion="<|image_pad|>",
         image_token="<|image_pad|>",
-        template=_CHATML.replace("{image}", _QWEN_IMAGE),
+        dialogue=_chatml(_QWEN_IMAGE),
         depth=22 / 28,
         pixels=704 * 1408,
         served=Served(r"qwen[\W_]?3[._]?5|qwen[\W_]?3[\W_]?vl", cell=32, view=576),
@@ -173,7 +208,13 @@ FAMILIES: tuple[Family, ...] = (
         placeholder="<start_of_image>",
         expansion="\n\n<start_of_image><image_soft_token><end_of_image>\n\n",
         image_token="<image_soft_token>",
-        template="<bos><start_of_turn>user\n<start_of_image>{text}<end_of_turn>\n<start_of_turn>model\n",
+        dialogue=Dialogue(
+            user="<start_of_turn>user\n{text}<end_of_turn>\n",
+            assistant="<start_of_turn>model\n{text}<end_of_turn>\n",
+            reply="<start_of_turn>model\n",
+            picture="<start_of_image>",
+            begin="<bos>",
+        ),
         pixels=896 * 896,
         served=Served(r"gemma[\W_]?3", cell=56, view=896, aspect=1.0, order="yxyx"),
         checkpoints=(Checkpoint("google/gemma-3-4b-it", 4.3), Checkpoint("google/gemma-3-12b-it", 12.2)),
@@ -187,7 +228,13 @@ FAMILIES: tuple[Family, ...] = (
         placeholder="<image>",
         expansion="<image>",
         image_token="<image>",
-        template="USER: <image>\n{text} ASSISTANT:",
+        dialogue=Dialogue(
+            user="USER: {text} ",
+            assistant="ASSISTANT: {text}</s>",
+            reply="ASSISTANT:",
+            picture="<image>\n",
+            system="{text} ",
+        ),
         depth=14 / 32,
         pixels=336 * 336,
         served=Served(r"llava[\W_]?(?:v?1[._]?[56]|7b|13b|hf|\Z)", cell=14, view=336, aspect=1.0, frame="unit"),
@@ -202,7 +249,13 @@ FAMILIES: tuple[Family, ...] = (
         placeholder="<image_placeholder>",
         expansion="<begin_of_image><image_placeholder><end_of_image>",
         image_token="<image_placeholder>",
-        template="<|User|>: <image_placeholder>\n{text}\n\n<|Assistant|>:",
+        dialogue=Dialogue(
+            user="<|User|>: {text}\n\n",
+            assistant="<|Assistant|>: {text}<|end▁of▁sentence|>",
+            reply="<|Assistant|>:",
+            picture="<image_placeholder>\n",
+            system="{text}\n\n",
+        ),
         pixels=384 * 384,
         served=Served(r"janus", cell=16, view=384, aspect=1.0, frame="unit"),
         checkpoints=(
@@ -220,7 +273,7 @@ FAMILIES: tuple[Family, ...] = (
         placeholder="<IMG_CONTEXT>",
         expansion="<img><IMG_CONTEXT></img>",
         image_token="<IMG_CONTEXT>",
-        template=_CHATML.replace("{image}", "<IMG_CONTEXT>\n"),
+        dialogue=_chatml("<IMG_CONTEXT>\n"),
         pixels=448 * 896,
         served=Served(r"internvl", cell=28, view=448),
         checkpoints=(Checkpoint("OpenGVLab/InternVL3-2B-hf", 2.1), Checkpoint("OpenGVLab/InternVL3-8B-hf", 7.9)),

@@ -39,6 +39,26 @@ def exact_size(cell: int, pixels: int, aspect: float = 2.0) -> tuple[int, int]:
     return cell * row, cell * column
 
 
+def nearest_size(cell: int, shape: tuple[int, int], least: int, most: int) -> tuple[int, int]:
+    """(height, width) of whole cells nearest to `shape`, with `least` to `most` pixels: what a processor makes of it.
+
+    The rounding is that of the Qwen families' image processors, so that a conversation shows a model what a server
+    would show it. Sides are rounded apart, which bends the picture by up to half a cell each way: `exact_size` is for
+    what directions are read from. Raises `ImageError` if not even one cell fits.
+    """
+    height, width = shape
+    if most < cell * cell or min(shape) < 1:
+        raise ImageError(f"a picture of {width} x {height} cannot have cells of {cell} pixels and at most {most}")
+    sides = [round(side / cell) * cell for side in shape]
+    scale = math.sqrt(height * width / most)
+    if sides[0] * sides[1] > most:
+        sides = [max(cell, math.floor(side / scale / cell) * cell) for side in shape]
+    elif sides[0] * sides[1] < least:
+        scale = math.sqrt(least / (height * width))
+        sides = [math.ceil(side * scale / cell) * cell for side in shape]
+    return sides[0], sides[1]
+
+
 def checked_picture(image: np.ndarray, name: str = "the panorama") -> np.ndarray:
     """`image` once it is certain to be uint8 ``(H, W, 3)``. Raises `ImageError`."""
     image = np.asarray(image)

@@ -18,7 +18,8 @@ import numpy as np
 from eagor.grids import ErpGrid
 from eagor.sphere import world_R_body
 from eagor.tasks.hstar.camera import View, visible_share
-from eagor.tasks.hstar.data import ANNOTATION, STARTS
+from eagor.tasks.hstar.data import STARTS
+from eagor.tasks.hstar.files import ANNOTATION
 from eagor.tasks.places import APARTMENT, Place, load_place
 
 ROWS = 128  # of the ids that boxes are read from: 1.4 degrees

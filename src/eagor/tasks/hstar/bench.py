@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from eagor._json import shown
-from eagor._version import __version__
 from eagor.errors import EagorError, FormatError
-from eagor.tasks.benchmark import Case, Figure, Option, Record, read_options
-from eagor.tasks.chat import check_chat
-from eagor.tasks.hstar import data as files
+from eagor.tasks.benchmark import Case, Figure, Option, Record, settled
+from eagor.tasks.chat import shared_chat
+from eagor.tasks.hstar import data as published
 from eagor.tasks.hstar.agents import AGENTS, LOOKING, SWEEP
 from eagor.tasks.hstar.camera import RESOLUTION
 from eagor.tasks.hstar.causes import CAUSES, cause_of
@@ -81,47 +80,27 @@ class HStar:
         return found
 
     def info(self, data: Path) -> dict[str, Any]:
-        return files.info(data)
+        return published.info(data)
 
     def cases(self, data: Path, settings: Mapping[str, Any]) -> list[Case]:
         found, siblings = [], _siblings(data)
-        for episode in files.read_episodes(data, self.kind):
+        for episode in published.read_episodes(data, self.kind):
             others = [item for index, item in enumerate(siblings[episode.scene]) if index != episode.entry]
             payload = {"episode": episode.as_json(), "siblings": others}
             found.append(Case(episode.id, episode.scene, cluster_of(episode), payload))
         return found
 
     def settle(self, settings: Mapping[str, Any]) -> dict[str, Any]:
-        agent = settings.get("agent") or next(iter(AGENTS))
-        if agent not in AGENTS:
-            raise EagorError(f"{self.name} has no agent {agent!r}; it has {', '.join(AGENTS)}")
-        perception = settings.get("perception")
-        if agent in LOOKING:
-            if not perception:
-                raise EagorError(
-                    f"the agent {agent} needs eyes: name a --perception, such as a model (folder or hub name), "
-                    "endpoint:MODEL@ADDRESS, or truth (the annotations through noise, for studies)"
-                )
-            open_perception(perception)
-        model = settings.get("model")
-        if agent == "vlm":
-            check_chat(model, agent)
-        options = read_options(self, {name: settings.get(name) for name in OPTIONS})
-        if not 0 < options["sure"] <= 1:
-            raise EagorError(f"sure = {options['sure']}; wanted a probability above 0, at most 1")
-        if options["resolution"] < 18:
-            raise EagorError(f"resolution = {options['resolution']}; wanted rows of a picture, 18 or more")
-        return {
-            "task": self.name,
-            "data": str(settings["data"]),
-            "agent": agent,
-            "perception": perception if agent in LOOKING else None,
-            "model": model if agent == "vlm" else None,
-            "seed": int(settings.get("seed") or 0),
-            **options,
-            **({"calibrated": settings["calibrated"]} if settings.get("calibrated") else {}),
-            "versions": {"eagor": __version__},
-        }
+        found = settled(self, settings, LOOKING, "the annotations through noise, for studies")
+        if not 0 < found["sure"] <= 1:
+            raise EagorError(f"sure = {found['sure']}; wanted a probability above 0, at most 1")
+        if found["resolution"] < 18:
+            raise EagorError(f"resolution = {found['resolution']}; wanted rows of a picture, 18 or more")
+        if found["perception"]:
+            open_perception(found["perception"])
+        if found["model"]:
+            shared_chat(found["model"])
+        return found
 
     def judge(self, case: Case, prediction: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
         episode = Episode.from_json(case.payload["episode"])
@@ -171,7 +150,7 @@ def _siblings(data: Path) -> dict[str, list[dict[str, Any]]]:
     kept = ("task", "yaw", "pitch")
     return {
         scene.name: [{key: item[key] for key in kept if item.get(key) is not None} for item in scene.items]
-        for scene in files.read_scenes(data)
+        for scene in published.read_scenes(data)
     }
 
 

@@ -1,7 +1,6 @@
-"""H*Bench's published files: scenes with one panorama and annotations, in folders or zip archives, and their episodes.
+"""H*Bench's published data: scenes with one panorama and annotations, and their episodes.
 
-``<anything>/<scene>/annotation.json`` beside the scene's panorama: the first ``*.png`` by name, else the first
-``*.jpg``. Archives (``hos_bench.zip``) are read as they are. An entry with ``pitch`` is an object to find (HOS), one
+Where they are is told in `eagor.tasks.hstar.files`. An entry with ``pitch`` is an object to find (HOS), one
 without a way to take (HPS); one episode per entry and start.
 """
 
@@ -10,34 +9,21 @@ from __future__ import annotations
 import io
 import json
 import random
-import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from eagor._json import number, parsed, shown
-from eagor.errors import EagorError, FormatError, ImageError
+from eagor.errors import EagorError, FormatError
+from eagor.tasks.hstar.files import Stored, find_scenes
 from eagor.tasks.hstar.rules import FARTHEST, window_of
 
 Kind = Literal["hos", "hps"]
 
-ANNOTATION = "annotation.json"
-_LARGEST = 1 << 29  # bytes of a file in an archive
 STARTS = (0, 90, 180, 270)  # degrees of yaw, where an entry names none
 SHUFFLE = 42  # the published environment shuffles its episodes with this seed
 LEVELS = {"hos": ("easy", "medium", "hard"), "hps": ("easy", "medium", "hard", "extreme")}
-
-
-@dataclass(frozen=True)
-class Panorama:
-    """Where a scene's picture is: a file, or a member of a zip archive."""
-
-    path: str
-    member: str = ""
 
 
 @dataclass(frozen=True)
@@ -45,7 +31,7 @@ class Scene:
     """A folder of the data: its name, its picture, and its annotations as they stand in the file."""
 
     name: str
-    panorama: Panorama
+    panorama: Stored
     items: tuple[Mapping[str, Any], ...]
 
 
@@ -75,7 +61,7 @@ class Episode:
     pitch: tuple[float, float] | None
     start: float
     level: int | None
-    panorama: Panorama
+    panorama: Stored
     others: tuple[tuple[tuple[float, float], tuple[float, float] | None], ...] = ()
 
     @property
@@ -96,7 +82,7 @@ class Episode:
     @classmethod
     def from_json(cls, found: Mapping[str, Any]) -> Episode:
         """The episode that `as_json` wrote."""
-        values: dict[str, Any] = dict(found) | {"panorama": Panorama(**found["panorama"]), "yaw": tuple(found["yaw"])}
+        values: dict[str, Any] = dict(found) | {"panorama": Stored(**found["panorama"]), "yaw": tuple(found["yaw"])}
         values["pitch"] = None if found["pitch"] is None else tuple(found["pitch"])
         values["others"] = tuple((tuple(y), None if p is None else tuple(p)) for y, p in found["others"])
         return cls(**values)
@@ -107,27 +93,7 @@ def read_scenes(data: Path) -> list[Scene]:
 
     Raises `FormatError` where there is none at all, or an annotation.json is not what was wanted.
     """
-    data = Path(data)
-    if not data.exists():
-        raise FormatError(f"there is no {data}; name the folder (or zip) with H*Bench's scenes")
-    found: list[tuple[str, Panorama, Any]] = []
-    for folder in sorted({path.parent for path in data.rglob(ANNOTATION)} if data.is_dir() else ()):
-        picture = _picture(sorted(path.name for path in folder.iterdir() if path.is_file()))
-        if picture:
-            where = str(folder / ANNOTATION)
-            found.append((_name(folder.relative_to(data), data), Panorama(str(folder / picture)), where))
-    archives = sorted(data.rglob("*.zip")) if data.is_dir() else [data]
-    extracted = {Path(name).parts[0] for name, *_ in found}
-    for archive in archives:
-        if data.is_dir() and archive.stem in extracted:
-            continue  # its folder lies beside it
-        found += _in_archive(archive)
-    if not found:
-        raise FormatError(
-            f"{data} has no scene; wanted folders with {ANNOTATION} and one .png or .jpg each, or hos_bench.zip and "
-            "hps_bench.zip as published"
-        )
-    return [Scene(name, panorama, _items(where)) for (name, panorama, where) in _short(found)]
+    return [Scene(found.name, found.panorama, _items(found.annotation)) for found in find_scenes(data)]
 
 
 def read_episodes(data: Path, kind: Kind) -> list[Episode]:
@@ -144,31 +110,6 @@ def read_episodes(data: Path, kind: Kind) -> list[Episode]:
     return found
 
 
-@lru_cache(maxsize=2)
-def open_panorama(panorama: Panorama) -> np.ndarray:
-    """The picture ``(H, W, 3)`` uint8, whatever its proportions: columns span 360 degrees, rows 180.
-
-    Read-only: it is kept. Raises `ImageError` if it is not there or no picture.
-    """
-    from PIL import Image
-
-    from eagor.worlds.panorama import as_rgb, check_claim
-
-    try:
-        data = Path(panorama.path).read_bytes() if not panorama.member else _member(panorama)
-        with Image.open(io.BytesIO(data)) as file:
-            check_claim(file, len(data))
-            file.load()
-            image = as_rgb(file)
-    except Exception as error:  # decoders raise whatever the damage leads them to
-        raise ImageError(
-            f"the panorama {panorama.path} {panorama.member} cannot be read ({type(error).__name__}: {error}); "
-            "fetch it again"
-        ) from error
-    image.setflags(write=False)
-    return image
-
-
 def info(data: Path) -> dict[str, Any]:
     """What the folder holds: counts, sizes of pictures, and what is unusual about it. Raises `FormatError`."""
     from PIL import Image
@@ -180,9 +121,8 @@ def info(data: Path) -> dict[str, Any]:
     unreadable: list[str] = []
     for scene in scenes:
         try:
-            panorama = scene.panorama
-            source: Any = io.BytesIO(_member(panorama)) if panorama.member else panorama.path
-            with Image.open(source) as file:
+            stored = scene.panorama
+            with Image.open(io.BytesIO(stored.read()) if stored.member else stored.path) as file:
                 sizes.append(file.size)
         except Exception:
             unreadable.append(scene.name)
@@ -262,10 +202,10 @@ def _level(item: Mapping[str, Any], start: float) -> int:
     return 0 if share >= 0.5 else 1 if share > 0 else 2
 
 
-def _items(where: Any) -> tuple[Mapping[str, Any], ...]:
-    name = where if isinstance(where, str) else f"{where[0]}: {where[1]}"
+def _items(where: Stored) -> tuple[Mapping[str, Any], ...]:
+    name = str(where)
     try:
-        text = Path(where).read_bytes() if isinstance(where, str) else _member(Panorama(*where))
+        text = where.read()
     except Exception as error:  # zipfile raises whatever the damage leads it to
         raise FormatError(f"{name} cannot be read ({type(error).__name__}: {error}); fetch it again") from None
     try:
@@ -283,55 +223,3 @@ def _items(where: Any) -> tuple[Mapping[str, Any], ...]:
         except (EagorError, TypeError, ValueError) as error:
             raise FormatError(f"{name}, entry {index}: {error}") from None
     return tuple(found)
-
-
-def _picture(names: list[str]) -> str | None:
-    for ending in (".png", ".jpg", ".jpeg"):
-        for name in names:
-            if name.lower().endswith(ending):
-                return name
-    return None
-
-
-def _in_archive(archive: Path) -> list[tuple[str, Panorama, Any]]:
-    try:
-        with zipfile.ZipFile(archive) as file:
-            names = sorted(name for name in file.namelist() if not name.startswith("__MACOSX"))
-    except Exception as error:  # zipfile raises whatever the damage leads it to
-        raise FormatError(f"{archive} is no zip archive that can be read ({error}); fetch it again") from error
-    found = []
-    for name in names:
-        folder, _, last = name.rpartition("/")
-        if last != ANNOTATION:
-            continue
-        inside = sorted(other[len(folder) + 1 :] for other in names if other.rpartition("/")[0] == folder)
-        picture = _picture(inside)
-        if picture:
-            path = f"{folder}/{picture}" if folder else picture
-            name_ = f"{archive.stem}/{folder}" if folder else archive.stem
-            found.append((name_, Panorama(str(archive), path), (str(archive), name)))
-    return found
-
-
-@lru_cache(maxsize=4)
-def _archive(path: str) -> zipfile.ZipFile:
-    return zipfile.ZipFile(path)
-
-
-def _member(panorama: Panorama) -> bytes:
-    archive = _archive(panorama.path)
-    size = archive.getinfo(panorama.member).file_size  # zipfile reads no more than that
-    if size > _LARGEST:
-        raise FormatError(f"it claims {size} bytes; wanted at most {_LARGEST}")
-    return archive.read(panorama.member)
-
-
-def _name(relative: Path, data: Path) -> str:
-    return relative.as_posix() if relative.parts else data.name
-
-
-def _short(found: list[tuple[str, Panorama, Any]]) -> list[tuple[str, Panorama, Any]]:
-    """Scenes go by the name of their folder alone where that is unique, so that ids do not depend on what is above."""
-    last = [name.rpartition("/")[2] for name, *_ in found]
-    short = [(end if last.count(end) == 1 else name, *rest) for end, (name, *rest) in zip(last, found, strict=True)]
-    return sorted(short, key=lambda scene: scene[0])  # type: ignore[return-value]

@@ -11,12 +11,14 @@ import numpy as np
 
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import Evidence
-from eagor.perception import Perception, load
+from eagor.perception import Perception
 from eagor.perception.partial import look_at_view
 from eagor.perception.truth import Noise
 from eagor.sphere import world_R_body
+from eagor.tasks.eyes import shared
 from eagor.tasks.hstar.camera import HFOV_DEG, View, render_view
-from eagor.tasks.hstar.data import Episode, open_panorama
+from eagor.tasks.hstar.data import Episode
+from eagor.tasks.hstar.files import open_panorama
 from eagor.tasks.hstar.truth import TruthEye
 from eagor.tasks.hstar.words import head_of, phrase_of, thing_of
 
@@ -71,12 +73,12 @@ class AnnotatedEye:
 def open_perception(spec: str) -> Perception | Noise:
     """What `spec` names: a perception, or the noise of ``truth``, ``truth:ideal``, ``truth:miss=0.3,spread=4``.
 
-    Raises `EagorError` if it cannot be made.
+    A perception is made once per process. Raises `EagorError` if it cannot be made, and what a server has against it.
     """
     name, _, text = spec.partition(":")
     if name == "truth":
         return Noise.parse(text)
-    return load(spec)
+    return shared(spec)
 
 
 def open_eye(perception: Any, episode: Episode, seed: int, resolution: int) -> Eye:

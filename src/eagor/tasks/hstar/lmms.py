@@ -13,7 +13,8 @@ from typing import Any
 
 from eagor.tasks.chat import IMAGE
 from eagor.tasks.hstar.camera import View, render_view
-from eagor.tasks.hstar.data import Episode, open_panorama
+from eagor.tasks.hstar.data import Episode
+from eagor.tasks.hstar.files import open_panorama
 from eagor.tasks.hstar.prompts import first_text, next_text, system_text
 from eagor.tasks.hstar.rules import MAX_TURNS, Action, parse_action, submit_succeeds, turned
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from eagor.conventions import direction_from_hstar
 from eagor.sphere import angular_distance
-from eagor.tasks.chat import Chat, load_chat
+from eagor.tasks.chat import Chat, shared_chat
+from eagor.tasks.eyes import recalibration
 from eagor.tasks.hstar.agents import LOOKING, Agent, make_agent
 from eagor.tasks.hstar.camera import View, visible_share
 from eagor.tasks.hstar.causes import cause_of
@@ -27,13 +28,8 @@ def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str,
     """What a worker does for each episode of a run with these settings; the perception is made once."""
     agent = settings["agent"]
     perception = open_perception(settings["perception"]) if agent in LOOKING else None
-    chat = load_chat(settings["model"]) if agent == "vlm" else None
-    if settings.get("calibrated"):
-        from eagor.perception.calibrated import from_json
-
-        calibration = from_json(settings["calibrated"], "the settings").calibration
-    else:
-        calibration = None
+    chat = shared_chat(settings["model"]) if agent == "vlm" else None
+    calibration = recalibration(settings)
 
     def do(payload: Mapping[str, Any]) -> dict[str, Any]:
         episode = Episode.from_json(payload["episode"])

@@ -9,7 +9,8 @@ import numpy as np
 from eagor.tasks.chat import Chat, Message, digest
 from eagor.tasks.hstar.agents import Turn
 from eagor.tasks.hstar.camera import View, render_view
-from eagor.tasks.hstar.data import Episode, open_panorama
+from eagor.tasks.hstar.data import Episode
+from eagor.tasks.hstar.files import open_panorama
 from eagor.tasks.hstar.prompts import Exchange, conversation, first_text, next_text, system_text
 from eagor.tasks.hstar.rules import Action, parse_action
 from eagor.tasks.hstar.search import Answer

@@ -8,10 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from eagor._version import __version__
 from eagor.errors import EagorError, FormatError
-from eagor.tasks.benchmark import Case, Figure, Option, Record, read_options
-from eagor.tasks.chat import check_chat
+from eagor.tasks.benchmark import Case, Figure, Option, Record, settled
+from eagor.tasks.chat import shared_chat
 from eagor.tasks.osr.agents import AGENTS, LOOKING, Reply
 from eagor.tasks.osr.dataset import SUFFIXES, Scene, load, load_kept
 from eagor.tasks.osr.eyes import DEPTH_FILE
@@ -121,34 +120,16 @@ class OsrBench:
         ]
 
     def settle(self, settings: Mapping[str, Any]) -> dict[str, Any]:
-        agent = settings.get("agent") or next(iter(AGENTS))
-        if agent not in AGENTS:
-            raise EagorError(f"{self.name} has no agent {agent!r}; it has {', '.join(AGENTS)}")
-        options = read_options(self, {name: settings.get(name) for name in OPTIONS})
-        if options["camera_height"] <= 0:
-            raise EagorError(f"camera_height = {options['camera_height']}; wanted metres above the floor, above 0")
-        perception = settings.get("perception")
-        if agent in LOOKING:
-            if not perception:
-                raise EagorError(
-                    f"the agent {agent} needs eyes: name a --perception, such as a model (folder or hub name), or "
-                    f"truth (the true places, for data that has a {FILE} in each scene)"
-                )
-            open_looker(perception, options)
-            _check_files(settings["data"], perception, options)
-        model = settings.get("model")
-        if agent == "vlm":
-            check_chat(model, agent)
-        return {
-            "task": self.name,
-            "data": str(settings["data"]),
-            "agent": agent,
-            "perception": perception if agent in LOOKING else None,
-            "model": model if agent == "vlm" else None,
-            "seed": int(settings.get("seed") or 0),
-            **options,
-            "versions": {"eagor": __version__},
-        }
+        truth = f"the true places, for data that has a {FILE} in each scene"
+        found = settled(self, settings, LOOKING, truth)
+        if found["camera_height"] <= 0:
+            raise EagorError(f"camera_height = {found['camera_height']}; wanted metres above the floor, above 0")
+        if found["perception"]:
+            _check_files(settings["data"], found["perception"], found)
+            open_looker(found["perception"], found)
+        if found["model"]:
+            shared_chat(found["model"])
+        return found
 
     def judge(self, case: Case, prediction: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
         told = next((prediction[key] for key in ("text", "answer", "model_answer") if key in prediction), None)

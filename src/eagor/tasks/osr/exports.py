@@ -14,16 +14,10 @@ from eagor.errors import EagorError, FormatError
 from eagor.tasks.benchmark import Record
 from eagor.tasks.osr.dataset import load
 from eagor.tasks.osr.scoring import MAP
+from eagor.tasks.task_files import write_task
 
 COLUMNS = ("image_id", "model", "turn_id", "skills_tested", "question", "model_answer", "ground_truth", "score")
 TASK = "eagor_osr"
-
-_UTILS = '''"""What the task file beside this one calls; all of it is in the package."""
-
-from eagor.tasks.osr.lmms import doc_to_target, doc_to_text, doc_to_visual, mean, process_results
-
-__all__ = ["doc_to_target", "doc_to_text", "doc_to_visual", "mean", "process_results"]
-'''
 
 
 def csv_files(records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
@@ -54,57 +48,26 @@ def csv_files(records: Sequence[Record], settings: Mapping[str, Any], folder: Pa
 
 
 def lmms_eval(settings: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Write ``eagor_osr.yaml``, ``utils.py`` and the questions into `folder`; returns the files.
+    """Write the task ``eagor_osr`` into `folder` (`eagor.tasks.task_files`); returns the files.
 
-    Run them with ``python -m lmms_eval --include_path FOLDER --tasks eagor_osr --model ...`` where eagor is installed.
     Each question is asked alone, so that files with a map give their map's question as one of them. The questions hold
     the paths of their pictures on this machine. Raises `FormatError` where a picture is missing.
     """
     scenes = load(Path(settings["data"]), settings["suffix"])
-    folder = Path(folder).resolve()
-    questions = folder / f"{TASK}.jsonl"
-    lines = []
     for scene in scenes:
         if scene.image is None:
             raise FormatError(f"the scene {scene.id} has no picture (rgb.png); the data set is incomplete")
-        for question in scene.questions:
-            if settings["skill"] not in ("all", question.skill):
-                continue
-            text = json.dumps(question.answer) if question.skill == MAP else question.answer
-            line = {"id": question.id, "scene": scene.id, "turn": question.turn, "skill": question.skill}
-            line |= {"question": question.text, "answer": text, "image": str(scene.image.resolve())}
-            lines.append(json.dumps(line | {"prompt": settings["prompt"]}, ensure_ascii=False) + "\n")
-    written(questions, "".join(lines))
-    metrics = "".join(
-        f"  - metric: {metric}\n    aggregation: !function utils.mean\n    higher_is_better: true\n"
-        for metric in ("direction_official", "direction_corrected", "distance", "counting", "map")
+    documents = (
+        {"id": question.id, "scene": scene.id, "turn": question.turn, "skill": question.skill}
+        | {"question": question.text, "image": str(scene.image.resolve()), "prompt": settings["prompt"]}
+        | {"answer": json.dumps(question.answer) if question.skill == MAP else question.answer}
+        for scene in scenes
+        if scene.image is not None
+        for question in scene.questions
+        if settings["skill"] in ("all", question.skill)
     )
-    task = folder / f"{TASK}.yaml"
-    written(
-        task,
-        f"""task: {TASK}
-dataset_path: json
-dataset_kwargs:
-  data_files:
-    test: {json.dumps(str(questions))}
-test_split: test
-output_type: generate_until
-doc_to_visual: !function utils.doc_to_visual
-doc_to_text: !function utils.doc_to_text
-doc_to_target: !function utils.doc_to_target
-process_results: !function utils.process_results
-generation_kwargs:
-  max_new_tokens: 512
-  temperature: 0
-  do_sample: false
-metric_list:
-{metrics}metadata:
-  - version: 1.0
-""",
-    )
-    utils = folder / "utils.py"
-    written(utils, _UTILS)
-    return [task, utils, questions]
+    metrics = ["direction_official", "direction_corrected", "distance", "counting", "map"]
+    return write_task(folder, TASK, "eagor.tasks.osr.lmms", documents, metrics)
 
 
 def _turn(case: str) -> tuple[int, str]:

@@ -14,7 +14,7 @@ from eagor._arrays import to_numpy
 from eagor.belief import Belief
 from eagor.detections import MIN_SPREAD
 from eagor.errors import FormatError, QueryError
-from eagor.evidence import Evidence
+from eagor.evidence import Calibration, Evidence
 from eagor.grids import ErpGrid
 from eagor.perception import Perception
 from eagor.tasks.osr.dataset import Scene
@@ -71,13 +71,15 @@ class BeliefLooker:
     """Sightings from a perception: its evidence for a category makes a belief, whose peaks are the things.
 
     `degree` of the belief; `height` of the camera above the floor, metres; `depth`: take ranges (metres along the ray,
-    an equirectangular array (H, W), 0 or infinite where nobody knows) from depth.npy in the scene's folder.
+    an equirectangular array (H, W), 0 or infinite where nobody knows) from depth.npy in the scene's folder;
+    `calibration`: how responses are read, None for as the perception does.
     """
 
     perception: Perception
     degree: int = 15
     height: float = HEIGHT
     depth: bool = False
+    calibration: Calibration | None = None
 
     def __call__(self, scene: Scene, names: Sequence[str]) -> Seen:
         from eagor.worlds.panorama import read_panorama
@@ -96,6 +98,8 @@ class BeliefLooker:
             except QueryError:
                 strange.append(name)
                 continue
+            if self.calibration is not None:
+                evidence = evidence.with_calibration(self.calibration)
             found = sightings_in(evidence, name, self.degree)
             things += [each if ranges is None else replace(each, depth=depth_at(ranges, each)) for each in found]
         return Seen(tuple(things), None, self.height, tuple(strange))

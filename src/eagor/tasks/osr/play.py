@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from eagor.errors import EagorError
-from eagor.perception import load as load_perception
-from eagor.tasks.chat import load_chat
+from eagor.tasks.chat import shared_chat
+from eagor.tasks.eyes import recalibration, shared
 from eagor.tasks.osr.agents import AGENTS, Agent, Constant, Labels, Majority, Oracle, Random, Reply, Vlm
 from eagor.tasks.osr.dataset import Scene, load
 from eagor.tasks.osr.eyes import BeliefLooker, Looker, TruthLooker
@@ -52,7 +52,7 @@ def open_agent(settings: Mapping[str, Any], scenes: tuple[Scene, ...]) -> Agent:
         look = open_looker(settings["perception"], settings)
         return Eagor(look, settings["reading"], settings["range"], negative, settings["seed"])
     if name == "vlm":
-        return Vlm(load_chat(settings["model"]), settings["prompt"])
+        return Vlm(shared_chat(settings["model"]), settings["prompt"])
     made: dict[str, Agent] = {
         "constant": Constant(negative),
         "majority": Majority(scenes, labels, negative),
@@ -71,9 +71,8 @@ def open_looker(perception: str, settings: Mapping[str, Any]) -> Looker:
         if how not in ("", "exact", "outline"):
             raise EagorError(f"perception {perception!r}; wanted truth, truth:exact or truth:outline for osr")
         return TruthLooker(exact=how != "outline")
-    return BeliefLooker(
-        load_perception(perception), settings["degree"], settings["camera_height"], settings["range"] == "depth"
-    )
+    depth, calibration = settings["range"] == "depth", recalibration(settings)
+    return BeliefLooker(shared(perception), settings["degree"], settings["camera_height"], depth, calibration)
 
 
 def judged(scene: Scene, question: Question, reply: Reply, settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,158 @@
+"""A served vision-language model that talks: conversations as chat completions."""
+
+from __future__ import annotations
+
+import base64
+import io
+import os
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, fields
+from importlib.util import find_spec
+from typing import Any
+from urllib.parse import parse_qsl
+
+import numpy as np
+
+from eagor.errors import AnswerError, EagorError
+from eagor.perception.endpoint.naming import place_of
+from eagor.perception.endpoint.servers import DEFAULT_SERVER, Limits, Servers, checked_address
+from eagor.perception.vlm.talk import IMAGE, MAX_TOKENS, Message, Said
+
+QUALITY = 85  # of JPEG, as H*Bench's runner sends its views
+_CONNECTING = threading.Lock()
+_AT_ONCE = 1024  # requests to each server: as many as there are workers
+
+
+@dataclass(frozen=True)
+class ServedChat:
+    """A `eagor.perception.vlm.talk.Chat` of a model on OpenAI-compatible servers; requests are shared out among them.
+
+    Nothing is connected to before the first reply. Safe to use from several threads; copies that are pickled connect
+    anew. Errors are those of `eagor.perception.endpoint.servers`.
+
+    Attributes:
+        model: its name there; empty for the only model that the first server has.
+        servers: addresses.
+        temperature, max_tokens: of a reply.
+        quality: of the JPEG that pictures are sent as; 0 sends PNG.
+        timeout: seconds for one reply.
+        retries: more tries of a request that failed for a reason that may pass.
+        backoff: seconds before the first of them; doubled for each further one.
+        key: the name of the environment variable that holds the servers' key, if they want one.
+    """
+
+    model: str = ""
+    servers: tuple[str, ...] = (DEFAULT_SERVER,)
+    temperature: float = 0.0
+    max_tokens: int = MAX_TOKENS
+    quality: int = QUALITY
+    timeout: float = 120.0
+    retries: int = 3
+    backoff: float = 0.5
+    key: str = ""
+
+    def __call__(self, messages: Sequence[Message]) -> Said:
+        """The reply. Raises `ServerError`, `QueryError` (no such model), or `AnswerError` where there are no words."""
+        asked = _Conversation(tuple(messages), self.temperature, self.max_tokens, self.quality)
+        (said,) = self._servers.ask([asked])
+        return said
+
+    def check(self) -> None:
+        """One word about a grey picture, before a long run: is there a server that knows model, key and pictures?
+
+        Raises what a call raises, but for a reply without words.
+        """
+        grey = np.full((112, 112, 3), 128, dtype=np.uint8)
+        message = Message("user", f"{IMAGE}\nWhat is this?", (grey,))
+        with suppress(AnswerError):
+            self._servers.ask([_Conversation((message,), self.temperature, 1, self.quality)])
+
+    @property
+    def _servers(self) -> Servers:
+        with _CONNECTING:
+            if "_connected" not in self.__dict__:
+                self.__dict__["_connected"] = self._connect()
+            return self.__dict__["_connected"]
+
+    def _connect(self) -> Servers:
+        key = os.environ.get(self.key, "") if self.key else "none"
+        if not key:
+            raise EagorError(f"the environment variable {self.key}, which should hold the servers' key, is not set")
+        return Servers(self.servers, self.model, key, Limits(_AT_ONCE, self.timeout, self.retries, self.backoff))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def chat_from_text(text: str) -> ServedChat:
+    """The model that ``MODEL@ADDRESS[,ADDRESS...][?option=value&...]`` names; either side of the @ may be empty.
+
+    Raises `EagorError` for an option that there is not, an address that is none, or without the openai package.
+    """
+    if find_spec("openai") is None:
+        raise EagorError("a served model needs the openai package: pip install 'eagor[endpoint]'")
+    place, _, written = text.partition("?")
+    model, addresses = place_of(place)
+    servers = tuple(map(checked_address, addresses)) or (DEFAULT_SERVER,)
+    kinds = {field.name: type(field.default) for field in fields(ServedChat) if field.name not in ("model", "servers")}
+    options: dict[str, Any] = {}
+    for name, value in parse_qsl(written, keep_blank_values=True):
+        try:
+            options[name] = kinds[name](value)
+        except (KeyError, ValueError):
+            raise EagorError(f"{name}={value} in {text!r}; a served model has the options {', '.join(kinds)}") from None
+    return ServedChat(model, servers, **options)
+
+
+@dataclass(frozen=True, eq=False)
+class _Conversation:
+    """A request, as `Servers` sends it."""
+
+    messages: tuple[Message, ...]
+    temperature: float
+    max_tokens: int
+    quality: int
+    features: frozenset[str] = frozenset()
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) of the last picture."""
+        shapes = [image.shape[:2] for message in self.messages for image in message.images]
+        return shapes[-1] if shapes else (0, 0)
+
+    def body(self, model: str, refused: frozenset[str]) -> dict[str, Any]:
+        told = [{"role": message.role, "content": self._content(message)} for message in self.messages]
+        return {"model": model, "messages": told, "temperature": self.temperature, "max_tokens": self.max_tokens}
+
+    def _content(self, message: Message) -> str | list[dict[str, Any]]:
+        if not message.images:
+            return message.text
+        return [
+            {"type": "text", "text": part}
+            if isinstance(part, str)
+            else {"type": "image_url", "image_url": {"url": data_uri(part, self.quality)}}
+            for part in message.parts()
+        ]
+
+    def read(self, completion: Any, tries: int) -> Said:
+        """The reply. An empty one is one; none at all is an `AnswerError`."""
+        text = completion.choices[0].message.content if completion.choices else None
+        if text is None:
+            reason = completion.choices[0].finish_reason if completion.choices else "no choices"
+            raise AnswerError(
+                f"{completion.model} returned no text (finish reason: {reason}); is max_tokens too small?"
+            )
+        used = completion.usage
+        return Said(text, used.prompt_tokens if used else None, used.completion_tokens if used else None)
+
+
+def data_uri(image: np.ndarray, quality: int = QUALITY) -> str:
+    """An image ``(H, W, 3)`` uint8 as a data URI: JPEG of this quality, PNG for 0."""
+    from PIL import Image
+
+    file = io.BytesIO()
+    kind = "jpeg" if quality else "png"
+    Image.fromarray(np.ascontiguousarray(image)).save(file, kind, **({"quality": quality} if quality else {}))
+    return f"data:image/{kind};base64,{base64.b64encode(file.getvalue()).decode('ascii')}"

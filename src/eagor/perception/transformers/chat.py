@@ -1,0 +1,158 @@
+"""A local vision-language model that talks: conversations of several turns, with pictures in them.
+
+A conversation is written as the checkpoint's own template says, else as its family was trained
+(`eagor.perception.vlm.families.Dialogue`). Pictures keep their size as nearly as the model can take it. The reply is
+the likeliest token again and again, which is what temperature 0 means: the same conversation gets the same reply.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from eagor.errors import EagorError
+from eagor.perception.vlm.families import Family
+from eagor.perception.vlm.sizes import checked_picture, resized
+from eagor.perception.vlm.talk import MAX_TOKENS, Message, Said
+
+
+class LocalChat:
+    """A `eagor.perception.vlm.talk.Chat` of a model on this machine. Safe to use from several threads, one at a time.
+
+    Args:
+        model: hub name, or folder with ``config.json``, weights, tokenizer and image processor.
+        max_tokens: of a reply.
+        pixels: how many a picture has at most; None for what the checkpoint's own processor takes. Gemma 3, LLaVA and
+            Janus-Pro see one square of a size of their own whatever comes.
+        revision: of a hub checkpoint.
+        device: ``cpu``, ``cuda``, ``cuda:1``, ``mps``, or ``auto``; None: CUDA where there is any.
+        dtype: ``float32``, ``bfloat16``, ``float16``; None: bfloat16 on a GPU, else float32.
+
+    Raises `EagorError` if packages are missing, nothing can be loaded there, or the model is of no family that talks.
+    """
+
+    def __init__(
+        self,
+        model: str,
+        max_tokens: int = MAX_TOKENS,
+        pixels: int | None = None,
+        revision: str | None = None,
+        device: str | None = None,
+        dtype: str | None = None,
+    ) -> None:
+        from eagor.perception.transformers.loading import load_model, read_family
+
+        if int(max_tokens) < 1:
+            raise EagorError(f"max_tokens = {max_tokens!r}; wanted how many tokens a reply may have, such as 512")
+        _, family = read_family(model, revision)
+        if family.dialogue is None:  # said before weights are read
+            raise EagorError(
+                f"{model} is {family.title}, which locates things and cannot talk; wanted a vision-language model such "
+                "as Qwen/Qwen2.5-VL-7B-Instruct (as a --perception of the agent eagor this one will do)"
+            )
+        how: dict[str, Any] = {"revision": revision, "device": device, "dtype": dtype}
+        self._language: Any = load_model(model, extractor="attention", pixels=pixels, **how)
+        self._max_tokens = int(max_tokens)
+
+    def __call__(self, messages: Sequence[Message]) -> Said:
+        """The reply to `messages`, with its tokens counted.
+
+        Raises `EagorError` if the conversation and a reply are longer than the model takes, `ImageError` for an image
+        that is no picture.
+        """
+        import torch
+
+        from eagor.perception.transformers import inputs
+        from eagor.perception.transformers.language import stops_of
+        from eagor.perception.transformers.prefix import share
+
+        language, family = self._language, self._language.family
+        images = [checked_picture(image, "a picture") for message in messages for image in message.images]
+        config = language.model.config
+        plans = [
+            inputs.picture_plan(family, config, language.processor, image.shape[:2], language.pixels)
+            for image in images
+        ]
+        written = conversation(language.tokenizer, family, messages)
+        counts = [plan.layout.count for plan in plans]
+        prompt = inputs.tokens_of(language.tokenizer, family, written, config.image_token_id, counts)
+        length = prompt.prefix.shape[1] + prompt.suffix.shape[1]
+        self._check_length(length, counts)
+        tensors: dict[str, Any] = {}
+        if images:
+            fed = [
+                inputs.pictures([resized(image, plan.size)], plan, language.processor)
+                for image, plan in zip(images, plans, strict=True)
+            ]
+            tensors = {name: torch.cat([one[name] for one in fed]) for name in fed[0]}
+        with language.lock, torch.inference_mode():
+            prefix = share(language.model, family, prompt, tensors, 1, config.image_token_id)
+            running = prefix.continued(last=True)
+            logits = running.feed(prompt.suffix)
+            answer = running.decode(logits, self._max_tokens, stops_of(language.model, language.tokenizer))
+        text = language.tokenizer.decode(answer.ids[0], skip_special_tokens=True)
+        return Said(text.strip(), length, len(answer.ids[0]))
+
+    def _check_length(self, length: int, counts: Sequence[int]) -> None:
+        longest = getattr(self._language.model.config.get_text_config(), "max_position_embeddings", None)
+        if longest is not None and length + self._max_tokens > longest:
+            raise EagorError(
+                f"the conversation has {length} tokens, {sum(counts)} of them for {len(counts)} pictures, and a reply "
+                f"may have {self._max_tokens}; {self._language.name} takes {longest} together. Show it less of the "
+                "conversation (--set window=2), fewer pixels (?pixels=...), or allow a shorter reply (?max_tokens=...)"
+            )
+
+
+def conversation(tokenizer: Any, family: Family, messages: Sequence[Message]) -> str:
+    """`messages` as one text that ends where the reply begins, the family's expansion in place of each picture.
+
+    It is written by the checkpoint's template, where that knows pictures and takes these messages.
+    """
+    from eagor.perception.transformers.inputs import own_template
+
+    said = [(message.role, [_plain(part, family) for part in message.parts()]) for message in messages]
+    pictures = sum(part is None for _, parts in said for part in parts)
+    if own_template(tokenizer, family) is not None:
+        from jinja2 import TemplateError
+
+        turns = [
+            {
+                "role": role,
+                "content": [{"type": "image"} if part is None else {"type": "text", "text": part} for part in parts],
+            }
+            for role, parts in said
+        ]
+        try:
+            written = tokenizer.apply_chat_template(turns, tokenize=False, add_generation_prompt=True)
+        except TemplateError:  # such as one that wants no system message
+            written = ""
+        words = [part.strip() for _, parts in said for part in parts if part is not None]
+        if written.count(family.placeholder) == pictures and all(word in written for word in words):
+            return written.replace(family.placeholder, family.expansion)
+    return _by_family(family, said).replace(family.placeholder, family.expansion)
+
+
+def _by_family(family: Family, said: Sequence[tuple[str, Sequence[str | None]]]) -> str:
+    manner = family.dialogue
+    assert manner is not None
+    texts = [(role, "".join(manner.picture if part is None else part for part in parts)) for role, parts in said]
+    if texts and texts[0][0] == "system" and not manner.system:
+        (_, words), *texts = texts
+        place = next((index for index, (role, _) in enumerate(texts) if role == "user"), None)
+        if place is not None:
+            texts[place] = "user", f"{words}\n\n{texts[place][1]}"
+    elif manner.helper and not any(role == "system" for role, _ in texts):
+        texts = [("system", manner.helper), *texts]
+    forms = {"system": manner.system, "user": manner.user, "assistant": manner.assistant}
+    return manner.begin + "".join(forms[role].replace("{text}", text) for role, text in texts) + manner.reply
+
+
+def _plain(part: str | np.ndarray, family: Family) -> str | None:
+    """Words in which nothing stands for a picture; None for a picture."""
+    if not isinstance(part, str):
+        return None
+    for token in {family.placeholder, family.image_token}:
+        part = part.replace(token, token.strip("<|>"))  # somebody wrote it out; it would be taken for a picture
+    return part
