@@ -498,7 +498,10 @@ def test_labels_from_a_file(tmp_path):
         ('{"image": "a.png", "query": " "}', "wanted words"),
         ('{"image": "a.png", "query": "sofa"}', "'azimuth_deg' is missing"),
         ('{"image": "a.png", "query": "sofa", "box": [1, 2, 3]}', r"wanted \[x0, y0, x1, y1\]"),
-        ('{"image": "a.png", "query": "s", "azimuth_deg": 0, "elevation_deg": 99, "radius_deg": 5}', "between -90"),
+        (
+            '{"image": "a.png", "query": "s", "azimuth_deg": 0, "elevation_deg": 99, "radius_deg": 5}',
+            "90 either way",
+        ),
         ('{"image": "a.png", "query": "s", "azimuth_deg": 0, "elevation_deg": 9, "radius_deg": 0}', "more than 0"),
         ("", "holds no labels"),
     ],

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from mutations import as_text, damaged, reads, trees
 from PIL import Image
 
-from eagor.tasks.hstar.data import Panorama, open_panorama
+from eagor.tasks.hstar.files import Stored, open_panorama
 from eagor.worlds.glb import export_glb, import_glb
 from eagor.worlds.ground import Ground
 from eagor.worlds.objectnav import read_episodes
@@ -75,7 +75,7 @@ def test_pictures(folder, blob):
         assert image.ndim == 3
         assert image.shape[2] == 3
     open_panorama.cache_clear()
-    again = reads(lambda: open_panorama(Panorama(str(path))), "pano.bin")
+    again = reads(lambda: open_panorama(Stored(str(path))), "pano.bin")
     assert (again is None) == (image is None)
     assert image is None or np.array_equal(again, image)
 
