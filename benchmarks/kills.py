@@ -139,7 +139,7 @@ def main(options: argparse.Namespace, home: Path) -> None:
         run = begun(options, out)
         time.sleep(luck.uniform(0, long))
         hit = kill(who, run, luck)
-        _, said = run.communicate()
+        _, said = run.communicate(timeout=10 * PATIENCE)  # ends when the last process of the run has left
         check(not (there := left_behind(run.pid)), f"processes were left behind: {there}")
         after = records(out)
         lost = [key for key, record in before.items() if after.get(key) != record]
