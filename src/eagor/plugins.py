@@ -22,8 +22,8 @@ from eagor.errors import EagorError
 
 def known(group: str, built_in: Mapping[str, str]) -> dict[str, EntryPoint]:
     """Everything in `group` by name, `built_in` (name: ``"package.module:object"``) first; nothing is imported yet."""
-    installed = {point.name: point for point in entry_points(group=group)}
-    return installed | {name: EntryPoint(name, value, group) for name, value in built_in.items()}
+    ours = {name: EntryPoint(name, value, group) for name, value in built_in.items()}
+    return ours | {point.name: point for point in entry_points(group=group) if point.name not in ours}
 
 
 def bring(point: EntryPoint, kind: str) -> Any:
