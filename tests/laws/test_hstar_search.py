@@ -30,7 +30,7 @@ def test_what_was_not_looked_at_keeps_its_odds_and_what_was_loses(views):
     for yaw, pitch in views:
         view = View(float(yaw), float(pitch))
         search = search.seen(empty(), view.world_R_view, view)
-    ratio = search.probability / _prior(search.rules.tilt, search.rules.height, "hos")
+    ratio = search.probability / _prior(search.rules, "hos")
     unseen = search.shown == 0
     assert unseen.any()
     np.testing.assert_allclose(ratio[unseen], ratio[unseen].max(), rtol=1e-9)
@@ -117,14 +117,27 @@ def test_paths_are_answered_by_yaw_alone():
     assert abs(answer.yaw - 103) <= 5
 
 
-def test_a_repeated_look_counts_for_less():
-    once = Search.begin("hos", SearchRules(fresh=0.5))
-    view = View(0.0, 0.0)
-    first = once.seen(empty(), view.world_R_view, view)
-    second = first.seen(empty(), view.world_R_view, view)
-    here = (18, 36)  # straight ahead
-    fall = [float(s.belief.log_ratio(CELLS)[here]) for s in (once, first, second)]
-    assert fall[1] - fall[2] == pytest.approx(0.5 * (fall[0] - fall[1]), rel=0.05)
+def test_a_repeated_look_counts_for_less_and_one_that_comes_back_later_for_more():
+    here, away = View(0.0, 0.0), View(180.0, 0.0)
+
+    def fall(*views):
+        search = Search.begin("hos", SearchRules(repeats=0.5))
+        for view in views:
+            search = search.seen(empty(), view.world_R_view, view)
+        return -float(search.belief.log_ratio(CELLS)[18, 36])  # straight ahead
+
+    once = fall(here)
+    assert fall(here, here) == pytest.approx(1.5 * once, rel=0.05)
+    assert fall(here, away, here) == pytest.approx(1.75 * once, rel=0.05)
+    assert fall(here, here, here) == pytest.approx(2.0 * once, rel=0.05)
+
+
+def test_what_is_stated_is_a_probability_that_rises_with_the_share_of_the_belief():
+    shares = np.linspace(0, 1, 101).tolist()
+    stated = [SearchRules().stated(share) for share in shares]
+    assert all(0 < p < 1 for p in stated)
+    assert (np.diff(stated) >= 0).all()
+    assert [SearchRules(shift=0.0, slope=1.0).stated(share) for share in shares[1:-1]] == pytest.approx(shares[1:-1])
 
 
 def test_truth_misses_and_alarms_at_its_rates_and_its_luck_does_not_depend_on_where_it_looks():

@@ -34,18 +34,34 @@ class SearchRules:
     - `sure`: probability of success from which on it submits.
     - `hit`, `alarm`: what planning expects of a look: the probability that a target in view answers, and that
       something else does.
-    - `fresh`: how much of a further look at the same direction is new (the errors of a model repeat themselves).
+    - `repeats`: how much of a look repeats the look before it where both look: the errors of a model stay where they
+      are for a while. Of the look before that one it repeats `repeats` squared, and so on: it is better to come back.
     - `tilt`, `height`: standard deviation and mean of the target's elevation beforehand, degrees: things are found
-      around the horizon and a little below it. `tilt` 0: every direction is as likely.
+      around the horizon and a little below it, and with `elsewhere` of that density anywhere. `tilt` 0: every direction
+      is as likely.
+    - `shift`, `slope`: what is stated for a window that holds the share p of the belief, logit(stated) = shift + slope
+      logit(p) (Platt 1999). Looks are read cautiously, since their errors repeat themselves, so that belief lingers all
+      around long after the window that holds most of it is right most of the time.
+
+    The defaults were found on development apartments (``benchmarks/search.py --fit``), `shift` and `slope` by the log
+    score of what was stated at each of ten turns.
     """
 
     degree: int = 15
-    sure: float = 0.9
+    sure: float = 0.95
     hit: float = 0.7
     alarm: float = 0.2
-    fresh: float = 0.7
-    tilt: float = 28.0
+    repeats: float = 0.48
+    tilt: float = 20.0
     height: float = -15.0
+    elsewhere: float = 0.05
+    shift: float = 1.44
+    slope: float = 1.24
+
+    def stated(self, share: float) -> float:
+        """The probability that the window with this share of the belief is the right one."""
+        share = min(max(share, 1e-6), 1 - 1e-6)
+        return 1 / (1 + math.exp(-self.shift - self.slope * math.log(share / (1 - share))))
 
 
 @dataclass(frozen=True)
@@ -61,15 +77,16 @@ class Answer:
 class Search:
     """What is known after some looks. Immutable: `seen` returns a new one.
 
-    Per cell of `CELLS`: `shown` tells how much of it was in some view, 0 to 1; `looks` counts looks at it. A look
-    counts for less towards the border of its view, as its evidence does there (`eagor.coverage.taper`).
+    Per cell of `CELLS`: `shown` tells how much of it was in some view, 0 to 1; `stale` how much the next look at it
+    would repeat. A look counts for less towards the border of its view, as its evidence does there
+    (`eagor.coverage.taper`).
     """
 
     kind: str
     rules: SearchRules
     belief: Belief
     shown: np.ndarray
-    looks: np.ndarray
+    stale: np.ndarray
 
     @classmethod
     def begin(cls, kind: str, rules: SearchRules | None = None) -> Search:
@@ -81,18 +98,17 @@ class Search:
         """With one more look: its evidence, the pose of the evidence's frame, and what the camera showed."""
         pitch = round(view.pitch)
         shown = np.maximum(self.shown, _rolled(_shares(pitch), view.yaw))
-        looks = self.looks + _rolled(_weights(pitch, self.rules.degree), view.yaw)
+        stale = self.rules.repeats * np.maximum(self.stale, _rolled(_weights(pitch, self.rules.degree), view.yaw))
         belief = self.belief.update(self._new_part(evidence, world_R_capture), world_R_capture)
-        return Search(self.kind, self.rules, belief, shown, looks)
+        return Search(self.kind, self.rules, belief, shown, stale)
 
     def _new_part(self, evidence: Evidence, world_R_capture: np.ndarray) -> Evidence:
-        """The evidence, weakened where it was looked at before: errors of a model stay where they are."""
-        if self.rules.fresh == 1.0 or not self.looks.any():
+        """The evidence, weakened where it was looked at a short while ago: errors of a model stay where they are."""
+        if not self.stale.any():
             return evidence
         x, y, _ = CELLS.project(evidence.grid.directions @ world_R_capture.T)
         rows = np.clip(y.astype(np.intp), 0, CELLS.height - 1)
-        before = self.looks[rows, x.astype(np.intp) % CELLS.width]
-        return replace(evidence, log_ratio=evidence.log_ratio * self.rules.fresh ** np.minimum(before, 1.0))
+        return replace(evidence, log_ratio=evidence.log_ratio * (1 - self.stale[rows, x.astype(np.intp) % CELLS.width]))
 
     @cached_property
     def probability(self) -> np.ndarray:
@@ -102,7 +118,7 @@ class Search:
         nobody's observation.
         """
         field = np.asarray(self.belief.log_ratio(CELLS)) * self.shown
-        found = np.exp(field - field.max()) * _prior(self.rules.tilt, self.rules.height, self.kind)
+        found = np.exp(field - field.max()) * _prior(self.rules, self.kind)
         return found / found.sum()
 
     def answer(self) -> Answer:
@@ -118,12 +134,11 @@ class Search:
         yaw = yaw_deg[len(columns) // 2] + float((part * offset).sum() / part.sum())
         pitch = float((part * np.degrees(CELLS.latitudes)[rows][:, None]).sum() / part.sum())
         pitch = 0.0 if self.kind == "hps" else pitch
-        return Answer(round(yaw) % 360, max(-90, min(90, round(pitch))), float(mass[row, column]))
+        return Answer(round(yaw) % 360, max(-90, min(90, round(pitch))), self.rules.stated(float(mass[row, column])))
 
     def information(self) -> np.ndarray:
         """Nats that the outcome of each view would tell about where the target is, ``(len(PITCHES), len(YAWS))``."""
-        p, rules = self.probability, self.rules
-        new = rules.fresh**self.looks
+        p, rules, new = self.probability, self.rules, 1 - self.stale
         shown = [_weights(pitch, rules.degree) for pitch in PITCHES]
         return np.stack([_information(p, new, weights, rules.hit, rules.alarm) for weights in shown])
 
@@ -214,12 +229,12 @@ def _rolled(shares: np.ndarray, yaw: float) -> np.ndarray:
 
 
 @lru_cache(maxsize=16)
-def _prior(tilt: float, height: float, kind: str) -> np.ndarray:
+def _prior(rules: SearchRules, kind: str) -> np.ndarray:
     """Probability of each cell before the first look, times a constant."""
-    if tilt <= 0 or kind == "hps":
+    if rules.tilt <= 0 or kind == "hps":
         return CELLS.weights
-    latitude = (np.degrees(CELLS.latitudes) - height) / tilt
-    return np.exp(-0.5 * latitude**2)[:, None] * CELLS.weights
+    latitude = (np.degrees(CELLS.latitudes) - rules.height) / rules.tilt
+    return (np.exp(-0.5 * latitude**2) + rules.elsewhere)[:, None] * CELLS.weights
 
 
 def _reach(kind: str) -> tuple[int, int]:

@@ -13,15 +13,15 @@ import math
 
 import numpy as np
 
+from eagor.detections import MIN_SPREAD
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.perception.truth import Noise, Report, displaced, drawn
 from eagor.tasks.hstar.camera import HFOV_DEG, View, box_points, inside
 
-# Fitted on development seeds (benchmarks/search.py fit).
-CALIBRATION = Calibration(floor=0.2, neutral=0.05, temperature=3.5)
+# Found on development apartments (benchmarks/search.py --fit).
+CALIBRATION = Calibration(floor=0.125, neutral=0.124, temperature=2.59)
 LENS = PerspectiveGrid(27, 48, math.radians(HFOV_DEG))  # the cells of its response: 2 degrees in the middle
-CELL = math.radians(HFOV_DEG) / LENS.width
 WHOLE = 0.5  # share of a box in view from which on it is found as well as if it were whole
 
 
@@ -86,7 +86,7 @@ class TruthEye:
     ) -> Report:
         error = view.world_R_view.T @ self._error[row] * self._noise.spread if moves else np.zeros(3)
         placed, carry = displaced(centre, error)
-        width = self._noise.spread**2 + (CELL / 2) ** 2
+        width = self._noise.spread**2 + MIN_SPREAD**2  # as detections are drawn: less is lost to a belief
         covariance = carry @ covariance @ carry.T + width * (np.eye(3) - np.outer(placed, placed))
         score = self._noise.weakest + (1 - self._noise.weakest) * float(self._luck[row, 1])
         return Report(kind, None, placed, covariance, score)
