@@ -132,6 +132,14 @@ def test_a_repeated_look_counts_for_less_and_one_that_comes_back_later_for_more(
     assert fall(here, here, here) == pytest.approx(2.0 * once, rel=0.05)
 
 
+def test_what_is_stated_is_a_probability_that_rises_with_the_share_of_the_belief():
+    shares = np.linspace(0, 1, 101).tolist()
+    stated = [SearchRules().stated(share) for share in shares]
+    assert all(0 < p < 1 for p in stated)
+    assert (np.diff(stated) >= 0).all()
+    assert [SearchRules(shift=0.0, slope=1.0).stated(share) for share in shares[1:-1]] == pytest.approx(shares[1:-1])
+
+
 def test_truth_misses_and_alarms_at_its_rates_and_its_luck_does_not_depend_on_where_it_looks():
     noise = Noise.parse("ideal,miss=0.3,false_alarm=0.2,persistence=0.4")
     kinds = {True: [], False: []}

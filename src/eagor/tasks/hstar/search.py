@@ -48,7 +48,7 @@ class SearchRules:
     """
 
     degree: int = 15
-    sure: float = 0.9
+    sure: float = 0.95
     hit: float = 0.7
     alarm: float = 0.2
     repeats: float = 0.48
