@@ -242,7 +242,7 @@ def _pair(item: Mapping[str, Any], key: str) -> tuple[float, float]:
     try:
         low, high = map(number, value if isinstance(value, list | tuple) else ())
     except ValueError:  # not two, or no numbers
-        raise FormatError(f"an item has {key} = {shown(value)}; wanted two finite angles in degrees") from None
+        raise FormatError(f"an item has {key} = {shown(value)}; wanted two angles in degrees, finite numbers") from None
     if max(abs(low), abs(high)) > FARTHEST:
         raise FormatError(f"an item has {key} = {shown(value)}; wanted two angles of at most {FARTHEST:g} degrees")
     return low, high
