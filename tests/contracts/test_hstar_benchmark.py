@@ -97,7 +97,7 @@ def test_what_cannot_be_read_is_refused_with_its_name(tmp_path):
     for text, words in (
         ("{", "no JSON"),
         ("{}", "no list"),
-        ('[{"task": "Find it", "yaw": [1]}]', "entry 0.*two finite angles"),
+        ('[{"task": "Find it", "yaw": [1]}]', "entry 0.*two angles"),
         ('[{"yaw": [1, 2], "pitch": [1, 2]}]', "entry 0.*task"),
     ):
         annotation.write_text(text)
