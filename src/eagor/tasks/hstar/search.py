@@ -43,8 +43,8 @@ class SearchRules:
       logit(p) (Platt 1999). Looks are read cautiously, since their errors repeat themselves, so that belief lingers all
       around long after the window that holds most of it is right most of the time.
 
-    The defaults were found on development apartments (``benchmarks/search.py --fit``), `shift` and `slope` by the log
-    score of what was stated at each of ten turns.
+    The defaults were found on development apartments (random trials, as ``benchmarks/search.py --fit`` makes them),
+    `shift` and `slope` by the log score of what was stated at each of ten turns.
     """
 
     degree: int = 15
@@ -55,8 +55,8 @@ class SearchRules:
     tilt: float = 20.0
     height: float = -15.0
     elsewhere: float = 0.05
-    shift: float = 2.06
-    slope: float = 1.73
+    shift: float = 1.44
+    slope: float = 1.24
 
     def stated(self, share: float) -> float:
         """The probability that the window with this share of the belief is the right one."""
