@@ -202,6 +202,11 @@ class Belief(Reading):
         """Itself: it holds nothing but directions (beliefs over more answer with what they know of directions)."""
         return self
 
+    @property
+    def agreed(self) -> Array:
+        """All that is said of directions ``(..., size)`` (`eagor.ranged` knows of more)."""
+        return self.coefficients
+
     def plus(self, log_ratios: Array) -> Belief:
         """With log ratios ``(..., size)`` added, as coefficients."""
         return replace(self, coefficients=self.coefficients + log_ratios)

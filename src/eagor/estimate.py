@@ -59,13 +59,13 @@ class TrackerConfig:
     calibration: Calibration | None = None
     ranges: Sequence[float] | None = field(default_factory=lambda: tuple(log_ranges(count=20).tolist()))
     floor: float | None = None
-    keep_per_second: float = 0.99
+    keep_per_second: float = 0.997
     diffusion: float = 0.0
-    wander: float = math.radians(9)
-    restless: float = 0.001
+    wander: float = math.radians(7)
+    restless: float = 0.002
     doubt: float = DOUBT
     settle: float = SETTLE
-    surest: float = 15.0
+    surest: float = 20.0
     history: float = 10.0
     stale_after: float = 5.0
     switch_at: float = 1.0
@@ -128,6 +128,11 @@ class Estimate:
             return to_numpy(self.reading.direction_belief().mean_direction()) @ self.world_R_body
         return self._peak @ self.world_R_body  # body_R_world @ peak
 
+    @property
+    def _answer(self) -> np.ndarray:
+        """`direction` in the axes of the world."""
+        return self.world_R_body @ self.direction
+
     @cached_property
     def _peak(self) -> np.ndarray:
         return held(self.reading, self.named, self.config.switch_at)
@@ -172,15 +177,15 @@ class Estimate:
 
     @cached_property
     def distance(self) -> float | None:
-        """Metres; None where positions are unknown. It is that of a target that stands still."""
+        """Metres, of what stands where the answer points; None where positions are unknown."""
         still = standing(self.reading)
-        return still.distance() if isinstance(still, RangedBelief) else None
+        return still.distance(self._answer) if isinstance(still, RangedBelief) else None
 
     @cached_property
     def distance_spread(self) -> float | None:
         """Standard deviation of the logarithm of the distance; None where positions are unknown."""
         still = standing(self.reading)
-        return still.distance_spread() if isinstance(still, RangedBelief) else None
+        return still.distance_spread(self._answer) if isinstance(still, RangedBelief) else None
 
     @property
     def moving(self) -> float | None:

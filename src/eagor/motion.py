@@ -28,7 +28,7 @@ from eagor.posterior import Field, Posterior, log_integral, typical
 from eagor.ranged import RangedBelief
 
 ANYWHERE = 2e-2  # per second: the share of a wanderer's density that is spread evenly: it may have been carried off
-SETTLE = 0.8  # seconds: how soon what is known of the place where it stood fades, once it surely is elsewhere
+SETTLE = 10.0  # seconds: how soon what is known of the place where it stood fades, once it surely is elsewhere
 SAME = math.radians(20)  # peaks nearer than this are of the same thing: near things move by parallax
 DOUBT = 0.03  # neither case is ever less likely: things get moved, and looks share their mistakes
 _UNIFORM = 1 / math.sqrt(4 * math.pi)  # the coefficient of degree 0 of a density
@@ -171,17 +171,21 @@ class StillOrMoving(Reading):
         return StillOrMoving(still, roamed, moving, before + share * log_ratio)
 
     def capped(self, most: float, newest: np.ndarray | None = None) -> StillOrMoving:
-        """With the log-odds of the first case scaled so that its peak rises at most `most` nats above the typical.
+        """With the first case made less sure, so that its peak rises at most `most` nats above the typical.
 
         The peak is read with what the `newest` look ``(size,)`` counts besides; "typical" is the median direction.
+        Only what the looks say of directions is scaled down. What tells the ranges apart stays: a detector repeats its
+        mistakes, but where lines of sight from several places cross is geometry.
         """
-        grid, stays = decoding_grid(self.degree), self._stays
-        passing = np.zeros(grid.shape) if newest is None else RealHarmonics(self.degree).synthesise(newest, grid)
-        peak = int((stays + passing).argmax())
-        rise, added = (float(f.reshape(-1)[peak]) - typical(f, grid.weights) for f in (stays, passing))
-        if rise + added <= most or rise <= 0:
+        grid, basis, agreed = decoding_grid(self.degree), RealHarmonics(self.degree), self.still.agreed
+        stays = self._stays if newest is None else self._stays + basis.synthesise(newest, grid)
+        peak = int(stays.argmax())
+        excess = _rise(stays, peak, grid.weights) - most
+        if excess <= 0:
             return self
-        return StillOrMoving(self.still.forget(max(most - added, 0.0) / rise), self.wanderer, self.moving)
+        height = _rise(basis.synthesise(agreed.reshape(-1), grid), peak, grid.weights)
+        less = min(excess / height, 1.0) if height > 0 else 0.0
+        return StillOrMoving(self.still.plus(-less * agreed), self.wanderer, self.moving)
 
     def plus(self, look: np.ndarray) -> StillOrMoving:
         """With log ratios `look` ``(size,)``, or ``(K, size)`` by range, that count in the first case while new."""
@@ -230,6 +234,11 @@ class StillOrMoving(Reading):
             return np.logaddexp(a + offsets[0], b + offsets[1])
 
         return evaluate
+
+
+def _rise(field: np.ndarray, cell: int, weights: np.ndarray) -> float:
+    """By how many nats a field rises in a cell above the typical direction."""
+    return float(field.reshape(-1)[cell]) - typical(field, weights)
 
 
 def standing(belief: Belief | RangedBelief | StillOrMoving) -> Belief | RangedBelief:

@@ -19,7 +19,8 @@ ERROR = 1e-4  # of the probability, per coarse cell, that the midpoint rule may 
 SHARE = 0.01  # ... and the most that a coarse cell may hold: regions are only as exact as their cells are light
 PROMINENCE = 0.7  # nats: a peak counts as a mode if it stands out by a factor of two from the saddle around it
 MIN_WEIGHT = 0.02  # ... and holds at least this share of the belief,
-RIVAL = 0.6  # or rises above a typical direction by this share of the best one's height
+RIVAL = 0.6  # or rises above a typical direction by this share of the best one's height,
+CLEAR = 9.0  # ... of which no more than so many nats count: a thing that is seen again and again makes no other vanish
 
 
 def log_integral(values: np.ndarray, weights: np.ndarray) -> float:
@@ -244,8 +245,9 @@ class Posterior:
         A mode's weight is its share of what stands out: the probability in its basin in excess of a typical direction's
         (the median of f over the sphere). For a sharp belief that is the probability of the basin; early on, when most
         of the belief still lies anywhere, it keeps the candidates comparable. Its height is how far f rises there above
-        the typical direction, relative to the best. Modes below both `min_weight` and `RIVAL` are left out: looks
-        that repeat each other turn a small difference in height into any difference in weight.
+        the typical direction, relative to the best, or to `CLEAR` where that is less. Modes below both `min_weight` and
+        `RIVAL` are left out: looks that repeat each other turn a small difference in height into any difference in
+        weight.
         """
         label = _merge(self.coarse, _climb(self.coarse), prominence)
         peaks, inverse = np.unique(label, return_inverse=True)
@@ -257,7 +259,7 @@ class Posterior:
         weight = np.bincount(basin, excess, minlength=len(peaks))
         weight = weight / weight.sum()
         flat = self.coarse.reshape(-1)
-        stands = (flat[peaks] - middle) / (flat.max() - middle)
+        stands = (flat[peaks] - middle) / min(flat.max() - middle, CLEAR)
         order = [i for i in np.argsort(-flat[peaks]) if weight[i] >= min_weight or stands[i] >= RIVAL][:count]
         return np.array([refine(self.grid, flat, int(peaks[i]))[0] for i in order]), weight[order], stands[order]
 

@@ -22,6 +22,7 @@ from eagor.belief import Belief, Reading
 from eagor.diffusion import diffuse
 from eagor.errors import EagorError, PoseError
 from eagor.evidence import Evidence
+from eagor.grids import ErpGrid, ErpWindow
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.shells import translate
 from eagor.peaks import decoding_grid, peak_on_grid
@@ -38,6 +39,7 @@ def log_ranges(nearest: float = 0.5, farthest: float = 12.0, count: int = 14) ->
 # or stands on furniture at up to two.
 MIDDLE, SPREAD = 0.7, 0.5
 ODD = 0.02  # share of things of which no height is expected
+NEAR = math.radians(20)  # how far around a direction counts when the range there is asked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +133,13 @@ class RangedBelief(Reading):
         """With log ratios added, as coefficients: ``(size,)`` for all ranges alike, or ``(..., K, size)``."""
         return replace(self, shells=self.shells + log_ratios)
 
+    @property
+    def agreed(self) -> Array:
+        """What is said of directions whatever the range ``(..., size)``: the mean of the shells."""
+        xp = namespace(self.shells)
+        shares = xp.asarray(self._shares, dtype=self.shells.dtype, device=device(self.shells))
+        return xp.sum(shares[:, None] * self.shells, axis=-2, keepdims=True)
+
     def forget(self, factor: float) -> RangedBelief:
         """With all log-odds scaled by `factor` in [0, 1]."""
         return replace(self, shells=Belief(self.shells).forget(factor).coefficients)
@@ -154,34 +163,46 @@ class RangedBelief(Reading):
         grid = decoding_grid(self.degree)
         return peak_on_grid(grid, self._marginal(grid))
 
-    def range_probabilities(self) -> np.ndarray:
-        """Probability of each shell ``(..., K)``."""
-        return self._range_probabilities
+    def range_probabilities(self, about: np.ndarray | None = None) -> np.ndarray:
+        """Probability of each shell ``(..., K)``; `about` ``(3,)``: given that the target lies near that direction.
+
+        "Near" is within `NEAR`. Other candidates, at other ranges, then do not count.
+        """
+        return self._range_probabilities if about is None else self._ranges_near(about)
 
     @cached_property
     def _range_probabilities(self) -> np.ndarray:
+        return self._ranges_near(None)
+
+    def _ranges_near(self, about: np.ndarray | None) -> np.ndarray:
         coefficients = to_numpy(self._believed).astype(np.float64)
         found = np.zeros((*self.batch_shape, len(self.ranges)))
         for index in np.ndindex(*self.batch_shape):
             posterior: Any = self.posteriors[index]
             # Far from the peaks of the sum over all ranges, no range has a share worth counting.
-            field = self.basis.synthesise(coefficients[index], posterior.window)
-            mass = np.sum(np.exp(field - field.max()) * posterior.window.weights, axis=(-2, -1)) * self._shares
+            cells: ErpGrid | ErpWindow = posterior.window
+            weights = _near(cells, about)
+            if not weights.any():
+                cells = posterior.grid
+                weights = _near(cells, about)
+            counts = weights > 0
+            field = self.basis.synthesise(coefficients[index], cells)[..., counts]
+            mass = np.exp(field - field.max()) @ weights[counts] * self._shares
             found[index] = mass / mass.sum()
         found.setflags(write=False)
         return found
 
-    def distance(self) -> Any:
-        """Posterior mean of the range ``(...)``, metres."""
-        found = self.range_probabilities() @ self.ranges
+    def distance(self, about: np.ndarray | None = None) -> Any:
+        """Posterior mean of the range ``(...)``, metres; `about` as for `range_probabilities`."""
+        found = self.range_probabilities(about) @ self.ranges
         return found if self.batch_shape else float(found)
 
-    def distance_spread(self) -> Any:
+    def distance_spread(self, about: np.ndarray | None = None) -> Any:
         """Relative uncertainty of the distance ``(...)``: standard deviation of the logarithm of the range.
 
-        About 0.9 while nothing is known, 0.1 when the distance is known to 10 %.
+        About 0.9 while nothing is known, 0.1 when the distance is known to 10 %. `about` as for `range_probabilities`.
         """
-        probability, log_range = self.range_probabilities(), np.log(self.ranges)
+        probability, log_range = self.range_probabilities(about), np.log(self.ranges)
         mean = probability @ log_range
         found = np.sqrt(np.maximum(probability @ log_range**2 - mean**2, 0.0))
         return found if self.batch_shape else float(found)
@@ -220,6 +241,12 @@ def height_prior(
     likely = ODD + (1 - ODD) * np.exp(-0.5 * ((height - middle) / spread) ** 2)
     mean = np.sum(_shares(ranges)[:, None, None] * likely * grid.weights) / (4 * math.pi)
     return RealHarmonics(degree).analyse(np.log(likely / mean), grid)
+
+
+def _near(cells: ErpGrid | ErpWindow, about: np.ndarray | None) -> np.ndarray:
+    """Solid angles ``(H, W)`` of the cells near a direction, 0 elsewhere; of all cells without one."""
+    weights = np.broadcast_to(cells.weights, cells.shape)
+    return weights if about is None else np.where(cells.directions @ about >= math.cos(NEAR), weights, 0.0)
 
 
 def _shares(ranges: np.ndarray) -> np.ndarray:

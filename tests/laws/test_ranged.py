@@ -118,6 +118,23 @@ def test_looks_below_the_horizon_tell_a_distance_where_the_floor_is_known():
     assert near.distance_spread() < 0.75 * blank.distance_spread()
 
 
+def test_the_distance_of_one_of_two_is_not_that_of_the_other():
+    """Two things alike, one near and one far: over all of the sphere the range is neither's."""
+    near, far, position = np.array([1.0, 1.5, 0.0]), np.array([1.5, -6.0, 0.0]), np.zeros(3)
+    belief = RangedBelief.uniform(12, log_ranges(count=20))
+    for _ in range(12):
+        position = position + [0.2, 0, 0]
+        look = Evidence.from_points([bearing(position, near), bearing(position, far)], 50.0, [0.9, 0.9])
+        belief = belief.predict(np.eye(3), np.array([0.2, 0, 0])).update(look)
+    for thing in (near, far):
+        about, away = bearing(position, thing), np.linalg.norm(thing - position)
+        assert belief.distance(about) == pytest.approx(away, rel=0.2)
+        assert belief.distance_spread(about) < 0.3
+    nowhere = belief.range_probabilities(np.array([0.0, 0.0, 1.0]))
+    assert np.isfinite(nowhere).all(), "also where nothing is"
+    assert nowhere.sum() == pytest.approx(1)
+
+
 @given(rotations())
 @settings(max_examples=10)
 def test_a_prior_turns_with_the_body(R):

@@ -147,6 +147,19 @@ def test_targets_are_followed_apart():
     assert tracker.estimate(0.0, "door").status == "searching"
 
 
+def test_a_second_one_stays_a_rival_however_often_the_first_is_seen():
+    first, second = direction(0.5, 0.0), direction(-2.0, 0.1)
+    tracker = DirectionTracker(TrackerConfig(ranges=None, wander=0.0, keep_per_second=1.0))
+    for t in range(40):
+        seen = [first, second] if t < 4 else [first]
+        tracker.observe(Evidence.from_points(seen, 60.0, [0.9] * len(seen), stamp=float(t)))
+    estimate = tracker.estimate(39.0)
+    assert np.degrees(angular_distance(estimate.direction, first)) < 2
+    assert estimate.modes[0].weight > 0.99, "by weight there is one"
+    assert estimate.status == "ambiguous"
+    assert np.degrees(angular_distance(estimate.modes[1].direction, second)) < 3
+
+
 def test_the_status_says_what_is_known():
     tracker = DirectionTracker(TrackerConfig(ranges=None, stale_after=2.0))
     assert tracker.estimate(0.0).status == "searching"
@@ -234,6 +247,21 @@ def test_nothing_is_ever_surer_than_the_configuration_allows(changes):
         state = tracker._states["target"]
         still = state.belief.plus(state.newest).still.posterior
         assert (still.coarse.max() - typical(still.coarse, still.grid.weights) <= 8.1) == (surest == 8.0)
+
+
+def test_certainty_is_capped_and_the_distance_goes_on_getting_better():
+    target, distances = np.array([2.0, 3.0, -0.3]), {}
+    for surest in (6.0, 1e6):
+        tracker = DirectionTracker(TrackerConfig(surest=surest, wander=math.radians(2), doubt=1e-6))
+        for t in range(30):
+            position = np.array([0.08 * t, 0.0, 0.0])
+            tracker.rotate(float(t), np.eye(3), position)
+            offset = target - position
+            tracker.observe(look(offset / np.linalg.norm(offset), float(t)))
+        estimate = tracker.estimate(29.0)
+        assert estimate.distance == pytest.approx(np.linalg.norm(offset), rel=0.15)
+        distances[surest] = estimate.distance_spread
+    assert distances[1e6] < distances[6.0] < 0.3, "with the shells scaled down as well it would be 0.8"
 
 
 @pytest.mark.parametrize("changes", [{}, {"ranges": None}])

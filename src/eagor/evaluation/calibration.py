@@ -66,7 +66,8 @@ PARAMETERS = (
     Parameter("keep_per_second", 0.002, 0.3, flipped=True),
     Parameter("wander", math.radians(2), math.radians(25)),
     Parameter("restless", 1e-4, 0.1),
-    Parameter("surest", 4.0, 40.0),
+    Parameter("surest", 4.0, 60.0),
+    Parameter("settle", 0.2, 100.0),
     Parameter("persistence", 0.05, 1.0, flipped=True),
 )
 

@@ -15,7 +15,7 @@ from eagor.estimate import TrackerConfig
 from eagor.evidence import Calibration
 
 READING = ("floor", "neutral", "temperature", "persistence")  # fields of `Calibration`
-FORGETTING = ("keep_per_second", "wander", "restless", "surest")  # fields of `TrackerConfig`: SI, radians, nats
+FORGETTING = ("keep_per_second", "wander", "restless", "surest", "settle")  # fields of `TrackerConfig`, SI, nats
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def from_json(stored: Any, source: str) -> Calibrated:
         unknown = sorted((reading.keys() - {*READING}) | (forgetting.keys() - {*FORGETTING}))
         if unknown:
             raise EagorError(f"sets {shown(', '.join(unknown))}; known are {', '.join((*READING, *FORGETTING))}")
-        found_by = dict(stored.get("found_by", {}))
+        found_by = {**stored.get("found_by", {})}
         found = Calibrated(str(stored["perception"]), calibration_of(reading), forgetting, found_by)
         found.config()  # complains about numbers that are out of range
     except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -161,14 +161,14 @@ def _part(mesh: Any, transform: np.ndarray, names: tuple[str, ...], material: in
 def _annotated(path: Path, parts: list[_Part], materials: list[Material], known: dict[str, Any], blob: bytes) -> Scene:
     """The scene that was exported, from its parts and the semantic JSON."""
     if known["format"] != FORMAT:
-        raise WorldError(f"the semantic JSON of {path.name} has format {known['format']!r}; wanted {FORMAT!r}")
+        raise WorldError(f"the semantic JSON of {path.name} has format {shown(known['format'])}; wanted {FORMAT!r}")
     owner = {name: index for index, thing in enumerate(known["instances"]) for name in thing["nodes"]}
     by_name = {part.names[0]: part for part in parts}
     if set(owner) != set(by_name):
         strange = sorted(set(owner) ^ set(by_name))
         raise WorldError(
-            f"{path.name} and its semantic JSON do not have the same nodes: {', '.join(strange[:3])} only in one "
-            "of them; export again, or remove the JSON to import the GLB by itself"
+            f"{path.name} and its semantic JSON do not have the same nodes: {shown(', '.join(strange[:3]), 200)} only "
+            "in one of them; export again, or remove the JSON to import the GLB by itself"
         )
     parts = [by_name[name] for name in owner]
     place = {entry["gltf"]: index for index, entry in enumerate(known["materials"])}

@@ -67,7 +67,7 @@ def read_heads(file: str | Path) -> Heads:
         heads = tuple((whole(layer), whole(head)) for layer, head in stored["heads"])
         found = Heads(
             str(stored["model"]), str(stored["model_type"]), heads, number(stored["saturation"]),
-            dict(stored.get("found_by", {})),
+            {**stored.get("found_by", {})},
         )  # fmt: skip
     except OSError as error:
         raise EagorError(f"the heads {file} cannot be read ({error}); `eagor calibrate heads` makes them") from error

@@ -124,4 +124,4 @@ def _checked(entry: Any) -> dict[str, Any]:
 def _reason(error: Exception) -> str:
     if isinstance(error, KeyError):
         return f"{error.args[0]!r} is missing; wanted image, query, and box or azimuth_deg, elevation_deg, radius_deg"
-    return str(error)
+    return str(error)[:300]

@@ -32,6 +32,7 @@ OPTIONS = {
     "form": Option("free_think", "of the model's replies", ("free_think", "no_think", "grounding")),
     "window": Option(WINDOW, "turns of conversation that the model is shown", tuple(range(1, 51))),
 }
+FARTHEST_ANSWER = 10**6  # degrees; more is a mistake
 EXPORTS = {
     "lmms-eval": "a folder of task files for lmms_eval --include_path, with the episodes and their panoramas' paths",
     "hstar-txt": "the published level file: level, successes, episodes; and at which step successes came",
@@ -164,6 +165,8 @@ def _submission(prediction: Mapping[str, Any], form: str) -> tuple[dict[str, int
             yaw, pitch = (round(float(value)) for value in found)
         except (TypeError, ValueError, OverflowError):
             raise FormatError(f"a prediction submits {shown(found)}; wanted yaw and pitch in degrees") from None
+        if max(abs(yaw), abs(pitch)) > FARTHEST_ANSWER:
+            raise FormatError(f"a prediction submits {shown(found)}; wanted degrees, at most {FARTHEST_ANSWER}")
         return {"yaw": yaw, "pitch": pitch}, None
     texts = prediction.get("replies", prediction.get("text"))
     if texts is None:
