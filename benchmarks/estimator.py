@@ -81,22 +81,23 @@ READINGS: dict[str, Reading] = {
     "shares false=0.3 clutter=0.03 temperature=0.25": shares(0.3, 0.03, 0.25),
 }
 TOLD = "range told to 15 %"
+FORMER = f"{OURS}:floor=0.065,neutral=0.0204,temperature=3.47,persistence=0.77"  # a steeper reading of weak responses
 GROUPS: dict[str, tuple[str, ...]] = {
     "rivals": ("centroid", "cent_circ", "grid", "eagor_paper", "vmf", "grid_filter", "particle_filter"),
     "memory": (
         *(f"{OURS}:keep={keep}" for keep in (1, 0.95)),
         *(f"{OURS}:persistence={share}" for share in (0, 0.5, 0.9)),
         *(f"{OURS}:surest={nats}" for nats in (8, 1000)),
-        *(f"{OURS}:settle={seconds}" for seconds in (0.25, 3)),
-        f"{OURS}:settle=1e6,doubt=1e-6",
+        *(f"{OURS}:settle={seconds}" for seconds in (0.8, 3, 1e6)),
+        f"{OURS}:doubt=1e-6",
         f"{OURS}:wander=0",
-        f"{OURS}:wander=0,diffusion=3",
         *(f"{OURS}:wander={angle}" for angle in (4, 16)),
-        f"{OURS}:restless=0.01",
+        *(f"{OURS}:restless={rate}" for rate in (0.0003, 0.01)),
     ),
     "reading": (
-        *(f"{OURS}:temperature={beta}" for beta in (1.2, 2.5, 5)),
-        *(f"{OURS}:floor={floor}" for floor in (0.03, 0.2)),
+        *(f"{OURS}:temperature={beta}" for beta in (3, 4.5, 9)),
+        *(f"{OURS}:floor={floor}" for floor in (0.03, 0.1, 0.8)),
+        FORMER,
         *READINGS,
     ),
     "range": (

@@ -73,8 +73,8 @@ SPACES: dict[str, Callable[[Rng], Settings]] = {
         "wander": _log(rng, 4, 20),
         "restless": _log(rng, 0.0003, 0.03),
         "doubt": _log(rng, 0.001, 0.1),
-        "settle": _log(rng, 0.05, 4),
-        "surest": _log(rng, 8, 25),
+        "settle": _log(rng, 0.2, 100),
+        "surest": _log(rng, 8, 60),
         "persistence": 1 - _log(rng, 0.05, 1),
     },
 }

@@ -41,8 +41,9 @@ class TrackerConfig:
     - `doubt`: neither standing still nor wandering is ever less likely than this.
     - `settle`: seconds in which what is known of the place where it stood fades, once it is surely elsewhere
       (`eagor.motion.StillOrMoving.fading`).
-    - `surest`: nats by which the best direction of a target that stands still may rise above a typical one; beyond, all
-      its log-odds are scaled down. Looks share their mistakes, and things get moved: nothing is ever surer than that.
+    - `surest`: nats by which the best direction of a target that stands still may rise above a typical one; beyond,
+      what is said of directions is scaled down. Looks share their mistakes: nothing is ever surer than that. What tells
+      its ranges apart is not scaled.
     - `history`: seconds for which poses and evidence are kept, so that late evidence finds its place.
     - `stale_after`: seconds without evidence after which an estimate is stale.
     - `found_at`: nats by which the best direction must stand above a uniform belief; below, we are searching.
@@ -50,8 +51,8 @@ class TrackerConfig:
       answer that jumps to and fro between equals is of no use to anybody.
     - `present_at`: probability of presence below which we are searching, however far a direction stands out.
     - `ambiguous_below`: if no mode holds this share of the belief, the answer is ambiguous. So it is if a second one
-      rises nearly as high (`eagor.posterior.RIVAL`), whatever their weights: looks that repeat each other make any
-      small difference decisive, and two things that both look like the target stay two.
+      rises nearly as high, or clearly (`eagor.posterior.RIVAL`, `CLEAR`), whatever their weights: looks that repeat
+      each other make any small difference decisive, and two things that both look like the target stay two.
     """
 
     degree: int = 15

@@ -123,7 +123,7 @@ def test_the_distance_of_one_of_two_is_not_that_of_the_other():
     near, far, position = np.array([1.0, 1.5, 0.0]), np.array([1.5, -6.0, 0.0]), np.zeros(3)
     belief = RangedBelief.uniform(12, log_ranges(count=20))
     for _ in range(12):
-        position = position + [0.2, 0, 0]
+        position = position + np.array([0.2, 0, 0])
         look = Evidence.from_points([bearing(position, near), bearing(position, far)], 50.0, [0.9, 0.9])
         belief = belief.predict(np.eye(3), np.array([0.2, 0, 0])).update(look)
     for thing in (near, far):
