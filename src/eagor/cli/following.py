@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,14 +13,16 @@ import numpy as np
 from eagor.belief import Belief
 from eagor.cli.locate import mode_as_json
 from eagor.cli.looking import is_input_fault, look_if_recorded, read_frame
-from eagor.cli.methods import Rivals
 from eagor.cli.poses import Step
 from eagor.errors import EagorError
 from eagor.estimate import Estimate, TrackerConfig
 from eagor.evidence import Evidence
 from eagor.perception import Perception
 from eagor.sphere import azimuth_elevation
+from eagor.tasks.methods import NAMES, Method, make_method
 from eagor.tracker import DirectionTracker
+
+RIVALS = tuple(name for name in NAMES if name != "eagor")  # in the order of the columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,14 +70,14 @@ class Result:
 
 
 def follow(
-    steps: Sequence[Step], perception: Perception, query: str, config: TrackerConfig, compare: bool
+    steps: Sequence[Step], perception: Perception, query: str, config: TrackerConfig, rivals: Mapping[str, Method]
 ) -> Iterator[Result]:
-    """One result per image, in time.
+    """One result per image, in time, with what the `rivals` say by name (`make_rivals`).
 
     An image that cannot be read or judged gives a result with a problem; the poses carry the belief on. Raises
     `EagorError` where no other frame could do better (a query that means nothing).
     """
-    tracker, rivals = DirectionTracker(config), Rivals() if compare else None
+    tracker = DirectionTracker(config)
     poses, fed, warned = [step.pose for step in steps], 0, False
     for index, step in enumerate(steps):
         # One pose ahead: what a replay recorded a little after this frame then finds the pose of its own moment.
@@ -98,9 +100,10 @@ def follow(
             placed = _within(evidence, poses[0].stamp, poses[fed - 1].stamp)
             tracker.observe(placed)
             now = max(now, float(placed.stamp or now))
-        if rivals is not None:
-            rivals.move(step.pose.world_R_body, step.pose.position)
-            rivals.see(looks)
+        for method in rivals.values():
+            method.move(stamp, step.pose.world_R_body, step.pose.position)
+            for evidence in looks:
+                method.see(replace(evidence, stamp=stamp))
         yield Result(
             image=step.image,
             stamp=stamp,
@@ -109,8 +112,13 @@ def follow(
             panorama=panorama,
             looks=len(looks),
             problem=problem,
-            others=rivals.directions() if rivals is not None else {},
+            others={name: method.direction() for name, method in rivals.items()},
         )
+
+
+def make_rivals(perception: str) -> dict[str, Method]:
+    """Every other method by name, set as it does best with `perception` (as `eagor.perception.load` reads it)."""
+    return {name: make_method(name, np.random.default_rng(0), perception) for name in RIVALS}
 
 
 def _within(evidence: Evidence, first: float, last: float) -> Evidence:

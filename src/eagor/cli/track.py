@@ -17,9 +17,8 @@ from pathlib import Path
 
 from eagor._files import Lines
 from eagor.cli import terminal
-from eagor.cli.following import Result, follow
+from eagor.cli.following import RIVALS, Result, follow, make_rivals
 from eagor.cli.looking import checked_out, checked_query, find_frames, keep_picture, make_perception, tracker_config
-from eagor.cli.methods import NAMES
 from eagor.cli.options import Track
 from eagor.cli.poses import Step, pair, read_poses
 from eagor.cli.words import signed
@@ -37,12 +36,13 @@ def track(options: Track) -> int:
     steps = pair(read_poses(options.poses), images, options.poses)
     config = replace(tracker_config(options.degree, options.calibration), floor=_checked_floor(options.floor, steps))
     perception = make_perception(options.perception)
+    rivals = make_rivals(options.perception) if options.compare else {}
     entries, bad, looked = [], 0, 0
     with ExitStack() as stack:
         write = stack.enter_context(_table(options.out, options.compare)) if options.out else None
         draw = _painter(options.picture, query) if options.picture else None
         advance = stack.enter_context(terminal.progress("looking", len(images), shown=options.json))
-        for number, result in enumerate(follow(steps, perception, query, config, options.compare)):
+        for number, result in enumerate(follow(steps, perception, query, config, rivals)):
             if number == 0 and not options.json:
                 print(_header(options.compare), flush=True)
             if result.problem is not None:
@@ -74,7 +74,7 @@ def track(options: Track) -> int:
 
 
 def _header(compare: bool) -> str:
-    others = "".join(f"{name:>15}" for name in NAMES) if compare else ""
+    others = "".join(f"{name:>15}" for name in RIVALS) if compare else ""
     angles = "   (degrees; azimuth/elevation)" if compare else ""
     return f"     stamp  azimuth  elevation  cone 90%  distance  modes  status    {others}{angles}"
 
@@ -110,7 +110,7 @@ def _table(path: Path, compare: bool) -> Iterator[Callable[[Result], None]]:
     if not path.absolute().parent.is_dir():
         raise terminal.UsageError(f"--out {path}: there is no folder {path.absolute().parent}; make it first")
     checked_out(path)
-    extra = [f"{name.replace('-', '_')}_{angle}_deg" for name in NAMES for angle in ("azimuth", "elevation")]
+    extra = [f"{name}_{angle}_deg" for name in RIVALS for angle in ("azimuth", "elevation")]
     head = [[*COLUMNS, "modes", "problem", *(extra if compare else [])]]
     with Lines(path) as file:
 
