@@ -116,4 +116,4 @@ build: $(VENV)/.eagor-test-installed
 clean:
 	@echo "==> removing $(VENV), caches and what the commands left behind"
 	rm -rf $(VENV) build dist site eagor-demo runs .pytest_cache .ruff_cache .hypothesis .import_linter_cache
-	find src tests benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+	find src tests benchmarks docs examples training -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true

@@ -65,8 +65,7 @@ TUNED = {
 }  # the winner for `Belief` on the development seeds
 WALKS_PER_EPISODE = 0.2  # 200 episodes per scenario come with 40 walks
 
-# ------------------------------------------------------------------------------------------------ what is estimated
-# with
+# ---------- what is estimated with
 
 
 @dataclass(frozen=True)
@@ -153,8 +152,7 @@ def walk_methods() -> dict[str, Factory]:
     }
 
 
-# ------------------------------------------------------------------------------------------------ standing: the
-# generator
+# ---------- standing: the generator
 
 
 @dataclass(frozen=True)
@@ -266,8 +264,7 @@ def score(filter_: Any, truth: np.ndarray) -> tuple[float, float | None, bool | 
     return error, level - top - math.log(total), float(mass[field_ > level].sum()) <= 0.9 * total
 
 
-# ------------------------------------------------------------------------------------------------ the walk: the
-# generator
+# ---------- the walk: the generator
 
 
 @dataclass(frozen=True)
@@ -320,7 +317,7 @@ def follow_walk(filter_: Any, run: Walk) -> tuple[np.ndarray, float | None]:
     return errors, float(np.mean(distance)) if distance else None
 
 
-# ------------------------------------------------------------------------------------------------ the comparison
+# ---------- the comparison
 
 
 def compare(split: str, episodes: int, progress: Callable[[str], None]) -> dict[str, Any]:
@@ -423,7 +420,7 @@ def print_report(split: str, episodes: int, found: dict[str, Any]) -> None:
         print(f"  required: {requirement}: {'met' if met else 'NOT MET'}")
 
 
-# ------------------------------------------------------------------------------------------------ tuning
+# ---------- tuning
 
 
 @dataclass(frozen=True)

@@ -26,17 +26,23 @@ def namespace(*arrays: Array) -> Any:
     return array_namespace(*foreign) if foreign else np
 
 
-def as_float(values: Array, like: Array | None = None) -> Array:
-    """`values` as a floating array: dtype and namespace kept where they are floating, float64 otherwise."""
+def as_float(values: Array) -> Array:
+    """`values` as a floating array of its kind; what is not floating becomes float64 (NumPy) or float32 (others)."""
     if type(values) is np.ndarray and values.dtype.kind == "f":
         return values
-    xp = namespace(values) if like is None else namespace(values, like)
+    xp = namespace(values)
     if xp is np:
         array = np.asarray(values)
         return array if array.dtype.kind == "f" else array.astype(np.float64)
-    target = {} if like is None or isinstance(like, np.ndarray) else {"device": device(like)}
-    array = xp.asarray(values, **target)
-    return array if xp.isdtype(array.dtype, "real floating") else xp.astype(array, xp.float32)
+    return values if xp.isdtype(values.dtype, "real floating") else xp.astype(values, xp.float32)
+
+
+def alike(a: Array, b: Array) -> tuple[Array, Array]:
+    """Both as floating arrays of one kind: beside a tensor, what is NumPy, a number or a list is brought to it."""
+    a, b = as_float(a), as_float(b)
+    if isinstance(a, np.ndarray) == isinstance(b, np.ndarray):
+        return a, b
+    return (matched(a, b), b) if isinstance(a, np.ndarray) else (a, matched(b, a))
 
 
 def to_numpy(values: Array) -> np.ndarray:

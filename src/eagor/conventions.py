@@ -178,6 +178,8 @@ def to_pyshtools(coefficients: np.ndarray) -> np.ndarray:
 def from_pyshtools(cilm: np.ndarray) -> np.ndarray:
     """Our coefficients from pyshtools' cilm ``(..., 2, degree + 1, degree + 1)``, normalization="ortho", csphase=1."""
     cilm = np.asarray(cilm, dtype=np.float64)
+    if cilm.ndim < 3 or cilm.shape[-3:] != (2, cilm.shape[-1], cilm.shape[-1]):
+        raise EagorError(f"cilm has shape {cilm.shape}; wanted (..., 2, degree + 1, degree + 1)")
     degree = cilm.shape[-1] - 1
     found = np.zeros((*cilm.shape[:-3], (degree + 1) ** 2))
     for l in range(degree + 1):

@@ -8,16 +8,19 @@ from dataclasses import replace
 import numpy as np
 
 from eagor.errors import ResponseError
-from eagor.grids import Grid, PatchGrid, PerspectiveGrid
+from eagor.grids import FisheyeGrid, Grid, PatchGrid, PerspectiveGrid
 
-WHOLE_SPHERE = PatchGrid(90, 180)  # where detections given as boxes or points are drawn: cells of 2 degrees
+CELL = math.radians(2)  # of what detections given as boxes or points are drawn on, where the whole sphere is seen
+WHOLE_SPHERE = PatchGrid(90, 180)
 MIN_SPREAD = math.radians(4)  # standard deviation: no detector is surer than this about where a box's middle is
 
 
 def canvas_of(grid: Grid) -> Grid:
     """Where detections in an image are drawn: the whole sphere for a panorama, a coarse copy of the view else."""
+    if isinstance(grid, FisheyeGrid):
+        return replace(grid, size=min(grid.size, math.ceil(grid.fov / CELL)))
     if not isinstance(grid, PerspectiveGrid):
-        return grid if getattr(grid, "fov", None) else WHOLE_SPHERE
+        return WHOLE_SPHERE
     if grid.width <= 96:
         return grid
     # Square pixels at the same field of view: the width whose matching height is nearest to a whole number.

@@ -94,10 +94,7 @@ def forward_vector() -> np.ndarray:
 
 def refine(grid: ErpGrid, flat: np.ndarray, best: int) -> tuple[np.ndarray, float]:
     """Direction of the maximum near cell `best`, and the width (standard deviation, radians) of exp(f) across it."""
-    width = grid.width
-    row, column = divmod(best, width)
-    rows, columns = _stencil(grid)[row]
-    gu, gv, huu, huv, hvv = (_fit(grid)[row] @ flat[rows * width + (column + columns) % width]).tolist()
+    gu, gv, huu, huv, hvv = (_fit(grid)[best // grid.width] @ flat[neighbours(grid, best)]).tolist()
     across, u, v = math.pi / grid.height, 0.0, 0.0
     det = huu * hvv - huv * huv
     sigma = math.inf

@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from eagor._arrays import Array, as_float, namespace, to_numpy
+from eagor._arrays import Array, alike, as_float, namespace, to_numpy
 from eagor.errors import DirectionError, RotationError
 
 FORWARD = (1.0, 0.0, 0.0)
@@ -25,15 +25,18 @@ FORWARD = (1.0, 0.0, 0.0)
 
 def direction(azimuth: Array, elevation: Array) -> Array:
     """Unit vectors ``(..., 3)``, body frame, from azimuth (positive left) and elevation (positive up), radians."""
-    azimuth, elevation = as_float(azimuth), as_float(elevation)
+    azimuth, elevation = alike(azimuth, elevation)
     xp = namespace(azimuth, elevation)
     x, y = xp.cos(elevation) * xp.cos(azimuth), xp.cos(elevation) * xp.sin(azimuth)
     return xp.stack([x, y, xp.sin(elevation) + 0.0 * x], axis=-1)
 
 
 def azimuth_elevation(directions: Array) -> tuple[Array, Array]:
-    """Azimuth and elevation (radians) of directions ``(..., 3)``; they need not have unit length."""
-    directions = as_float(directions)
+    """Azimuth and elevation (radians) of directions ``(..., 3)``; they need not have unit length.
+
+    Raises `DirectionError` on another shape.
+    """
+    directions = check_directions(as_float(directions))
     xp = namespace(directions)
     x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
     return xp.atan2(y, x), xp.atan2(z, xp.hypot(x, y))
@@ -43,9 +46,11 @@ def angular_distance(a: Array, b: Array) -> Array:
     """Great-circle angle (radians) between directions ``(..., 3)``, broadcast.
 
     atan2(|a x b|, a . b) keeps full precision near 0 and near pi, where acos loses half of the digits, and does
-    not ask for unit length.
+    not ask for unit length. Raises `DirectionError` on another shape.
     """
-    a, b = as_float(a), as_float(b)
+    a, b = alike(a, b)
+    check_directions(a)
+    check_directions(b)
     xp = namespace(a, b)
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
@@ -54,15 +59,23 @@ def angular_distance(a: Array, b: Array) -> Array:
 
 
 def unit(vectors: Array) -> Array:
-    """`vectors` ``(..., 3)`` scaled to unit length. Raises `DirectionError` on a zero or non-finite vector."""
-    vectors = as_float(vectors)
-    if vectors.shape[-1:] != (3,):
-        raise DirectionError(f"directions have shape {tuple(vectors.shape)}; wanted (..., 3): x forward, y left, z up")
+    """`vectors` ``(..., 3)`` scaled to unit length.
+
+    Raises `DirectionError` on another shape, or on a zero or non-finite vector.
+    """
+    vectors = check_directions(as_float(vectors))
     xp = namespace(vectors)
     length = xp.sqrt(xp.sum(vectors * vectors, axis=-1, keepdims=True))
     if not bool(xp.all(xp.isfinite(length) & (length > 0))):
         raise DirectionError("a direction is the zero vector or not finite; drop it or give a finite (x, y, z)")
     return vectors / length
+
+
+def check_directions(vectors: Array) -> Array:
+    """`vectors`, once their last axis has three numbers. Raises `DirectionError`; their length is not looked at."""
+    if vectors.shape[-1:] != (3,):
+        raise DirectionError(f"directions have shape {tuple(vectors.shape)}; wanted (..., 3): x forward, y left, z up")
+    return vectors
 
 
 def wrap(angle: Array) -> Array:

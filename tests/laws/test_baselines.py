@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import directions, random_directions, rotations
@@ -19,9 +20,8 @@ from eagor.baselines import (
     Plain,
     Published,
     VonMisesFisherFilter,
-    concentration,
-    mean_length,
 )
+from eagor.baselines.filters import concentration, mean_length
 from eagor.belief import Belief
 from eagor.errors import ResponseError, RotationError
 from eagor.evidence import Calibration, Evidence
@@ -139,6 +139,15 @@ class TestEveryMethod:
         current = moved(made(name).update(silence()), rotation((0, 0, 1), 0.5)).update(silence())
         assert np.isfinite(answer(current)).all()
         assert np.linalg.norm(answer(current)) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_tensors_are_read_as_arrays(name):
+    look, turn = blob([0.6, 0.8, 0]), rotation((0, 0, 1), 0.4)
+    tensors = Evidence.from_response(torch.tensor(np.asarray(look.response)), GRID)
+    ours, theirs = (made(name).predict(turn).update(one).predict(turn).direction() for one in (look, tensors))
+    assert type(theirs) is np.ndarray
+    np.testing.assert_allclose(theirs, ours, atol=1e-5)
 
 
 # Particles are never spread so evenly that no direction stands out.

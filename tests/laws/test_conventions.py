@@ -83,3 +83,6 @@ def test_incomplete_coefficients_are_refused():
         conv.to_healpix_alm(np.zeros(63))
     with pytest.raises(EagorError, match="triangle"):
         conv.from_healpix_alm(np.zeros(35))
+    for shape in [(8, 8), (2, 8, 7), (1, 8, 8)]:
+        with pytest.raises(EagorError, match="cilm"):
+            conv.from_pyshtools(np.zeros(shape))

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from strategies import random_directions, rotations
 
 from eagor import coverage
+from eagor.belief import Belief
 from eagor.errors import EagorError, ResponseError, TimeError
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
@@ -164,6 +165,16 @@ def test_a_box_points_to_its_middle(azimuth_deg, elevation_deg):
         spellings.append(np.array([box[0] % 1024, box[1], box[2] % 1024, box[3]]))
     for spelling in spellings:
         assert np.degrees(angular_distance(brightest(Evidence.from_boxes([spelling], grid)), target)) < 3.5
+
+
+@pytest.mark.parametrize("fov_deg", [150, 360])
+def test_boxes_in_a_large_fisheye_are_drawn_on_a_coarse_copy(fov_deg):
+    image = FisheyeGrid(1200, math.radians(fov_deg), rotation((0, 1, 0), -0.6))
+    meant = image.unproject(np.array(700.0), np.array(500.0))
+    look = Evidence.from_boxes([[680, 480, 720, 520]], image)
+    assert max(look.grid.shape) <= 180
+    belief = Belief.uniform(15).update(look)
+    assert math.degrees(angular_distance(belief.mode(), meant)) < 1
 
 
 def test_boxes_in_a_view_and_several_boxes():

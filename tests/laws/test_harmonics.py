@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import directions, field, random_directions, rotations
 
-from eagor.errors import GridError, RotationError
+from eagor.errors import DirectionError, GridError, PoseError, RotationError
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
+from eagor.harmonics.legendre import degrees
 from eagor.sphere import angular_distance, rotation
 
 DEGREES = st.sampled_from([1, 2, 7, 12, 15, 20])
@@ -169,10 +170,10 @@ def test_smoothing_adds_variances_and_keeps_the_mean(first, second, seed):
     assert together[0] == c[0]
 
 
-def test_the_laplacian_is_the_generator_of_smoothing():
+def test_smoothing_is_generated_by_the_laplacian():
     basis, c, step = RealHarmonics(6), field(6, 3), 1e-6
     slope = (basis.smooth(c, math.sqrt(2 * step)) - c) / step
-    assert np.allclose(slope, basis.laplacian(c), atol=2e-3)
+    assert np.allclose(slope, -degrees(6) * (degrees(6) + 1) * c, atol=2e-3)
 
 
 def test_batches_are_loops():
@@ -224,5 +225,21 @@ def test_wrong_shapes_say_what_was_wanted():
         basis.rotate(np.zeros(63), np.eye(3))
     with pytest.raises(RotationError):
         basis.rotate(np.zeros(64), -np.eye(3))
+    for points in (np.ones(4), np.ones((3, 5))):
+        with pytest.raises(DirectionError, match="shape"):
+            basis.evaluate(points)
+        with pytest.raises(DirectionError, match="shape"):
+            basis.synthesise(np.zeros(64), points)
+    shells = np.zeros((3, 64))
+    with pytest.raises(GridError, match="ranges"):
+        basis.translate(shells, np.array([1.0, 2.0]), np.zeros(3))
+    for step in ([1.0, 2.0], [0.0, np.nan, 0.0]):
+        with pytest.raises(PoseError, match="displacement"):
+            basis.translate(shells, np.array([1.0, 2.0, 4.0]), np.array(step))
+
+
+@pytest.mark.parametrize("degree", [0, 7.0, 2.5, math.nan, "7", None])
+def test_a_degree_is_a_whole_number(degree):
     with pytest.raises(GridError, match="degree"):
-        RealHarmonics(0)
+        RealHarmonics(degree)
+    assert RealHarmonics(np.int64(7)).size == 64

@@ -102,8 +102,18 @@ def test_interpolation_moves_at_constant_speed_from_start_to_end(a, b, fraction)
 def test_unit_refuses_what_has_no_direction():
     with pytest.raises(DirectionError, match="zero"):
         unit(np.array([[1.0, 0, 0], [0, 0, 0]]))
-    with pytest.raises(DirectionError, match="shape"):
-        unit(np.ones(2))
+
+
+@pytest.mark.parametrize("bad", [np.ones(2), np.ones((3, 5)), np.ones(4), 1.0])
+def test_directions_have_three_numbers(bad):
+    for read in (
+        unit,
+        azimuth_elevation,
+        lambda d: angular_distance(d, np.ones(3)),
+        lambda d: angular_distance([1, 0, 0], d),
+    ):
+        with pytest.raises(DirectionError, match="wanted"):
+            read(bad)
 
 
 @given(st.floats(-50, 50))

@@ -6,17 +6,18 @@ warp of a field over direction and distance under a displacement.
 
 from __future__ import annotations
 
+import operator
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from eagor._arrays import Array, as_float, constant, namespace, to_numpy
-from eagor.errors import GridError
+from eagor.errors import GridError, PoseError
 from eagor.grids import ErpGrid, ErpWindow, Grid
 from eagor.harmonics import legendre, projection, rotation
 from eagor.harmonics.shells import translate
-from eagor.sphere import check_rotation
+from eagor.sphere import check_directions, check_rotation
 
 __all__ = ["RealHarmonics"]
 
@@ -32,7 +33,11 @@ class RealHarmonics:
     degree: int
 
     def __post_init__(self) -> None:
-        if int(self.degree) != self.degree or self.degree < 1:
+        try:
+            fits = operator.index(self.degree) >= 1
+        except TypeError:
+            fits = False
+        if not fits:
             raise GridError(f"degree = {self.degree!r}; wanted a whole number of at least 1 (7, 15 and 31 are usual)")
 
     @property
@@ -41,8 +46,8 @@ class RealHarmonics:
         return (self.degree + 1) ** 2
 
     def evaluate(self, directions: Array) -> Array:
-        """Y ``(..., size)`` at unit vectors ``(..., 3)`` of the body frame."""
-        return legendre.evaluate(self.degree, as_float(directions))
+        """Y ``(..., size)`` at unit vectors ``(..., 3)``, body frame. Raises `DirectionError` on another shape."""
+        return legendre.evaluate(self.degree, check_directions(as_float(directions)))
 
     def analyse(self, values: Array, grid: Grid) -> Array:
         """Coefficients ``(..., size)`` of `values` ``(..., H, W)`` on `grid`: integral of values times Y_lm.
@@ -61,13 +66,17 @@ class RealHarmonics:
         return projection.analyse(self.degree, values, grid)
 
     def synthesise(self, coefficients: Array, where: Grid | ErpWindow | Array) -> Array:
-        """Values of the field: ``(..., H, W)`` on a grid, ``(..., n...)`` at an array of unit vectors ``(n..., 3)``."""
+        """Values of the field: ``(..., H, W)`` on a grid, ``(..., n...)`` at an array of unit vectors ``(n..., 3)``.
+
+        Raises `GridError` for coefficients and `DirectionError` for vectors of another shape.
+        """
         return projection.synthesise(self.degree, self._checked(coefficients), where)
 
     def rotate(self, coefficients: Array, new_R_old: Array) -> Array:
         """The field as seen from the new frame: f_new(new_R_old @ direction_old) = f_old(direction_old).
 
-        `coefficients` ``(..., size)`` and `new_R_old` ``(..., 3, 3)`` broadcast. Raises `RotationError`.
+        `coefficients` ``(..., size)`` and `new_R_old` ``(..., 3, 3)`` broadcast; the rotations may be NumPy beside
+        tensors. Raises `RotationError`.
         """
         return rotation.rotate(self.degree, self._checked(coefficients), check_rotation(new_R_old))
 
@@ -80,11 +89,6 @@ class RealHarmonics:
         xp = namespace(coefficients)
         return coefficients * xp.exp(-0.5 * sigma**2 * constant(_eigenvalues, self.degree, like=coefficients))
 
-    def laplacian(self, coefficients: Array) -> Array:
-        """The Laplace-Beltrami operator: multiplication by -l(l+1)."""
-        coefficients = self._checked(coefficients)
-        return -constant(_eigenvalues, self.degree, like=coefficients) * coefficients
-
     def translate(
         self, shells: Array, ranges: np.ndarray, displacement: np.ndarray, new_R_old: np.ndarray | None = None
     ) -> Array:
@@ -92,11 +96,19 @@ class RealHarmonics:
 
         `shells` ``(..., K, size)`` are fields at growing `ranges` ``(K,)`` in metres; the body turns by `new_R_old` (by
         default not at all) and moves by `displacement` ``(3,)`` metres, in the NEW body frame. See
-        `eagor.harmonics.shells`.
+        `eagor.harmonics.shells`. Raises `GridError` for shells and ranges that do not fit, `RotationError`, and
+        `PoseError` for a displacement that is not three finite numbers.
         """
         turn = np.eye(3) if new_R_old is None else to_numpy(check_rotation(new_R_old))
         step = np.asarray(to_numpy(displacement), dtype=np.float64)
-        return translate(self.degree, self._checked(shells), np.asarray(ranges, dtype=np.float64), turn, step)
+        if step.shape != (3,) or not np.isfinite(step).all():
+            raise PoseError(f"displacement = {step.tolist()}; wanted (x, y, z) metres of the body, in its new frame")
+        shells, ranges = self._checked(shells), np.asarray(ranges, dtype=np.float64)
+        if shells.shape[-2:-1] != ranges.shape:
+            raise GridError(
+                f"shells have shape {tuple(shells.shape)}, ranges {ranges.shape}; wanted (..., K, size), (K,)"
+            )
+        return translate(self.degree, shells, ranges, turn, step)
 
     def quadrature(self, factor: int = 2) -> ErpGrid:
         """The smallest `ErpGrid` on which products of `factor` fields of this degree are integrated exactly."""

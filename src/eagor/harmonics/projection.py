@@ -16,7 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor._arrays import Array, constant, matched, namespace
+from eagor._arrays import Array, as_float, constant, matched, namespace, to_numpy
 from eagor.grids import (
     ErpGrid,
     ErpWindow,
@@ -29,8 +29,9 @@ from eagor.grids import (
     forward_view,
     lens_of,
 )
-from eagor.harmonics.legendre import evaluate, latitude_table, longitude_table, orders
+from eagor.harmonics.legendre import degrees, evaluate, latitude_table, longitude_table, orders
 from eagor.harmonics.rotation import rotate
+from eagor.sphere import check_directions
 
 BLOCK = 0.25  # side of a view's block, in units of the angular scale 1 / (degree + 1)
 SMALL = 1_000_000  # OpenBLAS has kernels of their own for products up to 100^3
@@ -55,31 +56,30 @@ def analyse(degree: int, values: Array, grid: Grid) -> Array:
     return _analyse_view(degree, values, grid)
 
 
-def synthesise(degree: int, coefficients: Array, grid: Grid | ErpWindow | Array) -> Array:
+def synthesise(degree: int, coefficients: Array, where: Grid | ErpWindow | Array) -> Array:
     """Values of the field: ``(..., H, W)`` on a grid, or ``(..., n...)`` at an array of directions ``(n..., 3)``."""
     xp = namespace(coefficients)
-    if isinstance(grid, ErpGrid | PatchGrid | ErpWindow):
-        whole = grid.whole if isinstance(grid, ErpWindow) else grid
+    if isinstance(where, ErpGrid | PatchGrid | ErpWindow):
+        whole = where.whole if isinstance(where, ErpWindow) else where
         over_rows = constant(_latitude_values, degree, whole.height, like=coefficients)
         over_columns = constant(_longitude_values, degree, whole.width, like=coefficients)
-        if isinstance(grid, ErpWindow):
-            over_rows = over_rows[:, grid.top : grid.top + grid.rows, :]
-            over_columns = xp.take(over_columns, matched(grid.columns, coefficients), axis=1)
+        if isinstance(where, ErpWindow):
+            over_rows = over_rows[:, where.top : where.top + where.rows, :]
+            over_columns = xp.take(over_columns, matched(where.columns, coefficients), axis=1)
         padded = xp.take(coefficients, constant(_pack, degree, like=coefficients), axis=-1)
         padded = xp.reshape(padded, (*coefficients.shape[:-1], 2 * degree + 1, degree + 1, 1))
-        rings = xp.reshape(over_rows @ padded, (*coefficients.shape[:-1], 2 * degree + 1, grid.shape[0]))
+        rings = xp.reshape(over_rows @ padded, (*coefficients.shape[:-1], 2 * degree + 1, where.shape[0]))
         return xp.matrix_transpose(rings) @ over_columns
-    points = grid if hasattr(grid, "ndim") else getattr(grid, "directions", grid)
+    points = where.directions if isinstance(where, PerspectiveGrid | FisheyeGrid) else as_float(where)
+    check_directions(points)
     if xp is np:
-        points = np.asarray(points, dtype=coefficients.dtype)
+        points = to_numpy(points).astype(coefficients.dtype, copy=False)
         flat = points.reshape(-1, 3)
         parts = [coefficients @ evaluate(degree, flat[i : i + 4096]).T for i in range(0, len(flat), 4096)]
         values = np.concatenate(parts, axis=-1) if parts else np.zeros((*coefficients.shape[:-1], 0))
         return values.reshape((*coefficients.shape[:-1], *points.shape[:-1]))
     if isinstance(points, np.ndarray):
-        from array_api_compat import device
-
-        points = xp.asarray(points.copy(), dtype=coefficients.dtype, device=device(coefficients))
+        points = matched(points, coefficients)
     basis = evaluate(degree, xp.reshape(points, (-1, 3)))
     return xp.reshape(coefficients @ basis.T, (*coefficients.shape[:-1], *points.shape[:-1]))
 
@@ -127,8 +127,7 @@ def _longitude_values(degree: int, width: int) -> np.ndarray:
 @lru_cache(maxsize=64)
 def _unpack(degree: int) -> np.ndarray:
     """Where coefficient i stands in the flattened (order, degree) table."""
-    found = np.repeat(np.arange(degree + 1), 2 * np.arange(degree + 1) + 1)
-    return (orders(degree) + degree) * (degree + 1) + found
+    return (orders(degree) + degree) * (degree + 1) + degrees(degree)
 
 
 @lru_cache(maxsize=64)
@@ -156,8 +155,7 @@ def _analyse_view(degree: int, values: Array, grid: Grid) -> Array:
         found = flat @ constant(_block_plan, lens, degree, like=values)
     else:
         found = sum(means[..., i, :] @ matched(_block_row(lens, degree, i), values) for i in range(area.shape[0]))
-    turn = np.asarray(grid.body_R_view)
-    return rotate(degree, found, turn if xp is np else matched(turn, values))
+    return rotate(degree, found, grid.body_R_view)
 
 
 def _lens_weights(lens: Lens) -> np.ndarray:
@@ -167,10 +165,14 @@ def _lens_weights(lens: Lens) -> np.ndarray:
 @lru_cache(maxsize=64)
 def _block_edges(lens: Lens, degree: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """First row and column of each block, and one past the last: whole cells, at most BLOCK / (degree + 1) wide."""
-    grid = forward_view(lens)
-    largest_cell = math.sqrt(float(grid.density(np.array(grid.shape[1] / 2), np.array(grid.shape[0] / 2))))
-    cells = max(1, int(BLOCK / (degree + 1) / largest_cell))
-    return tuple(tuple([*range(0, n, cells), n]) for n in grid.shape)  # type: ignore[return-value]
+    cells = max(1, int(BLOCK / (degree + 1) / _largest_cell(lens)))
+    return tuple(tuple([*range(0, n, cells), n]) for n in lens[1:3])  # type: ignore[return-value]
+
+
+def _largest_cell(lens: Lens) -> float:
+    """The side (radians) of the cell in the middle of the view, where cells are largest."""
+    _, height, width, _ = lens
+    return math.sqrt(float(forward_view(lens).density(np.array(width / 2), np.array(height / 2))))
 
 
 def _block_areas(lens: Lens, degree: int) -> np.ndarray:
@@ -190,9 +192,7 @@ def _block_row(lens: Lens, degree: int, row: int) -> np.ndarray:
     grid = forward_view(lens)
     rows, columns = (np.asarray(edges) for edges in _block_edges(lens, degree))
     height, width = rows[row + 1] - rows[row], np.diff(columns)
-    side = math.sqrt(float(grid.density(np.array(grid.shape[1] / 2), np.array(grid.shape[0] / 2)))) * max(
-        height, int(width.max())
-    )
+    side = _largest_cell(lens) * max(height, int(width.max()))
     nodes, weights = np.polynomial.legendre.leggauss(min(16, 2 + math.ceil(side * (degree + 1))))
     nodes, weights = (nodes + 1) / 2, weights / 2
     y = (rows[row] + height * nodes)[None, :, None]

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._arrays import Array, constant, namespace
+from eagor._arrays import Array, constant, matched, namespace, to_numpy
 from eagor.harmonics.legendre import evaluate, orders
 
 DENSE_UP_TO = 15  # a 256 x 256 matrix still beats 16 small ones
@@ -29,14 +29,17 @@ CHUNK = 256  # beliefs at a time: the working set stays in the second-level cach
 def rotate(degree: int, coefficients: Array, new_R_old: Array) -> Array:
     """Coefficients ``(..., (degree + 1)^2)`` in the new frame; `new_R_old` ``(..., 3, 3)`` broadcasts with them.
 
-    The caller has checked that `new_R_old` is a rotation.
+    The caller has checked that `new_R_old` is a rotation. It may be another kind of array; the result is of the kind of
+    the coefficients.
     """
+    if type(new_R_old) is not type(coefficients):
+        new_R_old = matched(to_numpy(new_R_old), coefficients)
     if new_R_old.ndim == 2 and type(coefficients) is np.ndarray and type(new_R_old) is np.ndarray:
         if coefficients.ndim == 1:
             return _rotate_alike(degree, coefficients, new_R_old)
         columns = np.ascontiguousarray(coefficients.reshape(-1, coefficients.shape[-1]).T)
         return _rotate_alike(degree, columns, new_R_old).T.reshape(coefficients.shape)
-    xp = namespace(coefficients, new_R_old)
+    xp = namespace(coefficients)
     batch = np.broadcast_shapes(tuple(coefficients.shape[:-1]), tuple(new_R_old.shape[:-2]))
     size = coefficients.shape[-1]
     # Coefficients first, beliefs last: every step is then a long row operation or one matrix product.

@@ -32,10 +32,10 @@ def translate(degree: int, shells: Array, ranges: np.ndarray, new_R_old: np.ndar
     """
     distance = round(float(np.linalg.norm(displacement)), _DIGITS)
     if distance == 0.0:
-        return rotate(degree, shells, matched(new_R_old, shells))
+        return rotate(degree, shells, new_R_old)
     pole_R_new = _to_pole(displacement / np.linalg.norm(displacement))
-    upright = rotate(degree, shells, matched(pole_R_new @ new_R_old, shells))
-    return rotate(degree, _along_pole(degree, upright, ranges, distance), matched(pole_R_new.T, shells))
+    upright = rotate(degree, shells, pole_R_new @ new_R_old)
+    return rotate(degree, _along_pole(degree, upright, ranges, distance), pole_R_new.T)
 
 
 def _along_pole(degree: int, shells: Array, ranges: np.ndarray, distance: float) -> Array:

@@ -1,0 +1,100 @@
+"""What the rivals share: how they read evidence, and maps of a density on one grid."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from eagor._arrays import to_numpy
+from eagor.coverage import taper
+from eagor.errors import ResponseError
+from eagor.evidence import Calibration, Evidence
+from eagor.grids import ErpGrid, Grid
+from eagor.posterior import log_integral
+
+GRID = ErpGrid(64, 128)  # cells of 2.8 degrees, for the rivals that keep a map
+NOTHING_KNOWN = -math.log(4 * math.pi)
+
+
+def _check_single(evidence: Evidence) -> None:
+    if len(evidence.log_ratio.shape) != 2:
+        raise ResponseError(
+            f"evidence has shape {tuple(evidence.log_ratio.shape)}; the baselines read one look (H, W) at a time. "
+            "Loop over the batch"
+        )
+
+
+def seen_response(evidence: Evidence) -> np.ndarray:
+    """The response ``(H, W)`` in float64, zero in cells that were not looked at."""
+    _check_single(evidence)
+    response = to_numpy(evidence.response).astype(np.float64) * (evidence.grid.weights > 0)
+    if evidence.seen is not None and evidence.seen[-1]:
+        response = response * (taper(0, evidence.seen, response) > 0)
+    return response
+
+
+def calibrated(evidence: Evidence, calibration: Calibration) -> Evidence:
+    """`evidence` read with `calibration`."""
+    _check_single(evidence)
+    return evidence.with_calibration(calibration)
+
+
+def log_ratio(evidence: Evidence, calibration: Calibration, directions: np.ndarray) -> np.ndarray:
+    """The log ratio ``(...)`` at directions ``(..., 3)`` of the body frame: bilinear, zero where nothing was seen."""
+    values = to_numpy(calibrated(evidence, calibration).log_ratio).astype(np.float64)
+    return sample(values, evidence.grid, directions)
+
+
+def sample(values: np.ndarray, grid: Grid, directions: np.ndarray) -> np.ndarray:
+    """`values` ``(H, W)`` at directions ``(..., 3)``: bilinear between cell centres, zero outside the grid.
+
+    A panorama goes on across the seam and over the poles; a view keeps the value of its outermost cells up to its
+    border.
+    """
+    height, width = grid.shape
+    x, y, inside = grid.project(directions)
+    padded = np.pad(values, 1, mode="edge")
+    if not hasattr(grid, "body_R_view"):
+        padded[[0, -1], 1:-1] = np.roll(values[[0, -1]], width // 2, axis=1)
+        padded[:, 0], padded[:, -1] = padded[:, -2], padded[:, 1]
+    right, column = np.modf(np.where(inside, np.clip(x + 0.5, 0, width + 1), 0.0))
+    down, row = np.modf(np.where(inside, np.clip(y + 0.5, 0, height + 1), 0.0))
+    flat, stride = padded.reshape(-1), width + 2
+    first = np.minimum(row.astype(np.intp), height) * stride + np.minimum(column.astype(np.intp), width)
+    upper = flat[first] * (1 - right) + flat[first + 1] * right
+    lower = flat[first + stride] * (1 - right) + flat[first + stride + 1] * right
+    return np.where(inside, upper * (1 - down) + lower * down, 0.0)
+
+
+def log_density(log_map: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """log of the density that `log_map` holds on `GRID`: the density is interpolated, so that it keeps its mass."""
+    return np.log(np.maximum(sample(np.exp(log_map), GRID, directions), 1e-300))
+
+
+def normalised(log_values: np.ndarray) -> np.ndarray:
+    """`log_values` on `GRID`, shifted so that their exponential integrates to one."""
+    return log_values - log_integral(log_values, GRID.weights)
+
+
+def log_mixed(density: np.ndarray, share: float) -> np.ndarray:
+    """log of `density` on `GRID` with `share` of it spread evenly."""
+    return np.log(np.maximum((1 - share) * density + share / (4 * math.pi), 1e-300))
+
+
+def spread(density: np.ndarray, sigma: float) -> np.ndarray:
+    """`density` on `GRID` convolved with a von Mises-Fisher kernel of `sigma` radians per axis; the mass is kept."""
+    spectrum = np.fft.rfft(density, axis=1).T[..., None]
+    return np.maximum(np.fft.irfft((_kernel(sigma) @ spectrum)[..., 0].T, GRID.width, axis=1), 0.0)
+
+
+@lru_cache(maxsize=32)
+def _kernel(sigma: float) -> np.ndarray:
+    """The kernel of `spread`, ``(W / 2 + 1, H, H)``: it depends on the difference in azimuth alone, so that a Fourier
+    transform over the columns leaves one small matrix per frequency.
+    """  # noqa: D205
+    cosine = GRID.directions @ GRID.directions[:, 0].T  # row, column; row of the source, which is in column 0
+    kernel = np.exp((cosine - 1) / sigma**2)
+    mass = np.einsum("ijk,i->k", kernel, GRID.weights[:, 0])
+    return np.ascontiguousarray(np.fft.rfft(kernel * (GRID.weights[:, 0] / mass), axis=1).real.transpose(1, 0, 2))

@@ -1,0 +1,71 @@
+"""Rivals that read each look by itself: a mean of its response, or where that is strongest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from eagor.baselines.maps import seen_response
+from eagor.evidence import SILENT, Evidence
+from eagor.grids import Grid
+from eagor.sphere import FORWARD, azimuth_elevation, check_rotation, direction, unit
+
+
+@dataclass(frozen=True, eq=False)
+class _PerFrame:
+    """No memory but the last answer, which stands where it was in the image while the response is zero everywhere.
+
+    Carrying it along with the camera is no part of the published methods: `predict` changes nothing.
+    """
+
+    last: np.ndarray = field(default_factory=lambda: np.array(FORWARD))
+
+    def predict(self, new_R_old: np.ndarray, translation: ArrayLike | None = None) -> Self:
+        check_rotation(new_R_old)
+        return self
+
+    def update(self, evidence: Evidence) -> Self:
+        response = seen_response(evidence)
+        if response.max() < SILENT:
+            return self
+        return replace(self, last=self._read(response / response.sum(), evidence.grid))
+
+    def direction(self) -> np.ndarray:
+        return self.last
+
+    def _read(self, share: np.ndarray, grid: Grid) -> np.ndarray:
+        raise NotImplementedError
+
+
+class Centroid(_PerFrame):
+    """Response-weighted mean of the pixel coordinates, per frame: linear in u, so that it breaks at the seam."""
+
+    def _read(self, share: np.ndarray, grid: Grid) -> np.ndarray:
+        height, width = share.shape
+        return grid.unproject(
+            share.sum(axis=0) @ (np.arange(width) + 0.5), share.sum(axis=1) @ (np.arange(height) + 0.5)
+        )
+
+
+class CircularCentroid(_PerFrame):
+    """Circular mean of the azimuth and linear mean of the elevation over response-weighted pixels, per frame."""
+
+    def _read(self, share: np.ndarray, grid: Grid) -> np.ndarray:
+        azimuth, elevation = azimuth_elevation(grid.directions)
+        mean = np.arctan2(np.sum(share * np.sin(azimuth)), np.sum(share * np.cos(azimuth)))
+        return direction(mean, np.sum(share * elevation))
+
+
+class Plain(_PerFrame):
+    """The direction of the strongest response, per frame: what a model that is simply asked would answer."""
+
+    def _read(self, share: np.ndarray, grid: Grid) -> np.ndarray:
+        best = share >= 0.999 * share.max()
+        # Several cells that are equally strong (a whole view in which the thing is said to be): their middle.
+        middle = np.sum((grid.weights * best)[..., None] * grid.directions, axis=(0, 1)) / np.sum(grid.weights * best)
+        if np.linalg.norm(middle) < 0.5:  # they are scattered: no middle
+            return grid.directions[np.unravel_index(np.argmax(share), share.shape)]
+        return unit(middle)
