@@ -29,6 +29,8 @@ from eagor.peaks import FLAT, decoding_grid, forward_vector, peak
 from eagor.posterior import CELLS_FOR_REGIONS, MIN_WEIGHT, PROMINENCE, CredibleRegion, Field, Posterior
 from eagor.sphere import check_rotation
 
+_ONE = "this reads one belief, and got a batch {}; index it: belief[i]"
+
 
 class Reading:
     """What can be read from any posterior over directions; `Belief` and `RangedBelief` supply the field.
@@ -67,7 +69,7 @@ class Reading:
     def posterior(self) -> Posterior:
         """The posterior of a belief without batch dimensions."""
         if self.batch_shape:
-            raise EagorError(f"this reads one belief, and got a batch {self.batch_shape}; index it: belief[i]")
+            raise EagorError(_ONE.format(self.batch_shape))
         found: Any = self.posteriors[()]
         return found
 
@@ -94,8 +96,9 @@ class Reading:
 
     def credible_region(self, mass: float = 0.9) -> CredibleRegion:
         """The smallest region that holds `mass` of the belief (highest density). One belief at a time."""
-        rows = decoding_grid(self.degree).height
-        posterior = self.posterior and Posterior(self._field(()), rows, CELLS_FOR_REGIONS)
+        if self.batch_shape:
+            raise EagorError(_ONE.format(self.batch_shape))
+        posterior = Posterior(self._field(()), decoding_grid(self.degree).height, CELLS_FOR_REGIONS)
         level, area = posterior.level(_checked_mass(mass))
         return CredibleRegion(
             mass=mass,

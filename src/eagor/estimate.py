@@ -75,18 +75,25 @@ class TrackerConfig:
     ambiguous_below: float = 0.65
 
     def __post_init__(self) -> None:
-        least = min(self.diffusion, self.wander, self.restless, self.history)
-        positive = min(self.surest, self.settle, self.doubt)
-        if not (
-            0 < self.keep_per_second <= 1 and least >= 0 and self.wander < math.pi and positive > 0 and self.doubt < 0.5
-        ):
-            raise EagorError(
-                f"keep_per_second = {self.keep_per_second}, diffusion = {self.diffusion}, wander = {self.wander}, "
-                f"restless = {self.restless}, doubt = {self.doubt}, settle = {self.settle}, surest = {self.surest}, "
-                f"history = {self.history}; wanted 0 < keep_per_second <= 1, diffusion and wander >= 0 (rad per "
-                "sqrt s), restless >= 0 (per s), 0 < doubt < 0.5, settle > 0 (s), surest > 0 (nats) and "
-                "history >= 0 (s)"
-            )
+        for name, (fits, wanted) in {
+            "degree": (self.degree == int(self.degree) >= 1, "a whole number from 1 on"),
+            "decode": (self.decode in ("mode", "mean"), "mode or mean"),
+            "keep_per_second": (0 < self.keep_per_second <= 1, "a share above 0 and up to 1"),
+            "diffusion": (0 <= self.diffusion < math.pi, "radians per root second, from 0 to pi"),
+            "wander": (0 <= self.wander < math.pi, "radians per root second, from 0 to pi"),
+            "restless": (0 <= self.restless < math.inf, "changes per second, from 0 on"),
+            "doubt": (0 < self.doubt < 0.5, "a probability between 0 and 0.5"),
+            "settle": (self.settle > 0, "seconds above 0"),
+            "surest": (self.surest > 0, "nats above 0"),
+            "history": (self.history >= 0, "seconds from 0 on"),
+            "stale_after": (self.stale_after >= 0, "seconds from 0 on"),
+            "found_at": (not math.isnan(self.found_at), "nats"),
+            "switch_at": (self.switch_at >= 0, "nats from 0 on"),
+            "present_at": (0 <= self.present_at <= 1, "a probability"),
+            "ambiguous_below": (0 <= self.ambiguous_below <= 1, "a share of the belief"),
+        }.items():
+            if not fits:
+                raise EagorError(f"TrackerConfig: {name} = {getattr(self, name)!r}; wanted {wanted}")
 
     @classmethod
     def paper(cls) -> TrackerConfig:

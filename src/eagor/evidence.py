@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eagor._arrays import Array, namespace, to_numpy
+from eagor._arrays import Array, matched, namespace, to_numpy
 from eagor.coverage import Region, confine, region, taper
 from eagor.detections import MIN_SPREAD, WHOLE_SPHERE, bump, canvas_of, moments
 from eagor.errors import ResponseError, TimeError
@@ -119,12 +119,12 @@ class Evidence:
                 response = response / peak
         log_ratio = _log_ratio(response, calibration)
         if stamp is not None:
-            stamp = _finite_stamp(stamp)
+            stamp = checked_stamp(stamp)
         mask = None
         if coverage is not None:
             coverage = _checked_coverage(coverage, grid)
             mask = coverage > 0
-            log_ratio = log_ratio * namespace(log_ratio).asarray(coverage, dtype=log_ratio.dtype)
+            log_ratio = log_ratio * matched(coverage, log_ratio)
         return cls(log_ratio, grid, calibration, stamp, region(grid, mask), peak if peak > 0 else 1.0, source)
 
     @classmethod
@@ -141,7 +141,10 @@ class Evidence:
         `scores` ``(n,)`` in [0, 1], default 1. Where masks overlap the best score counts; ``n = 0`` means looked and
         saw nothing.
         """
-        masks = np.asarray(to_numpy(masks)).astype(bool)
+        masks = np.asarray(to_numpy(masks))
+        if masks.dtype.kind == "f" and not np.isin(masks, (0, 1)).all():
+            raise ResponseError("a mask says yes or no, and this one has values between; wanted bool, or a threshold")
+        masks = masks.astype(bool)
         masks = masks[None] if masks.ndim == 2 else masks
         if masks.ndim != 3 or masks.shape[1:] != tuple(grid.shape):
             raise ResponseError(f"masks have shape {masks.shape}; the grid wants (n, {grid.shape[0]}, {grid.shape[1]})")
@@ -169,7 +172,7 @@ class Evidence:
         coarse copy. A detector means the middle of its box, so each box becomes a smooth bump: the Gaussian with the
         mean direction and the second moments of the box's solid angle, widened by `min_spread` (radians).
         """
-        table = np.asarray(to_numpy(boxes), dtype=np.float64).reshape(-1, 4) if np.size(boxes) else np.zeros((0, 4))
+        table = _rows(boxes, 4, "boxes")
         weights = _checked_scores(scores, len(table))
         canvas = canvas_of(grid)
         response = np.zeros(canvas.shape)
@@ -195,7 +198,7 @@ class Evidence:
         concentration of 1 / s^2. `grid` tells what was looked at (default: everything); a whole panorama is drawn with
         cells of 2 degrees, whatever its own.
         """
-        points = np.asarray(to_numpy(directions), dtype=np.float64).reshape(-1, 3)
+        points = _rows(directions, 3, "directions")
         points = unit(points) if len(points) else points
         kappa = np.broadcast_to(np.asarray(to_numpy(concentration), dtype=np.float64), (len(points),))
         if not (np.isfinite(kappa).all() and (kappa > 0).all()):
@@ -216,14 +219,14 @@ class Evidence:
             return confine(degree, basis.analyse(tapered, self.grid), self.seen)
         # The plan that keeps evidence inside a view belongs to its lens: confine there, then turn.
         ahead = basis.analyse(tapered, replace(self.grid, body_R_view=np.eye(3)))
-        turn = namespace(ahead).asarray(np.array(self.grid.body_R_view), dtype=ahead.dtype)
-        return basis.rotate(confine(degree, ahead, self.seen), turn)
+        return basis.rotate(confine(degree, ahead, self.seen), np.asarray(self.grid.body_R_view))
 
     @property
     def response(self) -> Array:
         """The response ``(..., H, W)`` in [0, 1] that this evidence was made from (before any scaling), to rounding.
 
-        Where coverage was partial this is the neutral response, since nothing was learnt there.
+        Where coverage was partial it is the response that would have said as little with the whole cell in view: the
+        neutral one where nothing was covered.
         """
         xp = namespace(self.log_ratio)
         scale = self.calibration.neutral + self.calibration.floor
@@ -312,10 +315,22 @@ def _largest(response: Array) -> float:
     return float(namespace(response).max(response))
 
 
-def _finite_stamp(stamp: float) -> float:
+def checked_stamp(stamp: float) -> float:
+    """`stamp` as a float, seconds. Raises `TimeError` unless it is finite."""
+    stamp = float(stamp)
     if not math.isfinite(stamp):
-        raise TimeError(f"stamp = {stamp!r}; wanted the time of capture in seconds, a finite number")
-    return float(stamp)
+        raise TimeError(f"stamp = {stamp!r}; wanted the time (of evidence: of its capture) in seconds, a finite number")
+    return stamp
+
+
+def _rows(values: Array, columns: int, name: str) -> np.ndarray:
+    """A table ``(n, columns)``, also from one row and from nothing."""
+    table = np.asarray(to_numpy(values), dtype=np.float64)
+    if table.size == 0:
+        return np.zeros((0, columns))
+    if table.ndim > 2 or table.shape[-1:] != (columns,):
+        raise ResponseError(f"{name} have shape {table.shape}; wanted (n, {columns})")
+    return table.reshape(-1, columns)
 
 
 def _checked_coverage(coverage: np.ndarray, grid: Grid) -> np.ndarray:

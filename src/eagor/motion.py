@@ -79,7 +79,7 @@ class Wanderer:
         if elapsed <= 0:
             return self
         grid, basis = decoding_grid(self.basis.degree), self.basis
-        density = self.basis.analyse(np.exp(self.field - log_integral(self.field, grid.weights)), grid)
+        density = basis.analyse(np.exp(self.field - log_integral(self.field, grid.weights)), grid)
         density = basis.smooth(density, wander * math.sqrt(elapsed)) * (_UNIFORM / density[0])
         lost = -math.expm1(-ANYWHERE * elapsed)
         density *= 1 - lost

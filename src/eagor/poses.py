@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import bisect
-import math
 
 import numpy as np
 
 from eagor._arrays import to_numpy
 from eagor.errors import PoseError, TimeError
+from eagor.evidence import checked_stamp
 from eagor.sphere import check_rotation, interpolate_rotation
 
 
@@ -75,11 +75,3 @@ class PoseHistory:
         fraction = (stamp - start) / (end - start)
         place = None if place_a is None or place_b is None else place_a + fraction * (place_b - place_a)
         return interpolate_rotation(pose_a, pose_b, fraction), place
-
-
-def checked_stamp(stamp: float) -> float:
-    """`stamp` as a float, seconds. Raises `TimeError` unless it is finite."""
-    stamp = float(stamp)
-    if not math.isfinite(stamp):
-        raise TimeError(f"stamp = {stamp!r}; wanted seconds, a finite number")
-    return stamp

@@ -19,7 +19,6 @@ import numpy as np
 
 from eagor._arrays import Array, as_float, device, namespace, to_numpy
 from eagor.belief import Belief, Reading
-from eagor.diffusion import diffuse
 from eagor.errors import EagorError, PoseError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, ErpWindow
@@ -63,6 +62,9 @@ class RangedBelief(Reading):
             raise EagorError(
                 f"shells have shape {tuple(self.shells.shape)}; {len(ranges)} ranges want (..., {len(ranges)}, size)"
             )
+        Belief(self.shells)  # complains about a number of coefficients that belongs to no degree
+        if self.prior is not None and tuple(self.prior.shape) != tuple(self.shells.shape[-2:]):
+            raise EagorError(f"the prior has shape {tuple(self.prior.shape)}; wanted {tuple(self.shells.shape[-2:])}")
         ranges.setflags(write=False)
         object.__setattr__(self, "ranges", ranges)
 
@@ -92,6 +94,16 @@ class RangedBelief(Reading):
     def batch_shape(self) -> tuple[int, ...]:
         """The leading dimensions, the shells' not counted."""
         return tuple(self.shells.shape[:-2])
+
+    def __getitem__(self, index: Any) -> RangedBelief:
+        """Part of a batch."""
+        if not self.batch_shape:
+            raise EagorError("this belief has no batch dimension to index")
+        # The last two dimensions are no batch, whatever the index is.
+        return replace(
+            self,
+            shells=self.shells[(*(index if isinstance(index, tuple) else (index,)), ..., slice(None), slice(None))],
+        )
 
     def predict(self, new_R_old: Array, translation: Array | None = None) -> RangedBelief:
         """After the body has turned by `new_R_old` and moved by `translation` (metres, in the NEW body frame).
@@ -146,7 +158,7 @@ class RangedBelief(Reading):
 
     def diffuse(self, sigma: float) -> RangedBelief:
         """With each shell's density spread by a Gaussian of `sigma` radians per axis."""
-        return replace(self, shells=diffuse(self.degree, self.shells, sigma)) if sigma > 0 else self
+        return replace(self, shells=Belief(self.shells).diffuse(sigma).coefficients)
 
     def direction_belief(self) -> Belief:
         """The belief over directions alone, projected back to this degree."""

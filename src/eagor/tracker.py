@@ -86,8 +86,8 @@ class DirectionTracker:
     def observe(self, evidence: Evidence, target: str = "target") -> None:
         """Add evidence about `target`, placed by its time of capture; it may be late and out of order.
 
-        Raises `TimeError` without a stamp, or if it is older than the history, and `PoseError` if no pose of that
-        time is known any more.
+        Raises `TimeError` without a stamp, or if it is older than the history and its order matters, and `PoseError` if
+        no pose of that time is known any more, or if the camera is not above the floor.
         """
         if evidence.stamp is None:
             raise TimeError(
@@ -111,7 +111,8 @@ class DirectionTracker:
     def estimate(self, now: float, target: str = "target") -> Estimate:
         """The answer at time `now`, in the body frame of that time (the last known pose is held beyond its stamp).
 
-        Raises `TimeError` if `now` lies before the newest evidence. A target without evidence is `searching`, forward.
+        Raises `TimeError` if `now` lies before the newest evidence, and `PoseError` if it lies before all known poses
+        or the camera is not above the floor. A target without evidence is `searching`, forward.
         """
         pose, _ = self._poses.at(now)
         state = self._advanced(target, now)

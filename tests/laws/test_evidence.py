@@ -302,3 +302,17 @@ def test_the_logarithm_comes_before_the_integral():
     pixels = Evidence.from_response(np.kron(response, np.ones((8, 8))), PatchGrid(296, 592), Calibration.paper())
     assert np.allclose(patches, pixels.coefficients(7), atol=1e-9)
     assert random_directions(3).shape == (3, 3)
+
+
+def test_tables_of_another_shape_are_refused():
+    """A table that is reshaped to fit says something else than its maker meant."""
+    view = PerspectiveGrid(48, 64, math.radians(80))
+    with pytest.raises(ResponseError, match=r"boxes have shape \(4, 5\); wanted \(n, 4\)"):
+        Evidence.from_boxes(np.arange(20.0).reshape(4, 5), view)
+    with pytest.raises(ResponseError, match=r"directions have shape \(3, 2\); wanted \(n, 3\)"):
+        Evidence.from_points(np.ones((3, 2)), 50.0)
+    one, row = (Evidence.from_boxes(boxes, view) for boxes in ([[10, 10, 20, 20]], [10, 10, 20, 20]))
+    assert np.array_equal(one.log_ratio, row.log_ratio), "one row is a table of one"
+    with pytest.raises(ResponseError, match="threshold"):
+        Evidence.from_mask(np.full(view.shape, 0.1), view)
+    assert Evidence.from_mask(np.ones(view.shape), view).response.min() == pytest.approx(1.0, abs=1e-5)

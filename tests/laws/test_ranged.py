@@ -153,6 +153,10 @@ def test_batches_are_loops():
     assert np.allclose(batch.distance(), [one.distance(), two.distance()])
     turns = np.stack([rotation((0, 0, 1), 0.3), rotation((0, 1, 0), 0.1)])
     steps = np.array([[0.2, 0, 0], [0, 0.1, 0.0]])
+    assert batch[1].distance() == pytest.approx(two.distance())
+    assert batch[:1].batch_shape == (1,)
+    with pytest.raises(EagorError, match="no batch"):
+        one[0]
     moved = batch.predict(turns, steps)
     assert np.allclose(moved.shells[1], two.predict(turns[1], steps[1]).shells, atol=1e-12)
     assert np.allclose(batch.predict(turns[0], steps[0]).shells[1], two.predict(turns[0], steps[0]).shells, atol=1e-12)
@@ -181,3 +185,14 @@ def test_forgetting_and_diffusion_reach_every_shell(factor):
 def test_bad_arguments_are_refused(bad, error):
     with pytest.raises(error):
         bad(RangedBelief.uniform(7))
+
+
+def test_what_is_no_belief_is_refused():
+    with pytest.raises(EagorError, match=r"\(degree \+ 1\)\^2"):
+        RangedBelief(np.zeros((3, 50)), np.array([1.0, 2.0, 4.0]))
+    with pytest.raises(EagorError, match="prior"):
+        RangedBelief(np.zeros((3, 64)), np.array([1.0, 2.0, 4.0]), np.zeros((2, 64)))
+    with pytest.raises(EagorError, match="sigma"):
+        RangedBelief.uniform(7).diffuse(-1.0)
+    with pytest.raises(EagorError, match="index it"):
+        RangedBelief.uniform(7, batch_shape=(2,)).credible_region()

@@ -415,3 +415,29 @@ def test_a_corrected_pose_of_the_same_time_replaces_the_first():
 def test_impossible_settings_are_refused(changes):
     with pytest.raises(EagorError):
         TrackerConfig(**changes)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("degree", 0),
+        ("degree", 7.5),
+        ("decode", "mod"),
+        ("keep_per_second", 0.0),
+        ("diffusion", -0.1),
+        ("wander", 4.0),
+        ("restless", math.nan),
+        ("doubt", 0.5),
+        ("settle", 0.0),
+        ("surest", math.nan),
+        ("history", -1.0),
+        ("stale_after", math.nan),
+        ("found_at", math.nan),
+        ("switch_at", -1.0),
+        ("present_at", 1.5),
+        ("ambiguous_below", -0.1),
+    ],
+)
+def test_a_configuration_without_a_meaning_is_refused(name, value):
+    with pytest.raises(EagorError, match=f"{name} = .*; wanted"):
+        TrackerConfig(**{name: value})

@@ -1,0 +1,72 @@
+"""The basins of a field on the sphere: which peak each cell belongs to."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+
+def basins(field: np.ndarray, prominence: float) -> np.ndarray:
+    """For each cell of an equirectangular `field` ``(H, W)``, the index of the peak that it belongs to ``(H, W)``.
+
+    Each cell climbs to its peak; basins whose peak stands less than `prominence` above the saddle to a higher one join
+    that one.
+    """
+    return _merge(field, _climb(field), prominence)
+
+
+def _over_pole(row: np.ndarray) -> np.ndarray:
+    """The row ``(1, W)`` that lies beyond the pole from this one."""
+    return np.roll(row, row.shape[1] // 2, axis=1)
+
+
+def _neighbours(values: np.ndarray) -> list[np.ndarray]:
+    """`values` ``(H, W)`` of each cell's right, lower-left, lower and lower-right neighbours, then the opposites."""
+    tall = np.concatenate([_over_pole(values[:1]), values, _over_pole(values[-1:])])
+    shifts = [(1, -1), (2, 1), (2, 0), (2, -1), (1, 1), (0, -1), (0, 0), (0, 1)]
+    return [np.roll(tall[row : row + len(values)], side, axis=1) for row, side in shifts]
+
+
+def _climb(field: np.ndarray) -> np.ndarray:
+    """For each cell, the index of the peak that steepest ascent leads to ``(H, W)``."""
+    index = np.arange(field.size).reshape(field.shape)
+    best, target = field.copy(), index.copy()
+    for value, where in zip(_neighbours(field), _neighbours(index), strict=True):
+        # Equal values lead to the larger index, so that plateaus have one peak and no cycles.
+        better = (value > best) | ((value == best) & (where > target))
+        best, target = np.where(better, value, best), np.where(better, where, target)
+    target = target.reshape(-1)
+    while True:
+        further = target[target]
+        if np.array_equal(further, target):
+            return target.reshape(field.shape)
+        target = further
+
+
+def _merge(field: np.ndarray, label: np.ndarray, prominence: float) -> np.ndarray:
+    """Labels after basins that do not stand out have joined a higher neighbour (persistence, highest saddle first)."""
+    saddles: dict[tuple[int, int], float] = {}
+    for value, other in zip(_neighbours(field)[:4], _neighbours(label)[:4], strict=True):
+        border = label != other
+        height = np.minimum(field[border], value[border])
+        for a, b, h in zip(label[border].tolist(), other[border].tolist(), height.tolist(), strict=True):
+            key = (a, b) if a < b else (b, a)
+            if h > saddles.get(key, -math.inf):
+                saddles[key] = h
+    flat = field.reshape(-1)
+    parent = {int(peak): int(peak) for peak in np.unique(label)}
+
+    def root(peak: int) -> int:
+        while parent[peak] != peak:
+            peak = parent[peak]
+        return peak
+
+    for (a, b), height in sorted(saddles.items(), key=lambda item: -item[1]):
+        low, high = sorted((root(a), root(b)), key=lambda peak: flat[peak])
+        if low != high and flat[low] - height < prominence:
+            parent[low] = high
+    table = np.arange(flat.size)
+    for peak in parent:
+        table[peak] = root(peak)
+    return table[label]
