@@ -13,7 +13,7 @@ from box_scenes import scene_of, shell, thing
 from rooms import two_rooms
 
 from eagor import worlds
-from eagor.errors import EagorError, GridError, PoseError, WorldError
+from eagor.errors import EagorError, GridError, ImageError, PoseError, WorldError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PatchGrid
 from eagor.perception import check_perception
@@ -88,6 +88,8 @@ def test_a_photograph_says_where_it_can_be_looked_at_from():
     with pytest.raises(GridError, match="at least one row"):
         view.panorama((0.0, 0.0, 0.0), np.eye(3), 0)
     assert view.panorama((0.0, 0.0, 0.0), np.eye(3), 16, rgb=False).rgb is None
+    with pytest.raises(ImageError, match="the photograph is float64"):
+        Photograph(np.zeros((32, 64, 3))).panorama((0.0, 0.0, 0.0), np.eye(3), 16)
 
 
 # --- worlds with one fault -------------------------------------------------------------------------------------------

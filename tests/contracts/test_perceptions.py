@@ -18,8 +18,9 @@ from eagor.evidence import Calibration, Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.perception import Perception, check_perception, known, load
 from eagor.perception.colour import COLOURS, SYNONYMS, ColourPerception, parse_colour
+from eagor.perception.noise import Noise
 from eagor.perception.replay import ReplayPerception, parse_record, read_records, write_record
-from eagor.perception.truth import Noise, TruthPerception
+from eagor.perception.truth import TruthPerception
 from eagor.queries import Query
 from eagor.sphere import angular_distance, azimuth_elevation, direction
 from eagor.worlds.painted import BALL_COLOURS, Ball, painted_room

@@ -13,20 +13,21 @@ import transformers
 import vlm_models
 from hypothesis import given
 from hypothesis import strategies as st
+from seams import seamless
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from eagor.errors import AnswerError, EagorError, ImageError, QueryError
 from eagor.evidence import Calibration
 from eagor.grids import PatchGrid
 from eagor.perception import check_perception, load, parse_options
-from eagor.perception.transformers import TransformersPerception, family_of, inputs, known_families, prefix
+from eagor.perception.transformers import TransformersPerception, family_of, inputs, prefix
 from eagor.perception.transformers.attention import densities, relative, saturated
 from eagor.perception.transformers.capture import Capture, capturing, full_layers
 from eagor.perception.transformers.heads import Heads, elbow, fit_heads, read_heads, spatial_entropy
 from eagor.perception.transformers.layout import Block, Layout
 from eagor.perception.transformers.prefix import Decoded, Running
+from eagor.perception.vlm.families import FAMILIES
 from eagor.perception.vlm.labelled import Labelled
-from eagor.perception.vlm.seam import seamless
 from eagor.perception.vlm.sizes import resized
 from eagor.sphere import angular_distance, direction
 
@@ -273,7 +274,7 @@ def test_forgotten_type_ids_are_caught(random_models, monkeypatch, family):
 
 
 def test_the_families_that_need_type_ids_are_known():
-    needs = {family.name: family.type_ids for family in known_families() if family.type_ids}
+    needs = {family.name: family.type_ids for family in FAMILIES if family.type_ids}
     assert needs == {"qwen2_5_vl": "mm_token_type_ids", "qwen3_vl": "mm_token_type_ids", "gemma3": "token_type_ids"}
 
 
@@ -835,8 +836,8 @@ def test_scores_below_the_threshold_are_dropped(localisers, monkeypatch):
 
 
 def test_every_family_is_tested_and_described():
-    assert {family.name for family in known_families()} == {*LANGUAGE, *LOCALISERS} == set(vlm_models.MAKERS)
-    for family in known_families():
+    assert {family.name for family in FAMILIES} == {*LANGUAGE, *LOCALISERS} == set(vlm_models.MAKERS)
+    for family in FAMILIES:
         assert family.extractor in family.extractors
         assert family.checkpoints
         assert all(0.1 < checkpoint.gigabytes < 200 for checkpoint in family.checkpoints)
@@ -904,6 +905,20 @@ def test_what_cannot_be_loaded_says_why(folders, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
+    "option",
+    ["seam=no", "presence=maybe", "batch=0", "batch=many", "max_tokens=0", "pixels=lots", "layers=2.5", "device=one",
+     "threshold=0.3", "heads=nowhere.json"],
+)  # fmt: skip
+def test_options_without_a_meaning_are_refused_before_weights_are_read(folders, monkeypatch, option):
+    def read(*_args, **_rest):
+        raise AssertionError("weights were read")
+
+    monkeypatch.setattr(transformers.AutoModelForImageTextToText, "from_pretrained", read)
+    with pytest.raises(EagorError, match=option.partition("=")[0]):
+        load(f"{folders('llava')}?{option}")
+
+
+@pytest.mark.parametrize(
     "image", [np.zeros((64, 128, 3)), np.zeros((64, 128), np.uint8), np.zeros((0, 0, 3), np.uint8)]
 )
 def test_other_images_are_refused(random_models, image):
@@ -919,7 +934,7 @@ def test_queries_without_words_are_refused(random_models, query):
 
 def test_nothing_heavy_is_imported_before_it_is_needed():
     code = (
-        "import sys, eagor, eagor.perception, eagor.perception.transformers as t; t.known_families(); "
+        "import sys, eagor, eagor.perception, eagor.perception.transformers as t; t.TransformersPerception; "
         "print([name for name in ('torch', 'transformers', 'openai') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

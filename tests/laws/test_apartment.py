@@ -13,7 +13,7 @@ from eagor.tasks.places import UNTARGETED
 from eagor.worlds.apartment import CATEGORIES, REQUIRED, VERSION, generate
 from eagor.worlds.apartment.cells import carve, rooms_of
 from eagor.worlds.apartment.colours import name, tell_apart
-from eagor.worlds.apartment.designing import BESIDE, design
+from eagor.worlds.apartment.designing import design
 from eagor.worlds.apartment.families import FAMILIES
 from eagor.worlds.apartment.furnisher import Furnisher
 from eagor.worlds.apartment.openings import LINING, OUTSIDE
@@ -27,6 +27,7 @@ from eagor.worlds.apartment.placement import (
     overlaps,
 )
 from eagor.worlds.apartment.plans import draw_plan
+from eagor.worlds.footprints import BESIDE
 from eagor.worlds.ground import Ground
 from eagor.worlds.raycast import make_raycaster
 from eagor.worlds.scene import STRUCTURE
@@ -249,8 +250,8 @@ def test_only_movable_pieces_are_recoloured_to_tell_them_apart():
         f = Furnisher(empty_floor(home.plan, home.cells, home.rooms), np.random.default_rng(seed))
         for category, colour, count in (("cabinet", "white", 2), ("sink", "white", 2), ("chair", "red", 5),
                                         ("nightstand", "brown", 2), ("dresser", "brown", 2)):  # fmt: skip
-            for number in range(count):
-                f.record(f.make(category, colour, number), 0, footprint(0, 0, 1, 1, 0))
+            for _ in range(count):
+                f.record(f.make(category, colour), 0, footprint(0, 0, 1, 1, 0))
         before = list(f.pieces)
         tell_apart(f)
         changed += Counter(old.category for old, new in zip(before, f.pieces, strict=True) if old is not new)

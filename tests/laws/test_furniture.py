@@ -11,9 +11,10 @@ from eagor.tasks.places import UNTARGETED
 from eagor.worlds.apartment.furniture import KINDS, build
 from eagor.worlds.apartment.furniture.model import PLACEMENTS, assembled
 from eagor.worlds.apartment.meshes import Part, box, part
-from eagor.worlds.apartment.palette import TONES, to_linear
+from eagor.worlds.apartment.palette import TONES
 from eagor.worlds.raycast import make_raycaster
 from eagor.worlds.scene import Lamp, Material
+from eagor.worlds.srgb import to_linear
 
 ROOMS = {"living room", "bedroom", "kitchen", "bathroom", "hall", "study", "dining room"}
 BUDGET = 1600  # triangles of one piece

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor.evidence import Calibration, Evidence
-from eagor.perception.truth import Noise
+from eagor.perception.noise import Noise
 from eagor.tasks.hstar.camera import View, inside
 from eagor.tasks.hstar.rules import submit_succeeds
 from eagor.tasks.hstar.search import CELLS, PITCHES, YAWS, Search, SearchRules, _information, _prior, _weights

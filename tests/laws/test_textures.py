@@ -13,9 +13,10 @@ from eagor.queries import COLOURS
 from eagor.worlds.apartment import textures
 from eagor.worlds.apartment.canvas import Canvas, noise
 from eagor.worlds.apartment.paintings import MOTIFS_OF, paint
-from eagor.worlds.apartment.palette import TONES, sRGB, to_coded, to_linear
+from eagor.worlds.apartment.palette import TONES, sRGB
 from eagor.worlds.apartment.pictures import PICTURES
 from eagor.worlds.apartment.textures import REPEAT, SURFACES, WHOLE, material
+from eagor.worlds.srgb import to_coded, to_linear
 
 REPEATING = [(kind, variant) for kind, (count, _) in SURFACES.items() for variant in range(count) if kind not in WHOLE]
 COLOURED = ["fabric", "leather", "paint", "plastic", "ceramic", "carpet", "wood"]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from seams import seamless
 
 from eagor.errors import AnswerError, EagorError, GridError, ImageError, QueryError, ResponseError
 from eagor.evidence import Calibration, Evidence
@@ -17,7 +18,6 @@ from eagor.perception.vlm.drawing import drawn
 from eagor.perception.vlm.lenient import values
 from eagor.perception.vlm.presence import parse_presence
 from eagor.perception.vlm.prompts import GENERAL, ask_boxes, ask_presence, boxes_schema
-from eagor.perception.vlm.seam import seamless
 from eagor.perception.vlm.sizes import exact_size, resized
 from eagor.perception.vlm.styles import style_of
 from eagor.perception.vlm.tokens import Trace
@@ -459,13 +459,6 @@ def test_a_model_without_borders_is_left_as_it_is(cells, shift):
     np.testing.assert_allclose(merged, respond(image), atol=1e-6)
     rolled = seamless(respond, np.roll(image, 2 * shift, axis=1), cells)
     np.testing.assert_allclose(rolled, np.roll(merged, shift, axis=-1), atol=1e-6)
-
-
-def test_the_seam_wants_whole_cells_and_fitting_answers():
-    with pytest.raises(ImageError, match="multiple"):
-        seamless(lambda look: np.zeros((1, 2, 5)), np.zeros((8, 16, 3)), 5)
-    with pytest.raises(ResponseError, match="wanted"):
-        seamless(lambda look: np.zeros((1, 2, 5)), np.zeros((8, 16, 3)), 4)
 
 
 # --- views -----------------------------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from eagor.queries import COLOURS
 from eagor.tasks.tracking import RADIUS
 from eagor.worlds.ball import PAINTS, Ball, with_ball
 from eagor.worlds.render import Frame
+from eagor.worlds.scene import STRUCTURE
 
 SHARE = 0.4  # of the views that get a ball
 AWAY = (0.8, 6.0)  # metres from the camera, along the floor
@@ -27,7 +28,7 @@ def with_balls(stored: dict[str, np.ndarray], names: tuple[str, ...], seed: int,
     rng = np.random.default_rng([seed, 23])
     rgb, ids, kind = stored["rgb"], stored["ids"], stored["category"]
     views, count = len(rgb), len(kind)
-    structure = np.array([names[k] in ("wall", "floor", "ceiling", "door", "window") for k in kind])
+    structure = np.array([names[k] in STRUCTURE for k in kind])
     floors = np.array([names[k] in ("floor", "rug") for k in kind])
     rows: list[tuple[int, int, np.ndarray, np.ndarray, np.ndarray, float]] = []
     for view in np.flatnonzero(rng.random(views) < share):

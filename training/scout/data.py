@@ -1,8 +1,8 @@
 """The data set: panoramas of built-in apartments with the instance that every pixel shows.
 
 One file per apartment, ``apartment-<seed>.npz``, which is skipped where it exists; the same seed and arguments give the
-same arrays. All apartments come from the development seeds; those of the results (`eagor.tasks.places.REPORT`) are
-refused.
+same arrays. All apartments come from the development seeds; no split holds those of the results
+(`eagor.tasks.places.REPORT`).
 
     python data.py FOLDER --split train --apartments 260 --workers 2
     python data.py FOLDER --split held-out --apartments 40 --views 12
@@ -75,7 +75,7 @@ def make(job: tuple[int, Path, int, int, bool]) -> tuple[int, float]:
     from eagor.worlds import light
     from eagor.worlds.apartment import generate
     from eagor.worlds.ground import Ground
-    from eagor.worlds.lattice import Lattice
+    from eagor.worlds.lattice import STEP, Lattice
     from eagor.worlds.render import Renderer
     from eagor.worlds.shading import Shader
 
@@ -83,8 +83,9 @@ def make(job: tuple[int, Path, int, int, bool]) -> tuple[int, float]:
     place = Place(scene, Ground.from_scene(scene), Renderer(scene))
     # Light of its own, so that no cache fills. The quick one, coarser than what the package draws, is half the work;
     # at the size of these pictures they look the same.
-    lattice = Lattice.of(scene, 0.35 if quick else 0.13)
-    light.DIRECTIONS, light.BOUNCES = (12, 2) if quick else (32, 4)
+    lattice = Lattice.of(scene, 0.35 if quick else STEP)
+    if quick:
+        light.DIRECTIONS, light.BOUNCES = 12, 2
     shade = Shader(scene, lattice, light.bake(scene, lattice).astype(np.float32))
     vars(place.renderer).update(_lattice=lattice, _shader=shade)
 

@@ -70,7 +70,9 @@ def load(spec: str, **options: Any) -> Perception:
     if name not in choices:
         model, _, written = str(spec).partition("?")
         if _names_a_model(model):
-            return _model(model, parse_options(written) | options)
+            from eagor.perception.transformers import TransformersPerception
+
+            return local_model(TransformersPerception, model, parse_options(written) | options)
         raise QueryError(
             f"there is no perception {name!r}; known are {', '.join(sorted(choices))}, folders with a model, and hub "
             "names such as Qwen/Qwen2.5-VL-7B-Instruct"
@@ -136,13 +138,6 @@ def _value(text: str) -> Any:
 def _names_a_model(text: str) -> bool:
     """Whether `text` is a folder with a model in it, or looks like a path or a hub name."""
     return (Path(text) / "config.json").is_file() or "/" in text.replace(os.sep, "/")
-
-
-def _model(name: str, options: dict[str, Any]) -> Perception:
-    """The model with this hub name or in this folder."""
-    from eagor.perception.transformers import TransformersPerception
-
-    return local_model(TransformersPerception, name, options)
 
 
 def local_model(make: Callable[..., Any], name: str, options: dict[str, Any]) -> Any:

@@ -17,6 +17,8 @@ from eagor.errors import ImageError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
 from eagor.perception import Perception
+from eagor.perception.vlm.sizes import checked_picture
+from eagor.perception.vlm.views import bilinear
 from eagor.sphere import world_R_body
 
 ROWS = 256  # of the panorama that a picture is put into, for perceptions that do not say
@@ -53,9 +55,7 @@ def look_at_view(
     Raises `ImageError` if the image is no picture, or the perception answers on no panorama; else what the perception
     raises.
     """
-    picture = np.asarray(image)
-    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
-        raise ImageError(f"a picture is (h, w, 3) uint8; got shape {picture.shape}, {picture.dtype}")
+    picture = checked_picture(image, "the picture")
     height, width = picture.shape[:2]
     grid = PerspectiveGrid(height, width, hfov, world_R_body(0.0, -pitch))
     if isinstance(perception, ViewPerception):
@@ -86,19 +86,11 @@ def pasted(picture: np.ndarray, grid: PerspectiveGrid, rows: int) -> np.ndarray:
     if grid.width > 1.2 * wide:
         size = max(1, round(wide)), max(1, round(wide * grid.height / grid.width))
         picture = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BOX))
-    height, width = picture.shape[:2]
     x, y, inside = grid.project(target.directions)
-    u = np.clip(x[inside] * (width / grid.width) - 0.5, 0, width - 1)
-    v = np.clip(y[inside] * (height / grid.height) - 0.5, 0, height - 1)
-    left, top = np.floor(u).astype(np.intp), np.floor(v).astype(np.intp)
-    right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
-    across, down = (u - left)[:, None], (v - top)[:, None]
-    values = picture.astype(np.float32)
-    upper = values[top, left] * (1 - across) + values[top, right] * across
-    lower = values[below, left] * (1 - across) + values[below, right] * across
+    seen = bilinear(np.moveaxis(picture, -1, 0), x[inside] / grid.width, y[inside] / grid.height)
     panorama = np.empty((*target.shape, 3), dtype=np.uint8)
     panorama[:] = np.rint(picture.reshape(-1, 3).mean(axis=0)).astype(np.uint8)
-    panorama[inside] = np.rint(upper * (1 - down) + lower * down).astype(np.uint8)
+    panorama[inside] = np.rint(seen.T).astype(np.uint8)
     return panorama
 
 

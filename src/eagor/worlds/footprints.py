@@ -8,7 +8,7 @@ import numpy as np
 
 from eagor.worlds.scene import Instance, Room
 
-_BESIDE = 0.75  # metres
+BESIDE = 0.75  # metres that one can reach to a piece of furniture
 _NEAREST = 4000  # points looked at where no room tells on which side of the walls the thing is
 
 Crossings = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -29,7 +29,7 @@ def beside(
     nearest = np.clip(points, instance.low[:2], instance.high[:2])
     away = np.hypot(*(nearest - points).T)
     room = next((room for room in rooms if room.name == instance.room), None)
-    close = np.flatnonzero(away <= _BESIDE)
+    close = np.flatnonzero(away <= BESIDE)
     anywhere, early = crossings(points[close], nearest[close])
     clear = ~early
     if room is not None:
@@ -43,7 +43,7 @@ def beside(
         else:
             seeds = np.argsort(away, kind="stable")[:_NEAREST]
             seeds = seeds[~crossings(points[seeds], nearest[seeds])[1]]
-        seeds = seeds[away[seeds] <= away[seeds].min(initial=np.inf) + _BESIDE]
+        seeds = seeds[away[seeds] <= away[seeds].min(initial=np.inf) + BESIDE]
     return seeds, away[seeds]
 
 

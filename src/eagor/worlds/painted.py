@@ -15,6 +15,7 @@ import numpy as np
 from eagor.errors import EagorError, PoseError
 from eagor.grids import ErpGrid
 from eagor.sphere import check_rotation
+from eagor.worlds.srgb import to_coded, to_linear
 
 BALL_COLOURS = {
     "red": (200, 30, 35),
@@ -105,10 +106,9 @@ def paint(
     image = np.empty((height, width, 3), dtype=np.uint8)
     for top in range(0, height, 8):  # in bands: what they need stays in the cache
         band = rays[top * samples : (top + 8) * samples]
-        linear = np.minimum(_shade(room, eye, band.reshape(-1, 3)), 1.0)
+        linear = np.minimum(_shade(room, eye, band.reshape(-1, 3)), 1.0)  # samples, before they are averaged
         linear = linear.reshape(len(band) // samples, samples, width, samples, 3).mean(axis=(1, 3))
-        coded = np.where(linear > 0.0031308, 1.055 * linear ** (1 / 2.4) - 0.055, 12.92 * linear)  # IEC 61966-2-1
-        image[top : top + 8] = np.rint(255 * coded)
+        image[top : top + 8] = np.rint(255 * to_coded(linear))
     return image
 
 
@@ -264,6 +264,5 @@ def _noise(index: np.ndarray) -> np.ndarray:
 
 
 def _srgb(r: float, g: float, b: float) -> np.ndarray:
-    """sRGB 0 to 255 in linear light (IEC 61966-2-1)."""
-    c = np.array([r, g, b]) / 255
-    return np.where(c > 0.04045, ((c + 0.055) / 1.055) ** 2.4, c / 12.92)
+    """sRGB 0 to 255 in linear light."""
+    return to_linear(np.array([r, g, b]) / 255)

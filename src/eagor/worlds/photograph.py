@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from eagor.errors import GridError, PoseError
+from eagor.errors import GridError, ImageError, PoseError
 from eagor.sphere import check_rotation
 from eagor.worlds.panorama import turn
 from eagor.worlds.render import Frame
@@ -36,8 +36,14 @@ class Photograph:
         """What the camera sees in the pose `world_R_body`, ``(height, 2 height, 3)``; range and ids are always None.
 
         The photograph is averaged to the size first. Raises `PoseError` for a position other than the origin,
-        `GridError` for a height below 1, `RotationError` and `ImageError`.
+        `GridError` for a height below 1, `RotationError`, and `ImageError` for a photograph that is none.
         """
+        image = np.asarray(self.image)
+        if image.dtype != np.uint8 or image.ndim != 3 or image.shape[-1] != 3 or image.size == 0:
+            raise ImageError(
+                f"the photograph is {image.dtype} of shape {image.shape}; wanted uint8 sRGB (H, W, 3). Files: "
+                "eagor.worlds.panorama.read_panorama"
+            )
         if np.shape(position) != (3,) or np.any(np.asarray(position, dtype=float) != 0):
             raise PoseError(
                 f"the camera stands at {position}; a photograph shows what is seen from (0, 0, 0), where it was taken"
@@ -47,5 +53,5 @@ class Photograph:
         pose = check_rotation(np.asarray(world_R_body, dtype=np.float64), "world_R_body")
         if not rgb:
             return Frame(None, None, None)
-        sized = Image.fromarray(self.image).resize((2 * height, height), Image.Resampling.BOX)
+        sized = Image.fromarray(np.ascontiguousarray(image)).resize((2 * height, height), Image.Resampling.BOX)
         return Frame(turn(np.asarray(sized), pose.T), None, None)

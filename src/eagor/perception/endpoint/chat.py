@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-import base64
-import io
-import os
-import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
-from importlib.util import find_spec
 from typing import Any
 from urllib.parse import parse_qsl
 
 import numpy as np
 
 from eagor.errors import AnswerError, EagorError
+from eagor.perception.endpoint.messages import data_uri
 from eagor.perception.endpoint.naming import place_of
-from eagor.perception.endpoint.servers import DEFAULT_SERVER, Limits, Servers, checked_address
+from eagor.perception.endpoint.servers import (
+    DEFAULT_SERVER,
+    Servers,
+    checked_address,
+    connected,
+    need_client,
+    unconnected,
+)
 from eagor.perception.vlm.talk import IMAGE, MAX_TOKENS, Message, Said
 
 QUALITY = 85  # of JPEG, as H*Bench's runner sends its views
-_CONNECTING = threading.Lock()
 _AT_ONCE = 1024  # requests to each server: as many as there are workers
 
 
@@ -71,19 +73,10 @@ class ServedChat:
 
     @property
     def _servers(self) -> Servers:
-        with _CONNECTING:
-            if "_connected" not in self.__dict__:
-                self.__dict__["_connected"] = self._connect()
-            return self.__dict__["_connected"]
-
-    def _connect(self) -> Servers:
-        key = os.environ.get(self.key, "") if self.key else "none"
-        if not key:
-            raise EagorError(f"the environment variable {self.key}, which should hold the servers' key, is not set")
-        return Servers(self.servers, self.model, key, Limits(_AT_ONCE, self.timeout, self.retries, self.backoff))
+        return connected(self, _AT_ONCE)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return unconnected(self)
 
 
 def chat_from_text(text: str) -> ServedChat:
@@ -91,8 +84,7 @@ def chat_from_text(text: str) -> ServedChat:
 
     Raises `EagorError` for an option that there is not, an address that is none, or without the openai package.
     """
-    if find_spec("openai") is None:
-        raise EagorError("a served model needs the openai package: pip install 'eagor[endpoint]'")
+    need_client()
     place, _, written = text.partition("?")
     model, addresses = place_of(place)
     servers = tuple(map(checked_address, addresses)) or (DEFAULT_SERVER,)
@@ -132,9 +124,12 @@ class _Conversation:
         return [
             {"type": "text", "text": part}
             if isinstance(part, str)
-            else {"type": "image_url", "image_url": {"url": data_uri(part, self.quality)}}
+            else {"type": "image_url", "image_url": {"url": self._uri(part)}}
             for part in message.parts()
         ]
+
+    def _uri(self, image: np.ndarray) -> str:
+        return data_uri(image, "jpeg", quality=self.quality) if self.quality else data_uri(image, "png")
 
     def read(self, completion: Any, tries: int) -> Said:
         """The reply. An empty one is one; none at all is an `AnswerError`."""
@@ -146,13 +141,3 @@ class _Conversation:
             )
         used = completion.usage
         return Said(text, used.prompt_tokens if used else None, used.completion_tokens if used else None)
-
-
-def data_uri(image: np.ndarray, quality: int = QUALITY) -> str:
-    """An image ``(H, W, 3)`` uint8 as a data URI: JPEG of this quality, PNG for 0."""
-    from PIL import Image
-
-    file = io.BytesIO()
-    kind = "jpeg" if quality else "png"
-    Image.fromarray(np.ascontiguousarray(image)).save(file, kind, **({"quality": quality} if quality else {}))
-    return f"data:image/{kind};base64,{base64.b64encode(file.getvalue()).decode('ascii')}"

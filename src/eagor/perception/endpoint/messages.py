@@ -35,10 +35,15 @@ class Picture:
     @cached_property
     def uri(self) -> str:
         """The picture as a data URI: PNG, exact to the bit, or JPEG, a fraction of its length."""
-        file = io.BytesIO()
-        how: dict[str, Any] = {"compress_level": 1} if self.format == "png" else {"quality": 95, "subsampling": 0}
-        Image.fromarray(np.ascontiguousarray(self.image)).save(file, self.format, **how)
-        return f"data:image/{self.format};base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
+        how = {"compress_level": 1} if self.format == "png" else {"quality": 95, "subsampling": 0}
+        return data_uri(self.image, self.format, **how)
+
+
+def data_uri(image: np.ndarray, kind: Literal["png", "jpeg"], **how: int) -> str:
+    """An image ``(H, W, 3)`` uint8 as a data URI; `how` Pillow is to write it."""
+    file = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(image)).save(file, kind, **how)
+    return f"data:image/{kind};base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +96,33 @@ class Question:
         return body
 
     def read(self, completion: Any, tries: int) -> Answer:
-        """As `read_answer`; `tries`: how many requests it took."""
-        return read_answer(completion, tries)
+        """The answer in what the client returned after so many `tries`.
+
+        Raises `AnswerError` if it is empty, `AttributeError` or `TypeError` if it is no chat completion at all.
+        """
+        choice = completion.choices[0] if completion.choices else None
+        usage = completion.usage
+        text = (choice.message.content or "") if choice else ""
+        if not text.strip():
+            why = f"it stopped because of {choice.finish_reason!r}" if choice else "no choices"
+            counted = getattr(usage, "completion_tokens", None)
+            raise AnswerError(
+                f"{completion.model} gave an empty answer ({why}, {counted} tokens). If it thinks before it answers, "
+                "allow more tokens (max_tokens=...) or turn that off; else look at the server's chat template for this "
+                "model"
+            )
+        given = getattr(getattr(choice, "logprobs", None), "content", None) or ()
+        given = [entry for entry in given if entry.logprob is not None]
+        return Answer(
+            text,
+            tuple((entry.token, entry.logprob) for entry in given),
+            tuple(tuple((other.token, other.logprob) for other in entry.top_logprobs or ()) for entry in given),
+            completion.model or "",
+            getattr(completion, "system_fingerprint", None),
+            getattr(usage, "prompt_tokens", None),
+            getattr(usage, "completion_tokens", None),
+            tries,
+        )
 
 
 @dataclass(frozen=True)
@@ -123,32 +153,3 @@ class Answer:
             if said.strip() and means(said) is not None:
                 return others or ((piece, log),)
         return ()
-
-
-def read_answer(completion: Any, requests: int) -> Answer:
-    """The answer in what the client returned.
-
-    Raises `AnswerError` if it is empty, `AttributeError` or `TypeError` if it is no chat completion at all.
-    """
-    choice = completion.choices[0] if completion.choices else None
-    usage = completion.usage
-    text = (choice.message.content or "") if choice else ""
-    if not text.strip():
-        why = f"it stopped because of {choice.finish_reason!r}" if choice else "no choices"
-        counted = getattr(usage, "completion_tokens", None)
-        raise AnswerError(
-            f"{completion.model} gave an empty answer ({why}, {counted} tokens). If it thinks before it answers, allow "
-            "more tokens (max_tokens=...) or turn that off; else look at the server's chat template for this model"
-        )
-    given = getattr(getattr(choice, "logprobs", None), "content", None) or ()
-    given = [entry for entry in given if entry.logprob is not None]
-    return Answer(
-        text,
-        tuple((entry.token, entry.logprob) for entry in given),
-        tuple(tuple((other.token, other.logprob) for other in entry.top_logprobs or ()) for entry in given),
-        completion.model or "",
-        getattr(completion, "system_fingerprint", None),
-        getattr(usage, "prompt_tokens", None),
-        getattr(usage, "completion_tokens", None),
-        requests,
-    )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from importlib.util import find_spec
 from typing import Any
 from urllib.parse import parse_qsl
 
 from eagor.errors import EagorError
 from eagor.perception.endpoint.perception import EndpointPerception
+from eagor.perception.endpoint.servers import need_client
 
 
 def from_text(text: str = "", /, **options: Any) -> EndpointPerception:
@@ -19,8 +19,7 @@ def from_text(text: str = "", /, **options: Any) -> EndpointPerception:
 
     Raises `EagorError` for options that do not exist or cannot be read, and without the openai package.
     """
-    if find_spec("openai") is None:
-        raise EagorError("a served model needs the openai package: pip install 'eagor[endpoint]'")
+    need_client()
     place, _, written = text.partition("?")
     model, addresses = place_of(place)
     known = {field.name: field.default for field in fields(EndpointPerception)}

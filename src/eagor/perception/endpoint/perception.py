@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import os
-import threading
 import time
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -19,14 +17,13 @@ from eagor.evidence import Calibration, Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.perception.endpoint.extractors import GRID, Manner, Plan, boxes_plan, view_plan, views_plan
 from eagor.perception.endpoint.messages import Answer
-from eagor.perception.endpoint.servers import DEFAULT_SERVER, Limits, Servers, checked_address
+from eagor.perception.endpoint.servers import DEFAULT_SERVER, Servers, checked_address, connected, unconnected
 from eagor.perception.vlm.boxes import Frame, Order
 from eagor.perception.vlm.prompts import phrase
 from eagor.perception.vlm.sizes import checked_picture, exact_size
 from eagor.perception.vlm.styles import Style, style_of
 from eagor.perception.vlm.views import tangent_views
 
-_CONNECTING = threading.Lock()
 _SECOND_TRY = 0.5  # temperature when an answer could not be read: at 0 it would be the same again
 
 
@@ -225,21 +222,10 @@ class EndpointPerception:
 
     @property
     def _servers(self) -> Servers:
-        """The connections, made at the first look and shared by all threads."""
-        with _CONNECTING:
-            if "_connected" not in self.__dict__:
-                self.__dict__["_connected"] = self._connect()
-            return self.__dict__["_connected"]
-
-    def _connect(self) -> Servers:
-        key = os.environ.get(self.key, "") if self.key else ""
-        if self.key and not key:
-            raise EagorError(f"the environment variable {self.key}, which should hold the server's key, is not set")
-        limits = Limits(self.concurrency, self.timeout, self.retries, self.backoff)
-        return Servers(self.servers, self.model, key or "none", limits)
+        return connected(self, self.concurrency)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return unconnected(self)
 
     def _warn_if_shrunk(self, plan: Plan, model: str, answers: Sequence[Answer]) -> None:
         """Boxes in pixels are off if the server resizes the picture; its count of tokens shows that."""

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import random
 import threading
 import time
 import weakref
 from collections.abc import Sequence, Set
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from importlib.util import find_spec
 from typing import Any, Protocol, TypeVar
 from urllib.parse import urlsplit
 
@@ -18,6 +20,7 @@ from eagor.perception.endpoint.faults import Asked, explained, message, refused_
 DEFAULT_SERVER = "http://localhost:8000/v1"
 LONGEST_REST = 30.0  # seconds that a failing server is left alone at most, unless it asks for more
 _CONNECT = 10.0  # seconds to reach a server
+_CONNECTING = threading.Lock()
 
 
 Read = TypeVar("Read", covariant=True)
@@ -76,10 +79,9 @@ class Servers:
     """
 
     def __init__(self, urls: Sequence[str], model: str, key: str, limits: Limits) -> None:
-        try:
-            import openai
-        except ImportError as error:
-            raise EagorError("a served model needs the openai package: pip install 'eagor[endpoint]'") from error
+        need_client()
+        import openai
+
         self._limits = limits
         self._model = model
         self._free = threading.Condition()
@@ -214,6 +216,35 @@ class Servers:
             return _names(server)
         except (openai.OpenAIError, ValueError, AttributeError, TypeError):
             return None
+
+
+def need_client() -> None:
+    """Raise `EagorError` without the openai package."""
+    if find_spec("openai") is None:
+        raise EagorError("a served model needs the openai package: pip install 'eagor[endpoint]'")
+
+
+def connected(asker: Any, concurrency: int) -> Servers:
+    """The connections of a frozen dataclass, made at its first request and then shared by all threads.
+
+    It has the fields `servers`, `model`, `key` (the name of the environment variable that holds the servers' key),
+    `timeout`, `retries` and `backoff`. Raises `EagorError` if that variable is not set, or as `Servers` does.
+    """
+    with _CONNECTING:
+        if "_connected" not in asker.__dict__:
+            key = os.environ.get(asker.key, "") if asker.key else "none"
+            if not key:
+                raise EagorError(
+                    f"the environment variable {asker.key}, which should hold the servers' key, is not set"
+                )
+            limits = Limits(concurrency, asker.timeout, asker.retries, asker.backoff)
+            asker.__dict__["_connected"] = Servers(asker.servers, asker.model, key, limits)
+        return asker.__dict__["_connected"]
+
+
+def unconnected(asker: Any) -> dict[str, Any]:
+    """What of such a dataclass is pickled: its fields, no connections."""
+    return {field.name: getattr(asker, field.name) for field in fields(asker)}
 
 
 def _close(clients: Sequence[Any]) -> None:

@@ -14,16 +14,17 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from eagor.errors import EagorError, QueryError
+from eagor.errors import EagorError
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
-from eagor.perception.vlm.families import Extractor, Family, chosen, family_of, known_families
+from eagor.perception.vlm.families import Extractor, Family, chosen, family_of
+from eagor.perception.vlm.prompts import phrase
 
 if TYPE_CHECKING:
     from eagor.perception.transformers.heads import Heads
     from eagor.perception.vlm.labelled import Labelled
 
-__all__ = ["Looker", "TransformersPerception", "family_of", "known_families"]
+__all__ = ["Looker", "TransformersPerception", "family_of"]
 
 _VIEW_FIELD = math.radians(100)
 _WHOLE = 0.95  # coverage at the corners of views, from which on everything counts as seen
@@ -91,11 +92,11 @@ class TransformersPerception:
         batch: int = 8,
         threshold: float | None = None,
     ) -> None:
-        self.calibration = calibration
-        self.seam = bool(seam)
-        if isinstance(model, str):
-            from eagor.perception.transformers.loading import load_model
+        from eagor.perception.transformers.loading import counted, load_model, switched
 
+        self.calibration = calibration
+        self.seam = switched("seam", seam)
+        if isinstance(model, str):
             model = load_model(
                 model,
                 extractor=extractor,
@@ -103,12 +104,12 @@ class TransformersPerception:
                 pixels=pixels,
                 heads=heads,
                 layers=layers,
-                presence=bool(presence),
+                presence=switched("presence", presence),
                 revision=revision,
                 device=device,
                 dtype=dtype,
-                most=int(max_tokens),
-                batch=int(batch),
+                most=counted("max_tokens", max_tokens, "512"),
+                batch=counted("batch", batch, "8"),
                 threshold=threshold,
             )
         self.looker = model
@@ -154,7 +155,7 @@ class TransformersPerception:
         from eagor.perception.vlm.views import filled, framed
 
         began = time.perf_counter()
-        _check_words([query])
+        phrase(query)
         extractor = self.per_view if self.extractor == "views" else self.extractor
         aspect = grid.width / grid.height
         size, shape = self.looker.size(aspect), self.looker.cells(aspect, extractor)
@@ -171,7 +172,8 @@ class TransformersPerception:
     def find_heads(self, examples: Iterable[Labelled], take: int = 3) -> Heads:
         """The localisation heads of this model, found on labelled panoramas, which are looked at as a call would.
 
-        Of nine panoramas or more every third is held out, and only tells how far the heads are off. Raises `EagorError`
+        `take`: how many heads at most. Of nine panoramas or more every third is held out, and only tells how far the
+        heads are off. Raises `EagorError`
         for a model without attention to read, or if no head looks at the targets.
         """
         if "attention" not in self.family.extractors:
@@ -195,7 +197,8 @@ class TransformersPerception:
         from eagor.perception.vlm.sizes import checked_picture
 
         began = time.perf_counter()
-        _check_words(queries)
+        for query in queries:
+            phrase(query)  # said before anything is run
         image = checked_picture(panorama)
         look = self._views if self.extractor == "views" else self._whole
         response, coverage, source = look(image, queries)
@@ -241,8 +244,3 @@ class TransformersPerception:
         lines = max(12, min(90, round(math.pi * grids[0].focal)))
         response, coverage = lift(list(found), views, PatchGrid(lines, 2 * lines))
         return response, coverage, {"pixels": [height, width], "per_view": self.per_view, **cost.as_source()}
-
-
-def _check_words(queries: Sequence[str]) -> None:
-    if not all(isinstance(query, str) and query.split() for query in queries):
-        raise QueryError(f"the queries are {list(queries)!r}; wanted words for each, such as 'red chair'")

@@ -42,10 +42,9 @@ class LocalChat:
         device: str | None = None,
         dtype: str | None = None,
     ) -> None:
-        from eagor.perception.transformers.loading import load_model, read_family
+        from eagor.perception.transformers.loading import counted, load_model, read_family
 
-        if int(max_tokens) < 1:
-            raise EagorError(f"max_tokens = {max_tokens!r}; wanted how many tokens a reply may have, such as 512")
+        self._max_tokens = counted("max_tokens", max_tokens, "512")
         _, family = read_family(model, revision)
         if family.dialogue is None:  # said before weights are read
             raise EagorError(
@@ -54,7 +53,6 @@ class LocalChat:
             )
         how: dict[str, Any] = {"revision": revision, "device": device, "dtype": dtype}
         self._language: Any = load_model(model, extractor="attention", pixels=pixels, **how)
-        self._max_tokens = int(max_tokens)
 
     def __call__(self, messages: Sequence[Message]) -> Said:
         """The reply to `messages`, with its tokens counted.

@@ -16,8 +16,8 @@ from eagor.perception.transformers.account import Account
 from eagor.perception.transformers.attention import SATURATION, mean_over_heads, of_heads, relative, saturated
 from eagor.perception.transformers.capture import full_layers, prepare
 from eagor.perception.transformers.heads import Heads, Observed
-from eagor.perception.transformers.inputs import Plan, pictures, plan, prompt, template_of
-from eagor.perception.transformers.prefix import Prefix, chunks, share
+from eagor.perception.transformers.inputs import Plan, Prompt, pictures, plan, prompt, template_of
+from eagor.perception.transformers.prefix import Prefix, Running, chunks, share
 from eagor.perception.vlm.boxes import Box, parse_boxes
 from eagor.perception.vlm.drawing import drawn
 from eagor.perception.vlm.families import Extractor, Family
@@ -189,7 +189,7 @@ class LanguageModel:
         account.prompt_tokens += suffix.shape[1] * prefix.batch
         return suffix
 
-    def prompt(self, text: str, planned: Plan) -> Any:
+    def prompt(self, text: str, planned: Plan) -> Prompt:
         """The tokens of a question about an image."""
         image_token = self.model.config.image_token_id
         return prompt(self.tokenizer, self.family, self.template, text, image_token, planned.layout.count)
@@ -210,7 +210,7 @@ class LanguageModel:
         yes, no = chances[:, self._yes].sum(dim=-1), chances[:, self._no].sum(dim=-1)
         return ((yes + 1e-9) / (yes + no + 2e-9)).cpu().numpy().astype(np.float32)
 
-    def _boxes(self, running: Any, logits: torch.Tensor, planned: Plan, account: Account) -> list[list[Box]]:
+    def _boxes(self, running: Running, logits: torch.Tensor, planned: Plan, account: Account) -> list[list[Box]]:
         """The boxes that the model goes on to write, per image."""
         stops = stops_of(self.model, self.tokenizer)
         answer = running.decode(logits, self.most, stops)
@@ -233,11 +233,11 @@ class LanguageModel:
         """
         aspect = 1.0 if view is not None else example.panorama.shape[1] / example.panorama.shape[0]
         planned = self.plan(aspect)
-        picture = resized(example.panorama, planned.size, wrap=True) if view is None else cut(example.panorama, view)
+        picture = example.panorama if view is None else cut(example.panorama, view)
         rows, cols = planned.shape
         grid = PatchGrid(rows, cols) if view is None else replace(view, height=rows, width=cols)
         with self.lock:
-            prefix = self.share([resized(picture, planned.size)], planned)
+            prefix = self.share([resized(picture, planned.size, wrap=view is None)], planned)
             suffix = self.prompt(ask_presence(example.query), planned).suffix
             _, captured = prefix.continued().ask(suffix, full_layers(self.model))
         assert captured is not None

@@ -37,12 +37,22 @@ def load_model(
     import torch
     import transformers
 
-    # What cannot be is said before gigabytes are read.
+    # All that cannot be is said before gigabytes are read.
     how = chosen(extractor or family.default(heads), family, "extractor")
     each = chosen(per_view or family.per_view, family, "per_view")
     if heads and not family.localiser and (each if how == "views" else how) == "boxes":
         raise EagorError(f"heads = {heads!r} came with the extractor {how!r}, which reads boxes; use attention or both")
-    where = device or ("cuda" if torch.cuda.is_available() else "cpu")
+    foreign = {"heads": heads, "layers": layers} if family.localiser else {"threshold": threshold}
+    given = sorted(key for key, value in foreign.items() if value is not None)
+    if given:
+        why = "has no attention to read" if family.localiser else "has none, only localisers do"
+        raise EagorError(f"{', '.join(given)} came for {family.title}, which {why}")
+    from eagor.perception.transformers.heads import read_heads
+
+    found, numbers = read_heads(heads) if heads else None, _numbers(layers)
+    most_pixels = None if pixels is None else counted("pixels", pixels, "980000 (700 x 1400)")
+    least = None if threshold is None else _score(threshold)
+    where = _device(torch, device)
     kind = _dtype(torch, dtype or ("float32" if where in ("cpu", "mps") else "bfloat16"))
     options: dict[str, Any] = {"dtype": kind}
     if where == "auto":
@@ -64,18 +74,16 @@ def load_model(
         "processor": processor,
         "batch": batch,
     }
-    most_pixels = _pixels(pixels)
     if family.localiser:
-        return _localiser(about, most_pixels, threshold, {"heads": heads, "layers": layers})
-    if threshold is not None:
-        raise EagorError(f"threshold = {threshold!r}; {family.title} has none, only localisers do")
-    from eagor.perception.transformers.heads import read_heads
+        from eagor.perception.transformers.localisers import Localiser
+
+        return Localiser(**about, pixels=most_pixels, threshold=least)
     from eagor.perception.transformers.language import LanguageModel
 
     return LanguageModel(
         **about,
-        heads=read_heads(heads) if heads else None,
-        layers=_numbers(layers),
+        heads=found,
+        layers=numbers,
         presence=presence,
         most=most,
         pixels=most_pixels or (family.view_pixels if how == "views" else None),
@@ -101,16 +109,6 @@ def read_family(name: str, revision: str | None = None) -> tuple[Any, Family]:
         )
     config = _loaded(name, "config.json", transformers.AutoConfig.from_pretrained, revision)
     return config, family_of(config, name)
-
-
-def _localiser(about: dict[str, Any], pixels: int | None, threshold: float | None, foreign: dict[str, Any]) -> Looker:
-    """A localiser, once it is certain that no option for language models came with it."""
-    from eagor.perception.transformers.localisers import Localiser
-
-    given = sorted(key for key, value in foreign.items() if value is not None)
-    if given:
-        raise EagorError(f"{', '.join(given)} came for {about['family'].title}, which has no attention to read")
-    return Localiser(**about, pixels=pixels, threshold=None if threshold is None else float(threshold))
 
 
 def _class_for(transformers: Any, family: Family) -> Any:
@@ -141,12 +139,41 @@ def _dtype(torch: Any, name: str) -> Any:
     return getattr(torch, name)
 
 
-def _pixels(pixels: Any) -> int | None:
-    if pixels is None:
-        return None
-    if int(pixels) < 1:
-        raise EagorError(f"pixels = {pixels!r}; wanted how many an image has at most, such as 980000 (700 x 1400)")
-    return int(pixels)
+def _device(torch: Any, name: str | None) -> str:
+    """The device to run on. Raises `EagorError` for a name that is none, or a GPU that is not there."""
+    if name == "auto":
+        return name
+    try:
+        kind = torch.device(name).type if name else "cuda" if torch.cuda.is_available() else "cpu"
+    except (RuntimeError, TypeError):
+        raise EagorError(f"device = {name!r}; wanted cpu, cuda, cuda:1, mps or auto") from None
+    if kind == "cuda" and not torch.cuda.is_available():
+        raise EagorError(f"device = {name!r}, and torch finds no GPU of that kind here; leave it out, or ask for cpu")
+    return name or kind
+
+
+def counted(name: str, value: Any, example: str) -> int:
+    """The option `value` as a whole number from 1. Raises `EagorError`, which gives the `example`."""
+    try:
+        if int(value) >= 1:
+            return int(value)
+    except (ValueError, TypeError, OverflowError):
+        pass
+    raise EagorError(f"{name} = {value!r}; wanted a whole number from 1, such as {example}")
+
+
+def switched(name: str, value: Any) -> bool:
+    """The option `value` as true or false. Raises `EagorError` for anything else, such as a word."""
+    if value not in (True, False):
+        raise EagorError(f"{name} = {value!r}; wanted true or false")
+    return bool(value)
+
+
+def _score(threshold: Any) -> float:
+    try:
+        return float(threshold)
+    except (ValueError, TypeError):
+        raise EagorError(f"threshold = {threshold!r}; wanted a score from 0 to 1, such as 0.2") from None
 
 
 def _numbers(layers: str | int | Sequence[int] | None) -> tuple[int, ...] | None:
@@ -156,5 +183,5 @@ def _numbers(layers: str | int | Sequence[int] | None) -> tuple[int, ...] | None
     try:
         parts = layers.split(",") if isinstance(layers, str) else [layers] if isinstance(layers, int) else layers
         return tuple(int(part) for part in parts)
-    except ValueError as error:
+    except (ValueError, TypeError) as error:
         raise EagorError(f"layers = {layers!r}; wanted numbers such as 20,21,22") from error

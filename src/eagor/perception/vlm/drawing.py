@@ -11,14 +11,12 @@ from eagor.grids import Grid
 from eagor.perception.vlm.boxes import Box
 
 
-def drawn(
-    boxes: Sequence[Box], image: Grid, canvas: Grid, min_spread: float = MIN_SPREAD, roll: float = 0.0
-) -> np.ndarray:
+def drawn(boxes: Sequence[Box], image: Grid, canvas: Grid, roll: float = 0.0) -> np.ndarray:
     """The response ``canvas.shape`` float32 in [0, 1] of boxes in a picture with the geometry of `image`.
 
     A whole panorama is any `PatchGrid` or `ErpGrid` (its size does not matter), a view its `PerspectiveGrid`. As in
     `Evidence.from_boxes`, each box becomes the Gaussian with the mean direction and the second moments of its solid
-    angle, widened by `min_spread` (radians), times its score; the highest counts. No box: zeros.
+    angle, widened by `MIN_SPREAD`, times its score; the highest counts. No box: zeros.
 
     `roll` is the fraction of its width by which a panorama was rolled to the right before the model saw it; the
     response is that of the panorama itself.
@@ -29,6 +27,6 @@ def drawn(
         left, right = (box.x0 - roll) * width, (box.x1 - roll) * width  # columns go on beyond the seam
         corners = np.array([left, box.y0 * height, right, box.y1 * height])
         centre, spread = moments(corners, image)
-        there = bump(canvas.directions, centre, spread + min_spread**2 * np.eye(2))
+        there = bump(canvas.directions, centre, spread + MIN_SPREAD**2 * np.eye(2))
         response = np.maximum(response, box.score * there)
     return response.astype(np.float32)

@@ -106,6 +106,7 @@ class Family:
             and 14 of 32 for LLaVA-1.5-7B are the published choices (Zhang et al., arXiv 2502.17422); the rest are not
             measured.
         pixels: how many pixels an image has at most, by default, where the family leaves a choice.
+        localiser: whether it locates things and cannot talk: boxes or masks come from heads of its own, not in words.
         checkpoints: some published ones.
         served: how it is asked on a server; None where servers of chats do not run it.
     """
@@ -156,7 +157,7 @@ class Family:
 
 _QWEN_IMAGE = "<|vision_start|><|image_pad|><|vision_end|>"
 
-FAMILIES: tuple[Family, ...] = (
+FAMILIES: tuple[Family, ...] = (  # vision-language models first
     Family(
         name="qwen2_5_vl",
         model_types=("qwen2_5_vl",),
@@ -322,11 +323,6 @@ def chosen(name: str, family: Family, option: str) -> Extractor:
     if name not in family.extractors:
         raise EagorError(f"{option} = {name!r}; for {family.title} it can be {', '.join(family.extractors)}")
     return cast(Extractor, name)
-
-
-def known_families() -> tuple[Family, ...]:
-    """All families, vision-language models first."""
-    return FAMILIES
 
 
 def family_of(config: Mapping[str, Any] | Any, source: str) -> Family:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from eagor.perception.vlm.boxes import Frame, Order
 from eagor.perception.vlm.families import FAMILIES, Family
@@ -46,7 +46,7 @@ def style_of(model: str) -> Style:
         if family.served and re.search(family.served.pattern, name):
             return _style(family)
     if _QWEN2_VL.search(name):
-        return Style("qwen2_vl", 28, 700 * 1400, 560, "thousand")
+        return replace(OTHER, family="qwen2_vl")
     return OTHER
 
 

@@ -189,7 +189,7 @@ def lift(
         rise = np.clip(depth[inside] / margin, 0, 1) if margin > 0 else 1.0
         weight = np.sin(rise * (math.pi / 2)) ** 2
         x, y, _ = view.project(fine.directions[inside])
-        total[:, inside] += weight * _read(array, x / view.width, y / view.height)
+        total[:, inside] += weight * bilinear(array, x / view.width, y / view.height)
         weights[inside] += weight
         coverage[inside] = np.maximum(coverage[inside], weight)
     solid = fine.weights * weights
@@ -201,13 +201,13 @@ def lift(
     return np.clip(response, 0, 1).astype(np.float32), np.clip(seen, 0, 1)
 
 
-def _read(response: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """`response` ``(Q, rows, cols)`` read bilinearly at fractions (x, y) of the view; constant beyond outer centres."""
-    rows, cols = response.shape[1:]
+def bilinear(layers: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """`layers` ``(Q, rows, cols)`` of a view read at fractions (x, y) of it; constant beyond the outer centres."""
+    rows, cols = layers.shape[1:]
     u, v = np.clip(x * cols - 0.5, 0, cols - 1), np.clip(y * rows - 0.5, 0, rows - 1)
     left, top = np.floor(u).astype(np.intp), np.floor(v).astype(np.intp)
     right, below = np.minimum(left + 1, cols - 1), np.minimum(top + 1, rows - 1)
     across, down = u - left, v - top
-    upper = response[:, top, left] * (1 - across) + response[:, top, right] * across
-    lower = response[:, below, left] * (1 - across) + response[:, below, right] * across
+    upper = layers[:, top, left] * (1 - across) + layers[:, top, right] * across
+    lower = layers[:, below, left] * (1 - across) + layers[:, below, right] * across
     return upper * (1 - down) + lower * down

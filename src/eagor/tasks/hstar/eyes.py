@@ -12,8 +12,8 @@ import numpy as np
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import Evidence
 from eagor.perception import Perception
+from eagor.perception.noise import Noise
 from eagor.perception.partial import look_at_view
-from eagor.perception.truth import Noise
 from eagor.sphere import world_R_body
 from eagor.tasks.eyes import shared
 from eagor.tasks.hstar.camera import HFOV_DEG, View, render_view

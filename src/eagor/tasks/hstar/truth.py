@@ -2,7 +2,7 @@
 
 What an agent does with what it sees is then measured apart from how well a model sees.
 
-The same noise as in simulated worlds (`eagor.perception.truth.Noise`), with these differences: a view shows part of the
+The same noise as in simulated worlds (`eagor.perception.noise.Noise`), with these differences: a view shows part of the
 sphere; what counts is how much of the target's box it shows; and nothing but the targets is annotated, so that a false
 alarm is somewhere in the view, and stays there in the world for as long as it lasts.
 """
@@ -16,7 +16,8 @@ import numpy as np
 from eagor.detections import MIN_SPREAD
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PerspectiveGrid
-from eagor.perception.truth import Noise, Report, displaced, drawn
+from eagor.perception.noise import Noise
+from eagor.perception.truth import Report, displaced, drawn
 from eagor.tasks.hstar.camera import HFOV_DEG, View, box_points, inside
 
 # Found on development apartments (benchmarks/search.py --fit).

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,7 +27,7 @@ def tell_apart(f: Furnisher) -> None:
     their category occurs more than once, and at least one name occurs several times. Raises `NoRoom` if that fails.
     """
     chairs = f.of("chair")
-    odd = int(f.rng.choice([0, 1, 2], p=[0.12, 0.7, 0.18])) if len(chairs) > 2 + 1 else 0
+    odd = int(f.rng.choice([0, 1, 2], p=[0.12, 0.7, 0.18])) if len(chairs) > 3 else 0
     for i in f.rng.permutation(len(chairs))[:odd]:
         _recolour(f, chairs[i])
     for _ in range(40):
@@ -44,7 +45,7 @@ def tell_apart(f: Furnisher) -> None:
     raise NoRoom("too few pieces to tell apart by colour")
 
 
-def _recolour(f: Furnisher, piece: Piece) -> bool:
+def _recolour(f: Furnisher, piece: Piece) -> None:
     """Build `piece` again in a colour that no other of its category has; its size has to stay."""
     taken = {other.model.colour for other in f.of(piece.category)}
     colours = [colour for colour in KINDS[piece.category].colours if colour not in taken]
@@ -52,8 +53,5 @@ def _recolour(f: Furnisher, piece: Piece) -> bool:
         model = build(piece.category, colour, np.random.default_rng(piece.seed))
         if np.allclose(model.size, piece.model.size, atol=2e-3):
             place = next(i for i, other in enumerate(f.pieces) if other is piece)
-            f.pieces[place] = Piece(
-                piece.category, piece.room, model, piece.seed, piece.box, piece.position, piece.solid
-            )
-            return True
-    return False
+            f.pieces[place] = replace(piece, model=model)
+            return

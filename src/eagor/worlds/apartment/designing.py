@@ -18,11 +18,11 @@ from eagor.worlds.apartment.placement import empty_floor
 from eagor.worlds.apartment.plans import Plan, draw_plan
 from eagor.worlds.apartment.shell import shell, structure
 from eagor.worlds.apartment.things import Thing, make_scene, placed, turned_about_z
+from eagor.worlds.footprints import BESIDE
 from eagor.worlds.ground import Ground
 from eagor.worlds.scene import Lamp, Room, Scene
 
 _ATTEMPTS = 40
-BESIDE = 0.75  # metres that one can reach to a piece of furniture
 
 
 @dataclass(frozen=True, eq=False)

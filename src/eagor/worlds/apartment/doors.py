@@ -9,7 +9,7 @@ import numpy as np
 
 from eagor.worlds.apartment.cells import NICHE
 from eagor.worlds.apartment.mesh import Mesh, Part, merged, moved, part
-from eagor.worlds.apartment.meshes import bevelled, box, tube
+from eagor.worlds.apartment.meshes import bevelled, board, box, tube
 from eagor.worlds.apartment.openings import HALF_WALL, LINING, OUTSIDE, Boundary, Doorway, Opening
 from eagor.worlds.apartment.plans import Plan
 from eagor.worlds.apartment.textures import REPEAT, material
@@ -67,10 +67,9 @@ def doors_and_windows(plan: Plan, style: Style) -> tuple[list[Thing], dict[int, 
 
 
 def _bar(boundary: Boundary, along: tuple[float, float], across: tuple[float, float], z: tuple[float, float]) -> Mesh:
-    """A box given along and across a boundary."""
+    """A board given along and across a boundary."""
     x0, y0, x1, y1 = boundary.box(*along, *across)
-    low, high = (x0, y0, z[0]), (x1, y1, z[1])
-    return box(low, high, grain=int(np.argmax(np.subtract(high, low))))
+    return board((x0, y0, z[0]), (x1, y1, z[1]))
 
 
 def _frame(doorway: Doorway, style: Style) -> tuple[Part, dict[int, Part]]:

@@ -44,9 +44,9 @@ def rug(f: Furnisher, room: int) -> Piece | None:
     return None
 
 
-def painting(f: Furnisher, room: int, category: str = "painting") -> Piece | None:
+def painting(f: Furnisher, room: int) -> Piece | None:
     """A picture on a free patch of wall, best over a sofa, a bed or a low piece."""
-    made = f.make(category)
+    made = f.make("painting")
     depth, width, height = (float(length) for length in made[0].size)
     z = min(_EYE_LEVEL + 0.08, f.floor.plan.height - height / 2 - 0.25)
     found = []
@@ -80,7 +80,7 @@ def painting(f: Furnisher, room: int, category: str = "painting") -> Piece | Non
         f.floor.solid.append(np.concatenate([box, (z - height / 2, z + height / 2)]))
         back = box[:2] - depth / 2 * np.array([math.cos(box[4]), math.sin(box[4])])
         model, seed = made
-        piece = Piece(category, room, model, seed, box, np.array([*back, z]), solid=False)
+        piece = Piece("painting", room, model, seed, box, np.array([*back, z]), solid=False)
         f.pieces.append(piece)
         return piece
     return None

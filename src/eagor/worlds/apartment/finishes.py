@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eagor.worlds.apartment.palette import to_coded, to_linear
 from eagor.worlds.apartment.plans import Plan
 from eagor.worlds.apartment.textures import material
 from eagor.worlds.scene import Material
+from eagor.worlds.srgb import to_coded, to_linear
 
 Look = tuple[str, Material]  # kind of material (its repeat), and the material
 
@@ -69,5 +69,5 @@ def _tinted(look: Material, tone: tuple[int, int, int], rng: np.random.Generator
     linear = to_linear(np.array(tone) / 255 * rng.uniform(0.98, 1.02))
     if look.texture is not None:
         linear = linear / to_linear(look.texture[::4, ::4] / 255).mean(axis=(0, 1))
-    r, g, b = np.minimum(to_coded(np.minimum(linear, 1.0)), 1.0)
+    r, g, b = to_coded(linear)
     return replace(look, name=f"wall {look.name}", colour=(float(r), float(g), float(b)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -52,9 +51,9 @@ class Furnisher:
     habits: dict[str, str] = field(default_factory=dict)
     pieces: list[Piece] = field(default_factory=list)
 
-    def make(self, category: str, colour: str | None = None, seed: int | None = None) -> tuple[Model, int]:
+    def make(self, category: str, colour: str | None = None) -> tuple[Model, int]:
         """A new model and its seed. Without a colour, it has most often the one that its kind has in this home."""
-        seed = int(self.rng.integers(2**31)) if seed is None else seed
+        seed = int(self.rng.integers(2**31))
         colours = KINDS[category].colours
         if colour is None and colours:
             habit = self.habits.setdefault(category, str(self.rng.choice(colours)))
@@ -70,7 +69,7 @@ class Furnisher:
 
     def set_down(self, group: list[tuple[tuple[Model, int], np.ndarray]], room: int) -> list[Piece] | None:
         """Set models down together on the floor, if one can still walk everywhere; else None."""
-        heights = [(0.0, float(made[0].size[2])) for made, _ in group]
+        heights = [float(made[0].size[2]) for made, _ in group]
         if not self.floor.put([box for _, box in group], heights):
             return None
         return [self.record(made, room, box) for made, box in group]
@@ -82,25 +81,20 @@ class Furnisher:
         sites: Sites,
         *,
         front: float = 0.5,
-        wider: float = 0.0,
         reserve: bool = True,
-        tries: int = 10,
-        also: Callable[[np.ndarray], np.ndarray] | None = None,
     ) -> Piece | None:
         """Set a model down on the best site with `front` metres of free floor before it; None if there is none.
 
-        `reserve` keeps that floor free from then on; `also` says of sites ``(n, 5)`` which it accepts.
+        `reserve` keeps that floor free from then on.
         """
         if not len(sites.boxes):
             return None
         height = float(made[0].size[2])
         good = self.floor.fits(room, sites.boxes, (0.0, height)) & self.floor.beside_windows(sites.boxes, height)
         if front > 0:
-            zone = before(sites.boxes, front, wider)
+            zone = before(sites.boxes, front)
             good &= self.floor.clear(zone) & self.floor.open_inside(room, zone)
-        if also is not None:
-            good &= also(sites.boxes)
-        for place in sites.best(good, tries):
+        for place in sites.best(good, 10):
             done = self.set_down([(made, sites.boxes[place])], room)
             if done:
                 if front > 0 and reserve:

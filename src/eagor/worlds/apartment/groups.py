@@ -44,9 +44,9 @@ def lounge(f: Furnisher, room: int) -> bool:
     return False
 
 
-def easy_seat(f: Furnisher, room: int, category: str = "armchair") -> Piece | None:
+def easy_seat(f: Furnisher, room: int) -> Piece | None:
     """An armchair beside the coffee table, turned to it, or else one that stands at a wall."""
-    made = f.make(category)
+    made = f.make("armchair")
     size = made[0].size
     sites = along_walls(f.floor, room, size, f.rng, corner=0.4, side=0.1, gap=0.08)
     for low_table in f.of("coffee table", room):

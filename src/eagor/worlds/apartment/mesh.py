@@ -66,15 +66,6 @@ def turned(mesh: Mesh, rotation: np.ndarray, about: Triple = (0.0, 0.0, 0.0)) ->
     return Mesh(vertices.astype(np.float32), mesh.triangles, mesh.uv)
 
 
-def scaled(mesh: Mesh, factor: float | Triple) -> Mesh:
-    """`mesh` times positive factors along x, y, z; texture coordinates grow by their geometric mean."""
-    factors = np.broadcast_to(np.asarray(factor, dtype=np.float64), (3,))
-    if not (factors > 0).all():
-        raise WorldError(f"scaled by {factors.tolist()}; wanted positive factors, use mirrored() to flip a mesh")
-    mean = float(np.prod(factors)) ** (1 / 3)
-    return Mesh((mesh.vertices * factors).astype(np.float32), mesh.triangles, (mesh.uv * mean).astype(np.float32))
-
-
 def mirrored(mesh: Mesh, axis: int) -> Mesh:
     """`mesh` flipped through the plane where coordinate `axis` is zero; outside stays outside."""
     sign = np.ones(3, dtype=np.float32)
@@ -94,11 +85,6 @@ def merged(*meshes: Mesh) -> Mesh:
         np.concatenate([mesh.triangles + np.int32(start) for mesh, start in zip(meshes, starts, strict=True)]),
         np.concatenate([mesh.uv for mesh in meshes]),
     )
-
-
-def swapped(mesh: Mesh) -> Mesh:
-    """`mesh` with its texture turned by a quarter: u and v change places."""
-    return Mesh(mesh.vertices, mesh.triangles, mesh.uv[..., ::-1].copy())
 
 
 def planar_uv(vertices: np.ndarray, triangles: np.ndarray, grain: int | None = None) -> np.ndarray:

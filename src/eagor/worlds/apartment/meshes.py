@@ -10,8 +10,6 @@ from eagor.worlds.apartment.mesh import (
     part,
     planar_uv,
     reshaped,
-    scaled,
-    swapped,
     turned,
 )  # fmt: skip
 from eagor.worlds.apartment.solids import (
@@ -47,10 +45,8 @@ __all__ = [
     "quad",
     "reshaped",
     "rounded_rectangle",
-    "scaled",
     "sheet",
     "slab",
-    "swapped",
     "tube",
     "turned",
 ]

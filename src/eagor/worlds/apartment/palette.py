@@ -41,15 +41,3 @@ def sRGB(colour: str, rng: np.random.Generator) -> RGB:
     shifted = tone * rng.uniform(0.95, 1.05) * rng.uniform(1 - hue, 1 + hue, size=3)
     r, g, b = np.clip(shifted, 0.0, 0.97)
     return float(r), float(g), float(b)
-
-
-def to_linear(coded: np.ndarray) -> np.ndarray:
-    """sRGB values in [0, 1] to linear light (IEC 61966-2-1)."""
-    coded = np.asarray(coded, dtype=float)
-    return np.where(coded > 0.04045, ((coded + 0.055) / 1.055) ** 2.4, coded / 12.92)
-
-
-def to_coded(linear: np.ndarray) -> np.ndarray:
-    """Linear light in [0, 1] to sRGB values (IEC 61966-2-1)."""
-    linear = np.asarray(linear, dtype=float)
-    return np.where(linear > 0.0031308, 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055, 12.92 * linear)

@@ -1,4 +1,4 @@
-"""Coloured textures, drawn whole: rugs, book spines, screens, what is seen through a window; and paintings' registry.
+"""Coloured textures, drawn whole: rugs, book spines, screens; and paintings' registry.
 
 All are linear RGB ``(h, w, 3)`` with their first row at the top.
 """
@@ -131,30 +131,9 @@ def _screen(rng: np.random.Generator, colour: str | None, variant: int) -> np.nd
     return c.rgb
 
 
-def _view(rng: np.random.Generator, colour: str | None, variant: int) -> np.ndarray:
-    """Sky and clouds over trees or houses; bright, as outdoors is from indoors."""
-    c = Canvas.blank(192, 192, linear((255, 255, 255)))
-    rise = c.y[..., None]
-    c.rgb[:] = np.array([0.86, 0.93, 1.0]) * (1 - rise) + np.array([0.5, 0.72, 1.0]) * rise
-    clouds = np.clip(noise(rng, (192, 192), 1.5, 4), 0, 1.2) * c.y
-    c.rgb[:] = np.clip(c.rgb + 0.5 * clouds[..., None], 0, 1)
-    if variant == 1:
-        for left in np.arange(-0.05, 1.0, 0.17):
-            high, tone = rng.uniform(0.2, 0.42), rng.uniform(0.8, 1.1)
-            wall = (c.x > left) & (c.x < left + 0.16) & (c.y < high)
-            c.fill(wall, linear((196, 182, 168)) * tone)
-            c.fill(wall & ((c.x - left) % 0.05 < 0.022) & (c.y % 0.09 < 0.045), linear((110, 120, 132)))
-    else:
-        c.fill(c.y < 0.3 + 0.05 * c.ridge(rng, 1.2), linear((150, 172, 160)))
-    crown = 0.16 + 0.05 * c.ridge(rng, 0.8)
-    leaves = np.exp(0.2 * noise(rng, (192, 192), 0.6))[..., None]
-    return np.where((c.y < crown)[..., None], linear((92, 122, 74)) * leaves, c.rgb)
-
-
 PICTURES: dict[str, Picture] = {
     "rug": Picture(tuple(_PARTNERS), 18, _rug),
     "art": Picture(tuple(MOTIFS_OF), 24, _art),
     "books": Picture((), 4, _books),
     "screen": Picture((), 4, _screen, 0.5),
-    "view": Picture((), 3, _view, 1.2),
 }

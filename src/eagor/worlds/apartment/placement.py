@@ -135,18 +135,17 @@ class Floor:
         """Which footprints ``(n, 5)`` no solid that stands on the floor reaches into: ``(n,)`` bool."""
         return _untouched(np.atleast_2d(boxes), [solid[:5] for solid in self.solid if solid[5] < 1.0])
 
-    def put(self, boxes: list[np.ndarray], heights: list[tuple[float, float]]) -> bool:
-        """Set solids down together, if all rooms and all pieces can then still be reached; else leave all as it is."""
+    def put(self, boxes: list[np.ndarray], heights: list[float]) -> bool:
+        """Set solids down on the floor together, if all rooms and pieces can then still be reached; else do nothing."""
         before, count = self.near.copy(), len(self.around)
-        for box, (low, _) in zip(boxes, heights, strict=True):
-            if low < 1.5:
-                self._block(box)
-        self.around += [self._ring(box) for box, (low, _) in zip(boxes, heights, strict=True) if low < 1.0]
+        for box in boxes:
+            self._block(box)
+        self.around += [self._ring(box) for box in boxes]
         if not self.walkable():
             self.near = before
             del self.around[count:]
             return False
-        self.solid += [np.concatenate([box, z]) for box, z in zip(boxes, heights, strict=True)]
+        self.solid += [np.concatenate([box, (0.0, height)]) for box, height in zip(boxes, heights, strict=True)]
         return True
 
     def walkable(self) -> bool:

@@ -26,15 +26,10 @@ class Sites:
         return places[np.argsort(-self.scores[places], kind="stable")][:most]
 
 
-def no_sites() -> Sites:
-    """No candidates."""
-    return Sites(np.zeros((0, 5)), np.zeros(0))
-
-
 def joined(*several: Sites) -> Sites:
     """All candidates together."""
     if not several:
-        return no_sites()
+        return Sites(np.zeros((0, 5)), np.zeros(0))
     return Sites(np.concatenate([s.boxes for s in several]), np.concatenate([s.scores for s in several]))
 
 
@@ -64,18 +59,17 @@ def along_walls(
     middle: float = 0.0,
     gap: float = GAP,
     side: float = 0.04,
-    extra: float = 0.0,
 ) -> Sites:
     """Backs to the walls of a room: at both ends of each wall (score `corner`), in its middle, and between.
 
-    `side` is left free at the ends of a wall; `extra` metres on either side of the piece have to fit as well.
+    `side` metres are left free at the ends of a wall.
     """
     found = []
     for face in floor.faces:
-        room_for = face.end - face.start - size[1] - 2 * side - 2 * extra
+        room_for = face.end - face.start - size[1] - 2 * side
         if face.room != room or room_for < 0:
             continue
-        first, last = face.start + side + extra + size[1] / 2, face.end - side - extra - size[1] / 2
+        first, last = face.start + side + size[1] / 2, face.end - side - size[1] / 2
         along = np.concatenate([[first, last, (first + last) / 2], rng.uniform(first, last, 5)])
         scores = rng.uniform(0, 0.5, len(along)) + np.array([corner, corner, middle, 0, 0, 0, 0, 0])
         found.append(Sites(on_face(face, along, gap, float(size[0]), float(size[1])), scores))
@@ -105,7 +99,7 @@ def relative(box: np.ndarray, forward: float, left: float, depth: float, width: 
     return np.array([x, y, depth / 2, width / 2, angle])
 
 
-def before(boxes: np.ndarray, depth: float, wider: float = 0.0) -> np.ndarray:
+def before(boxes: np.ndarray, depth: float) -> np.ndarray:
     """The floor ``(n, 5)`` in front of footprints, `depth` metres deep."""
     boxes = np.atleast_2d(boxes)
     zone = boxes.copy()
@@ -113,7 +107,6 @@ def before(boxes: np.ndarray, depth: float, wider: float = 0.0) -> np.ndarray:
     zone[:, 0] += reach * np.cos(boxes[:, 4])
     zone[:, 1] += reach * np.sin(boxes[:, 4])
     zone[:, 2] = depth / 2 - 1e-3
-    zone[:, 3] += wider
     return zone
 
 

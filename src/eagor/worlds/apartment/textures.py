@@ -15,18 +15,18 @@ import numpy as np
 
 from eagor.errors import WorldError
 from eagor.worlds.apartment.canvas import noise
-from eagor.worlds.apartment.palette import sRGB, to_coded, to_linear
+from eagor.worlds.apartment.palette import sRGB
 from eagor.worlds.apartment.pictures import PICTURES
 from eagor.worlds.scene import Material
+from eagor.worlds.srgb import to_coded, to_linear
 
 # Metres that one repeat covers, u and v alike. What is drawn `WHOLE` is one thing from edge to edge, and its builders
 # set uv from 0 to 1.
-WHOLE = frozenset({"leaf", "rug", "art", "screen", "books", "lampshade", "view"})
+WHOLE = frozenset({"leaf", "rug", "art", "screen", "books", "lampshade"})
 REPEAT: dict[str, float] = {
     "fabric": 0.4, "leather": 0.6, "wood": 1.0, "metal": 0.5, "plastic": 1.0, "ceramic": 1.0, "paint": 1.0,
     "wicker": 0.16, "glass": 1.0, "marble": 1.2, "tile": 0.6, "parquet": 1.6, "carpet": 0.6, "plaster": 2.0,
-    "wallpaper": 0.8, "earth": 0.3, "leaf": 1.0, "rug": 1.0, "art": 1.0, "screen": 1.0, "books": 1.0,
-    "lampshade": 1.0, "view": 1.0,
+    "earth": 0.3, "leaf": 1.0, "rug": 1.0, "art": 1.0, "screen": 1.0, "books": 1.0, "lampshade": 1.0,
 }  # fmt: skip
 
 # What a kind is made of where no colour is asked for: a named colour, or sRGB tones (0 to 255).
@@ -45,7 +45,6 @@ _NATURAL: dict[str, tuple[str | tuple[int, int, int], ...]] = {
     "parquet": ((178, 138, 96), (150, 110, 74), (196, 164, 124), (122, 86, 58)),
     "carpet": ((178, 170, 158), (150, 150, 150), (140, 128, 116), (126, 134, 142)),
     "plaster": ((240, 236, 226), (238, 232, 216), (226, 230, 226), (222, 228, 232), (236, 224, 212), (230, 230, 214)),
-    "wallpaper": ((232, 226, 212), (214, 222, 216), (210, 216, 226), (232, 214, 206)),
     "earth": ((72, 54, 42),),
     "leaf": ("green",),
     "lampshade": ((255, 240, 214),),
@@ -79,7 +78,8 @@ def material(kind: str, colour: str | None = None, rng: np.random.Generator | No
         return Material(name, (float(tone[0]), float(tone[1]), float(tone[2])), None, emission)
     variants, _ = SURFACES[kind]
     texture, mean = _surface(kind, int(rng.integers(variants)))
-    r, g, b = np.minimum(to_coded(to_linear(tone) / mean), 1.0)  # so that the mean of both together is the tone
+    linear = to_linear(tone) / mean  # so that the mean of both together is the tone
+    r, g, b = np.where(linear < 1, to_coded(linear), 1.0)
     return Material(name, (float(r), float(g), float(b)), texture, emission)
 
 
@@ -120,7 +120,7 @@ def _finished(relative: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _coded(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    texture = np.rint(255 * to_coded(np.clip(linear, 0, 1))).astype(np.uint8)
+    texture = np.rint(255 * to_coded(linear)).astype(np.uint8)
     texture.setflags(write=False)
     mean = to_linear(texture / 255).mean(axis=(0, 1))
     mean.setflags(write=False)
@@ -220,22 +220,6 @@ def _plaster(rng: np.random.Generator, variant: int) -> np.ndarray:
     return np.exp(0.012 * noise(rng, (256, 256), 0.5) + 0.015 * noise(rng, (256, 256), 2.0))
 
 
-def _wallpaper(rng: np.random.Generator, variant: int) -> np.ndarray:
-    """Stripes broad and fine, dots, or a trellis."""
-    v, u = (np.mgrid[:256, :256] + 0.5) / 256
-    if variant == 0:
-        pattern = np.where((u * 4) % 1 < 0.5, 1.0, 0.86)
-    elif variant == 1:
-        pattern = np.where((u * 8) % 1 < 0.12, 0.78, 1.0) * np.where((u * 4) % 1 < 0.5, 1.0, 0.95)
-    elif variant == 2:
-        x, y = (u * 6) % 1 - 0.5, (v * 6 + 0.5 * np.floor(u * 6)) % 1 - 0.5
-        pattern = np.where(np.hypot(x, y) < 0.16, 0.8, 1.0)
-    else:
-        p, q = (u * 3 + v * 3) % 1, (u * 3 - v * 3) % 1
-        pattern = np.where((np.minimum(p, 1 - p) < 0.04) | (np.minimum(q, 1 - q) < 0.04), 0.84, 1.0)
-    return pattern * np.exp(0.012 * noise(rng, (256, 256), 0.5))
-
-
 def _earth(rng: np.random.Generator, variant: int) -> np.ndarray:
     return np.exp(0.35 * noise(rng, (128, 128), 0.5))
 
@@ -261,7 +245,7 @@ def _lampshade(rng: np.random.Generator, variant: int) -> np.ndarray:
 SURFACES: dict[str, tuple[int, Callable[[np.random.Generator, int], np.ndarray]]] = {
     "fabric": (4, _fabric), "leather": (2, _leather), "wood": (3, _wood), "metal": (1, _brushed),
     "wicker": (1, _wicker), "marble": (2, _marble), "tile": (4, _tile), "parquet": (3, _parquet),
-    "carpet": (2, _carpet), "plaster": (2, _plaster), "wallpaper": (4, _wallpaper), "earth": (1, _earth),
+    "carpet": (2, _carpet), "plaster": (2, _plaster), "earth": (1, _earth),
     "leaf": (2, _leaf), "lampshade": (1, _lampshade), "paint": (1, _speckled),
 }  # fmt: skip
 """Kinds that are tinted: how many variants there are, and what draws one. The other kinds are plain."""

@@ -66,7 +66,7 @@ def lamp(colour: str, rng: np.random.Generator) -> Model:
     else:
         x, t = 0.42, np.linspace(0, 1, 9)
         bow = np.stack(
-            [x * (1 - np.cos(t * math.pi / 2)) * 1.0, 0 * t, 0.03 + (height + 0.12 - 0.03) * np.sin(t * math.pi / 2)],
+            [x * (1 - np.cos(t * math.pi / 2)), 0 * t, 0.03 + (height + 0.12 - 0.03) * np.sin(t * math.pi / 2)],
             -1,
         )
         low -= 0.12

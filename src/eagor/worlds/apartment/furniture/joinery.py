@@ -55,13 +55,17 @@ def panel(x: float, y0: float, y1: float, z0: float, z1: float, thickness: float
     return bevelled((x, y0, z0), (x + thickness, y1, z1), 0.004, grain=grain)
 
 
+def facing(mesh: Mesh, at: tuple[float, float, float]) -> Mesh:
+    """A shape made about the z axis, laid over so that its top faces +x, at a point."""
+    return moved(Mesh(mesh.vertices[:, [2, 0, 1]], mesh.triangles, mesh.uv), at)  # a turn, so outside stays outside
+
+
 def knob(x: float, y: float, z: float, size: float = 0.015) -> Mesh:
     """A turned knob of radius `size`, on a front at `x` that faces +x."""
     ball = lathe(
         [(0.4 * size, 0), (0.45 * size, 0.5 * size), (size, size), (0.8 * size, 1.6 * size), (0, 1.8 * size)], 8
     )
-    vertices = ball.vertices[:, [2, 0, 1]]  # the axis from z to x: a turn, so outside stays outside
-    return moved(Mesh(vertices, ball.triangles, ball.uv), (x, y, z))
+    return facing(ball, (x, y, z))
 
 
 def pull(x: float, y: float, z: float, length: float, upright: bool = False) -> Mesh:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from eagor.worlds.apartment.furniture.ceramics import disc, ellipse, tap, vessel
-from eagor.worlds.apartment.furniture.joinery import fittings, pull
+from eagor.worlds.apartment.furniture.joinery import facing, fittings, pull
 from eagor.worlds.apartment.furniture.model import Builder, Kind, Model, assembled, finish
 from eagor.worlds.apartment.furniture.storage import base_units, front
 from eagor.worlds.apartment.meshes import Mesh, bevelled, box, cylinder, lathe, merged, moved, rounded_rectangle, tube
@@ -19,11 +19,6 @@ KINDS = (
     Kind("stove", "wall", ("kitchen",), ("white", "black", "grey")),
     Kind("sink", "wall", ("bathroom", "kitchen"), ("white", "grey")),
 )
-
-
-def _facing(mesh: Mesh, at: tuple[float, float, float]) -> Mesh:
-    """A shape made about the z axis, laid over so that its top faces +x, at a point."""
-    return moved(Mesh(mesh.vertices[:, [2, 0, 1]], mesh.triangles, mesh.uv), at)
 
 
 def refrigerator(colour: str, rng: np.random.Generator) -> Model:
@@ -86,7 +81,7 @@ def stove(colour: str, rng: np.random.Generator) -> Model:
     dark.append(box((x - 0.01, -y + 0.09, door_low + 0.1), (x + 0.002, y - 0.09, door_top - 0.12)))
     bright.append(_along(x, y - 0.05, door_top - 0.055))
     bright.append(_along(x, y - 0.14, 0.2))
-    knob = _facing(cylinder((0, 0, 0), 0.021, 0.03, 10), (x - 0.006, 0.0, height - 0.075))
+    knob = facing(cylinder((0, 0, 0), 0.021, 0.03, 10), (x - 0.006, 0.0, height - 0.075))
     bright += [moved(knob, (0, at, 0)) for at in np.linspace(-y + 0.09, y - 0.09, 5)]
     gas = rng.random() < 0.4
     top = bevelled((-x, -y, height - 0.012), (x, y, height), 0.004)

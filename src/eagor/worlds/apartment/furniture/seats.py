@@ -85,7 +85,7 @@ def _arm(length: float, width: float, low: float, high: float, design: int) -> M
     return reshaped(block, slope)
 
 
-def _seated(category: str, colour: str, seats: int, rng: np.random.Generator) -> list[Part]:
+def _seated(colour: str, seats: int, rng: np.random.Generator) -> list[Part]:
     """A frame with armrests and a back, seat cushions, back cushions, feet and throw pillows."""
     cloth = finish(_cover(colour, rng), colour, rng)
     place = rng.uniform(0.56, 0.68) if seats > 1 else rng.uniform(0.56, 0.64)
@@ -202,13 +202,13 @@ def _lounge_chair(colour: str, rng: np.random.Generator) -> list[Part]:
 
 def armchair(colour: str, rng: np.random.Generator) -> Model:
     """An armchair: a small sofa for one, a tub, or cushions in a wooden frame."""
-    build = (lambda c, r: _seated("armchair", c, 1, r), _tub_chair, _lounge_chair)[rng.integers(3)]
+    build = (lambda c, r: _seated(c, 1, r), _tub_chair, _lounge_chair)[rng.integers(3)]
     return assembled("armchair", colour, build(colour, rng))
 
 
 def sofa(colour: str, rng: np.random.Generator) -> Model:
     """A sofa for two or three."""
-    return assembled("sofa", colour, _seated("sofa", colour, int(rng.integers(2, 4)), rng))
+    return assembled("sofa", colour, _seated(colour, int(rng.integers(2, 4)), rng))
 
 
 BUILDERS: dict[str, Builder] = {"armchair": armchair, "sofa": sofa}

@@ -50,9 +50,8 @@ def _round_top(radius: float, height: float, thickness: float) -> Mesh:
     )
 
 
-def _round_table(height: float, radius: float, wood_of: tuple[str, np.random.Generator]) -> list[Part]:
+def _round_table(height: float, radius: float, colour: str, rng: np.random.Generator) -> list[Part]:
     """A disc on a turned column with a foot, or on three or four legs that lean outwards."""
-    colour, rng = wood_of
     wood, top = timber(colour, rng), _round_top(radius, height, rng.uniform(0.025, 0.04))
     design, low = rng.integers(3), height - 0.03
     if design == 0:  # a column on a disc
@@ -131,7 +130,7 @@ def table(colour: str, rng: np.random.Generator) -> Model:
     """A table to eat at: round for up to four, or rectangular, its length along y."""
     height = rng.uniform(0.72, 0.76)
     if rng.random() < 0.35:
-        return assembled("table", colour, _round_table(height, rng.uniform(0.45, 0.6), (colour, rng)))
+        return assembled("table", colour, _round_table(height, rng.uniform(0.45, 0.6), colour, rng))
     return assembled("table", colour, _long_table(rng.uniform(0.78, 0.95), rng.uniform(1.2, 1.8), height, colour, rng))
 
 
@@ -146,7 +145,7 @@ def coffee_table(colour: str, rng: np.random.Generator) -> Model:
         top = bevelled((-x, -y, height - 0.03), (x, y, height), 0.006, grain=1)
         parts = [wood(top, legs(under, height - 0.03, 0.05), apron(under, height - 0.08, height - 0.03), shelf)]
     elif design == 1:
-        parts = _round_table(height, rng.uniform(0.36, 0.46), (colour, rng))
+        parts = _round_table(height, rng.uniform(0.36, 0.46), colour, rng)
     elif design == 2:
         sides = [
             bevelled((-x, s - 0.025, 0), (x, s + 0.025, height - 0.02), 0.006, grain=0) for s in (-y + 0.025, y - 0.025)

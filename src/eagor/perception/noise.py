@@ -1,0 +1,106 @@
+"""How good a simulated detector is, in numbers: what `eagor.perception.truth` draws its mistakes from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+
+from eagor.errors import EagorError
+
+WIDEST = 0.7  # radians: root of the sum of the variances over both axes
+
+
+@dataclass(frozen=True)
+class Noise:
+    """How good a detector is. The default of every field is that of an ideal one.
+
+    A thing is *visible* if it covers at least one pixel of the ids. Rates are those of a single frame, for a thing of
+    at least the size `smallest`; they do not depend on `persistence`.
+
+    What is wider than `WIDEST`, such as a floor, is never mistaken for another thing.
+
+    Attributes:
+        miss: probability that a visible, matching thing is not reported.
+        false_alarm: probability of one report where nothing matches: at a visible thing that does not match, each
+            alike likely, for as long as the alarm lasts and the thing is in view; in a random direction of the world
+            where there is none.
+        confuse_category: probability, for each visible thing of the category asked for but of another colour, that
+            it is reported. Only for queries with a colour.
+        confuse_colour: the same for each visible thing of the colour asked for but of another category.
+        spread: standard deviation, radians, per axis of the error of a reported direction. A reported blob is wider
+            by as much: this detector knows its own error.
+        floor: response of cells where nothing is reported.
+        persistence: probability that the state of a thing (or of the false alarm) in the frame before is kept
+            instead of drawn anew. A mistake of rate q then lasts for 1 / ((1 - persistence) (1 - q)) frames on
+            average. At 1 mistakes last for the whole episode.
+        smallest: size of the smallest thing that is seen as well as any, as a fraction of the solid angle of a patch
+            on the horizon. Below it the probabilities of being found or confused fall smoothly, to zero at a quarter.
+        weakest: scores are drawn evenly from `weakest` to 1.
+
+    Raises `EagorError` for numbers out of range.
+    """
+
+    miss: float = 0.0
+    false_alarm: float = 0.0
+    confuse_category: float = 0.0
+    confuse_colour: float = 0.0
+    spread: float = 0.0
+    floor: float = 0.0
+    persistence: float = 0.0
+    smallest: float = 0.0
+    weakest: float = 1.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            highest = {"spread": math.pi / 2, "smallest": math.inf}.get(field.name, 1.0)
+            if not (0 <= value <= highest and math.isfinite(value)):
+                unit = " radians (degrees in the text form)" if field.name == "spread" else ""
+                raise EagorError(f"{field.name} = {value!r}; wanted a number from 0 to {highest:.4g}{unit}")
+
+    @classmethod
+    def ideal(cls) -> Noise:
+        """No mistakes: each matching thing at its place with score 1, response 0 elsewhere."""
+        return cls()
+
+    @classmethod
+    def moderate(cls) -> Noise:
+        """A usable detector: 30 % missed, a false alarm in every fifth frame, 8 degrees of error, some confusion."""
+        return cls(
+            miss=0.3,
+            false_alarm=0.2,
+            confuse_category=0.1,
+            confuse_colour=0.02,
+            spread=math.radians(8),
+            floor=0.02,
+            persistence=0.3,
+            smallest=0.1,
+            weakest=0.6,
+        )
+
+    @classmethod
+    def parse(cls, text: str) -> Noise:
+        """The noise that `text` means: "ideal", "moderate" (also ""), "miss=0.1,spread=4", "ideal,miss=0.3".
+
+        Pairs change the profile named first, or "moderate"; `spread` is in degrees here. Raises `EagorError`, which
+        lists the keys, for other text.
+        """
+        profiles = {"ideal": cls.ideal, "moderate": cls.moderate}
+        first, *rest = [part.strip() for part in text.split(",")]
+        pairs = rest if first in ("", *profiles) else [first, *rest]
+        changes: dict[str, float] = {}
+        for pair in pairs:
+            key, _, value = (part.strip() for part in pair.partition("="))
+            try:
+                if key in changes:
+                    raise KeyError(key)
+                changes[{field.name: field.name for field in fields(cls)}[key]] = float(value)
+            except (KeyError, ValueError):
+                raise EagorError(
+                    f"truth settings {text!r}: cannot read {pair!r}. Wanted 'ideal', 'moderate' or key=number pairs "
+                    "parted by commas, each key once, such as 'miss=0.1,spread=4'; keys: "
+                    f"{', '.join(field.name for field in fields(cls))} (spread in degrees)"
+                ) from None
+        if "spread" in changes:
+            changes["spread"] = math.radians(changes["spread"])
+        return replace(profiles.get(first, cls.moderate)(), **changes)
