@@ -158,7 +158,14 @@ def test_help_imports_nothing_heavy():
 def test_doctor():
     found = answer("doctor")
     assert found["healthy"]
-    assert found["perceptions"]["colour"] == "ready"
+    for kind, name in (
+        ("perceptions", "colour"),
+        ("worlds", "apartment"),
+        ("tasks", "waypoint"),
+        ("benchmarks", "osr"),
+    ):
+        assert found[kind][name] == "ready"
+    assert found["left_out"] == []
     assert found["packages"]["numpy"] == np.__version__
     assert "all there" in eagor("doctor").stdout
 

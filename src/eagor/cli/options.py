@@ -308,7 +308,7 @@ class Calibrate(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor(Common):
-    """What is installed here, which models this machine could run, and what to install for them."""
+    """What is installed here, plugins included, which models this machine could run, and what to install for them."""
 
     runs: ClassVar[str] = "eagor.cli.doctor:doctor"
 
