@@ -8,11 +8,13 @@ installed:
 - ``eagor.tasks``: a simulated task, an `eagor.tasks.task.Task`;
 - ``eagor.benchmarks``: a benchmark with published data, or what makes it (`eagor.tasks.benchmark`).
 
-Our own are known even where the package runs from a folder, without installed metadata. A name of ours cannot be taken.
+Our own are known even where the package runs from a folder, without installed metadata. A name of ours cannot be taken:
+who brings it too is left out, and loading what has the name warns of that, as ``eagor doctor`` does.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -26,13 +28,29 @@ def known(group: str, built_in: Mapping[str, str]) -> dict[str, EntryPoint]:
     return ours | {point.name: point for point in entry_points(group=group) if point.name not in ours}
 
 
+def left_out(point: EntryPoint, kind: str) -> list[str]:
+    """A line about each of what is installed under the name of `point` too, and never reached; `kind` as in `bring`."""
+    return [
+        f"the {kind} {other.name!r} ({other.value}) of {version_of(other) or 'another package'} is left out: "
+        f"the name is that of {point.value}. Give it another name"
+        for other in entry_points(group=point.group)
+        if other.name == point.name and other.value != point.value
+    ]
+
+
 def bring(point: EntryPoint, kind: str) -> Any:
-    """The object that `point` names; `kind` says what it is ("perception"). Raises `EagorError` if it cannot be had."""
+    """The object that `point` names; `kind` says what it is ("perception"). Raises `EagorError` if it cannot be had.
+
+    Warns of what is `left_out` for it.
+    """
+    for line in left_out(point, kind):
+        warnings.warn(line, stacklevel=2)
     try:
         return point.load()
-    except (ImportError, AttributeError) as error:
+    except Exception as error:  # a broken plugin may raise anything
         raise EagorError(
-            f"the {kind} {point.name!r} ({point.value}) cannot be imported: {error}. Install what it needs"
+            f"the {kind} {point.name!r} ({point.value}) cannot be imported ({type(error).__name__}: {error}). Install "
+            "what it needs"
         ) from error
 
 

@@ -18,6 +18,7 @@ from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PatchGrid
 from eagor.perception import check_perception
 from eagor.sphere import world_R_body
+from eagor.tasks import benchmark as benchmarks
 from eagor.tasks import task as tasks
 from eagor.tasks.benchmark import Case, Figure, check_benchmark
 from eagor.tasks.checking import check_task
@@ -514,6 +515,15 @@ BROKEN_BENCHMARKS = {
 def test_a_small_benchmark_keeps_the_contract(tmp_path):
     records = check_benchmark(Good(), small_benchmark.write(tmp_path), "right")
     assert [record["score"] for record in records] == [1.0, 1.0, 1.0]
+
+
+def test_a_benchmark_may_be_named_by_its_class_and_has_the_name_that_it_is_found_by(monkeypatch):
+    monkeypatch.setitem(benchmarks.BUILT_IN, "numbers", "small_benchmark:Numbers")
+    assert isinstance(benchmarks.load("numbers"), small_benchmark.Numbers)
+    for name, value, said in (("digits", "small_benchmark:Numbers", "'numbers'"), ("none", "math:pi", "a float")):
+        monkeypatch.setitem(benchmarks.BUILT_IN, name, value)
+        with pytest.raises(EagorError, match=f"{name}.* is .*{said}; wanted"):
+            benchmarks.load(name)
 
 
 @pytest.mark.parametrize(("benchmark", "says"), BROKEN_BENCHMARKS.values(), ids=BROKEN_BENCHMARKS)

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor import plugins
+from eagor.cli import main
 from eagor.errors import EagorError, FormatError, ImageError, QueryError, ResponseError, TimeError
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
@@ -125,6 +126,31 @@ def test_load_makes_installed_ones(monkeypatch):
         load("broken")
     with pytest.raises(QueryError, match="broken, colour, endpoint, replay, scout, truth, upside"):
         load("nonsense:1")
+
+
+def test_a_name_of_ours_cannot_be_taken_and_whoever_tries_is_told(monkeypatch, capsys):
+    points = [
+        EntryPoint("colour", "somebody.else:Colour", "eagor.perceptions"),
+        EntryPoint("waypoint", "eagor.no_such_module:TASK", "eagor.tasks"),
+        EntryPoint("torn", "eagor.no_such_module:TASK", "eagor.tasks"),
+    ]
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [point for point in points if point.group == group])
+    with pytest.warns(UserWarning, match=r"'colour' \(somebody.else:Colour\).*left out.*another name"):
+        assert isinstance(load("colour"), ColourPerception)
+    assert main(["doctor", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["perceptions"]["colour"] == found["tasks"]["waypoint"] == "ready"
+    assert "no_such_module" in found["tasks"]["torn"]
+    assert [text.split()[1:3] for text in found["left_out"]] == [["perception", "'colour'"], ["task", "'waypoint'"]]
+
+
+def test_a_plugin_that_breaks_while_it_is_imported_is_an_error_of_ours(monkeypatch, tmp_path):
+    (tmp_path / "torn_plugin.py").write_text("raise RuntimeError('torn')")
+    monkeypatch.syspath_prepend(tmp_path)
+    torn = EntryPoint("torn", "torn_plugin:Thing", "eagor.perceptions")
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [torn])
+    with pytest.raises(EagorError, match=r"'torn'.*cannot be imported \(RuntimeError: torn\)"):
+        load("torn")
 
 
 @pytest.mark.parametrize("spec", ["", ":", "color-blind", "Replay"])

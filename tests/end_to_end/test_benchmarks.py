@@ -186,6 +186,8 @@ def test_the_list_and_what_a_folder_holds(folder, tmp_path):
         (("run", "hstar-hos"), "--data"),
         (("run", "hstar-hos", "--data", "nowhere", "--agent", "oracle"), "nowhere"),
         (("run", "navigation", "--data", "somewhere"), "takes no --data"),
+        (("run", "hstar-hos", "--data", "x", "--agent", "oracle", "--episodes", "2"), "takes no --episodes"),
+        (("run", "osr", "--data", "x", "--agent", "oracle", "--walking"), "takes no --walking"),
         (("run", "hstar-hos", "--data", "x", "--agent", "oracle", "--shard", "2"), "I/N"),
         (("run", "hstar-hos", "--data", "x", "--labels", "both"), "no option labels"),
         (("export",), "--task and --data"),

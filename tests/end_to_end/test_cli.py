@@ -128,6 +128,15 @@ def test_help_lists_the_commands():
         assert eagor(name, "--help").returncode == 0
 
 
+@pytest.mark.parametrize("words", [("bench", "run"), ("bench", "compare"), ("calibrate",), ("track",)])
+def test_help_says_everything_once(words):
+    text = " ".join(eagor(*words, "--help").stdout.replace("│", " ").split())
+    told = ("Play a simulated task", "Is one run of a benchmark", "Fit how a perception", "Follow it through a series")
+    assert sum(text.count(line) for line in told) == 1
+    assert "default: None" not in text
+    assert "default: False" not in text
+
+
 def test_version():
     from eagor import __version__
 
@@ -149,7 +158,14 @@ def test_help_imports_nothing_heavy():
 def test_doctor():
     found = answer("doctor")
     assert found["healthy"]
-    assert found["perceptions"]["colour"] == "ready"
+    for kind, name in (
+        ("perceptions", "colour"),
+        ("worlds", "apartment"),
+        ("tasks", "waypoint"),
+        ("benchmarks", "osr"),
+    ):
+        assert found[kind][name] == "ready"
+    assert found["left_out"] == []
     assert found["packages"]["numpy"] == np.__version__
     assert "all there" in eagor("doctor").stdout
 

@@ -6,6 +6,7 @@ Benchmarks with published data go on from here to `eagor.cli.benchmarks`.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,9 @@ from eagor.errors import EagorError
 
 SEED = 2000
 PERCEPTION = "scout"
-# Options that only benchmarks with published data have.
+# Options that only benchmarks with published data have, and those that only simulated tasks have.
 PUBLISHED_ONLY = ("data", "agent", "model", "scoring", "labels", "limit", "shard")
+SIMULATED_ONLY = ("methods", "episodes", "ablations", "walking", "latency", "world", "rows")
 
 
 def bench(options: Bench) -> int:
@@ -41,8 +43,7 @@ def run(options: BenchRun) -> int:
     from eagor.tasks.methods import default_methods
     from eagor.tasks.rules import Disturbances
 
-    if wrong := [name for name in PUBLISHED_ONLY if getattr(options, name) is not None]:
-        raise terminal.UsageError(f"{options.task} is a simulated task and takes no --{wrong[0]}")
+    check_options(options, "a simulated task", PUBLISHED_ONLY)
     if options.engine == "threads":
         raise terminal.UsageError("--engine threads is for work that waits for servers; simulated tasks compute")
     perception = options.perception or PERCEPTION
@@ -64,20 +65,13 @@ def run(options: BenchRun) -> int:
         settings=pairs_of(options.set),
     )
     out = options.out or Path("runs") / f"{options.task}-{short_name(perception)}-{seed}"
-    if options.workers < 1:
-        raise terminal.UsageError(f"--workers {options.workers}; wanted 1 or more")
     if options.rows is not None and options.rows < 8:
         raise terminal.UsageError(f"--rows {options.rows}; wanted 8 or more")
     units = wanted.units()
     wanted.config()  # what cannot be is told before anything is said to go on
     terminal.log(f"{options.episodes} episodes, {len(methods)} methods; records go to {out}")
     with terminal.progress(f"{options.task}", len(units)) as advance:
-
-        def done(record: dict[str, Any]) -> None:
-            advance()
-            if record["status"] == "failed":
-                terminal.warning(f"{record['key']} could not be run: {record['error']}")
-
+        done = told(advance)
         outcome = bench.start(wanted, out, options.workers, options.retry_failed, done, options.engine, options.address)
     summary = tables.summarise(ledger.read(out))
     if outcome.skipped:
@@ -91,6 +85,26 @@ def run(options: BenchRun) -> int:
         terminal.error(f"no episode could be run; {out} says why")
         return terminal.FAILED
     return terminal.INCOMPLETE if summary["failed"] else terminal.OK
+
+
+def check_options(options: BenchRun, what: str, others: tuple[str, ...]) -> None:
+    """Raise `UsageError` for an option among `others`, which `what` does not have, and for a run without workers."""
+    defaults = {field.name: field.default for field in fields(BenchRun)}
+    if wrong := [name for name in others if getattr(options, name) != defaults[name]]:
+        raise terminal.UsageError(f"{options.task} is {what} and takes no --{wrong[0]}")
+    if options.workers < 1:
+        raise terminal.UsageError(f"--workers {options.workers}; wanted 1 or more")
+
+
+def told(advance: Callable[[], None]) -> Callable[[dict[str, Any]], None]:
+    """What takes each record of a run: it moves the bar on, and says what could not be run."""
+
+    def done(record: dict[str, Any]) -> None:
+        advance()
+        if record["status"] == "failed":
+            terminal.warning(f"{record['key']} could not be run: {record['error']}")
+
+    return done
 
 
 def report(options: BenchReport) -> int:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from eagor.cli import terminal
-from eagor.cli.bench import pairs_of, reported
+from eagor.cli.bench import SIMULATED_ONLY, check_options, pairs_of, reported, told
 from eagor.cli.columns import table, words
 from eagor.cli.offers import info, listed
 from eagor.cli.options import (
@@ -38,10 +38,9 @@ def run(options: BenchRun) -> int:
     if options.task not in benchmark.known():
         known = ", ".join((*task.known(), *sorted(benchmark.known())))
         raise terminal.UsageError(f"there is no task {options.task!r}; known are {known}")
+    check_options(options, "a benchmark with published data", SIMULATED_ONLY)
     if options.data is None:
         raise terminal.UsageError(f"{options.task} needs its published files; name their folder with --data")
-    if options.workers < 1:
-        raise terminal.UsageError(f"--workers {options.workers}; wanted 1 or more")
     calibrated = None
     if options.calibration:
         from eagor.perception.calibrated import read_calibrated
@@ -66,12 +65,7 @@ def run(options: BenchRun) -> int:
     cases = wanted.cases(settings)
     terminal.log(f"{len(cases)} cases for the agent {settings['agent']}; records go to {out}")
     with terminal.progress(options.task, len(cases)) as advance:
-
-        def done(record: dict[str, Any]) -> None:
-            advance()
-            if record["status"] == "failed":
-                terminal.warning(f"{record['key']} could not be run: {record['error']}")
-
+        done = told(advance)
         outcome, asked = benchmarks.start(
             wanted, out, options.workers, options.retry_failed, done, options.engine, options.address
         )

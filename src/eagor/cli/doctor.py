@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import os
 import platform
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from typing import Any
 
+from eagor import perception, plugins, worlds
 from eagor._version import __version__
 from eagor.cli import machine, terminal
 from eagor.cli.options import Doctor
-from eagor.perception import known
+from eagor.tasks import benchmark, task
 
-PACKAGES = ("numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich")
+PACKAGES = (
+    "numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich", "gymnasium", "trimesh", "onnxruntime",
+)  # fmt: skip
 OPTIONAL = {
+    "embreex": "faster rays in simulated worlds",
     "torch": "tensors on a GPU, and local models: the extra 'vlm'",
     "transformers": "local models: the extra 'vlm'",
     "openai": "models on servers: the extra 'endpoint'",
@@ -23,16 +27,20 @@ OPTIONAL = {
 
 def doctor(options: Doctor) -> int:
     """Run the command; exit code 1 if something that the package needs is missing."""
-    found = {name: _version(name) for name in PACKAGES}
-    optional = {name: _version(name) if find_spec(name) else None for name in OPTIONAL}
+    found = {name: machine.version_of(name) for name in PACKAGES}
+    optional = {name: machine.version_of(name) if find_spec(name) else None for name in OPTIONAL}
     here = machine.machine()
-    perceptions = {name: _state(name) for name in sorted(known())}
+    points = {part.GROUP.removeprefix("eagor."): part.known() for part in (perception, worlds, task, benchmark)}
+    known = {kind: {name: _state(each[name]) for name in sorted(each)} for kind, each in points.items()}
+    left_out = [
+        text for kind, each in points.items() for at in each.values() for text in plugins.left_out(at, kind[:-1])
+    ]
     cpu = {"name": _processor(), "cores": _cores()}
     healthy = all(found.values())
     if options.json:
         result: dict[str, Any] = {"eagor": __version__, "python": platform.python_version()}
         result |= {"platform": platform.platform(), "cpu": cpu, "packages": found, "optional": optional}
-        terminal.emit(result | machine.report(here) | {"perceptions": perceptions, "healthy": healthy})
+        terminal.emit(result | machine.report(here) | known | {"left_out": left_out, "healthy": healthy})
         return terminal.OK if healthy else terminal.FAILED
     print(f"eagor        {__version__}")
     print(f"python       {platform.python_version()} on {platform.platform()}")
@@ -40,25 +48,22 @@ def doctor(options: Doctor) -> int:
     print("packages     " + ", ".join(f"{name} {number or 'MISSING'}" for name, number in found.items()))
     for name, use in OPTIONAL.items():
         print(f"{name:12} " + (optional[name] or f"not installed ({use})"))
-    for label, (name, state) in zip(["perceptions", *[""] * len(perceptions)], perceptions.items(), strict=False):
-        print(f"{label:12} {name}: {state}")
+    for kind, states in known.items():
+        for label, (name, state) in zip([kind, *[""] * len(states)], states.items(), strict=False):
+            package = plugins.version_of(points[kind][name])
+            print(f"{label:12} {name}: {state}" + (f" ({package})" if package else ""))
+    for line in left_out:
+        print(f"{'left out':12} {line}")
     for label, text in machine.lines(here):
         print(f"{label:12} {text}")
     print("all there" if healthy else "something is missing: install eagor again with pip")
     return terminal.OK if healthy else terminal.FAILED
 
 
-def _version(name: str) -> str | None:
+def _state(point: EntryPoint) -> str:
+    """Whether what `point` names can be imported ("ready"), or why not."""
     try:
-        return version(name)
-    except PackageNotFoundError:
-        return None
-
-
-def _state(name: str) -> str:
-    """Whether a perception can be imported ("ready"), or why not."""
-    try:
-        known()[name].load()
+        point.load()
     except Exception as error:  # a broken plugin may raise anything
         return f"cannot be imported ({type(error).__name__}: {error})"
     return "ready"

@@ -97,12 +97,12 @@ def missing() -> list[str]:
 
 
 def _wanted(name: str) -> str:
-    number, least = _version(name), (LOCAL | SERVED)[name]
+    number, least = version_of(name), (LOCAL | SERVED)[name]
     return name if number is None else f"{name} {least} or newer (there is {number})"
 
 
 def _reaches(name: str, least: str) -> bool:
-    number = _version(name)
+    number = version_of(name)
     return number is not None and _parts(number) >= _parts(least)
 
 
@@ -110,7 +110,8 @@ def _parts(number: str) -> tuple[int, ...]:
     return tuple(int("".join(c for c in part if c.isdigit()) or 0) for part in number.split("+")[0].split(".")[:3])
 
 
-def _version(name: str) -> str | None:
+def version_of(name: str) -> str | None:
+    """Of an installed package; None where there is none."""
     try:
         return version(name)
     except PackageNotFoundError:

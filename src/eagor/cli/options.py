@@ -7,21 +7,42 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, arg, subcommand
 
+
+def _bare(metavar: str | None = None, help: str | None = None) -> Any:
+    """An option whose default is nothing: what is then done stands in its text, and no "(default: None)" beside it."""
+    return arg(metavar=metavar, help=help, help_behavior_hint="")
+
+
 Name = Annotated[str, arg(metavar="NAME")]
 Whole = Annotated[int, arg(metavar="N")]
+Flag = Annotated[bool, _bare()]
+TaskOfRun = Annotated[str | None, _bare("NAME", "The benchmark (default: the run's).")]
+DataOfRun = Annotated[Path | None, _bare("DIR", "Its published files (default: the run's).")]
+Rows = Annotated[
+    int | None,
+    _bare("N", "Rows of the panoramas (default: what the perception works at, else 256; truth reads ids instead)."),
+]
+Scoring = Annotated[
+    Literal["official", "strict"] | None,
+    _bare("WAY", "Of H*Bench: official (default), or strict (the pitch counts also where a window crosses yaw 0)."),
+]
+Labels = Annotated[
+    Literal["official", "corrected", "both"] | None,
+    _bare("WHICH", "Of OSR-Bench: official labels (default), corrected (with left and right put right), or both."),
+]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Common:
     """Options of every command."""
 
-    json: bool = False
+    json: Flag = False
     """Print exactly one JSON object on stdout."""
-    debug: bool = False
+    debug: Flag = False
     """Show the traceback of an error."""
 
 
@@ -43,11 +64,11 @@ class Locate(Common):
     """At most so many candidate directions."""
     degree: Whole = 15
     """Degree of the spherical harmonics, 1 to 63; resolution is about 180 / N degrees."""
-    calibration: Annotated[Path | None, arg(metavar="FILE.json")] = None
+    calibration: Annotated[Path | None, _bare("FILE.json")] = None
     """How responses are read, from `eagor calibrate`."""
-    stamp: Annotated[float | None, arg(metavar="SECONDS")] = None
+    stamp: Annotated[float | None, _bare("SECONDS")] = None
     """Which record of a replay to take (default: the first for this query)."""
-    picture: Annotated[Path | None, arg(metavar="FILE.png")] = None
+    picture: Annotated[Path | None, _bare("FILE.png")] = None
     """Draw the belief over the panorama."""
 
 
@@ -64,17 +85,17 @@ class Track(Common):
     stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch nose DOWN); also x,y,z (metres) and frame (file name)."""
     perception: Name = "colour"
     """Who looks: colour, replay:FILE.jsonl, a model (as for locate), or an installed one."""
-    floor: Annotated[float | None, arg(metavar="Z")] = None
+    floor: Annotated[float | None, _bare("Z")] = None
     """Height of the floor in the poses' world, metres, where it is known: things stand on it, which tells distances."""
-    calibration: Annotated[Path | None, arg(metavar="FILE.json")] = None
+    calibration: Annotated[Path | None, _bare("FILE.json")] = None
     """How responses are read and forgotten, from `eagor calibrate`."""
-    compare: bool = False
+    compare: Flag = False
     """Run the baselines on the same evidence, side by side."""
     degree: Whole = 15
     """Degree of the spherical harmonics, 1 to 63."""
-    picture: Annotated[Path | None, arg(metavar="DIR")] = None
+    picture: Annotated[Path | None, _bare("DIR")] = None
     """Draw each frame with the belief into this folder."""
-    out: Annotated[Path | None, arg(metavar="FILE")] = None
+    out: Annotated[Path | None, _bare("FILE")] = None
     """Write the estimates as they come into FILE.csv or FILE.jsonl."""
 
 
@@ -106,58 +127,55 @@ class BenchRun(Common):
 
     task: Annotated[str, Positional, arg(metavar="TASK")]
     """waypoint, navigation, tracking, an installed task, or a benchmark: hstar-hos, hstar-hps, osr, ..."""
-    perception: Annotated[str | None, arg(metavar="NAME")] = None
+    perception: Annotated[str | None, _bare("NAME")] = None
     """Who looks: scout (default of simulated tasks), a small network that sees the pictures; truth, a noisy detector
     made from what the simulator or the annotations know (truth:ideal has no noise, truth:miss=0.5,spread=4 its own);
     a model (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, endpoint:MODEL@http://HOST:PORT/v1); or another."""
-    data: Annotated[Path | None, arg(metavar="DIR")] = None
+    data: Annotated[Path | None, _bare("DIR")] = None
     """Of a benchmark: the folder with its published files."""
-    agent: Annotated[str | None, arg(metavar="NAME")] = None
+    agent: Annotated[str | None, _bare("NAME")] = None
     """Of a benchmark: who plays (default: eagor)."""
-    model: Annotated[str | None, arg(metavar="MODEL")] = None
+    model: Annotated[str | None, _bare("MODEL")] = None
     """Of a benchmark: the model that the agent vlm talks with: FOLDER or hub name, run here; MODEL@ADDRESS, on one or
     several servers (commas between addresses); options after ?."""
-    scoring: Annotated[Literal["official", "strict"] | None, arg(metavar="WAY")] = None
-    """Of H*Bench: official, or strict (the pitch counts also where a window crosses yaw 0)."""
-    labels: Annotated[Literal["official", "corrected", "both"] | None, arg(metavar="WHICH")] = None
-    """Of OSR-Bench: official labels, or with left and right corrected."""
-    limit: Annotated[int | None, arg(metavar="N")] = None
+    scoring: Scoring = None
+    labels: Labels = None
+    limit: Annotated[int | None, _bare("N")] = None
     """Of a benchmark: only the first N cases."""
-    shard: Annotated[str | None, arg(metavar="I/N")] = None
+    shard: Annotated[str | None, _bare("I/N")] = None
     """Of a benchmark: every N-th case from the I-th on, for several machines; they may share one --out."""
     engine: Literal["processes", "threads", "ray"] = "processes"
     """Who the --workers are: processes; threads, for perceptions and models on servers; ray, a cluster."""
-    address: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    address: Annotated[str | None, _bare("ADDRESS")] = None
     """Of the Ray cluster (default: RAY_ADDRESS, else this machine)."""
-    methods: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
+    methods: Annotated[tuple[str, ...], _bare("NAME ...")] = ()
     """Which methods (default: all eight, and plain, the model's own answer, where a vision-language model looks);
     variants as eagor:degree=7,decode=mean; in navigation also oracle."""
     episodes: Whole = 20
     """How many; five in each apartment."""
-    seed: Annotated[int | None, arg(metavar="N")] = None
+    seed: Annotated[int | None, _bare("N")] = None
     """The first apartment (default 2000). 0 to 1999 are for choosing parameters, 2000 to 9999 for results. Of a
     benchmark: of the luck of truth and of random agents (default 0)."""
-    out: Annotated[Path | None, arg(metavar="RUN")] = None
+    out: Annotated[Path | None, _bare("RUN")] = None
     """The folder of the run (default: runs/TASK-PERCEPTION-SEED). What it holds already is not played again."""
     workers: Whole = 1
-    """Processes."""
-    ablations: bool = False
+    """How many work at once."""
+    ablations: Flag = False
     """Variants of ours and of the published method as well: degree, decode, calibration, shells (in navigation: the
     oracle, which is told the true direction)."""
-    walking: bool = False
+    walking: Flag = False
     """The camera bobs and sways, and the odometry drifts."""
     latency: Whole = 0
     """Responses arrive so many steps late."""
-    set: Annotated[tuple[str, ...], arg(metavar="RULE=VALUE ...")] = ()
+    set: Annotated[tuple[str, ...], _bare("RULE=VALUE ...")] = ()
     """Other rules, such as success_distance=0.5 max_steps=200 stop=call sliding=false; of a benchmark: its other
     options, such as sure=0.8."""
     world: Annotated[str, arg(metavar="WORLD")] = "apartment"
     """apartment, an installed world, or a GLB file."""
-    rows: Annotated[int | None, arg(metavar="N")] = None
-    """Rows of the panoramas (default: what the perception works at, else 256; truth reads ids instead)."""
-    calibration: Annotated[Path | None, arg(metavar="FILE.json")] = None
+    rows: Rows = None
+    calibration: Annotated[Path | None, _bare("FILE.json")] = None
     """How our tracker reads and forgets, from `eagor calibrate`."""
-    retry_failed: bool = False
+    retry_failed: Flag = False
     """Try episodes again that failed before."""
 
 
@@ -167,7 +185,7 @@ class BenchReport(Common):
 
     folders: Annotated[tuple[Path, ...], Positional, arg(metavar="RUN ...", help_behavior_hint="(required)")]
     """The folder of the run; for benchmarks with published data also several."""
-    out: Annotated[Path | None, arg(metavar="DIR")] = None
+    out: Annotated[Path | None, _bare("DIR")] = None
     """Of a benchmark: where the report goes (default: the first folder)."""
 
 
@@ -182,7 +200,7 @@ class BenchInfo(Common):
 
     data: Annotated[Path, Positional, arg(metavar="DATA")]
     """The folder."""
-    task: Annotated[str | None, arg(metavar="NAME")] = None
+    task: Annotated[str | None, _bare("NAME")] = None
     """Read it as this benchmark (default: whichever it is)."""
 
 
@@ -193,17 +211,13 @@ class BenchScore(Common):
     predictions: Annotated[Path, Positional, arg(metavar="PRED")]
     """A JSON lines file, one object per case: its id ("case"; or "doc_id", its number), and the answer ("submit": [yaw,
     pitch], "text": the model's words, ...; lmms-eval's samples as they are). Or the folder of a run."""
-    task: Annotated[str | None, arg(metavar="NAME")] = None
-    """The benchmark (default: the run's)."""
-    data: Annotated[Path | None, arg(metavar="DIR")] = None
-    """Its published files (default: the run's)."""
-    scoring: Annotated[Literal["official", "strict"] | None, arg(metavar="WAY")] = None
-    """Of H*Bench: official or strict."""
-    labels: Annotated[Literal["official", "corrected", "both"] | None, arg(metavar="WHICH")] = None
-    """Of OSR-Bench: official labels, or corrected."""
-    set: Annotated[tuple[str, ...], arg(metavar="OPTION=VALUE ...")] = ()
+    task: TaskOfRun = None
+    data: DataOfRun = None
+    scoring: Scoring = None
+    labels: Labels = None
+    set: Annotated[tuple[str, ...], _bare("OPTION=VALUE ...")] = ()
     """Its other options."""
-    out: Annotated[Path | None, arg(metavar="RUN")] = None
+    out: Annotated[Path | None, _bare("RUN")] = None
     """Keep the records as a run, for report, compare and failures."""
 
 
@@ -231,17 +245,15 @@ class BenchFailures(Common):
 class BenchExport(Common):
     """Write a run, or a benchmark's cases, for other software."""
 
-    run: Annotated[Path | None, Positional, arg(metavar="RUN")] = None
+    run: Annotated[Path | None, Positional, _bare("RUN")] = None
     """The folder of a run; what needs only the data does without."""
     to: Annotated[str, arg(metavar="FORMAT")] = "jsonl"
     """jsonl (samples with lmms-eval's keys), or what the benchmark offers: lmms-eval, hstar-txt, ..."""
-    task: Annotated[str | None, arg(metavar="NAME")] = None
-    """The benchmark (default: the run's)."""
-    data: Annotated[Path | None, arg(metavar="DIR")] = None
-    """Its published files (default: the run's)."""
-    set: Annotated[tuple[str, ...], arg(metavar="OPTION=VALUE ...")] = ()
+    task: TaskOfRun = None
+    data: DataOfRun = None
+    set: Annotated[tuple[str, ...], _bare("OPTION=VALUE ...")] = ()
     """The benchmark's options, where no run is named."""
-    out: Annotated[Path | None, arg(metavar="DIR")] = None
+    out: Annotated[Path | None, _bare("DIR")] = None
     """The folder to write into (default: that of the run)."""
 
 
@@ -251,7 +263,8 @@ class Bench:
 
     runs: ClassVar[str] = "eagor.cli.bench:bench"
 
-    action: (
+    # Without a name, its options stand among those of every command, and its text stands once in its help.
+    action: Annotated[
         Annotated[BenchRun, subcommand("run")]
         | Annotated[BenchReport, subcommand("report")]
         | Annotated[BenchList, subcommand("list")]
@@ -259,8 +272,9 @@ class Bench:
         | Annotated[BenchScore, subcommand("score")]
         | Annotated[BenchCompare, subcommand("compare")]
         | Annotated[BenchFailures, subcommand("failures")]
-        | Annotated[BenchExport, subcommand("export")]
-    )
+        | Annotated[BenchExport, subcommand("export")],
+        arg(name=""),
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -273,10 +287,10 @@ class Calibrate(Common):
     """responses: of any perception, read by log score. heads: of a local model (Qwen2.5-VL, Gemma 3, ...)."""
     perception: Name = "scout"
     """Whose responses, or whose heads (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, options after ?)."""
-    out: Annotated[Path | None, arg(metavar="FILE.json")] = None
+    out: Annotated[Path | None, _bare("FILE.json")] = None
     """Where the calibration goes (default: calibration-PERCEPTION.json; other commands take it as --calibration), or
     the heads (default: heads-MODEL.json; models take it as FOLDER?heads=FILE.json)."""
-    labels: Annotated[Path | None, arg(metavar="FILE.jsonl")] = None
+    labels: Annotated[Path | None, _bare("FILE.jsonl")] = None
     """heads: panoramas of your own and where the things are in them (docs/models.md), instead of apartments."""
     take: Whole = 3
     """heads: how many."""
@@ -289,13 +303,12 @@ class Calibrate(Common):
     """How many settings to try."""
     workers: Whole = 1
     """Processes."""
-    rows: Annotated[int | None, arg(metavar="N")] = None
-    """Rows of the panoramas (default: what the perception works at, else 256)."""
+    rows: Rows = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor(Common):
-    """What is installed here, which models this machine could run, and what to install for them."""
+    """What is installed here, plugins included, which models this machine could run, and what to install for them."""
 
     runs: ClassVar[str] = "eagor.cli.doctor:doctor"
 

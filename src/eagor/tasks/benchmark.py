@@ -11,6 +11,8 @@ has. The ledger, workers, shards, resuming, intervals, comparisons and pages are
 
 from __future__ import annotations
 
+import importlib
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
@@ -179,12 +181,20 @@ def known() -> dict[str, EntryPoint]:
 
 
 def load(name: str) -> Benchmark:
-    """The benchmark with this name. Raises `EagorError` for an unknown one, or one that cannot be imported."""
+    """The benchmark with this name. Raises `EagorError` for an unknown one, one that cannot be imported, or is none."""
     choices = known()
     if name not in choices:
         raise EagorError(f"there is no benchmark {name!r}; known are {', '.join(sorted(choices))}")
     found: Any = plugins.bring(choices[name], "benchmark")
-    return found if isinstance(found, Benchmark) else found()
+    if callable(found):  # a class looks like a benchmark itself
+        found = found()
+    if not isinstance(found, Benchmark) or found.name != name:
+        what = f"the benchmark {found.name!r}" if isinstance(found, Benchmark) else f"a {type(found).__name__}"
+        raise EagorError(
+            f"the entry point {name!r} of {GROUP} ({choices[name].value}) is {what}; wanted an "
+            "eagor.tasks.benchmark.Benchmark whose name is that of the entry point, or what makes it"
+        )
+    return found
 
 
 def read_options(benchmark: Benchmark, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -205,9 +215,9 @@ def read_options(benchmark: Benchmark, values: Mapping[str, Any]) -> dict[str, A
 def settled(benchmark: Benchmark, settings: Mapping[str, Any], looking: Sequence[str], truth: str) -> dict[str, Any]:
     """What `Benchmark.settle` returns, complete, before anything is made: who plays, with what, by which options.
 
-    `looking`: the agents that need a perception; `truth`: what the perception truth is
-    in this benchmark, for the text of an error. Raises `EagorError` for an agent or an option that there is not, or
-    where something to look with, or to ask, is missing.
+    `looking`: the agents that need a perception; `truth`: what the perception truth is in this benchmark, for the text
+    of an error. Raises `EagorError` for an agent or an option that there is not, or where something to look with, or to
+    ask, is missing.
     """
     agent = settings.get("agent") or next(iter(benchmark.agents))
     if agent not in benchmark.agents:
@@ -242,8 +252,6 @@ def check_benchmark(benchmark: Benchmark, data: Path, agent: str) -> list[dict[s
     Its cases must be the same each time, with ids that differ; payloads and records must be JSON that survives
     writing and reading; the settings must survive being settled twice; every figure must read every record.
     """
-    import importlib
-
     options = read_options(benchmark, {})
     told = {"task": benchmark.name, "data": str(data), "agent": agent, "perception": None, "model": None, "seed": 0}
     settings = benchmark.settle(told | options)
@@ -295,8 +303,6 @@ def check_benchmark(benchmark: Benchmark, data: Path, agent: str) -> list[dict[s
 
 def _survives(value: Any) -> bool:
     """Whether `value` comes back from JSON as it was."""
-    import json
-
     try:
         return json.loads(json.dumps(value, allow_nan=False)) == value
     except (TypeError, ValueError):

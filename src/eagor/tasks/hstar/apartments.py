@@ -21,6 +21,7 @@ from eagor.tasks.hstar.camera import View, visible_share
 from eagor.tasks.hstar.data import STARTS
 from eagor.tasks.hstar.files import ANNOTATION
 from eagor.tasks.places import APARTMENT, Place, load_place
+from eagor.tasks.rules import Camera
 
 ROWS = 128  # of the ids that boxes are read from: 1.4 degrees
 SMALLEST = 12  # pixels of those
@@ -42,7 +43,7 @@ class Spot:
 
 def spot(seed: int, most: int = 4) -> Spot:
     """A camera in the apartment of this seed, with at most `most` targets. Raises `WorldError` where there is none."""
-    place = load_place(APARTMENT, seed, 0.18)
+    place = load_place(APARTMENT, seed, Camera().radius)
     rng = np.random.default_rng([seed, 0x5EA])
     best: tuple[tuple[dict[str, Any], ...], np.ndarray, float] = ((), np.zeros(3), 0.0)
     for _ in range(TRIES):

@@ -17,13 +17,13 @@ from eagor.tasks.hstar.camera import RESOLUTION
 from eagor.tasks.hstar.causes import CAUSES, cause_of
 from eagor.tasks.hstar.data import LEVELS, Episode, Kind
 from eagor.tasks.hstar.eyes import open_perception
-from eagor.tasks.hstar.play import cluster_of, errors, identity
+from eagor.tasks.hstar.play import cluster_of, errors, identity, scores_of
 from eagor.tasks.hstar.prompts import WINDOW
-from eagor.tasks.hstar.rules import MAX_TURNS, checked_scoring, parse_action, submit_succeeds
+from eagor.tasks.hstar.rules import MAX_TURNS, SCORINGS, checked_scoring, parse_action
 from eagor.tasks.hstar.search import SearchRules
 
 OPTIONS = {
-    "scoring": Option("official", "what counts as success", ("official", "strict")),
+    "scoring": Option("official", "what counts as success", SCORINGS),
     "turns": Option(MAX_TURNS, "views at most; the benchmark allows ten", tuple(range(1, 51))),
     "sure": Option(SearchRules().sure, "probability from which on eagor submits"),
     "degree": Option(SearchRules().degree, "of eagor's harmonics", tuple(range(3, 64))),
@@ -45,31 +45,12 @@ class HStar:
 
     kind: Kind
     title: str
+    work = "eagor.tasks.hstar.play:work"
+    agents, options, exports, causes = AGENTS, OPTIONS, EXPORTS, CAUSES
 
     @property
     def name(self) -> str:
         return f"hstar-{self.kind}"
-
-    @property
-    def agents(self) -> Mapping[str, str]:
-        return AGENTS
-
-    @property
-    def options(self) -> Mapping[str, Option]:
-        return OPTIONS
-
-    @property
-    def work(self) -> str:
-        return "eagor.tasks.hstar.play:work"
-
-    @property
-    def exports(self) -> Mapping[str, str]:
-        return EXPORTS
-
-    @property
-    def causes(self) -> Mapping[str, str]:
-        """What each cause of a failure means."""
-        return CAUSES
 
     @property
     def figures(self) -> Sequence[Figure]:
@@ -107,10 +88,7 @@ class HStar:
         episode = Episode.from_json(case.payload["episode"])
         scoring, siblings = checked_scoring(settings["scoring"]), case.payload["siblings"]
         answer, reason = _submission(prediction, settings.get("form", "free_think"))
-        scores = {
-            way: float(answer is not None and submit_succeeds(episode.item, answer["yaw"], answer["pitch"], way))
-            for way in ("official", "strict")
-        }
+        scores = scores_of(episode, answer)
         cause = None
         if not scores[scoring]:
             cause = reason or cause_of(episode.item, [{"shown": 1.0}], answer, siblings, scoring)

@@ -120,7 +120,7 @@ def _rays(rows: int, columns: int, pitch: float) -> tuple[np.ndarray, np.ndarray
 
 
 @lru_cache(maxsize=1)
-def _packed_kept(key: int, holder: _Held) -> np.ndarray:
+def _packed_kept(holder: _Held) -> np.ndarray:
     image = holder.image
     packed = np.zeros((*image.shape[:2], 4), dtype=np.uint8)
     packed[..., :3] = image
@@ -150,8 +150,8 @@ def _packed(panorama: np.ndarray) -> np.ndarray:
 
         raise ImageError(f"a panorama is (H, W, 3) uint8; got shape {image.shape}, {image.dtype}")
     if image.flags.writeable:  # it may change: nothing is kept
-        return _packed_kept.__wrapped__(0, _Held(image))
-    return _packed_kept(id(image), _Held(image))
+        return _packed_kept.__wrapped__(_Held(image))
+    return _packed_kept(_Held(image))
 
 
 def _sampled(flat: np.ndarray, height: int, width: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -12,10 +12,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from eagor.tasks.chat import IMAGE
-from eagor.tasks.hstar.camera import View, render_view
+from eagor.tasks.hstar.camera import RESOLUTION, View, render_view
 from eagor.tasks.hstar.data import Episode
 from eagor.tasks.hstar.files import open_panorama
-from eagor.tasks.hstar.prompts import first_text, next_text, system_text
+from eagor.tasks.hstar.prompts import WINDOW, first_text, next_text, system_text
 from eagor.tasks.hstar.rules import MAX_TURNS, Action, parse_action, submit_succeeds, turned
 
 Doc = Mapping[str, Any]
@@ -89,7 +89,7 @@ def _start(doc: Doc) -> View:
 def _picture(doc: Doc, view: View) -> Any:
     from PIL import Image
 
-    resolution = int(doc.get("resolution", 1080))
+    resolution = int(doc.get("resolution", RESOLUTION))
     return Image.fromarray(render_view(open_panorama(_episode(doc).panorama), view.yaw, view.pitch, resolution))
 
 
@@ -116,7 +116,7 @@ def _conversation(doc: Doc, replies: Sequence[str]) -> tuple[list[Any], str]:
         if action is not None and action.kind == "rotate":
             view = View(*map(float, turned(before.yaw, before.pitch, action)))
         users.append((view, next_text(episode.task, form, action, text, view.yaw, view.pitch)))
-    first = max(0, len(users) - int(doc.get("window", 5)))
+    first = max(0, len(users) - int(doc.get("window", WINDOW)))
     parts, pictures = [system_text(episode.kind, form)], []
     for index in range(first, len(users)):
         seen, text = users[index]

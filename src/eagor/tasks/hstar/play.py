@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from eagor.tasks.hstar.camera import View, visible_share
 from eagor.tasks.hstar.causes import cause_of
 from eagor.tasks.hstar.data import Episode
 from eagor.tasks.hstar.eyes import Eye, open_eye, open_perception
-from eagor.tasks.hstar.rules import MAX_TURNS, Action, checked_scoring, submit_succeeds, turned, window_of
+from eagor.tasks.hstar.rules import MAX_TURNS, SCORINGS, Action, checked_scoring, submit_succeeds, turned, window_of
 from eagor.tasks.hstar.search import SearchRules
 from eagor.tasks.hstar.talking import VlmAgent
 from eagor.tasks.hstar.words import tag_of
@@ -86,8 +87,7 @@ def play(
             would = {
                 "yaw": turn.would.yaw,
                 "pitch": turn.would.pitch,
-                "official": submit_succeeds(item, turn.would.yaw, turn.would.pitch, "official"),
-                "strict": submit_succeeds(item, turn.would.yaw, turn.would.pitch, "strict"),
+                **{way: submit_succeeds(item, turn.would.yaw, turn.would.pitch, way) for way in SCORINGS},
                 "p": None if math.isnan(p) else round(p, 4),
             }
         steps.append(
@@ -108,15 +108,15 @@ def play(
             break
         view = View(*map(float, turned(view.yaw, view.pitch, turn.action)))
     submitted = None if answer is None else {"yaw": answer.yaw, "pitch": answer.pitch}
-    scores = {way: answer is not None and submit_succeeds(item, answer.yaw, answer.pitch, way) for way in _WAYS}
+    scores = scores_of(episode, submitted)
     by_turn = [int(bool(step["would"] and step["would"][scoring])) for step in steps]
     by_turn += [int(scores[scoring])] * (turns - len(steps))
     stated = steps[-1]["would"]["p"] if answer is not None and steps[-1]["would"] else None
     return {
         **identity(episode, siblings),
         "scoring": scoring,
-        "score": float(scores[scoring]),
-        "scores": {way: float(good) for way, good in scores.items()},
+        "score": scores[scoring],
+        "scores": scores,
         "cause": None if scores[scoring] else cause_of(item, steps, submitted, siblings, scoring),
         "by_turn": by_turn,
         "views": len(steps),
@@ -147,6 +147,13 @@ def cluster_of(episode: Episode) -> str:
     return f"{episode.scene}/{episode.entry}"
 
 
+def scores_of(episode: Episode, answer: Mapping[str, Any] | None) -> dict[str, float]:
+    """1 or 0 for a submission (None: none) in degrees, by each way of scoring."""
+    if answer is None:
+        return dict.fromkeys(SCORINGS, 0.0)
+    return {way: float(submit_succeeds(episode.item, answer["yaw"], answer["pitch"], way)) for way in SCORINGS}
+
+
 def errors(episode: Episode, answer: Mapping[str, Any] | None) -> dict[str, float | None]:
     """Degrees between the submission and the middle of the target: in yaw, in pitch, and on the great circle."""
     if answer is None:
@@ -159,9 +166,6 @@ def errors(episode: Episode, answer: Mapping[str, Any] | None) -> dict[str, floa
     return {"yaw_error": round(turn, 2), "pitch_error": lift, "error": round(apart, 2)}
 
 
-_WAYS = ("official", "strict")
-
-
 class _Recalibrated:
     """An eye whose evidence is read with another calibration."""
 
@@ -169,7 +173,5 @@ class _Recalibrated:
         self._eye, self._calibration = eye, calibration
 
     def look(self, view: View) -> Any:
-        from dataclasses import replace
-
         look = self._eye.look(view)
         return replace(look, evidence=look.evidence.with_calibration(self._calibration))

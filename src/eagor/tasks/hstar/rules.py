@@ -16,6 +16,7 @@ from eagor._json import number, shown
 from eagor.errors import EagorError, FormatError
 
 Scoring = Literal["official", "strict"]
+SCORINGS: tuple[Scoring, ...] = get_args(Scoring)
 Form = Literal["free_think", "no_think", "grounding"]
 
 MAX_TURNS = 10
@@ -146,8 +147,8 @@ def submit_succeeds(item: Mapping[str, Any], yaw: float, pitch: float, scoring: 
 
 def checked_scoring(scoring: str) -> Scoring:
     """`scoring`, once it is certain to be one. Raises `EagorError`."""
-    if scoring not in get_args(Scoring):
-        raise EagorError(f"scoring = {scoring!r}; wanted {' or '.join(get_args(Scoring))}")
+    if scoring not in SCORINGS:
+        raise EagorError(f"scoring = {scoring!r}; wanted {' or '.join(SCORINGS)}")
     return scoring  # type: ignore[return-value]
 
 

@@ -9,13 +9,6 @@ from typing import Any
 from eagor.queries import singular
 
 FINE = 4.0  # degrees: a box smaller than this in both directions is fine detail
-TAGS = ("ocr_fine", "multi_instance", "rare", "plain")  # exclusive; the first that fits counts
-TAG_TITLES = {
-    "ocr_fine": "text or fine detail",
-    "multi_instance": "several instances",
-    "rare": "rare target",
-    "plain": "plain",
-}
 # Things that any detector has seen by the thousand: everyday nouns of homes, offices, shops and streets.
 COMMON = frozenset(
     """

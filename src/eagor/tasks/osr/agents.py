@@ -11,7 +11,6 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from eagor.errors import FormatError
 from eagor.tasks.chat import Chat, Message
 from eagor.tasks.osr.dataset import Scene
 from eagor.tasks.osr.layout import DIRECTIONS, NO_CANDIDATE, NO_OBJECT, NO_POSITION, NOT_UNIQUE, layout_of
@@ -22,7 +21,7 @@ from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP
 Labels = Literal["official", "corrected"]
 AGENTS = {
     "eagor": "bearings from a belief, ranges from floor contacts, and geometry",
-    "vlm": "asks the model, with the map or without it (--suffix)",
+    "vlm": "asks the model, with the map or without it (--set suffix=...)",
     "constant": "says the same to every question of a kind",
     "majority": "says what is most often right in the other scenes",
     "random": "draws an answer of the right form",
@@ -130,14 +129,12 @@ class Vlm:
     def answer(self, scene: Scene, question: Question) -> Reply:
         from eagor.worlds.panorama import read_panorama
 
-        if scene.image is None:
-            raise FormatError(f"the scene {scene.id} has no picture (rgb.png); the data set is incomplete")
         mapped = scene.map_question
         if mapped is None:
-            image = read_panorama(scene.image)
+            image = read_panorama(scene.picture)
             return Reply(self._chat(plain_turn(question.text, image, self._form)).text)
         if self._drawn is None or self._drawn[0] != scene.id:
-            asked = map_turn(mapped.text, read_panorama(scene.image))
+            asked = map_turn(mapped.text, read_panorama(scene.picture))
             self._drawn = scene.id, asked, self._chat(asked).text
         _, asked, drawn = self._drawn
         if question.skill == MAP:

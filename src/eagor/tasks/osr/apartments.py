@@ -18,11 +18,12 @@ import numpy as np
 from eagor.sphere import world_R_body
 from eagor.tasks.osr.drawing import layout_from
 from eagor.tasks.osr.geometry import FloorLine
-from eagor.tasks.osr.layout import direction_label, distance_label, grid_of
+from eagor.tasks.osr.layout import count_label, direction_label, distance_label, grid_of
 from eagor.tasks.osr.questions import counting, direction, distance, mapping
 from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP
 from eagor.tasks.osr.truth import Body, Room, write_room
 from eagor.tasks.places import APARTMENT, Place, load_place
+from eagor.tasks.rules import Camera
 from eagor.worlds.raycast import Raycaster, make_raycaster
 
 # Walls, floor and ceiling are the room itself; a ceiling lamp touches neither floor nor wall.
@@ -64,7 +65,7 @@ def views(seed: int, height: float = 1.5) -> Iterator[View]:
 
     The same seed gives the same views. Raises `WorldError` for a seed that no apartment has.
     """
-    place = load_place(APARTMENT, seed, 0.18)
+    place = load_place(APARTMENT, seed, Camera().radius)
     for number, room in enumerate(place.scene.rooms):
         rng = np.random.default_rng([seed, number, 0x05B])
         for _ in range(TRIES):
@@ -125,7 +126,7 @@ def conversation(
     yield turn
     asked: list[tuple[str, str, str]] = []
     for name in rng.permutation(names)[:most]:
-        asked.append((COUNTING, counting(str(name)), str(counts.get(str(name), 0))))
+        asked.append((COUNTING, counting(str(name)), count_label(counts, str(name))))
     singles = [name for name in names if counts.get(name) == 1] or names
     complete = all(name in layout for name in names)
     if len(counts) >= LEAST:

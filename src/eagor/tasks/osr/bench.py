@@ -50,18 +50,7 @@ class OsrBench:
     name = "osr"
     title = "OSR-Bench"
     work = "eagor.tasks.osr.play:work"
-
-    @property
-    def agents(self) -> Mapping[str, str]:
-        return AGENTS
-
-    @property
-    def options(self) -> Mapping[str, Option]:
-        return OPTIONS
-
-    @property
-    def exports(self) -> Mapping[str, str]:
-        return EXPORTS
+    agents, options, exports = AGENTS, OPTIONS, EXPORTS
 
     @property
     def figures(self) -> Sequence[Figure]:

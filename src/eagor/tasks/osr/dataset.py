@@ -60,6 +60,13 @@ class Scene:
             raise FormatError(f"{path}: {error}") from None
 
     @property
+    def picture(self) -> Path:
+        """`image`. Raises `FormatError` where there is none."""
+        if self.image is None:
+            raise FormatError(f"the scene {self.id} has no picture (rgb.png); the data set is incomplete")
+        return self.image
+
+    @property
     def map_question(self) -> Question | None:
         """The question of turn 0 that asks for the map, where this kind of file has it."""
         return next((question for question in self.questions if question.skill == MAP), None)
@@ -81,7 +88,11 @@ def load(data: Path, suffix: str = SUFFIXES[0]) -> tuple[Scene, ...]:
         scenes = list(_tables(data, suffix))
     if not scenes:
         there = sorted({kind for kind in SUFFIXES if _found(data, kind)})
-        hint = f"it has files of the kind {', '.join(there)}: choose with --suffix" if there else "is it OSR-Bench?"
+        hint = (
+            f"it has files of the kind {', '.join(there)}: choose with --set suffix=KIND"
+            if there
+            else "is it OSR-Bench?"
+        )
         raise FormatError(f"{data} has no <scene>_{suffix}.json and no CSV with questions; {hint}")
     doubled = {scene.id for scene in scenes if sum(other.id == scene.id for other in scenes) > 1}
     if doubled:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from eagor._files import written
-from eagor.errors import EagorError, FormatError
+from eagor.errors import EagorError
 from eagor.tasks.benchmark import Record
 from eagor.tasks.osr.dataset import load
 from eagor.tasks.osr.scoring import MAP
@@ -53,16 +53,12 @@ def lmms_eval(settings: Mapping[str, Any], folder: Path) -> list[Path]:
     Each question is asked alone, so that files with a map give their map's question as one of them. The questions hold
     the paths of their pictures on this machine. Raises `FormatError` where a picture is missing.
     """
-    scenes = load(Path(settings["data"]), settings["suffix"])
-    for scene in scenes:
-        if scene.image is None:
-            raise FormatError(f"the scene {scene.id} has no picture (rgb.png); the data set is incomplete")
+    pictures = {scene: str(scene.picture.resolve()) for scene in load(Path(settings["data"]), settings["suffix"])}
     documents = (
         {"id": question.id, "scene": scene.id, "turn": question.turn, "skill": question.skill}
-        | {"question": question.text, "image": str(scene.image.resolve()), "prompt": settings["prompt"]}
+        | {"question": question.text, "image": picture, "prompt": settings["prompt"]}
         | {"answer": json.dumps(question.answer) if question.skill == MAP else question.answer}
-        for scene in scenes
-        if scene.image is not None
+        for scene, picture in pictures.items()
         for question in scene.questions
         if settings["skill"] in ("all", question.skill)
     )

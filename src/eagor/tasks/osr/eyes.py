@@ -84,9 +84,7 @@ class BeliefLooker:
     def __call__(self, scene: Scene, names: Sequence[str]) -> Seen:
         from eagor.worlds.panorama import read_panorama
 
-        if scene.image is None:
-            raise FormatError(f"the scene {scene.id} has no picture (rgb.png); the data set is incomplete")
-        panorama = read_panorama(scene.image)
+        panorama = read_panorama(scene.picture)
         ranges = read_depth(scene.folder) if self.depth else None
         if self.depth and ranges is None:
             raise FormatError(f"{scene.folder} has no {DEPTH_FILE}; put one there, or take ranges from the floor")

@@ -16,14 +16,9 @@ from eagor.tasks.osr.eyes import BeliefLooker, Looker, TruthLooker
 from eagor.tasks.osr.layout import ERRORS, is_tied, products, steps, swapped
 from eagor.tasks.osr.ours import Eagor
 from eagor.tasks.osr.questions import Question
-from eagor.tasks.osr.scoring import DIRECTION, MAP, extracted, is_direction, lenient, score
+from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, extracted, is_direction, lenient, score
 
-TITLES = {
-    "object_counting": "Counting",
-    "relative_distance": "Distance",
-    "relative_direction": "Direction",
-    "cognitive_map": "Map",
-}
+TITLES = {COUNTING: "Counting", DISTANCE: "Distance", DIRECTION: "Direction", MAP: "Map"}
 TRUTH = "truth"
 
 
