@@ -71,7 +71,7 @@ class TrackerConfig:
     stale_after: float = 5.0
     switch_at: float = 1.0
     found_at: float = 1.5
-    present_at: float = 0.4
+    present_at: float = 0.3
     ambiguous_below: float = 0.65
 
     def __post_init__(self) -> None:
