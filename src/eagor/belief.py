@@ -29,8 +29,6 @@ from eagor.peaks import FLAT, decoding_grid, forward_vector, peak
 from eagor.posterior import CELLS_FOR_REGIONS, MIN_WEIGHT, PROMINENCE, CredibleRegion, Field, Posterior
 from eagor.sphere import check_rotation
 
-_ONE = "this reads one belief, and got a batch {}; index it: belief[i]"
-
 
 class Reading:
     """What can be read from any posterior over directions; `Belief` and `RangedBelief` supply the field.
@@ -68,10 +66,13 @@ class Reading:
     @property
     def posterior(self) -> Posterior:
         """The posterior of a belief without batch dimensions."""
-        if self.batch_shape:
-            raise EagorError(_ONE.format(self.batch_shape))
+        self._check_single()
         found: Any = self.posteriors[()]
         return found
+
+    def _check_single(self) -> None:
+        if self.batch_shape:
+            raise EagorError(f"this reads one belief, and got a batch {self.batch_shape}; index it: belief[i]")
 
     def modes(
         self, k: int = 3, prominence: float = PROMINENCE, min_weight: float = MIN_WEIGHT
@@ -96,8 +97,7 @@ class Reading:
 
     def credible_region(self, mass: float = 0.9) -> CredibleRegion:
         """The smallest region that holds `mass` of the belief (highest density). One belief at a time."""
-        if self.batch_shape:
-            raise EagorError(_ONE.format(self.batch_shape))
+        self._check_single()
         posterior = Posterior(self._field(()), decoding_grid(self.degree).height, CELLS_FOR_REGIONS)
         level, area = posterior.level(_checked_mass(mass))
         return CredibleRegion(

@@ -14,6 +14,7 @@ from eagor._arrays import to_numpy
 from eagor.belief import Belief
 from eagor.errors import EagorError
 from eagor.evidence import Calibration
+from eagor.harmonics import RealHarmonics
 from eagor.motion import DOUBT, SAME, SETTLE, StillOrMoving, standing
 from eagor.posterior import MIN_WEIGHT, PROMINENCE, RIVAL
 from eagor.ranged import RangedBelief, log_ranges
@@ -75,8 +76,8 @@ class TrackerConfig:
     ambiguous_below: float = 0.65
 
     def __post_init__(self) -> None:
+        RealHarmonics(self.degree)  # complains about what is no degree
         for name, (fits, wanted) in {
-            "degree": (self.degree == int(self.degree) >= 1, "a whole number from 1 on"),
             "decode": (self.decode in ("mode", "mean"), "mode or mean"),
             "keep_per_second": (0 < self.keep_per_second <= 1, "a share above 0 and up to 1"),
             "diffusion": (0 <= self.diffusion < math.pi, "radians per root second, from 0 to pi"),

@@ -183,7 +183,7 @@ class StillOrMoving(Reading):
         excess = _rise(stays, peak, grid.weights) - most
         if excess <= 0:
             return self
-        height = _rise(basis.synthesise(agreed.reshape(-1), grid), peak, grid.weights)
+        height = _rise(basis.synthesise(agreed, grid), peak, grid.weights)
         less = min(excess / height, 1.0) if height > 0 else 0.0
         return StillOrMoving(self.still.plus(-less * agreed), self.wanderer, self.moving)
 

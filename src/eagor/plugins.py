@@ -54,6 +54,18 @@ def bring(point: EntryPoint, kind: str) -> Any:
         ) from error
 
 
+def check_named(found: Any, point: EntryPoint, kind: str, wanted: Any, *, or_maker: bool = False) -> None:
+    """Raises `EagorError` unless `found` is a `wanted` with the name of `point`; `or_maker`: its maker would do too."""
+    if isinstance(found, wanted) and found.name == point.name:
+        return
+    what = f"the {kind} {found.name!r}" if isinstance(found, wanted) else f"a {type(found).__name__}"
+    raise EagorError(
+        f"the entry point {point.name!r} of {point.group} ({point.value}) is {what}; wanted an "
+        f"{wanted.__module__}.{wanted.__name__} whose name is that of the entry point"
+        + (", or what makes it" if or_maker else "")
+    )
+
+
 def version_of(point: EntryPoint) -> str | None:
     """Name and version of the package that `point` came with, such as ``"eagor-example 1.0"``; None for our own."""
     return f"{point.dist.name} {point.dist.version}" if point.dist is not None else None

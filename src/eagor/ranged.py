@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._arrays import Array, as_float, device, namespace, to_numpy
+from eagor._arrays import Array, as_float, matched, namespace, to_numpy
 from eagor.belief import Belief, Reading
 from eagor.errors import EagorError, PoseError
 from eagor.evidence import Evidence
@@ -99,11 +99,8 @@ class RangedBelief(Reading):
         """Part of a batch."""
         if not self.batch_shape:
             raise EagorError("this belief has no batch dimension to index")
-        # The last two dimensions are no batch, whatever the index is.
-        return replace(
-            self,
-            shells=self.shells[(*(index if isinstance(index, tuple) else (index,)), ..., slice(None), slice(None))],
-        )
+        places = index if isinstance(index, tuple) else (index,)
+        return replace(self, shells=self.shells[(*places, ..., slice(None), slice(None))])  # the last two are no batch
 
     def predict(self, new_R_old: Array, translation: Array | None = None) -> RangedBelief:
         """After the body has turned by `new_R_old` and moved by `translation` (metres, in the NEW body frame).
@@ -148,9 +145,8 @@ class RangedBelief(Reading):
     @property
     def agreed(self) -> Array:
         """What is said of directions whatever the range ``(..., size)``: the mean of the shells."""
-        xp = namespace(self.shells)
-        shares = xp.asarray(self._shares, dtype=self.shells.dtype, device=device(self.shells))
-        return xp.sum(shares[:, None] * self.shells, axis=-2, keepdims=True)
+        shares = matched(self._shares, self.shells)
+        return namespace(self.shells).sum(shares[:, None] * self.shells, axis=-2)
 
     def forget(self, factor: float) -> RangedBelief:
         """With all log-odds scaled by `factor` in [0, 1]."""
@@ -228,8 +224,7 @@ class RangedBelief(Reading):
         """The shells with the prior."""
         if self.prior is None:
             return self.shells
-        xp = namespace(self.shells)
-        return self.shells + xp.asarray(self.prior, dtype=self.shells.dtype, device=device(self.shells))
+        return self.shells + matched(self.prior, self.shells)
 
     def _marginal(self, where: Any) -> Array:
         return _marginal(self.basis, self._shares, self._believed, where)

@@ -188,12 +188,7 @@ def load(name: str) -> Benchmark:
     found: Any = plugins.bring(choices[name], "benchmark")
     if callable(found):  # a class looks like a benchmark itself
         found = found()
-    if not isinstance(found, Benchmark) or found.name != name:
-        what = f"the benchmark {found.name!r}" if isinstance(found, Benchmark) else f"a {type(found).__name__}"
-        raise EagorError(
-            f"the entry point {name!r} of {GROUP} ({choices[name].value}) is {what}; wanted an "
-            "eagor.tasks.benchmark.Benchmark whose name is that of the entry point, or what makes it"
-        )
+    plugins.check_named(found, choices[name], "benchmark", Benchmark, or_maker=True)
     return found
 
 

@@ -126,10 +126,5 @@ def load(name: str) -> Task:
     if name not in choices:
         raise EagorError(f"there is no task {name!r}; known are {', '.join(choices)}")
     found = plugins.bring(choices[name], "task")
-    if not isinstance(found, Task) or found.name != name:
-        what = f"the task {found.name!r}" if isinstance(found, Task) else f"a {type(found).__name__}"
-        raise EagorError(
-            f"the entry point {name!r} of {GROUP} ({choices[name].value}) is {what}; wanted an eagor.tasks.task.Task "
-            "whose name is that of the entry point"
-        )
+    plugins.check_named(found, choices[name], "task", Task)
     return found
