@@ -24,8 +24,8 @@ import trimesh
 from eagor import ErpGrid, Evidence
 from eagor.errors import QueryError, WorldError
 from eagor.sphere import world_R_body
-from eagor.tasks.environments import AnsweringEnv
 from eagor.tasks.episodes import Episode, Slot, choose_target
+from eagor.tasks.place_env import AnsweringEnv
 from eagor.tasks.places import load_place, pixels_of
 from eagor.tasks.task import Column, Played, Task
 from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene

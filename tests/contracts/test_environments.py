@@ -16,7 +16,7 @@ from rooms import two_rooms
 import eagor.tasks
 from eagor.errors import EagorError, WorldError
 from eagor.sphere import angular_distance
-from eagor.tasks import environments, navigation, places, tracking, waypoint
+from eagor.tasks import environments, navigation, place_env, places, tracking, waypoint
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, WaypointRules, as_dict, from_dict
@@ -36,7 +36,7 @@ def flat():
 @pytest.fixture(autouse=True)
 def _in_the_flat(flat, monkeypatch):
     """Every world is the little flat of boxes: the environments, not the apartments, are looked at here."""
-    for module in (places, navigation, waypoint, tracking, environments):
+    for module in (places, navigation, waypoint, tracking, place_env):
         monkeypatch.setattr(module, "load_place", lambda *_: flat)
 
 

@@ -17,6 +17,7 @@ from eagor.sphere import world_R_body
 from eagor.tasks.episodes import Episode, Slot, choose_target, heading_to
 from eagor.tasks.places import Place, load_place, pixels_of
 from eagor.tasks.rules import Camera, NavigationRules
+from eagor.tasks.task import Played
 
 # (visible at the start, winding way), over and over: two thirds visible, half winding.
 STRATA = ((True, False), (False, True), (True, True), (True, False), (False, True), (True, False))
@@ -101,14 +102,17 @@ def score(rules: NavigationRules, shortest: float, distance: float, path: float,
     }
 
 
-def measure(trace: dict[str, list[Any]], directions: np.ndarray) -> dict[str, float | int | None]:
-    """What the trace of one episode says about the estimate: mae, seam crossings, coverage.
-
-    `directions` ``(n, 3)`` are the target's true directions, body frame.
-    """
-    inside = [value for value in trace["inside"] if value is not None]
+def measure(played: Played) -> dict[str, Any]:
+    """What one episode says about the estimate, and Habitat's measures of the way that was gone."""
+    info = played.info
     return {
-        "mae": metrics.mean_error(trace["error_deg"]),
-        "seam_crossings": int(metrics.seam_crossings(directions).sum()),
-        "coverage": metrics.credible_coverage(inside) if inside else None,
+        "mae": metrics.mean_error(played.trace["error_deg"]),
+        "seam_crossings": int(metrics.seam_crossings(played.directions).sum()),
+        "coverage": played.coverage,
+        **{key: info[key] for key in ("success", "spl", "soft_spl")},
+        "distance_to_goal": info["distance_to_goal"] if math.isfinite(info["distance_to_goal"]) else None,
+        "steps": info["num_steps"],
+        "path_m": played.walked,
+        "shortest_m": played.shortest,
+        "collisions": info["collisions"]["count"],
     }

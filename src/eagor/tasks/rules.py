@@ -110,7 +110,7 @@ class TrackingRules:
     - `gone`: in the third scenario the ball is away for this share of the episode (from, to), then elsewhere.
     - `seen`: plans are drawn until one shows the ball at this share of the steps (a ball that rolls about
       elsewhere tells nothing about any method).
-    - `lost_above`: degrees of error beyond which the target counts as lost.
+    - `lost_above`: degrees of error beyond which the target counts as lost. `visible_pixels`: as for navigation.
     """
 
     steps: int = 60

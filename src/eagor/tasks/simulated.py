@@ -6,13 +6,10 @@ The columns are those of the paper's tables where it has them; what they mean is
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 from eagor.tasks import navigation, tracking, waypoint
 from eagor.tasks.environments import MapFreeNavigationEnv, TargetTrackingEnv, WaypointFollowingEnv
 from eagor.tasks.rules import NavigationRules, TrackingRules, WaypointRules
-from eagor.tasks.task import Column, Played, Task
+from eagor.tasks.task import Column, Task
 
 COVERAGE = Column(
     "coverage", "Coverage", "%", None, "coverage", "share of steps with the truth inside the 90 % region; 90 is right",
@@ -26,39 +23,13 @@ _HOLD = (
 )
 
 
-def _waypoint(played: Played) -> dict[str, Any]:
-    return waypoint.measure(
-        played.truth, played.trace, played.directions, played.estimates, played.rotations, played.translations
-    )
-
-
-def _navigation(played: Played) -> dict[str, Any]:
-    """What the trace says, and Habitat's measures of the way that was gone."""
-    info = played.info
-    found: dict[str, Any] = navigation.measure(played.trace, played.directions)
-    found |= {key: info[key] for key in ("success", "spl", "soft_spl")}
-    return found | {
-        "distance_to_goal": info["distance_to_goal"] if math.isfinite(info["distance_to_goal"]) else None,
-        "steps": info["num_steps"],
-        "path_m": played.walked,
-        "shortest_m": played.shortest,
-        "collisions": info["collisions"]["count"],
-    }
-
-
-def _tracking(played: Played) -> dict[str, Any]:
-    return tracking.measure(
-        played.truth, played.trace, played.directions, played.estimates, played.rotations, played.rules, played.camera
-    )
-
-
 WAYPOINT = Task(
     name="waypoint",
     title="Waypoint Following",
     what="name the direction at every step of a given route of four legs",
     environment=WaypointFollowingEnv,
     rules=WaypointRules,
-    measure=_waypoint,
+    measure=waypoint.measure,
     columns=(
         Column("L1", "L1", "°", "low", "L1", "mean error on the first leg"),
         Column("L2", "L2", "°", "low", "L2", "mean error on the second leg"),
@@ -84,7 +55,7 @@ NAVIGATION = Task(
     what="start facing away from the thing, and walk along the estimate until it is reached",
     environment=MapFreeNavigationEnv,
     rules=NavigationRules,
-    measure=_navigation,
+    measure=navigation.measure,
     columns=(
         Column("sr", "SR", "%", "high", "success", "episodes that end at the target", scale=100.0, share=True),
         Column("spl", "SPL", "%", "high", "spl", "success weighted by path length", scale=100.0),
@@ -108,7 +79,7 @@ TRACKING = Task(
     what="name the direction of a ball that moves, or is away, or that the camera walks past",
     environment=TargetTrackingEnv,
     rules=TrackingRules,
-    measure=_tracking,
+    measure=tracking.measure,
     columns=(
         Column("error", "Error", "°", "low", "error", "mean direction error"),
         Column("tc", "TC", "°/step", "low", "tc", f"{_TC} (rotation and translation)", why=_CALM),

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eagor import plugins
+from eagor import metrics, plugins
 from eagor.errors import EagorError
 
 if TYPE_CHECKING:
-    from eagor.tasks.environments import PlaceEnv
+    from eagor.tasks.place_env import PlaceEnv
     from eagor.tasks.rules import Camera
 
 GROUP = "eagor.tasks"
@@ -81,6 +81,12 @@ class Played:
     info: Mapping[str, Any] = field(default_factory=dict)
     walked: float = 0.0
     shortest: float = math.inf
+
+    @property
+    def coverage(self) -> float | None:
+        """The share of steps with the truth inside the stated 90 % region; None for methods that state none."""
+        inside = [value for value in self.trace["inside"] if value is not None]
+        return metrics.credible_coverage(inside) if inside else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -13,8 +12,9 @@ from eagor.errors import WorldError
 from eagor.sphere import world_R_body
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.places import LOOK_ROWS, Place, load_place
-from eagor.tasks.routes import along, follow_path
+from eagor.tasks.routes import along, follow_path, length_of
 from eagor.tasks.rules import Camera, TrackingRules
+from eagor.tasks.task import Played
 from eagor.worlds.ball import PAINTS, Ball, with_ball
 from eagor.worlds.render import Frame
 
@@ -140,8 +140,7 @@ def _stroll(place: Place, start: np.ndarray, step: float, steps: int, rng: np.ra
     points = start[None, :2]
     while len(points) < steps:
         path = place.ground.path(points[-1], place.ground.sample(rng))
-        length = float(np.linalg.norm(np.diff(path, axis=0), axis=-1).sum())
-        points = np.concatenate([points, along(path, np.arange(step, max(length, step) + 1e-9, step))])
+        points = np.concatenate([points, along(path, np.arange(step, max(length_of(path), step) + 1e-9, step))])
     return [np.array([x, y, start[2]]) for x, y in points[:steps]]
 
 
@@ -158,34 +157,29 @@ def _walk(
     return None
 
 
-def measure(
-    truth: dict[str, list[Any]], trace: dict[str, list[Any]], directions: np.ndarray, estimates: np.ndarray,
-    rotations: np.ndarray, rules: TrackingRules, camera: Camera,
-) -> dict[str, float | None]:  # fmt: skip
+def measure(played: Played) -> dict[str, float | None]:
     """The columns of one episode, over the steps at which the ball is there.
 
     `error` (degrees), `tc` (mean angle, degrees per step, between the estimate and the one before it, carried along by
     the camera's true motion and the ball's), `time_lost` (percentage of steps with more error than the rules allow),
     `recovery` (seconds from when the ball comes back until the error is small again; all that is left if it never
-    is), `coverage`. None where there is no case. `directions` and `estimates` ``(n, 3)`` are the true and the estimated
-    ones, body frame; `rotations` ``(n - 1, 3, 3)`` the camera's true new_R_old.
+    is), `coverage`. None where there is no case.
     """
-    present = np.array(truth["present"], dtype=bool)
-    errors = np.array([math.nan if e is None else e for e in trace["error_deg"]])
-    inside = [value for value in trace["inside"] if value is not None]
-    lost = errors[present] > rules.lost_above
+    present, lost_above = np.array(played.truth["present"], dtype=bool), played.rules.lost_above
+    errors = np.array([math.nan if e is None else e for e in played.trace["error_deg"]])
+    lost = errors[present] > lost_above
     recovery = None
     returns = np.flatnonzero(present[1:] & ~present[:-1]) + 1
     if len(returns):
-        good = np.flatnonzero(errors[returns[0] :] <= rules.lost_above)
+        good = np.flatnonzero(errors[returns[0] :] <= lost_above)
         steps = int(good[0]) if len(good) else len(errors) - int(returns[0])
-        recovery = steps * camera.seconds
+        recovery = steps * played.camera.seconds
     return {
         "error": metrics.mean_error(errors[present]),
-        "tc": _consistency(directions, estimates, rotations, present),
+        "tc": _consistency(played.directions, played.estimates, played.rotations, present),
         "time_lost": 100 * float(lost.mean()),
         "recovery": recovery,
-        "coverage": metrics.credible_coverage(inside) if inside else None,
+        "coverage": played.coverage,
     }
 
 

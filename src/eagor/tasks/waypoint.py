@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from eagor.tasks.episodes import Episode, Slot, choose_target
 from eagor.tasks.places import Place, load_place
 from eagor.tasks.routes import follow_path, initial_heading
 from eagor.tasks.rules import Camera, WaypointRules
+from eagor.tasks.task import Played
 
 LEGS = ("L1", "L2", "L3", "L4")
 ATTEMPTS = 200  # to find routes at all: small rooms have few legs of four metres
@@ -176,25 +176,18 @@ def _fault(place: Place, target: int, route: _Route, camera: Camera, rules: Wayp
     return max(least - hidden, hidden - most, 0.0) + late + (0.0 if crossings else 1.0), hidden
 
 
-def measure(
-    truth: dict[str, list[Any]], trace: dict[str, list[Any]], directions: np.ndarray, estimates: np.ndarray,
-    rotations: np.ndarray, translations: np.ndarray,
-) -> dict[str, float | None]:  # fmt: skip
-    """The paper's columns for one episode: L1..L4, delta, occ, seam, tc (degrees); None where there is no case.
-
-    `directions` and `estimates` ``(n, 3)``: true and estimated, body frame; `rotations` and `translations`: the true
-    motions of the camera, as `eagor.metrics.ego_motion` gives them.
-    """
-    errors = np.array(trace["error_deg"])
+def measure(played: Played) -> dict[str, float | None]:
+    """The paper's columns for one episode: L1..L4, delta, occ, seam, tc (degrees); None where there is no case."""
+    errors, truth, estimates = np.array(played.trace["error_deg"]), played.truth, played.estimates
     legs = metrics.mae_by_segment(errors, truth["leg"], LEGS)
-    inside = [value for value in trace["inside"] if value is not None]
+    ranges = np.array(truth["range_m"])
     return {
         **{str(leg): value for leg, value in legs.items()},
         "delta": metrics.leg_delta(legs),
         "occ": metrics.occlusion_error(errors, ~np.array(truth["visible"], dtype=bool)),
-        "seam": metrics.seam_error(errors, directions),
-        "tc": metrics.temporal_consistency(estimates, rotations, translations, np.array(truth["range_m"])),
-        "tc_rotation": metrics.tc_rotation(estimates, rotations),
+        "seam": metrics.seam_error(errors, played.directions),
+        "tc": metrics.temporal_consistency(estimates, played.rotations, played.translations, ranges),
+        "tc_rotation": metrics.tc_rotation(estimates, played.rotations),
         "mae": metrics.mean_error(errors),
-        "coverage": metrics.credible_coverage(inside) if inside else None,
+        "coverage": played.coverage,
     }
