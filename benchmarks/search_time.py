@@ -109,7 +109,8 @@ def measured(options: argparse.Namespace, data: Path, out: Path) -> dict[str, An
         limit=options.episodes,
     )  # fmt: skip
     began = time.perf_counter()
-    outcome, asked = start(run, out, options.workers)
+    outcome = start(run, out, options.workers)
+    asked = outcome.done + outcome.failed + outcome.skipped
     wall = time.perf_counter() - began
     records = [record for record in ledger.read(out) if record["status"] == "ok"]
     views = sum(record["views"] for record in records)

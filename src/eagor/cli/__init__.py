@@ -8,7 +8,7 @@ Exit codes:
 - 1: the run failed, after the input had been found good (nothing could be looked at, a server did not answer, a model
   answered what cannot be read, a result could not be written, a bug).
 - 2: usage: an option, a query or an input file is not what was wanted. Nothing was computed.
-- 3: finished, but some frames could not be run; what could be is in the output.
+- 3: finished, but some frames or episodes could not be run; what could be is in the output.
 - 130: interrupted (Ctrl-C). 141: the reader of the output went away (``eagor track ... | head``).
 
 Results go to stdout (with ``--json`` exactly one object), everything else to stderr. An error is one line there; with

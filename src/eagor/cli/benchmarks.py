@@ -66,11 +66,11 @@ def run(options: BenchRun) -> int:
     terminal.log(f"{len(cases)} cases for the agent {settings['agent']}; records go to {out}")
     with terminal.progress(options.task, len(cases)) as advance:
         done = told(advance)
-        outcome, asked = benchmarks.start(
+        outcome = benchmarks.start(
             wanted, out, options.workers, options.retry_failed, done, options.engine, options.address
         )
     if outcome.skipped:
-        terminal.log(f"{outcome.skipped} of {asked} cases were already in {out}")
+        terminal.log(f"{outcome.skipped} of {len(cases)} cases were already in {out}")
     summary = scores.summarise(settings, ledger.read(out))
     return _said(summary, out, options.json)
 

@@ -167,7 +167,7 @@ def _as_json(search: Search, options: Demo, report: Path) -> dict[str, Any]:
 
 
 def _write_report(search: Search, folder: Path) -> Path:
-    from eagor.cli.report import write_report
+    from eagor.cli.demo_report import write_report
 
     try:
         return write_report(search, folder)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from eagor.belief import Belief
-from eagor.cli.locate import mode_as_json
+from eagor.cli.locate import as_angles, degrees, mode_as_json
 from eagor.cli.looking import is_input_fault, look_if_recorded, read_frame
 from eagor.cli.poses import Step
 from eagor.errors import EagorError
 from eagor.estimate import Estimate, TrackerConfig
 from eagor.evidence import Evidence
 from eagor.perception import Perception
-from eagor.sphere import azimuth_elevation
 from eagor.tasks.methods import NAMES, Method, make_method
 from eagor.tracker import DirectionTracker
 
@@ -53,9 +51,9 @@ class Result:
         entry: dict[str, Any] = {
             "frame": self.image.name,
             "stamp": self.stamp,
-            "azimuth_deg": _degrees(e.azimuth),
-            "elevation_deg": _degrees(e.elevation),
-            "credible_angle_deg": _degrees(e.credible_angle),
+            "azimuth_deg": degrees(e.azimuth),
+            "elevation_deg": degrees(e.elevation),
+            "credible_angle_deg": degrees(e.credible_angle),
             "presence": round(e.presence, 6),
             "distance_m": None if distance is None else round(distance, 4),
             "status": e.status,
@@ -125,13 +123,3 @@ def _within(evidence: Evidence, first: float, last: float) -> Evidence:
     """The evidence, captured no earlier and no later than poses are known (a replay may be off by its tolerance)."""
     stamp = evidence.stamp
     return evidence if stamp is None else replace(evidence, stamp=min(max(stamp, first), last))
-
-
-def as_angles(direction: np.ndarray) -> dict[str, float]:
-    """A direction for ``--json``."""
-    azimuth, elevation = azimuth_elevation(direction)
-    return {"azimuth_deg": _degrees(float(azimuth)), "elevation_deg": _degrees(float(elevation))}
-
-
-def _degrees(angle: float) -> float:
-    return round(math.degrees(angle), 4)

@@ -66,9 +66,9 @@ def _as_json(options: Locate, estimate: Estimate, modes: list[tuple[np.ndarray, 
     return {
         "query": options.query,
         "perception": options.perception,
-        "azimuth_deg": round(math.degrees(estimate.azimuth), 4),
-        "elevation_deg": round(math.degrees(estimate.elevation), 4),
-        "credible_angle_deg": round(math.degrees(estimate.credible_angle), 4),
+        "azimuth_deg": degrees(estimate.azimuth),
+        "elevation_deg": degrees(estimate.elevation),
+        "credible_angle_deg": degrees(estimate.credible_angle),
         "presence": round(estimate.presence, 6),
         "status": estimate.status,
         "modes": [mode_as_json(direction, weight) for direction, weight in modes],
@@ -83,12 +83,18 @@ def _sources(looks: Sequence[Evidence]) -> dict[str, Any]:
 
 def mode_as_json(direction: np.ndarray, weight: float) -> dict[str, float]:
     """One mode for ``--json``."""
+    return as_angles(direction) | {"weight": round(weight, 6)}
+
+
+def as_angles(direction: np.ndarray) -> dict[str, float]:
+    """A direction ``(3,)`` for ``--json``."""
     azimuth, elevation = azimuth_elevation(direction)
-    return {
-        "azimuth_deg": round(math.degrees(azimuth), 4),
-        "elevation_deg": round(math.degrees(elevation), 4),
-        "weight": round(weight, 6),
-    }
+    return {"azimuth_deg": degrees(float(azimuth)), "elevation_deg": degrees(float(elevation))}
+
+
+def degrees(angle: float) -> float:
+    """An angle (radians) for ``--json``."""
+    return round(math.degrees(angle), 4)
 
 
 def _print(options: Locate, estimate: Estimate, modes: list[tuple[np.ndarray, float]]) -> None:

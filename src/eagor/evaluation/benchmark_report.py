@@ -18,7 +18,7 @@ from eagor.evaluation import benchmark_sheets, export, page, scores
 from eagor.evaluation.benchmarks import read_run
 from eagor.evaluation.charts import Series, legend, line_chart
 from eagor.evaluation.curves import Curve
-from eagor.evaluation.samples import LEVEL, RESAMPLES, Record
+from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, computing_time
 from eagor.evaluation.sheets import Sheet
 from eagor.tasks.benchmark import load
 
@@ -134,11 +134,8 @@ def _facts(settings: Mapping[str, Any], summary: Mapping[str, Any], records: Seq
     pairs = [
         (key.capitalize(), _words(value)) for key, value in settings.items() if key != "kind" and value is not None
     ]
-    hours = sum(float(record.get("seconds") or 0.0) for record in records) / 3600
     pairs.append(("Cases", f"{summary['episodes']} with results, {summary['failed']} without"))
-    pairs.append(
-        ("Computing time", f"{hours:.2f} process hours" if hours >= 0.1 else f"{60 * hours:.1f} process minutes")
-    )
+    pairs.append(("Computing time", computing_time(records)))
     return [*pairs, ("Intervals", f"{100 * LEVEL:.0f} %; Wilson's, and {RESAMPLES} resamples of whole clusters")]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -178,11 +177,6 @@ def failed_lines(records: Sequence[Record], limit: int | None = None) -> list[st
             off = f", {record['error']:.0f}° off" if record.get("error") is not None else ""
             found.append(f"{record['case']}  {record['cause']}  [{tags}]  {said!r}: {given or 'no answer'}{off}")
     return found[:limit]
-
-
-def counts_of(records: Sequence[Record], key: str) -> Counter:
-    """How often each value of a record's field comes."""
-    return Counter(str(record.get(key)) for record in finished(records))
 
 
 def _figure(summary: Summary, key: str) -> Box:

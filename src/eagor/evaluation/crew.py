@@ -18,8 +18,9 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from eagor.evaluation.ledger import Ledger, StorageError, records
-from eagor.evaluation.units import Book, Unit, WorkError, attempt_unit, failure, load
+from eagor.errors import StorageError, WorkError
+from eagor.evaluation.ledger import Ledger, records
+from eagor.evaluation.units import Book, Unit, attempt_unit, failure, load
 
 THREADS = (
     "OPENBLAS_NUM_THREADS",

@@ -33,12 +33,12 @@ def table_csv(summary: dict[str, Any]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, FIELDS, lineterminator="\n")
     writer.writeheader()
-    parts = {"": summary}
+    parts, columns = {"": summary}, load(summary["task"]).columns
     for title, labels in summary["strata"].items():
         parts |= {f"{title}: {label}": part for label, part in labels.items()}
     for stratum, part in parts.items():
         for method, values in part["methods"].items():
-            for column in load(summary["task"]).columns:
+            for column in columns:
                 low, high = part["intervals"][method][column.key] or (None, None)
                 row: dict[Any, Any] = {
                     "task": summary["task"],

@@ -16,11 +16,10 @@ from eagor.evaluation import export, figures, ledger, page, scenes, sheets
 from eagor.evaluation.charts import Series, legend, look_of
 from eagor.evaluation.curves import Curve
 from eagor.evaluation.published import OURS, PAPERS, is_ablation, is_rival, ordered
-from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, finished
+from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, computing_time, finished
 from eagor.evaluation.tables import shown, summarise
+from eagor.tasks.rules import Camera
 from eagor.tasks.task import Task, load
-
-RADIUS = 0.18  # metres, of the body, where run.json does not say
 
 
 def write_report(folder: Path, open_place: scenes.OpenPlace | None = None) -> Path:
@@ -130,10 +129,7 @@ def _facts(config: dict[str, Any], records: Sequence[Record], summary: dict[str,
     pairs.append(("Methods", ", ".join(summary["methods"])))
     pairs += [(name.capitalize(), _words(value)) for name, value in config.items() if name not in shown_before]
     pairs += _looked(records)
-    hours = sum(float(record.get("seconds") or 0.0) for record in records) / 3600
-    pairs.append(
-        ("Computing time", f"{hours:.2f} process hours" if hours >= 0.1 else f"{60 * hours:.1f} process minutes")
-    )
+    pairs.append(("Computing time", computing_time(records)))
     pairs.append(
         (
             "Intervals",
@@ -198,7 +194,7 @@ def _episodes(
         from eagor.tasks.places import load_place
 
         open_place = load_place
-    radius = float(config.get("camera", {}).get("radius", RADIUS))
+    radius = float(config.get("camera", {}).get("radius", Camera().radius))
     parts = [
         page.paragraph(
             f"Chosen by the error of {OURS}" + (", after success and path length." if task.walked else "."),

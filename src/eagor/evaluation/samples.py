@@ -71,6 +71,21 @@ def finished(records: Iterable[Record]) -> list[Record]:
     return [record for record in records if record["status"] == "ok"]
 
 
+def failures(records: Iterable[Record]) -> list[dict[str, Any]]:
+    """What the records without a result say: key, attempt, error."""
+    return [
+        {"key": record["key"], "attempt": record["attempt"], "error": record.get("error", "")}
+        for record in records
+        if record["status"] != "ok"
+    ]
+
+
+def computing_time(records: Iterable[Record]) -> str:
+    """How long all units took together, in words."""
+    hours = sum(float(record.get("seconds") or 0.0) for record in records) / 3600
+    return f"{hours:.2f} process hours" if hours >= 0.1 else f"{60 * hours:.1f} process minutes"
+
+
 def method_names(records: Iterable[Record]) -> set[str]:
     """Every method that has a result."""
     return {name for record in finished(records) for name in record["methods"]}
@@ -90,7 +105,7 @@ def sample(records: Sequence[Record], method: str, column: Column) -> Sample:
         name = record["episode"]["id"]
         if name in values:
             raise EagorError(f"the episode {name!r} has two results of {method}; give each episode an id of its own")
-        values[name], groups[name] = column.scale * float(value), record["episode"].get("seed", name)
+        values[name], groups[name] = column.scale * float(value), apartment(record)
     return Sample(values, groups)
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.evaluation.samples import LEVEL, RESAMPLES, SEED, finished, mean_intervals
+from eagor.evaluation.samples import LEVEL, RESAMPLES, SEED, failures, finished, mean_intervals
 from eagor.statistics import (
     bootstrap_interval,
     calibration_error,
@@ -55,11 +55,7 @@ def summarise(settings: Mapping[str, Any], records: Sequence[Record]) -> dict[st
         found |= _by_turn(good) | _views(good) | _reliability(good)
     found["tags"] = tags(good)
     found["causes"] = dict(Counter(str(record["cause"]) for record in good if record.get("cause")).most_common())
-    found["failures"] = [
-        {"key": record["key"], "attempt": record["attempt"], "error": record.get("error", "")}
-        for record in records
-        if record["status"] != "ok"
-    ]
+    found["failures"] = failures(records)
     return found
 
 

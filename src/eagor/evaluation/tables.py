@@ -19,6 +19,7 @@ from eagor.evaluation.samples import (
     Sample,
     apartment,
     cell,
+    failures,
     finished,
     gap,
     holm,
@@ -67,11 +68,7 @@ def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any
         "reference": reference,
         "differences": _differences(samples, columns, reference),
         "strata": {title: _strata(good, columns, name) for name, title in task.strata.items()},
-        "failures": [
-            {"key": record["key"], "attempt": record["attempt"], "error": record.get("error", "")}
-            for record in records
-            if record["status"] != "ok"
-        ],
+        "failures": failures(records),
     }
 
 
