@@ -21,10 +21,10 @@ from eagor.evidence import Evidence
 from eagor.perception.calibrated import from_json
 from eagor.sphere import azimuth_elevation
 from eagor.tasks import task
-from eagor.tasks.environments import PlaceEnv
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.eyes import Eye, is_privileged, open_eye, shared
 from eagor.tasks.methods import BASE, ORACLE, Method, make_method
+from eagor.tasks.place_env import PlaceEnv
 from eagor.tasks.policy import Policy
 from eagor.tasks.rules import Camera, Disturbances, from_dict
 from eagor.tasks.task import Played
