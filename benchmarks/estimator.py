@@ -97,6 +97,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "reading": (
         *(f"{OURS}:temperature={beta}" for beta in (3, 4.5, 9)),
         *(f"{OURS}:floor={floor}" for floor in (0.03, 0.1, 0.8)),
+        *(f"{OURS}:spread={angle}" for angle in (0, 2, 6, 8)),
         FORMER,
         *READINGS,
     ),

@@ -8,6 +8,9 @@ positive where the target is likelier than not, negative (and bounded) where we 
 zero where we did not look. The logarithm is taken on the grid that the response came on; the coefficients integrate
 each cell over its solid angle. (Upsampling first and taking the logarithm later turns the skirts of isolated cells into
 large areas of evidence.)
+
+Where `Calibration.spread` says by how far a response may be off, its likelihood ratios are averaged over that angle
+before they are cut at a degree (`eagor.averaging`): else a small thing all but vanishes there.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor._arrays import Array, matched, namespace, to_numpy
+from eagor.averaging import averaged
 from eagor.coverage import Region, confine, region, taper
 from eagor.detections import MIN_SPREAD, WHOLE_SPHERE, bump, canvas_of, moments
 from eagor.errors import ResponseError, TimeError
@@ -26,6 +30,7 @@ from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import unit
 
+SPREADS = math.radians(1), math.radians(30)
 SILENT = 1e-6  # a response below this is the rounding of zero, and must not be scaled up to a detection
 _BLOCK = 1 << 16  # values at a time: adding, checking and taking the logarithm stay in the cache
 
@@ -41,6 +46,8 @@ class Calibration:
       detector that is wrong about a thing that stands there is wrong in the same direction again. Of each look at it
       the share 1 - persistence adds up; the rest counts only while it is the newest (what is new in a series of looks
       whose errors follow an autoregression of first order).
+    - `spread`: radians (standard deviation per axis) by which a response may lie beside what it means: the evidence
+      about a direction is then the mean likelihood ratio around it. 0: every cell is taken at its word.
     - `scale_to_max`: divide each response by its own maximum first. Only the published profile does so: it turns
       "nothing here" into a detection.
     """
@@ -49,15 +56,18 @@ class Calibration:
     neutral: float = 0.05
     temperature: float = 3.0
     persistence: float = 0.0
+    spread: float = 0.0
     scale_to_max: bool = False
 
     def __post_init__(self) -> None:
         fits = 0 < self.floor <= 1 and 0 <= self.neutral <= 1 and 0 < self.temperature < math.inf
+        fits = fits and (self.spread == 0 or SPREADS[0] <= self.spread <= SPREADS[1])
         if not (fits and 0 <= self.persistence < 1):
             raise ResponseError(
                 f"Calibration(floor={self.floor!r}, neutral={self.neutral!r}, temperature={self.temperature!r}, "
-                f"persistence={self.persistence!r}): wanted 0 < floor <= 1, 0 <= neutral <= 1, temperature > 0 and "
-                "0 <= persistence < 1"
+                f"persistence={self.persistence!r}, spread={self.spread!r}): wanted 0 < floor <= 1, 0 <= neutral <= 1, "
+                f"temperature > 0, 0 <= persistence < 1, and spread 0 or from {SPREADS[0]:.4f} to {SPREADS[1]:.4f} "
+                "radians (1 to 30 degrees)"
             )
 
     @classmethod
@@ -74,6 +84,11 @@ class Calibration:
     def empty(self) -> float:
         """r where we looked and saw nothing: the lowest value there is."""
         return self.temperature * math.log(self.floor / (self.neutral + self.floor))
+
+    @property
+    def full(self) -> float:
+        """r of a response of 1: the highest value there is."""
+        return self.temperature * math.log((1 + self.floor) / (self.neutral + self.floor))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -211,15 +226,20 @@ class Evidence:
 
     def coefficients(self, degree: int) -> Array:
         """The evidence in spherical harmonics ``(..., (degree + 1)^2)``, body frame at the time of capture."""
-        basis = RealHarmonics(degree)
-        if self.seen is None:
-            return basis.analyse(self.log_ratio, self.grid)
-        tapered = self.log_ratio * taper(degree, self.seen, self.log_ratio)
-        if not isinstance(self.grid, PerspectiveGrid | FisheyeGrid):
-            return confine(degree, basis.analyse(tapered, self.grid), self.seen)
-        # The plan that keeps evidence inside a view belongs to its lens: confine there, then turn.
-        ahead = basis.analyse(tapered, replace(self.grid, body_R_view=np.eye(3)))
-        return basis.rotate(confine(degree, ahead, self.seen), np.asarray(self.grid.body_R_view))
+        basis, grid, values = RealHarmonics(degree), self.grid, self.log_ratio
+        # What is planned for a view belongs to its lens: look ahead, and turn at the end.
+        turn = np.asarray(grid.body_R_view) if isinstance(grid, PerspectiveGrid | FisheyeGrid) else None
+        if turn is not None:
+            grid = replace(grid, body_R_view=np.eye(3))
+        if self.seen is not None:
+            values = values * taper(degree, self.seen, values)
+        if self.calibration.spread > 0:
+            least, most = min(self.calibration.empty, 0.0), max(self.calibration.full, 0.0)
+            values, grid = averaged(values, grid, self.calibration.spread, least, most)
+        found = basis.analyse(values, grid)
+        if self.seen is not None:
+            found = confine(degree, found, self.seen)
+        return found if turn is None else basis.rotate(found, turn)
 
     @property
     def response(self) -> Array:

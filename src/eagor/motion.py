@@ -30,7 +30,7 @@ from eagor.ranged import RangedBelief
 ANYWHERE = 2e-2  # per second: the share of a wanderer's density that is spread evenly: it may have been carried off
 SETTLE = 10.0  # seconds: how soon what is known of the place where it stood fades, once it surely is elsewhere
 SAME = math.radians(20)  # peaks nearer than this are of the same thing: near things move by parallax
-DOUBT = 0.03  # neither case is ever less likely: things get moved, and looks share their mistakes
+DOUBT = 0.01  # neither case is ever less likely: things get moved, and looks share their mistakes
 _UNIFORM = 1 / math.sqrt(4 * math.pi)  # the coefficient of degree 0 of a density
 _SURE = 30.0  # nats: odds beyond are as good as certain
 

@@ -107,7 +107,7 @@ def test_what_is_written_is_read_again(tmp_path):
     assert (config.degree, config.keep_per_second, config.calibration) == (7, 0.95, made.calibration)
 
 
-READING = {"floor": 0.1, "neutral": 0.1, "temperature": 1, "persistence": 0.5}
+READING = {"floor": 0.1, "neutral": 0.1, "temperature": 1, "persistence": 0.5, "spread": 0.1}
 GOOD = {"perception": "scout", "calibration": READING, "forgetting": {}}
 
 

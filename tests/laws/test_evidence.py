@@ -1,6 +1,7 @@
 """What one look may and may not say."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 from strategies import random_directions, rotations
 
 from eagor import coverage
+from eagor.averaging import averaged
 from eagor.belief import Belief
 from eagor.errors import EagorError, ResponseError, TimeError
 from eagor.evidence import Calibration, Evidence
@@ -316,3 +318,90 @@ def test_tables_of_another_shape_are_refused():
     with pytest.raises(ResponseError, match="threshold"):
         Evidence.from_mask(np.full(view.shape, 0.1), view)
     assert Evidence.from_mask(np.ones(view.shape), view).response.min() == pytest.approx(1.0, abs=1e-5)
+
+
+SPREAD = math.radians(4)
+FINE = PatchGrid(40, 80)
+
+
+def test_a_small_thing_keeps_its_height_where_ratios_are_averaged_and_loses_it_where_logarithms_are():
+    """One cell of 4.5 degrees, seen for sure, against a weak response that is wide: truncation turns them around."""
+    sharp = Calibration(floor=0.1, temperature=2.0)
+    response = np.zeros(FINE.shape)
+    response[20, 10] = 0.9
+    response[17:24, 57:64] = 0.2
+    small, wide = FINE.directions[20, 10], FINE.directions[20, 60]
+    high = sharp.log_ratio(np.array(0.9))
+    for spread, found, least, most in ((0.0, wide, -1.0, 0.0), (SPREAD, small, 0.4, 1.0)):
+        evidence = Evidence.from_response(response, FINE, replace(sharp, spread=spread))
+        at = RealHarmonics(15).synthesise(evidence.coefficients(15), small)
+        assert least * high < at < most * high
+        assert math.degrees(angular_distance(brightest(evidence), found)) < 4.5
+
+
+@given(st.floats(0.02, 1), st.floats(0.5, 8), st.floats(1.5, 12), st.integers(0, 3))
+@settings(max_examples=20, deadline=None)
+def test_averaging_conserves_the_mean_ratio_and_stays_within_the_ratios(floor, temperature, degrees, seed):
+    """A kernel moves likelihood ratios about; it makes none."""
+    response = np.random.default_rng(seed).random(PATCHES.shape) ** 8
+    calibration = Calibration(floor, 0.05, temperature)
+    log_ratio = calibration.log_ratio(response)
+    values, grid = averaged(log_ratio, PATCHES, math.radians(degrees), calibration.empty, calibration.full)
+    before, after = ((np.exp(v) * g.weights).sum() for v, g in ((log_ratio, PATCHES), (values, grid)))
+    assert after == pytest.approx(before, rel=0.02)
+    assert values.min() >= log_ratio.min() - 0.06
+    assert values.max() <= log_ratio.max() + 0.06
+
+
+def test_averaging_leaves_what_says_the_same_everywhere():
+    evidence = Evidence.from_response(np.full(FINE.shape, 0.3), FINE, Calibration(spread=SPREAD))
+    assert np.allclose(field(evidence), Calibration().log_ratio(np.array(0.3)), atol=1e-6)
+
+
+def test_averaging_is_the_integral_of_its_formula():
+    """Against direct summation over a fine grid, with the heat kernel near a Gaussian."""
+    calibration = Calibration(floor=0.3, temperature=3.0, spread=math.radians(6))
+    fine = PatchGrid(120, 240)
+    response = np.zeros(FINE.shape)
+    response[14:17, 30:33], response[25, 70] = 0.7, 1.0
+    values, grid = averaged(
+        calibration.log_ratio(response), FINE, calibration.spread, calibration.empty, calibration.full
+    )
+    ratio = np.exp(calibration.log_ratio(np.repeat(np.repeat(response, 3, 0), 3, 1)))
+    for row in range(5, grid.height - 5, 9):
+        for column in range(0, grid.width, 13):
+            angle = angular_distance(fine.directions, grid.directions[row, column])
+            kernel = np.exp(-0.5 * (angle / calibration.spread) ** 2) * fine.weights
+            direct = math.log((kernel * ratio).sum() / kernel.sum())
+            assert values[row, column] == pytest.approx(direct, abs=0.05)
+
+
+@given(rotations())
+@settings(max_examples=5, deadline=None)
+def test_an_averaged_view_turns_with_the_view_and_says_nothing_beyond_it(R):
+    response = np.zeros((12, 16))
+    response[6, 8] = 0.9
+    calibration = Calibration(spread=math.radians(6))
+    ahead = Evidence.from_response(response, PerspectiveGrid(12, 16, 1.6), calibration)
+    turned = Evidence.from_response(response, PerspectiveGrid(12, 16, 1.6, R), calibration)
+    found = ahead.coefficients(7)
+    assert np.allclose(turned.coefficients(7), RealHarmonics(7).rotate(found, R), atol=1e-10)
+    behind = RealHarmonics(7).synthesise(found, -ErpGrid(20, 40).directions[10, 18:22])
+    assert np.abs(behind).max() < 0.02
+
+
+@pytest.mark.parametrize("spread", [-0.1, 0.01, 0.6, math.nan])
+def test_a_spread_that_is_none_is_refused(spread):
+    with pytest.raises(ResponseError, match="1 to 30 degrees"):
+        Calibration(spread=spread)
+
+
+def test_averaging_takes_batches_and_tensors_alike():
+    torch = pytest.importorskip("torch")
+    response = np.random.default_rng(3).random((2, *PATCHES.shape))
+    calibration = Calibration(spread=math.radians(5))
+    both = Evidence.from_response(response, PATCHES, calibration).coefficients(9)
+    for one, expected in zip(response, both, strict=True):
+        assert np.allclose(Evidence.from_response(one, PATCHES, calibration).coefficients(9), expected, atol=1e-12)
+    tensors = Evidence.from_response(torch.tensor(response), PATCHES, calibration).coefficients(9)
+    assert np.allclose(tensors.numpy(), both, atol=1e-12)

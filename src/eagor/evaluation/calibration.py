@@ -41,15 +41,21 @@ SMALLEST = 1e-9  # a probability of presence below it counts as this
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of the fit: drawn evenly in the logarithm between `low` and `high`; `flipped`: of 1 minus it."""
+    """One number of the fit: drawn evenly in the logarithm between `low` and `high`; `flipped`: of 1 minus it.
+
+    `or_none`: at its lowest place it is 0, which has no logarithm.
+    """
 
     name: str
     low: float
     high: float
     flipped: bool = False
+    or_none: bool = False
 
     def value(self, place: float) -> float:
         """The number at `place` in [0, 1]."""
+        if self.or_none and place <= 0:
+            return 0.0
         found = math.exp(math.log(self.low) + min(max(place, 0.0), 1.0) * math.log(self.high / self.low))
         return max(1 - found, 0.0) if self.flipped else found
 
@@ -69,6 +75,7 @@ PARAMETERS = (
     Parameter("surest", 4.0, 60.0),
     Parameter("settle", 0.2, 100.0),
     Parameter("persistence", 0.05, 1.0, flipped=True),
+    Parameter("spread", math.radians(2), math.radians(12), or_none=True),
 )
 
 

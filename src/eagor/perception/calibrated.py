@@ -14,7 +14,7 @@ from eagor.errors import EagorError
 from eagor.estimate import TrackerConfig
 from eagor.evidence import Calibration
 
-READING = ("floor", "neutral", "temperature", "persistence")  # fields of `Calibration`
+READING = ("floor", "neutral", "temperature", "persistence", "spread")  # fields of `Calibration`
 FORGETTING = ("keep_per_second", "wander", "restless", "surest", "settle")  # fields of `TrackerConfig`, SI, nats
 
 
@@ -47,7 +47,8 @@ class Calibrated:
 
 def calibration_of(values: Mapping[str, float]) -> Calibration:
     """The calibration with these numbers. Raises `KeyError` if one of `READING` is missing."""
-    return Calibration(values["floor"], values["neutral"], values["temperature"], values["persistence"])
+    floor, neutral, temperature, persistence, spread = (values[name] for name in READING)
+    return Calibration(floor, neutral, temperature, persistence, spread)
 
 
 def from_json(stored: Any, source: str) -> Calibrated:

@@ -226,7 +226,7 @@ def _settings(name: str, text: str) -> dict[str, str]:
 
 
 _READING = ("floor", "neutral", "temperature")
-_REPEATING = (*_READING, "persistence")
+_REPEATING = (*_READING, "persistence", "spread")
 _OURS = (
     "degree",
     "decode",
@@ -242,7 +242,7 @@ _OURS = (
     "surest",
     "switch",
 )
-_ANGLES = ("noise", "diffusion", "roughening", "kernel")  # typed in degrees
+_ANGLES = ("noise", "diffusion", "roughening", "kernel", "wander", "spread")  # typed in degrees
 SETTINGS: dict[str, tuple[str, ...]] = {
     "plain": (),
     "centroid": (),
@@ -263,12 +263,13 @@ def tracker_config(
 
     degree, decode, keep (per second), shells (0: directions only), heights (0: it is not known where the floor is),
     diffusion and wander (degrees per root second), restless (changes per second), doubt (a probability), settle
-    (seconds), surest and switch (nats), and floor, neutral, temperature and persistence, which change `calibration`
-    where the config has none of its own.
+    (seconds), surest and switch (nats), and floor, neutral, temperature, persistence and spread (degrees), which change
+    `calibration` where the config has none of its own.
     """
     if unknown := [key for key in settings if key not in _OURS]:
         raise KeyError(unknown[0])
     numbers = {key: float(value) for key, value in settings.items() if key != "decode"}
+    numbers |= {key: math.radians(value) for key, value in numbers.items() if key in _ANGLES}
     if settings.get("decode", "mode") not in ("mode", "mean"):
         raise EagorError(f"decode = {settings['decode']!r}; wanted mode or mean")
     changes: dict[str, Any] = {}
@@ -278,7 +279,7 @@ def tracker_config(
         changes["decode"] = settings["decode"]
     if "keep" in numbers:
         changes["keep_per_second"] = numbers["keep"]
-    changes |= {key: math.radians(numbers[key]) for key in ("diffusion", "wander") if key in numbers}
+    changes |= {key: numbers[key] for key in ("diffusion", "wander") if key in numbers}
     changes |= {key: numbers[key] for key in ("restless", "doubt", "settle", "surest") if key in numbers}
     if "switch" in numbers:
         changes["switch_at"] = numbers["switch"]
