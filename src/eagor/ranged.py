@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._arrays import Array, as_float, matched, namespace, to_numpy
+from eagor._arrays import Array, akin, as_float, matched, namespace, to_numpy
 from eagor.belief import Belief, Reading
 from eagor.errors import EagorError, PoseError
 from eagor.evidence import Evidence
@@ -130,17 +130,23 @@ class RangedBelief(Reading):
         return replace(self, shells=xp.reshape(xp.stack(moved), shells.shape), prior=prior)
 
     def update(self, evidence: Evidence | Sequence[Evidence]) -> RangedBelief:
-        """With one more look added: the same for all shells, or one `Evidence` per shell if it tells ranges apart."""
+        """With one more look added: the same for all shells, or one `Evidence` per shell if it tells ranges apart.
+
+        Evidence of another kind of array, or on another device, is brought to the belief's, as by `Belief.update`.
+        """
         if isinstance(evidence, Evidence):
             return self.plus(evidence.coefficients(self.degree)[..., None, :])
         if len(evidence) != len(self.ranges):
             raise EagorError(f"got evidence for {len(evidence)} shells; wanted one, or {len(self.ranges)}")
-        added = [look.coefficients(self.degree) for look in evidence]
+        added = [akin(look.coefficients(self.degree), self.shells) for look in evidence]
         return self.plus(namespace(self.shells).stack(added, axis=-2))
 
     def plus(self, log_ratios: Array) -> RangedBelief:
-        """With log ratios added, as coefficients: ``(size,)`` for all ranges alike, or ``(..., K, size)``."""
-        return replace(self, shells=self.shells + log_ratios)
+        """With log ratios added, as coefficients: ``(size,)`` for all ranges alike, or ``(..., K, size)``.
+
+        They are brought to this belief's kind of array.
+        """
+        return replace(self, shells=self.shells + akin(log_ratios, self.shells))
 
     @property
     def agreed(self) -> Array:
