@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 
 from eagor._arrays import to_numpy
+from eagor._checks import require
 from eagor.belief import Belief
-from eagor.errors import EagorError
 from eagor.evidence import Calibration
 from eagor.harmonics import RealHarmonics
 from eagor.motion import DOUBT, SAME, SETTLE, StillOrMoving, standing
@@ -77,7 +77,7 @@ class TrackerConfig:
 
     def __post_init__(self) -> None:
         RealHarmonics(self.degree)  # complains about what is no degree
-        for name, (fits, wanted) in {
+        fields = {
             "decode": (self.decode in ("mode", "mean"), "mode or mean"),
             "keep_per_second": (0 < self.keep_per_second <= 1, "a share above 0 and up to 1"),
             "diffusion": (0 <= self.diffusion < math.pi, "radians per root second, from 0 to pi"),
@@ -92,9 +92,8 @@ class TrackerConfig:
             "switch_at": (self.switch_at >= 0, "nats from 0 on"),
             "present_at": (0 <= self.present_at <= 1, "a probability"),
             "ambiguous_below": (0 <= self.ambiguous_below <= 1, "a share of the belief"),
-        }.items():
-            if not fits:
-                raise EagorError(f"TrackerConfig: {name} = {getattr(self, name)!r}; wanted {wanted}")
+        }
+        require(self, fields)
 
     @classmethod
     def paper(cls) -> TrackerConfig:

@@ -442,6 +442,14 @@ def test_a_bench_run_goes_on_where_it_stopped_and_is_reported(tmp_path):
     assert (tmp_path / "run" / "tables.csv").is_file()
 
 
+def test_rules_without_sense_are_refused_before_anything_is_played(tmp_path):
+    words = ("bench", "run", "tracking", "--perception", "truth", "--out", tmp_path / "run")
+    assert "TrackingRules: steps = 0; wanted a whole number" in refused(*words, "--set", "steps=0")
+    assert "Camera: step = nan; wanted metres above 0" in refused(*words, "--set", "seen=0.5", "step=nan")
+    assert "Disturbances: latency = -1" in refused(*words, "--latency", "-1")
+    assert not (tmp_path / "run").exists()
+
+
 def test_a_calibration_is_fitted_written_and_taken(room, tmp_path):
     out = tmp_path / "made" / "truth.json"
     words = ("calibrate", "--perception", "truth", "--episodes", "8", "--trials", "2", "--out", out)
