@@ -17,7 +17,7 @@ from eagor.evidence import Calibration
 from eagor.harmonics import RealHarmonics
 from eagor.motion import DOUBT, SAME, SETTLE, StillOrMoving, standing
 from eagor.posterior import MIN_WEIGHT, PROMINENCE, RIVAL
-from eagor.ranged import RangedBelief, log_ranges
+from eagor.ranged import RangedBelief, log_ranges, mean_range, range_spread
 from eagor.sphere import azimuth_elevation
 
 Status = Literal["searching", "tracking", "ambiguous", "stale"]
@@ -183,17 +183,24 @@ class Estimate:
         """Probability that the target is around at all."""
         return self.reading.presence()
 
-    @cached_property
+    @property
     def distance(self) -> float | None:
         """Metres, of what stands where the answer points; None where positions are unknown."""
-        still = standing(self.reading)
-        return still.distance(self._answer) if isinstance(still, RangedBelief) else None
+        return None if self._range is None else self._range[0]
 
-    @cached_property
+    @property
     def distance_spread(self) -> float | None:
         """Standard deviation of the logarithm of the distance; None where positions are unknown."""
+        return None if self._range is None else self._range[1]
+
+    @cached_property
+    def _range(self) -> tuple[float, float] | None:
+        """Distance and its spread: both are read from the same probabilities of the ranges, which take their time."""
         still = standing(self.reading)
-        return still.distance_spread(self._answer) if isinstance(still, RangedBelief) else None
+        if not isinstance(still, RangedBelief):
+            return None
+        probabilities = still.range_probabilities(self._answer)
+        return float(mean_range(probabilities, still.ranges)), float(range_spread(probabilities, still.ranges))
 
     @property
     def moving(self) -> float | None:

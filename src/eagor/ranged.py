@@ -208,7 +208,7 @@ class RangedBelief(Reading):
 
     def distance(self, about: np.ndarray | None = None) -> Any:
         """Posterior mean of the range ``(...)``, metres; `about` as for `range_probabilities`."""
-        found = self.range_probabilities(about) @ self.ranges
+        found = mean_range(self.range_probabilities(about), self.ranges)
         return found if self.batch_shape else float(found)
 
     def distance_spread(self, about: np.ndarray | None = None) -> Any:
@@ -216,9 +216,7 @@ class RangedBelief(Reading):
 
         About 0.9 while nothing is known, 0.1 when the distance is known to 10 %. `about` as for `range_probabilities`.
         """
-        probability, log_range = self.range_probabilities(about), np.log(self.ranges)
-        mean = probability @ log_range
-        found = np.sqrt(np.maximum(probability @ log_range**2 - mean**2, 0.0))
+        found = range_spread(self.range_probabilities(about), self.ranges)
         return found if self.batch_shape else float(found)
 
     @property
@@ -238,6 +236,18 @@ class RangedBelief(Reading):
     def _field(self, index: tuple[int, ...]) -> Field:
         shells, basis, shares = to_numpy(self._believed)[index].astype(np.float64), self.basis, self._shares
         return lambda where: _marginal(basis, shares, shells, where)
+
+
+def mean_range(probabilities: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+    """The mean ``(...)``, metres, of ranges ``(K,)`` with these probabilities ``(..., K)``."""
+    return probabilities @ ranges
+
+
+def range_spread(probabilities: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+    """The standard deviation ``(...)`` of the logarithm of ranges ``(K,)`` with these probabilities ``(..., K)``."""
+    log_range = np.log(ranges)
+    mean = probabilities @ log_range
+    return np.sqrt(np.maximum(probabilities @ log_range**2 - mean**2, 0.0))
 
 
 def height_prior(
