@@ -12,7 +12,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace, device
+from array_api_compat import array_namespace, device, to_device
 
 # Arrays are whatever the caller brought: ndarray, torch.Tensor, ... The array API has no common base class.
 Array = Any
@@ -45,12 +45,27 @@ def alike(a: Array, b: Array) -> tuple[Array, Array]:
     return (matched(a, b), b) if isinstance(a, np.ndarray) else (a, matched(b, a))
 
 
+def akin(values: Array, reference: Array) -> Array:
+    """`values` as an array of the kind of `reference`, on its device: for what is added to something that lasts.
+
+    What is of that kind already keeps its precision; floats of another kind take that of `reference`.
+    """
+    if isinstance(values, np.ndarray) and isinstance(reference, np.ndarray):
+        return values
+    if hasattr(values, "shape") and namespace(values) is namespace(reference) is not np:
+        place = device(reference)
+        return values if device(values) == place else to_device(values, place)
+    return matched(to_numpy(values), reference)
+
+
 def to_numpy(values: Array) -> np.ndarray:
     """`values` as an ndarray on the host (a copy where it lives elsewhere)."""
     if isinstance(values, np.ndarray):
         return values
     if hasattr(values, "detach"):  # torch, without importing it
         values = values.detach().cpu()
+        if str(values.dtype) == "torch.bfloat16":  # NumPy has no such numbers
+            values = values.float()
     return np.asarray(values)
 
 

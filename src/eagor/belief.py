@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._arrays import Array, as_float, constant, namespace, to_numpy
+from eagor._arrays import Array, akin, as_float, constant, namespace, to_numpy
 from eagor.diffusion import diffuse
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
@@ -162,7 +162,8 @@ def _checked_mass(mass: float) -> float:
 class Belief(Reading):
     """A belief over directions: `coefficients` ``(..., (degree + 1)^2)`` of the log-posterior in the body frame.
 
-    Leading dimensions are a batch (several targets, particles, episodes). NumPy or torch, kept as it came.
+    Leading dimensions are a batch (several targets, particles, episodes). NumPy or torch, kept as it came: what is
+    added in another kind, or from another device, is brought to the belief's.
     """
 
     coefficients: Array
@@ -211,8 +212,8 @@ class Belief(Reading):
         return self.coefficients
 
     def plus(self, log_ratios: Array) -> Belief:
-        """With log ratios ``(..., size)`` added, as coefficients."""
-        return replace(self, coefficients=self.coefficients + log_ratios)
+        """With log ratios ``(..., size)`` added, as coefficients, brought to this belief's kind of array."""
+        return replace(self, coefficients=self.coefficients + akin(log_ratios, self.coefficients))
 
     def predict(self, new_R_old: Array) -> Belief:
         """After the body has turned: ``new_R_old @ direction_old = direction_new``, ``(..., 3, 3)``, exact."""
@@ -220,11 +221,16 @@ class Belief(Reading):
         return Belief(rotated)
 
     def update(self, evidence: Evidence, new_R_capture: Array | None = None) -> Belief:
-        """With one more look added. For evidence from an earlier orientation give `new_R_capture` (to now)."""
+        """With one more look added. For evidence from an earlier orientation give `new_R_capture` (to now).
+
+        Evidence of another kind of array, or on another device, is brought to the belief's: a NumPy belief stays one
+        with evidence of tensors, and a belief of tensors stays where it is (no gradient goes through a change of kind;
+        ``Belief.uniform(degree, like=tensor)`` makes a belief of tensors).
+        """
         found = evidence.coefficients(self.degree)
         if new_R_capture is not None:
             found = rotation.rotate(self.degree, found, check_rotation(new_R_capture, "new_R_capture"))
-        return Belief(self.coefficients + found)
+        return self.plus(found)
 
     def forget(self, factor: float) -> Belief:
         """With all log-odds scaled by `factor` in [0, 1]: what was learnt long ago counts for less."""

@@ -11,13 +11,13 @@ from typing import Literal
 import numpy as np
 
 from eagor._arrays import to_numpy
+from eagor._checks import require
 from eagor.belief import Belief
-from eagor.errors import EagorError
 from eagor.evidence import Calibration
 from eagor.harmonics import RealHarmonics
 from eagor.motion import DOUBT, SAME, SETTLE, StillOrMoving, standing
 from eagor.posterior import MIN_WEIGHT, PROMINENCE, RIVAL
-from eagor.ranged import RangedBelief, log_ranges
+from eagor.ranged import RangedBelief, log_ranges, mean_range, range_spread
 from eagor.sphere import azimuth_elevation
 
 Status = Literal["searching", "tracking", "ambiguous", "stale"]
@@ -77,7 +77,7 @@ class TrackerConfig:
 
     def __post_init__(self) -> None:
         RealHarmonics(self.degree)  # complains about what is no degree
-        for name, (fits, wanted) in {
+        fields = {
             "decode": (self.decode in ("mode", "mean"), "mode or mean"),
             "keep_per_second": (0 < self.keep_per_second <= 1, "a share above 0 and up to 1"),
             "diffusion": (0 <= self.diffusion < math.pi, "radians per root second, from 0 to pi"),
@@ -92,9 +92,8 @@ class TrackerConfig:
             "switch_at": (self.switch_at >= 0, "nats from 0 on"),
             "present_at": (0 <= self.present_at <= 1, "a probability"),
             "ambiguous_below": (0 <= self.ambiguous_below <= 1, "a share of the belief"),
-        }.items():
-            if not fits:
-                raise EagorError(f"TrackerConfig: {name} = {getattr(self, name)!r}; wanted {wanted}")
+        }
+        require(self, fields)
 
     @classmethod
     def paper(cls) -> TrackerConfig:
@@ -184,17 +183,24 @@ class Estimate:
         """Probability that the target is around at all."""
         return self.reading.presence()
 
-    @cached_property
+    @property
     def distance(self) -> float | None:
         """Metres, of what stands where the answer points; None where positions are unknown."""
-        still = standing(self.reading)
-        return still.distance(self._answer) if isinstance(still, RangedBelief) else None
+        return None if self._range is None else self._range[0]
 
-    @cached_property
+    @property
     def distance_spread(self) -> float | None:
         """Standard deviation of the logarithm of the distance; None where positions are unknown."""
+        return None if self._range is None else self._range[1]
+
+    @cached_property
+    def _range(self) -> tuple[float, float] | None:
+        """Distance and its spread: both are read from the same probabilities of the ranges, which take their time."""
         still = standing(self.reading)
-        return still.distance_spread(self._answer) if isinstance(still, RangedBelief) else None
+        if not isinstance(still, RangedBelief):
+            return None
+        probabilities = still.range_probabilities(self._answer)
+        return float(mean_range(probabilities, still.ranges)), float(range_spread(probabilities, still.ranges))
 
     @property
     def moving(self) -> float | None:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._arrays import Array, as_float, matched, namespace, to_numpy
+from eagor._arrays import Array, akin, as_float, matched, namespace, to_numpy
 from eagor.belief import Belief, Reading
 from eagor.errors import EagorError, PoseError
 from eagor.evidence import Evidence
@@ -130,17 +130,23 @@ class RangedBelief(Reading):
         return replace(self, shells=xp.reshape(xp.stack(moved), shells.shape), prior=prior)
 
     def update(self, evidence: Evidence | Sequence[Evidence]) -> RangedBelief:
-        """With one more look added: the same for all shells, or one `Evidence` per shell if it tells ranges apart."""
+        """With one more look added: the same for all shells, or one `Evidence` per shell if it tells ranges apart.
+
+        Evidence of another kind of array, or on another device, is brought to the belief's, as by `Belief.update`.
+        """
         if isinstance(evidence, Evidence):
             return self.plus(evidence.coefficients(self.degree)[..., None, :])
         if len(evidence) != len(self.ranges):
             raise EagorError(f"got evidence for {len(evidence)} shells; wanted one, or {len(self.ranges)}")
-        added = [look.coefficients(self.degree) for look in evidence]
+        added = [akin(look.coefficients(self.degree), self.shells) for look in evidence]
         return self.plus(namespace(self.shells).stack(added, axis=-2))
 
     def plus(self, log_ratios: Array) -> RangedBelief:
-        """With log ratios added, as coefficients: ``(size,)`` for all ranges alike, or ``(..., K, size)``."""
-        return replace(self, shells=self.shells + log_ratios)
+        """With log ratios added, as coefficients: ``(size,)`` for all ranges alike, or ``(..., K, size)``.
+
+        They are brought to this belief's kind of array.
+        """
+        return replace(self, shells=self.shells + akin(log_ratios, self.shells))
 
     @property
     def agreed(self) -> Array:
@@ -202,7 +208,7 @@ class RangedBelief(Reading):
 
     def distance(self, about: np.ndarray | None = None) -> Any:
         """Posterior mean of the range ``(...)``, metres; `about` as for `range_probabilities`."""
-        found = self.range_probabilities(about) @ self.ranges
+        found = mean_range(self.range_probabilities(about), self.ranges)
         return found if self.batch_shape else float(found)
 
     def distance_spread(self, about: np.ndarray | None = None) -> Any:
@@ -210,9 +216,7 @@ class RangedBelief(Reading):
 
         About 0.9 while nothing is known, 0.1 when the distance is known to 10 %. `about` as for `range_probabilities`.
         """
-        probability, log_range = self.range_probabilities(about), np.log(self.ranges)
-        mean = probability @ log_range
-        found = np.sqrt(np.maximum(probability @ log_range**2 - mean**2, 0.0))
+        found = range_spread(self.range_probabilities(about), self.ranges)
         return found if self.batch_shape else float(found)
 
     @property
@@ -232,6 +236,18 @@ class RangedBelief(Reading):
     def _field(self, index: tuple[int, ...]) -> Field:
         shells, basis, shares = to_numpy(self._believed)[index].astype(np.float64), self.basis, self._shares
         return lambda where: _marginal(basis, shares, shells, where)
+
+
+def mean_range(probabilities: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+    """The mean ``(...)``, metres, of ranges ``(K,)`` with these probabilities ``(..., K)``."""
+    return probabilities @ ranges
+
+
+def range_spread(probabilities: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+    """The standard deviation ``(...)`` of the logarithm of ranges ``(K,)`` with these probabilities ``(..., K)``."""
+    log_range = np.log(ranges)
+    mean = probabilities @ log_range
+    return np.sqrt(np.maximum(probabilities @ log_range**2 - mean**2, 0.0))
 
 
 def height_prior(

@@ -19,7 +19,15 @@ from eagor.sphere import angular_distance
 from eagor.tasks import environments, navigation, place_env, places, tracking, waypoint
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.play import Player
-from eagor.tasks.rules import Camera, Disturbances, NavigationRules, WaypointRules, as_dict, from_dict
+from eagor.tasks.rules import (
+    Camera,
+    Disturbances,
+    NavigationRules,
+    TrackingRules,
+    WaypointRules,
+    as_dict,
+    from_dict,
+)
 from eagor.worlds.ground import Ground
 from eagor.worlds.render import Renderer
 
@@ -253,6 +261,71 @@ def test_the_oracle_walks_straight_and_errs_nowhere():
     record = Player(config | {"rows": 32}).play(Slot("navigation", "apartment", 2, 0, 0), ["oracle"])
     assert record["methods"]["oracle"]["metrics"]["mae"] == pytest.approx(0.0, abs=1e-6)
     assert record["methods"]["oracle"]["metrics"]["success"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "rules", "says"),
+    [
+        (Camera, {"height": math.nan}, "Camera: height = nan; wanted metres above 0"),
+        (Camera, {"radius": -0.1}, "radius = -0.1; wanted metres from 0 on"),
+        (Camera, {"step": 0.0}, "step = 0.0; wanted metres above 0"),
+        (Camera, {"turn": 0}, "turn = 0; wanted degrees"),
+        (Camera, {"seconds": math.inf}, "seconds = inf; wanted seconds above 0"),
+        (Disturbances, {"sway": -2.0}, "Disturbances: sway = -2.0; wanted degrees from 0 on"),
+        (Disturbances, {"bob": math.nan}, "bob = nan"),
+        (Disturbances, {"latency": 0.5}, "latency = 0.5; wanted a whole number of steps"),
+        (
+            NavigationRules,
+            {"max_steps": 0},
+            "NavigationRules: max_steps = 0; wanted a whole number of steps, from 1 on",
+        ),
+        (NavigationRules, {"success_distance": -1.0}, "success_distance = -1.0; wanted metres above 0"),
+        (NavigationRules, {"stop": "halt"}, "stop = 'halt'; wanted reach or call"),
+        (NavigationRules, {"sliding": "no"}, "sliding = 'no'; wanted true or false"),
+        (NavigationRules, {"nearest": 9.0}, "farthest = 8.0; wanted no less than nearest = 9.0"),
+        (NavigationRules, {"ratio": 0.5}, "ratio = 0.5; wanted a number from 1 on"),
+        (NavigationRules, {"facing_away": 200.0}, "facing_away = 200.0; wanted degrees from 0 to 180"),
+        (NavigationRules, {"visible_pixels": -1}, "visible_pixels = -1; wanted a whole number of pixels"),
+        (WaypointRules, {"leg_steps": True}, "WaypointRules: leg_steps = True; wanted a whole number"),
+        (WaypointRules, {"turns": ((0.0, 45.0),) * 3}, "turns = .*; wanted 4 pairs"),
+        (WaypointRules, {"turns": ((0.0, 45.0),) * 3 + ((90.0, 45.0),)}, "wanted 4 pairs .* second not below"),
+        (WaypointRules, {"occluded": (0.5, 0.08)}, r"occluded = \(0.5, 0.08\); wanted two shares"),
+        (TrackingRules, {"steps": 0}, "TrackingRules: steps = 0; wanted a whole number of steps, from 1 on"),
+        (TrackingRules, {"steps": 10**400}, "steps = 1000.*; wanted a whole number"),
+        (TrackingRules, {"steps": "60"}, "steps = '60'; wanted a whole number"),
+        (TrackingRules, {"speed": 0.0}, "speed = 0.0; wanted metres per second, above 0"),
+        (TrackingRules, {"gone": (0.4, 1.6)}, "wanted two shares .* from 0 to 1"),
+        (TrackingRules, {"gone": (0.0, 0.5)}, "wanted the ball there at the first of 60 steps"),
+        (TrackingRules, {"steps": 1}, "wanted the ball there at the first of 1 steps"),
+        (TrackingRules, {"seen": 1.5}, "seen = 1.5; wanted a share"),
+        (TrackingRules, {"lost_above": -3.0}, "lost_above = -3.0; wanted degrees"),
+    ],
+)
+def test_rules_that_nothing_can_be_played_under_are_refused(kind, rules, says):
+    with pytest.raises(WorldError, match=says):
+        kind(**rules)
+    with pytest.raises(WorldError, match=says):
+        from_dict(kind, rules)
+
+
+@pytest.mark.parametrize(
+    ("task", "rules"),
+    [
+        ("tracking", TrackingRules(steps=2, seen=0, lost_above=180)),
+        ("tracking", TrackingRules(steps=3, gone=(0.5, 1.0))),
+        ("tracking", TrackingRules(steps=3, gone=(0.0, 0.0), seen=1)),
+        ("navigation", NavigationRules(max_steps=1, nearest=0, ratio=1, winding_above=0, facing_away=180)),
+        ("waypoint", WaypointRules(leg_steps=1, turns=((0, 180),) * 4, occluded=(0, 1))),
+    ],
+)
+def test_rules_at_their_bounds_can_be_written_read_and_played(task, rules):
+    config = {"task": task, "perception": "truth", "rows": 32, "rules": json.loads(json.dumps(as_dict(rules)))}
+    config |= {"camera": {"radius": 0, "turn": 360}, "disturbances": {"latency": 0}}
+    player = Player(config)
+    assert player.rules == rules
+    for number in range(3):
+        record = player.play(Slot(task, "apartment", 7, number, number), ["centroid"])
+        assert record["methods"]["centroid"]["metrics"]
 
 
 def test_bad_input_says_what_was_wanted():

@@ -369,3 +369,33 @@ def test_models_are_named_in_one_line():
         with pytest.raises(EagorError, match=words):
             load_chat(spec)
     assert Message("user", "x").images == ()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"temperature": -0.1}, "ServedChat: temperature = -0.1; wanted 0 or more"),
+        ({"temperature": float("nan")}, "temperature = nan"),
+        ({"max_tokens": 0}, "max_tokens = 0; wanted a whole number, 1 or more"),
+        ({"quality": 101}, "quality = 101; wanted a whole number from 0 to 100"),
+        ({"quality": -1}, "quality = -1"),
+        ({"timeout": 0.0}, "timeout = 0.0; wanted seconds above 0"),
+        ({"timeout": float("inf")}, "timeout = inf"),
+        ({"retries": -1}, "retries = -1"),
+        ({"backoff": -0.5}, "backoff = -0.5; wanted seconds, 0 or more"),
+        ({"servers": ()}, "at least one address"),
+        ({"servers": ("ftp://a",)}, "no address of a server"),
+    ],
+)
+def test_a_served_model_refuses_what_makes_no_sense(options, says):
+    with pytest.raises(EagorError, match=says):
+        ServedChat("m", **options)
+    if "servers" not in options:
+        pytest.importorskip("openai")
+        ((name, value),) = options.items()
+        with pytest.raises(EagorError, match=says):
+            load_chat(f"m@http://a?{name}={value}")
+
+
+def test_a_served_model_completes_its_addresses():
+    assert ServedChat("m", ("http://a:8000/", "https://b/v2")).servers == ("http://a:8000/v1", "https://b/v2")

@@ -858,6 +858,8 @@ def test_options_are_read_from_the_name(folders):
     assert (perception.extractor, perception.seam, perception.looker.pixels) == ("both", False, 40000)
     assert (perception.looker.layers, perception.looker.presence) == ((1, 2), False)
     assert parse_options("a=1&b=0.5&c=True&d=x-y") == {"a": 1, "b": 0.5, "c": True, "d": "x-y"}
+    assert parse_options("revision=1234567&pixels=1234567") == {"revision": "1234567", "pixels": 1234567}
+    assert parse_options("revision=12e4567&heads=2024") == {"revision": "12e4567", "heads": "2024"}
     assert parse_options("") == {}
     for text in ("a", "a=1&a=2", "=3", "a="):
         with pytest.raises(EagorError, match="name=value"):

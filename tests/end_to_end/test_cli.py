@@ -5,15 +5,18 @@ import io
 import json
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from eagor.cli import main
 from eagor.cli.words import in_words
 from eagor.conventions import direction_from_hstar, wxyz_from_rotation
 from eagor.grids import ErpGrid
@@ -135,6 +138,31 @@ def test_help_says_everything_once(words):
     assert sum(text.count(line) for line in told) == 1
     assert "default: None" not in text
     assert "default: False" not in text
+
+
+COMMANDS = [
+    (), ("locate",), ("track",), ("demo",), ("calibrate",), ("doctor",), ("bench",),
+    *(("bench", name) for name in ("run", "report", "list", "info", "score", "compare", "failures", "export")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("columns", [72, 80, 100])
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_help_breaks_lines_only_where_they_are_full(words, columns, monkeypatch):
+    printed = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setattr(sys, "stdout", printed)
+    assert main([*words, "--help"]) == 0
+    text = printed.buffer.getvalue().decode()
+    assert "its text stands once" not in text, "comments in the code are no help"
+    rows = [line[2:-2] for line in text.splitlines() if line.startswith("│ ")]
+    assert rows
+    for row, following in pairwise(rows):
+        start = len(following) - len(following.lstrip())
+        if start < 8 or not following.strip() or not row[start:].strip() or row[start - 2 : start] != "  ":
+            continue  # not the same text going on, or a new paragraph
+        word = re.match(r"[^\s,]+,?", following.lstrip())[0]
+        assert len(row.rstrip()) + 1 + len(word) > len(row), f"{word!r} would fit behind {row.strip()!r}"
 
 
 def test_version():
@@ -440,6 +468,14 @@ def test_a_bench_run_goes_on_where_it_stopped_and_is_reported(tmp_path):
     page = Path(answer("bench", "report", tmp_path / "run")["report"])
     assert page.is_file()
     assert (tmp_path / "run" / "tables.csv").is_file()
+
+
+def test_rules_without_sense_are_refused_before_anything_is_played(tmp_path):
+    words = ("bench", "run", "tracking", "--perception", "truth", "--out", tmp_path / "run")
+    assert "TrackingRules: steps = 0; wanted a whole number" in refused(*words, "--set", "steps=0")
+    assert "Camera: step = nan; wanted metres above 0" in refused(*words, "--set", "seen=0.5", "step=nan")
+    assert "Disturbances: latency = -1" in refused(*words, "--latency", "-1")
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_calibration_is_fitted_written_and_taken(room, tmp_path):

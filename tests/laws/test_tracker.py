@@ -14,7 +14,9 @@ from eagor.errors import EagorError, PoseError, RotationError, TimeError
 from eagor.estimate import TrackerConfig
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PatchGrid
+from eagor.motion import standing
 from eagor.posterior import typical
+from eagor.ranged import RangedBelief
 from eagor.sphere import angular_distance, direction, rotation, world_R_body
 from eagor.tracker import DirectionTracker
 
@@ -334,6 +336,22 @@ def test_a_known_floor_tells_distance_at_once():
         found[floor] = tracker.estimate(0.0)
     assert found[0.0].distance_spread < 0.85 * found[None].distance_spread
     assert found[0.0].distance < found[-0.8].distance, "from higher up, the same depression is farther away"
+
+
+def test_distance_and_its_spread_are_read_from_one_computation(monkeypatch):
+    tracker, asked, of = DirectionTracker(), [], RangedBelief.range_probabilities
+    for t in range(3):
+        tracker.rotate(float(t), np.eye(3), np.array([0.2 * t, 0.0, 0.0]))
+        tracker.observe(look(direction(1.0 + 0.1 * t, 0.0), float(t)))
+    estimate = tracker.estimate(2.0)
+    still, answer = standing(estimate.reading), estimate.direction
+    expected = still.distance(answer), still.distance_spread(answer)
+    monkeypatch.setattr(RangedBelief, "range_probabilities", lambda *given: asked.append(given) or of(*given))
+    assert (estimate.distance, estimate.distance_spread, estimate.distance) == (*expected, expected[0])
+    assert len(asked) == 1
+    flat = DirectionTracker(TrackerConfig(**FLAT))
+    flat.observe(look(direction(1.0, 0.0), 0.0))
+    assert (flat.estimate(0.0).distance, flat.estimate(0.0).distance_spread) == (None, None)
 
 
 def test_a_camera_below_the_floor_is_refused():

@@ -186,6 +186,44 @@ def test_beliefs_of_other_arrays(kind, grid):
     assert close(theirs.diffuse(0.05).coefficients, ours.diffuse(0.05).coefficients, 1e3 * tolerance)
 
 
+@pytest.mark.parametrize("of", [Belief, RangedBelief])
+def test_evidence_of_another_kind_is_brought_to_the_belief(kind, of):
+    make, tolerance = kind
+    grid, response = PatchGrid(12, 24), np.random.default_rng(0).random((12, 24))
+    plain, foreign = Evidence.from_response(response, grid), Evidence.from_response(make(response), grid)
+    R = rotation((1, 2, 3), 0.8)
+    expected = of.uniform(7).update(plain)
+    for start, look in [(of.uniform(7), foreign), (of.uniform(7, like=make([0.0])), plain)]:
+        for found in (start.update(look), start.plus(look.coefficients(7))):
+            assert type(found.agreed) is type(start.agreed)
+            assert found.agreed.dtype == start.agreed.dtype, "float64 stays float64, float32 stays float32"
+            assert close(found.agreed, expected.agreed, 20 * tolerance)
+        if isinstance(start, RangedBelief):
+            each = start.update([look, plain] + 6 * [foreign, plain])
+            assert type(each.shells) is type(start.shells)
+            assert close(each.shells, expected.shells, 20 * tolerance)
+        else:
+            late = start.update(look, R)
+            assert close(late.coefficients, of.uniform(7).update(plain, R).coefficients, 20 * tolerance)
+
+
+def test_evidence_of_another_device_is_brought_to_the_belief():
+    there = array_api_strict.Device("device1")
+    belief = Belief.uniform(5, like=array_api_strict.zeros(1, dtype=array_api_strict.float64, device=there))
+    look = Evidence.from_response(array_api_strict.ones((8, 16), dtype=array_api_strict.float64), PatchGrid(8, 16))
+    assert belief.update(look).coefficients.device == there
+    assert Belief.uniform(5, like=torch.zeros(1, device="meta")).plus(torch.ones(36)).coefficients.is_meta
+
+
+def test_evidence_of_half_precision_reaches_a_belief_of_numpy():
+    response = np.random.default_rng(0).random((12, 24))
+    look = Evidence.from_response(torch.tensor(response, dtype=torch.bfloat16), PatchGrid(12, 24))
+    found = Belief.uniform(3).update(look).coefficients
+    expected = Belief.uniform(3).update(Evidence.from_response(response, PatchGrid(12, 24))).coefficients
+    assert found.dtype == np.float64
+    assert np.allclose(found, expected, atol=0.05 * np.abs(expected).max())
+
+
 def test_shells_of_other_arrays(kind):
     make, tolerance = kind
     c = np.stack([field(6, k) for k in range(14)])

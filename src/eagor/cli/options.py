@@ -1,6 +1,9 @@
 """What can be typed: one frozen dataclass per command, and where the function is that runs it.
 
 Nothing heavy is imported here, so that help and typing errors come at once.
+
+Help keeps the line breaks of an option's text. One that is too long for a line is therefore several strings in
+brackets, which Python takes for one: it is wrapped where it is shown.
 """
 
 from __future__ import annotations
@@ -57,9 +60,11 @@ class Locate(Common):
     query: Annotated[str, Positional, arg(metavar="QUERY")]
     """What to look for, in words."""
     perception: Name = "colour"
-    """Who looks: colour (the colour that the query names), replay:FILE.jsonl (what a detector wrote), a model (FOLDER,
-    Qwen/Qwen2.5-VL-7B-Instruct, endpoint:MODEL@http://HOST:PORT/v1, options after ?), or an installed one; `eagor
-    doctor` lists them."""
+    (
+        "Who looks: colour (the colour that the query names), replay:FILE.jsonl (what a detector wrote), a model "
+        "(FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, endpoint:MODEL@http://HOST:PORT/v1, options after ?), or an installed "
+        "one; `eagor doctor` lists them."
+    )
     modes: Annotated[int, arg(metavar="K")] = 3
     """At most so many candidate directions."""
     degree: Whole = 15
@@ -81,8 +86,10 @@ class Track(Common):
     words: Annotated[tuple[str, ...], Positional, arg(metavar="FRAMES QUERY", help_behavior_hint="(required)")]
     """A folder of panoramas (or several image files, taken in the order of their names), then what to look for."""
     poses: Annotated[Path, arg(metavar="CSV")]
-    """The camera's poses: a CSV file with the columns stamp,qw,qx,qy,qz (world_R_body) or
-    stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch nose DOWN); also x,y,z (metres) and frame (file name)."""
+    (
+        "The camera's poses: a CSV file with the columns stamp,qw,qx,qy,qz (world_R_body) or "
+        "stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch nose DOWN); also x,y,z (metres) and frame (file name)."
+    )
     perception: Name = "colour"
     """Who looks: colour, replay:FILE.jsonl, a model (as for locate), or an installed one."""
     floor: Annotated[float | None, _bare("Z")] = None
@@ -112,8 +119,10 @@ class Demo(Common):
     episode: Whole = 1
     """Which search in it, 0 to 4."""
     perception: Name = "scout"
-    """Who looks: scout (a small network that sees the pictures), truth (a noisy detector, made from what the simulator
-    knows), or another perception."""
+    (
+        "Who looks: scout (a small network that sees the pictures), truth (a noisy detector, made from what the "
+        "simulator knows), or another perception."
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,16 +137,21 @@ class BenchRun(Common):
     task: Annotated[str, Positional, arg(metavar="TASK")]
     """waypoint, navigation, tracking, an installed task, or a benchmark: hstar-hos, hstar-hps, osr, ..."""
     perception: Annotated[str | None, _bare("NAME")] = None
-    """Who looks: scout (default of simulated tasks), a small network that sees the pictures; truth, a noisy detector
-    made from what the simulator or the annotations know (truth:ideal has no noise, truth:miss=0.5,spread=4 its own);
-    a model (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, endpoint:MODEL@http://HOST:PORT/v1); or another."""
+    (
+        "Who looks: scout (default of simulated tasks), a small network that sees the pictures; truth, a noisy "
+        "detector made from what the simulator or the annotations know (truth:ideal has no noise, "
+        "truth:miss=0.5,spread=4 its own); a model (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, "
+        "endpoint:MODEL@http://HOST:PORT/v1); or another."
+    )
     data: Annotated[Path | None, _bare("DIR")] = None
     """Of a benchmark: the folder with its published files."""
     agent: Annotated[str | None, _bare("NAME")] = None
     """Of a benchmark: who plays (default: eagor)."""
     model: Annotated[str | None, _bare("MODEL")] = None
-    """Of a benchmark: the model that the agent vlm talks with: FOLDER or hub name, run here; MODEL@ADDRESS, on one or
-    several servers (commas between addresses); options after ?."""
+    (
+        "Of a benchmark: the model that the agent vlm talks with: FOLDER or hub name, run here; MODEL@ADDRESS, on one "
+        "or several servers (commas between addresses); options after ?."
+    )
     scoring: Scoring = None
     labels: Labels = None
     limit: Annotated[int | None, _bare("N")] = None
@@ -149,27 +163,35 @@ class BenchRun(Common):
     address: Annotated[str | None, _bare("ADDRESS")] = None
     """Of the Ray cluster (default: RAY_ADDRESS, else this machine)."""
     methods: Annotated[tuple[str, ...], _bare("NAME ...")] = ()
-    """Which methods (default: all eight, and plain, the model's own answer, where a vision-language model looks);
-    variants as eagor:degree=7,decode=mean; in navigation also oracle."""
+    (
+        "Which methods (default: all eight, and plain, the model's own answer, where a vision-language model looks); "
+        "variants as eagor:degree=7,decode=mean; in navigation also oracle."
+    )
     episodes: Whole = 20
     """How many; five in each apartment."""
     seed: Annotated[int | None, _bare("N")] = None
-    """The first apartment (default 2000). 0 to 1999 are for choosing parameters, 2000 to 9999 for results. Of a
-    benchmark: of the luck of truth and of random agents (default 0)."""
+    (
+        "The first apartment (default 2000). 0 to 1999 are for choosing parameters, 2000 to 9999 for results. Of a "
+        "benchmark: of the luck of truth and of random agents (default 0)."
+    )
     out: Annotated[Path | None, _bare("RUN")] = None
     """The folder of the run (default: runs/TASK-PERCEPTION-SEED). What it holds already is not played again."""
     workers: Whole = 1
     """How many work at once."""
     ablations: Flag = False
-    """Variants of ours and of the published method as well: degree, decode, calibration, shells (in navigation: the
-    oracle, which is told the true direction)."""
+    (
+        "Variants of ours and of the published method as well: degree, decode, calibration, shells (in navigation: "
+        "the oracle, which is told the true direction)."
+    )
     walking: Flag = False
     """The camera bobs and sways, and the odometry drifts."""
     latency: Whole = 0
     """Responses arrive so many steps late."""
     set: Annotated[tuple[str, ...], _bare("RULE=VALUE ...")] = ()
-    """Other rules, such as success_distance=0.5 max_steps=200 stop=call sliding=false; of a benchmark: its other
-    options, such as sure=0.8."""
+    (
+        "Other rules, such as success_distance=0.5 max_steps=200 stop=call sliding=false; of a benchmark: its other "
+        "options, such as sure=0.8."
+    )
     world: Annotated[str, arg(metavar="WORLD")] = "apartment"
     """apartment, an installed world, or a GLB file."""
     rows: Rows = None
@@ -209,8 +231,11 @@ class BenchScore(Common):
     """Score predictions that were made elsewhere, or a run once more by other rules; nothing is played."""
 
     predictions: Annotated[Path, Positional, arg(metavar="PRED")]
-    """A JSON lines file, one object per case: its id ("case"; or "doc_id", its number), and the answer ("submit": [yaw,
-    pitch], "text": the model's words, ...; lmms-eval's samples as they are). Or the folder of a run."""
+    (
+        'A JSON lines file, one object per case: its id ("case"; or "doc_id", its number), and the answer ("submit": '
+        '[yaw, pitch], "text": the words of the model, ...; samples of lmms-eval as they are). Or the folder of a '
+        "run."
+    )
     task: TaskOfRun = None
     data: DataOfRun = None
     scoring: Scoring = None
@@ -263,7 +288,6 @@ class Bench:
 
     runs: ClassVar[str] = "eagor.cli.bench:bench"
 
-    # Without a name, its options stand among those of every command, and its text stands once in its help.
     action: Annotated[
         Annotated[BenchRun, subcommand("run")]
         | Annotated[BenchReport, subcommand("report")]
@@ -273,6 +297,8 @@ class Bench:
         | Annotated[BenchCompare, subcommand("compare")]
         | Annotated[BenchFailures, subcommand("failures")]
         | Annotated[BenchExport, subcommand("export")],
+        # Without a name, its options stand among those of every command, and its text stands once in its help. (This
+        # stands down here because help would show a comment above the field.)
         arg(name=""),
     ]
 
@@ -288,15 +314,19 @@ class Calibrate(Common):
     perception: Name = "scout"
     """Whose responses, or whose heads (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, options after ?)."""
     out: Annotated[Path | None, _bare("FILE.json")] = None
-    """Where the calibration goes (default: calibration-PERCEPTION.json; other commands take it as --calibration), or
-    the heads (default: heads-MODEL.json; models take it as FOLDER?heads=FILE.json)."""
+    (
+        "Where the calibration goes (default: calibration-PERCEPTION.json; other commands take it as --calibration), "
+        "or the heads (default: heads-MODEL.json; models take it as FOLDER?heads=FILE.json)."
+    )
     labels: Annotated[Path | None, _bare("FILE.jsonl")] = None
     """heads: panoramas of your own and where the things are in them (docs/models.md), instead of apartments."""
     take: Whole = 3
     """heads: how many."""
     episodes: Whole = 60
-    """How many to look at. responses: routes past a thing and balls in turn, two of each in an apartment; heads:
-    panoramas, four in an apartment."""
+    (
+        "How many to look at. responses: routes past a thing and balls in turn, two of each in an apartment; heads: "
+        "panoramas, four in an apartment."
+    )
     seed: Whole = 100
     """The first apartment; 0 to 1999 are for choosing parameters."""
     trials: Whole = 96

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eagor.drawing.sheet import GRID_LINE, INK, QUIET, figure, image, plain
+from eagor.errors import EagorError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -18,24 +19,36 @@ CURVES = ("#00838f", "#b26a00", "#c2185b", "#5e35b1", "#d84315", "#558b2f", "#54
 
 def draw_errors(
     stamps: Sequence[float],
-    errors: Mapping[str, Sequence[float]],
+    errors: Mapping[str, Sequence[float | None]],
     shaded: Sequence[tuple[float, float, str]] = (),
     title: str = "",
     width: int = 1200,
 ) -> Image:
     """Direction errors (degrees) of several methods over time (seconds); the first method is drawn on top, and thick.
 
-    A method with fewer values than stamps ended earlier. `shaded` marks stretches: begin, end, and what happened.
+    A method with fewer values than stamps ended earlier; one with none is listed with a dash. Where a value is None or
+    NaN the curve has a gap. `shaded` marks stretches: begin, end, and what happened.
+
+    Raises `EagorError` without stamps, and for a method with more values than there are stamps.
     """
+    if not len(stamps):
+        raise EagorError("there are no stamps; wanted the time of one step at least, and the errors of each method")
+    curves = {name: np.array(values, dtype=np.float64) for name, values in errors.items()}
+    for name, values in curves.items():
+        if len(values) > len(stamps):
+            raise EagorError(
+                f"{name} has {len(values)} errors, and there are {len(stamps)} stamps; wanted a stamp for each error"
+            )
+    known = {name: values[np.isfinite(values)] for name, values in curves.items()}
     sheet = figure(width, round(width * 0.42))
     axes = sheet.add_axes((0.06, 0.13, 0.69, 0.76 if title else 0.83))
-    highest = max((float(np.max(np.asarray(values))) for values in errors.values()), default=180.0)
+    highest = max((float(values.max()) for values in known.values() if len(values)), default=180.0)
     highest = min(180, 30 * math.ceil(max(highest, 1.0) * 1.05 / 30))
     for begin, end, what in shaded:
         axes.axvspan(begin, end, color="#eceff4", zorder=0, linewidth=0)
         axes.text((begin + end) / 2, 0.975 * highest, what, ha="center", va="top", fontsize=9, color=QUIET)
     ends = []
-    for index, (name, values) in enumerate(errors.items()):
+    for index, (name, values) in enumerate(curves.items()):
         colour, first = CURVES[index % len(CURVES)], index == 0
         axes.plot(
             stamps[: len(values)],
@@ -43,11 +56,13 @@ def draw_errors(
             color=colour,
             linewidth=3 if first else 1.4,
             zorder=5 if first else 3,
+            marker="o" if len(values) == 1 else None,  # a line needs two
             label=name,
         )
-        mean = float(np.mean(np.asarray(values)))
+        mean = float(known[name].mean()) if len(known[name]) else math.inf
         ends.append((mean, name, colour, first))
-    axes.set_xlim(stamps[0], stamps[-1])
+    if stamps[0] < stamps[-1]:
+        axes.set_xlim(stamps[0], stamps[-1])
     axes.set_ylim(0, highest)
     axes.set_yticks(range(0, highest + 1, 30 if highest > 60 else 10))
     axes.set_xlabel("time (s)", color=INK)
@@ -61,7 +76,8 @@ def draw_errors(
         weight = "bold" if first else "normal"
         sheet.text(0.77, y, "■", color=colour, fontsize=12, va="center")
         sheet.text(0.79, y, name, color=INK, fontsize=10.5, va="center", weight=weight)
-        sheet.text(0.985, y, f"{mean:.1f}°", color=INK, fontsize=10.5, va="center", ha="right", weight=weight)
+        said = f"{mean:.1f}°" if mean < math.inf else "–"
+        sheet.text(0.985, y, said, color=INK, fontsize=10.5, va="center", ha="right", weight=weight)
     return image(sheet)
 
 

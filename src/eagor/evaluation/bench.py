@@ -19,7 +19,7 @@ from eagor.tasks.eyes import rows_of, shared
 from eagor.tasks.fitted import fitted
 from eagor.tasks.methods import NAMES, ORACLE, make_method
 from eagor.tasks.places import APARTMENT, DEVELOPMENT
-from eagor.tasks.rules import Camera, Disturbances, as_dict
+from eagor.tasks.rules import Camera, Disturbances, as_dict, from_dict
 
 WORK = "eagor.tasks.play:work"
 
@@ -44,7 +44,10 @@ class Run:
     settings: dict[str, Any] = field(default_factory=dict)
 
     def config(self) -> dict[str, Any]:
-        """Everything that decides the results, as the JSON of run.json. Raises `EagorError` for what does not exist."""
+        """Everything that decides the results, as the JSON of run.json.
+
+        Raises `EagorError` for what does not exist, and for rules that nothing can be played under.
+        """
         import numpy as np
 
         from eagor.worlds.apartment import VERSION
@@ -65,6 +68,8 @@ class Run:
                 known = ", ".join(sorted(key for part in values.values() for key in part))
                 raise EagorError(f"there is no rule {key!r}; known are {known}")
             values[homes[0]][key] = _like(values[homes[0]][key], value, key)
+        for name, part in parts.items():
+            from_dict(type(part), values[name])  # complains about rules that nothing can be played under
         return {
             "task": self.task,
             "perception": self.perception,

@@ -31,6 +31,8 @@ BUILT_IN = {
     "truth": "eagor.perception.truth:TruthPerception",
 }
 
+_TEXTS = ("revision", "heads")  # options that are text, whatever they look like
+
 
 @runtime_checkable
 class Perception(Protocol):
@@ -113,6 +115,7 @@ def short_name(spec: str) -> str:
 def parse_options(text: str) -> dict[str, Any]:
     """Options written as ``extractor=boxes&pixels=401408``: true, false and numbers become what they say.
 
+    A revision and the file of the heads stay text: a commit may consist of digits, ``1234567`` or ``12e4567``.
     Raises `EagorError` for a part without a name or a value, or a name that comes twice.
     """
     found: dict[str, Any] = {}
@@ -120,7 +123,7 @@ def parse_options(text: str) -> dict[str, Any]:
         name, _, value = part.partition("=")
         if not name or not value or name in found:
             raise EagorError(f"{part!r} in the options {text!r}; wanted name=value, each once, with & between them")
-        found[name] = _value(value)
+        found[name] = value if name in _TEXTS else _value(value)
     return found
 
 

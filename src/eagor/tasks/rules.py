@@ -2,14 +2,24 @@
 
 Lengths in metres, angles in degrees (they are typed and printed), times in seconds. Habitat's names where it has them;
 the paper fixes none of these numbers, so a figure without its rules says nothing.
+
+Rules under which nothing can be played are refused when they are made, with a `WorldError` that names the rule.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
+from eagor._checks import above, require, stretch, whole, within
 from eagor.errors import WorldError
+
+Stop = Literal["reach", "call"]
+LEGS = ("L1", "L2", "L3", "L4")  # of a route
+
+_ABOVE = "metres above 0"
+_STEPS = "a whole number of steps, from 1 on"
+_SHARES = "two shares (from, to), from 0 to 1, the second not below the first"
 
 
 @dataclass(frozen=True)
@@ -26,6 +36,16 @@ class Camera:
     step: float = 0.25
     turn: float = 30.0
     seconds: float = 0.5
+
+    def __post_init__(self) -> None:
+        wanted = {
+            "height": (above(self.height, 0), _ABOVE),
+            "radius": (within(self.radius, 0), "metres from 0 on"),
+            "step": (above(self.step, 0), _ABOVE),
+            "turn": (above(self.turn, 0, 360), "degrees above 0 and up to 360"),
+            "seconds": (above(self.seconds, 0), "seconds above 0"),
+        }
+        require(self, wanted, WorldError)
 
 
 @dataclass(frozen=True)
@@ -46,8 +66,14 @@ class Disturbances:
     latency: int = 0
 
     def __post_init__(self) -> None:
-        if min(self.bob, self.sway, self.yaw_drift, self.scale_drift, self.latency) < 0:
-            raise WorldError(f"{self}: wanted no negative number")
+        wanted = {
+            "bob": (within(self.bob, 0), "metres from 0 on"),
+            "sway": (within(self.sway, 0), "degrees from 0 on"),
+            "yaw_drift": (within(self.yaw_drift, 0), "degrees per root metre, from 0 on"),
+            "scale_drift": (within(self.scale_drift, 0), "a relative error from 0 on"),
+            "latency": (whole(self.latency, 0), "a whole number of steps, from 0 on"),
+        }
+        require(self, wanted, WorldError)
 
     @classmethod
     def walking(cls, latency: int = 0) -> Disturbances:
@@ -75,7 +101,7 @@ class NavigationRules:
 
     max_steps: int = 500
     success_distance: float = 1.0
-    stop: Literal["reach", "call"] = "reach"
+    stop: Stop = "reach"
     sliding: bool = True
     detour: bool = True
     nearest: float = 2.0
@@ -84,6 +110,24 @@ class NavigationRules:
     winding_above: float = 1.2
     facing_away: float = 20.0
     visible_pixels: int = 2
+
+    def __post_init__(self) -> None:
+        wanted = {
+            "max_steps": (whole(self.max_steps, 1), _STEPS),
+            "success_distance": (above(self.success_distance, 0), _ABOVE),
+            "stop": (self.stop in get_args(Stop), " or ".join(get_args(Stop))),
+            "sliding": (isinstance(self.sliding, bool), "true or false"),
+            "detour": (isinstance(self.detour, bool), "true or false"),
+            "nearest": (within(self.nearest, 0), "metres from 0 on"),
+            "farthest": (above(self.farthest, 0), _ABOVE),
+            "ratio": (within(self.ratio, 1), "a number from 1 on: no way is shorter than the straight line"),
+            "winding_above": (within(self.winding_above, 0), "a number from 0 on"),
+            "facing_away": (within(self.facing_away, 0, 180), "degrees from 0 to 180"),
+            **_pixels(self.visible_pixels),
+        }
+        require(self, wanted, WorldError)
+        order = (self.farthest >= self.nearest, f"no less than nearest = {self.nearest!r}")
+        require(self, {"farthest": order}, WorldError)
 
 
 @dataclass(frozen=True)
@@ -100,6 +144,19 @@ class WaypointRules:
     leg_steps: int = 15
     occluded: tuple[float, float] = (0.08, 0.5)
     visible_pixels: int = 2
+
+    def __post_init__(self) -> None:
+        turns = self.turns if isinstance(self.turns, tuple | list) else ()
+        wanted = {
+            "turns": (
+                len(turns) == len(LEGS) and all(stretch(turn, 0, 180) for turn in turns),
+                f"{len(LEGS)} pairs of degrees (from, to), from 0 to 180, the second not below the first",
+            ),
+            "leg_steps": (whole(self.leg_steps, 1), _STEPS),
+            "occluded": (stretch(self.occluded, 0, 1), _SHARES),
+            **_pixels(self.visible_pixels),
+        }
+        require(self, wanted, WorldError)
 
 
 @dataclass(frozen=True)
@@ -120,6 +177,25 @@ class TrackingRules:
     lost_above: float = 30.0
     visible_pixels: int = 2
 
+    def __post_init__(self) -> None:
+        wanted = {
+            "steps": (whole(self.steps, 1), _STEPS),
+            "speed": (above(self.speed, 0), "metres per second, above 0"),
+            "gone": (stretch(self.gone, 0, 1), _SHARES),
+            "seen": (within(self.seen, 0, 1), "a share from 0 to 1"),
+            "lost_above": (within(self.lost_above, 0, 180), "degrees from 0 to 180"),
+            **_pixels(self.visible_pixels),
+        }
+        require(self, wanted, WorldError)
+        away, back = self.away
+        shown = (away > 0 or back == 0, f"the ball there at the first of {self.steps} steps: begin later, or take more")
+        require(self, {"gone": shown}, WorldError)
+
+    @property
+    def away(self) -> tuple[int, int]:
+        """The first step at which the ball is away in the third scenario, and the first at which it is back."""
+        return round(self.gone[0] * self.steps), round(self.gone[1] * self.steps)
+
 
 Rules = TypeVar("Rules")
 
@@ -130,11 +206,16 @@ def as_dict(rules: Any) -> dict[str, Any]:
 
 
 def from_dict(kind: type[Rules], values: dict[str, Any]) -> Rules:
-    """The rules back from JSON. Raises `WorldError` for a rule that does not exist."""
+    """The rules back from JSON. Raises `WorldError` for a rule that does not exist, or what the rules refuse."""
     known = {field.name for field in fields(kind)}  # type: ignore[arg-type]
     if unknown := set(values) - known:
         raise WorldError(f"{kind.__name__} has no {sorted(unknown)}; it has {sorted(known)}")
     return kind(**{key: _tupled(value) for key, value in values.items()})
+
+
+def _pixels(count: Any) -> dict[str, tuple[bool, str]]:
+    """What `visible_pixels` has to be in every task: what no pixel shows is in no sight."""
+    return {"visible_pixels": (whole(count, 1), "a whole number of pixels, from 1 on")}
 
 
 def _plain(value: Any) -> Any:

@@ -72,7 +72,7 @@ def plan(slot: Slot, camera: Camera, rules: TrackingRules) -> TrackingEpisode:
             second = _spot(place, xy, radius, camera, rng)
             if second is None or np.linalg.norm(second - first) < 1.0:
                 continue
-            away, back = (round(share * rules.steps) for share in rules.gone)
+            away, back = rules.away
             balls = [first] * away + [None] * (back - away) + [second] * (rules.steps - back)
             # The camera looks about meanwhile: what is remembered has to be turned.
             still[:, 2] = yaw + 0.8 * np.sin(np.arange(rules.steps) * 0.25)

@@ -17,10 +17,9 @@ from eagor.sphere import world_R_body
 from eagor.tasks.episodes import Episode, Slot, choose_target
 from eagor.tasks.places import Place, load_place
 from eagor.tasks.routes import follow_path, initial_heading
-from eagor.tasks.rules import Camera, WaypointRules
+from eagor.tasks.rules import LEGS, Camera, WaypointRules
 from eagor.tasks.task import Played
 
-LEGS = ("L1", "L2", "L3", "L4")
 ATTEMPTS = 200  # to find routes at all: small rooms have few legs of four metres
 SLACK = 30.0  # degrees: where nothing fits, turns may in the end miss their ranges by so much
 ROUTES = 8  # routes looked at until one hides a target and crosses the seam

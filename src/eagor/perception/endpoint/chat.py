@@ -10,13 +10,14 @@ from urllib.parse import parse_qsl
 
 import numpy as np
 
+from eagor._checks import require, whole, within
 from eagor.errors import AnswerError, EagorError
 from eagor.perception.endpoint.messages import data_uri
 from eagor.perception.endpoint.naming import place_of
 from eagor.perception.endpoint.servers import (
     DEFAULT_SERVER,
     Servers,
-    checked_address,
+    check_asking,
     connected,
     need_client,
     unconnected,
@@ -38,11 +39,13 @@ class ServedChat:
         model: its name there; empty for the only model that the first server has.
         servers: addresses.
         temperature, max_tokens: of a reply.
-        quality: of the JPEG that pictures are sent as; 0 sends PNG.
+        quality: of the JPEG that pictures are sent as, 1 to 100; 0 sends PNG.
         timeout: seconds for one reply.
         retries: more tries of a request that failed for a reason that may pass.
         backoff: seconds before the first of them; doubled for each further one.
         key: the name of the environment variable that holds the servers' key, if they want one.
+
+    Raises `EagorError` for values that make no sense.
     """
 
     model: str = ""
@@ -54,6 +57,15 @@ class ServedChat:
     retries: int = 3
     backoff: float = 0.5
     key: str = ""
+
+    def __post_init__(self) -> None:
+        wanted = {
+            "temperature": (within(self.temperature, 0), "0 or more"),
+            "max_tokens": (whole(self.max_tokens, 1), "a whole number, 1 or more"),
+            "quality": (whole(self.quality, 0, 100), "a whole number from 0 to 100"),
+        }
+        require(self, wanted)
+        check_asking(self)
 
     def __call__(self, messages: Sequence[Message]) -> Said:
         """The reply. Raises `ServerError`, `QueryError` (no such model), or `AnswerError` where there are no words."""
@@ -82,12 +94,12 @@ class ServedChat:
 def chat_from_text(text: str) -> ServedChat:
     """The model that ``MODEL@ADDRESS[,ADDRESS...][?option=value&...]`` names; either side of the @ may be empty.
 
-    Raises `EagorError` for an option that there is not, an address that is none, or without the openai package.
+    Raises `EagorError` for an option that there is not or that makes no sense, an address that is none, or without the
+    openai package.
     """
     need_client()
     place, _, written = text.partition("?")
     model, addresses = place_of(place)
-    servers = tuple(map(checked_address, addresses)) or (DEFAULT_SERVER,)
     kinds = {field.name: type(field.default) for field in fields(ServedChat) if field.name not in ("model", "servers")}
     options: dict[str, Any] = {}
     for name, value in parse_qsl(written, keep_blank_values=True):
@@ -95,7 +107,7 @@ def chat_from_text(text: str) -> ServedChat:
             options[name] = kinds[name](value)
         except (KeyError, ValueError):
             raise EagorError(f"{name}={value} in {text!r}; a served model has the options {', '.join(kinds)}") from None
-    return ServedChat(model, servers, **options)
+    return ServedChat(model, addresses or (DEFAULT_SERVER,), **options)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,12 +12,13 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from eagor._checks import require, whole, within
 from eagor.errors import AnswerError, EagorError
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.perception.endpoint.extractors import GRID, Manner, Plan, boxes_plan, view_plan, views_plan
 from eagor.perception.endpoint.messages import Answer
-from eagor.perception.endpoint.servers import DEFAULT_SERVER, Servers, checked_address, connected, unconnected
+from eagor.perception.endpoint.servers import DEFAULT_SERVER, Servers, check_asking, connected, unconnected
 from eagor.perception.vlm.boxes import Frame, Order
 from eagor.perception.vlm.prompts import phrase
 from eagor.perception.vlm.sizes import checked_picture, exact_size
@@ -93,15 +94,14 @@ class EndpointPerception:
             if getattr(self, name) not in choices:
                 wanted = ", ".join(choice or "nothing" for choice in choices)
                 raise EagorError(f"{name} is {getattr(self, name)!r}; wanted {wanted}")
-        least = {"pixels": 0, "cell": 0, "max_tokens": 1, "concurrency": 1, "retries": 0, "backoff": 0}
-        for name, lowest in least.items():
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= lowest):
-                raise EagorError(f"{name} is {getattr(self, name)!r}; wanted {lowest} or more")
-        if not 0 < self.timeout < math.inf:
-            raise EagorError(f"timeout is {self.timeout!r}; wanted seconds, more than 0")
-        if not self.servers:
-            raise EagorError("no server is named; wanted addresses such as " + DEFAULT_SERVER)
-        object.__setattr__(self, "servers", tuple(checked_address(url) for url in self.servers))
+        wanted = {
+            "pixels": (within(self.pixels, 0), "0 or more"),
+            "cell": (whole(self.cell, 0), "a whole number of pixels, 0 or more"),
+            "max_tokens": (whole(self.max_tokens, 1), "a whole number, 1 or more"),
+            "concurrency": (whole(self.concurrency, 1), "a whole number, 1 or more"),
+        }
+        require(self, wanted)
+        check_asking(self)
 
     def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for the thing that `query` names in `panorama` ``(H, W, 3)`` uint8, with its `source`.

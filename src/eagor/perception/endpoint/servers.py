@@ -14,6 +14,7 @@ from importlib.util import find_spec
 from typing import Any, Protocol, TypeVar
 from urllib.parse import urlsplit
 
+from eagor._checks import above, require, whole, within
 from eagor.errors import EagorError, QueryError, ServerError
 from eagor.perception.endpoint.faults import Asked, explained, message, refused_feature, retry_after, worth_retrying
 
@@ -222,6 +223,21 @@ def need_client() -> None:
     """Raise `EagorError` without the openai package."""
     if find_spec("openai") is None:
         raise EagorError("a served model needs the openai package: pip install 'eagor[endpoint]'")
+
+
+def check_asking(asker: Any) -> None:
+    """Check the fields of a frozen dataclass that `connected` reads, and complete its addresses.
+
+    Raises `EagorError` for values that make no sense, and where no server is named.
+    """
+    wanted = {
+        "timeout": (above(asker.timeout, 0), "seconds above 0"),
+        "retries": (whole(asker.retries, 0), "a whole number, 0 or more"),
+        "backoff": (within(asker.backoff, 0), "seconds, 0 or more"),
+        "servers": (len(asker.servers) > 0, f"at least one address, such as {DEFAULT_SERVER}"),
+    }
+    require(asker, wanted)
+    object.__setattr__(asker, "servers", tuple(checked_address(url) for url in asker.servers))
 
 
 def connected(asker: Any, concurrency: int) -> Servers:

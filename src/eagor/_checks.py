@@ -1,0 +1,47 @@
+"""What the numbers of a settings class have to be, and one text of error for all of them.
+
+The predicates answer no, and raise nothing, for what is no number: settings also come from JSON and from typed text.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from numbers import Integral, Real
+from typing import Any
+
+from eagor.errors import EagorError
+
+
+def require(owner: Any, fields: Mapping[str, tuple[bool, str]], error: type[EagorError] = EagorError) -> None:
+    """Raise `error` for the first of the `fields` of `owner` that does not fit: (does it fit, what was wanted)."""
+    for name, (fits, wanted) in fields.items():
+        if not fits:
+            raise error(f"{type(owner).__name__}: {name} = {getattr(owner, name)!r}; wanted {wanted}")
+
+
+def within(value: Any, lowest: float, highest: float = math.inf) -> bool:
+    """Whether `value` is a finite number from `lowest` to `highest`, both included."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return False
+    try:
+        number = float(value)
+    except OverflowError:  # a whole number of more than 308 digits
+        return False
+    return math.isfinite(number) and lowest <= number <= highest
+
+
+def above(value: Any, lowest: float, highest: float = math.inf) -> bool:
+    """Whether `value` is a finite number greater than `lowest`, and at most `highest`."""
+    return within(value, lowest, highest) and value > lowest
+
+
+def whole(value: Any, lowest: int, highest: float = math.inf) -> bool:
+    """Whether `value` is a whole number from `lowest` to `highest`, both included; 2.0 is none, nor is True."""
+    return isinstance(value, Integral) and within(value, lowest, highest)
+
+
+def stretch(value: Any, lowest: float, highest: float = math.inf) -> bool:
+    """Whether `value` is a pair (from, to) of numbers `within` these bounds, the first not above the second."""
+    pair = isinstance(value, tuple | list) and len(value) == 2 and all(within(end, lowest, highest) for end in value)
+    return pair and value[0] <= value[1]
