@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor._arrays import Array, matched, namespace, to_numpy
+from eagor._checks import above, require, within
 from eagor.averaging import averaged
 from eagor.coverage import Region, confine, region, taper
 from eagor.detections import MIN_SPREAD, WHOLE_SPHERE, bump, canvas_of, moments
@@ -60,15 +61,18 @@ class Calibration:
     scale_to_max: bool = False
 
     def __post_init__(self) -> None:
-        fits = 0 < self.floor <= 1 and 0 <= self.neutral <= 1 and 0 < self.temperature < math.inf
-        fits = fits and (self.spread == 0 or SPREADS[0] <= self.spread <= SPREADS[1])
-        if not (fits and 0 <= self.persistence < 1):
-            raise ResponseError(
-                f"Calibration(floor={self.floor!r}, neutral={self.neutral!r}, temperature={self.temperature!r}, "
-                f"persistence={self.persistence!r}, spread={self.spread!r}): wanted 0 < floor <= 1, 0 <= neutral <= 1, "
-                f"temperature > 0, 0 <= persistence < 1, and spread 0 or from {SPREADS[0]:.4f} to {SPREADS[1]:.4f} "
-                "radians (1 to 30 degrees)"
-            )
+        least, most = SPREADS
+        wanted = {
+            "floor": (above(self.floor, 0, 1), "a number above 0 and up to 1"),
+            "neutral": (within(self.neutral, 0, 1), "a number from 0 to 1"),
+            "temperature": (above(self.temperature, 0), "a number above 0"),
+            "persistence": (within(self.persistence, 0, 1) and self.persistence < 1, "a number from 0, below 1"),
+            "spread": (
+                self.spread == 0 or within(self.spread, least, most),
+                f"0, or radians from {least:.4f} to {most:.4f} (1 to 30 degrees)",
+            ),
+        }
+        require(self, wanted, ResponseError)
 
     @classmethod
     def paper(cls) -> Calibration:
