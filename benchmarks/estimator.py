@@ -55,7 +55,8 @@ def linear(gain: float) -> Reading:
     """Responses summed, not their logarithms."""
 
     def read(look: Evidence) -> Evidence:
-        return replace(look, log_ratio=(gain * (look.response - look.calibration.neutral)).astype(np.float32))
+        summed = (gain * (look.response - look.calibration.neutral)).astype(np.float32)
+        return replace(look, log_ratio=summed, calibration=replace(look.calibration, spread=0.0))
 
     return read
 
@@ -81,7 +82,7 @@ READINGS: dict[str, Reading] = {
     "shares false=0.3 clutter=0.03 temperature=0.25": shares(0.3, 0.03, 0.25),
 }
 TOLD = "range told to 15 %"
-FORMER = f"{OURS}:floor=0.065,neutral=0.0204,temperature=3.47,persistence=0.77"  # a steeper reading of weak responses
+FORMER = f"{OURS}:floor=0.065,neutral=0.0204,temperature=3.47,persistence=0.77,spread=0"  # a steeper reading of weak responses
 GROUPS: dict[str, tuple[str, ...]] = {
     "rivals": ("centroid", "cent_circ", "grid", "eagor_paper", "vmf", "grid_filter", "particle_filter"),
     "memory": (
@@ -89,15 +90,15 @@ GROUPS: dict[str, tuple[str, ...]] = {
         *(f"{OURS}:persistence={share}" for share in (0, 0.5, 0.9)),
         *(f"{OURS}:surest={nats}" for nats in (8, 1000)),
         *(f"{OURS}:settle={seconds}" for seconds in (0.8, 3, 1e6)),
-        f"{OURS}:doubt=1e-6",
+        *(f"{OURS}:doubt={least}" for least in (1e-6, 0.03)),
         f"{OURS}:wander=0",
         *(f"{OURS}:wander={angle}" for angle in (4, 16)),
-        *(f"{OURS}:restless={rate}" for rate in (0.0003, 0.01)),
+        f"{OURS}:restless=0.01",
     ),
     "reading": (
         *(f"{OURS}:temperature={beta}" for beta in (3, 4.5, 9)),
         *(f"{OURS}:floor={floor}" for floor in (0.03, 0.1, 0.8)),
-        *(f"{OURS}:spread={angle}" for angle in (0, 2, 6, 8)),
+        *(f"{OURS}:spread={angle}" for angle in (0, 2, 5, 8)),
         FORMER,
         *READINGS,
     ),
