@@ -28,7 +28,7 @@ from eagor.queries import parse_query
 FOLDER = Path(__file__).parent
 ROWS = 160  # of the picture that the network sees
 STRIDE = 4  # pixels of that picture to a cell of the response
-# eagor calibrate --perception scout --episodes 60 --trials 48; the defaults of `TrackerConfig` were fitted with it.
+# By `eagor calibrate` and comparison on development apartments (docs/results.md), with the defaults of `TrackerConfig`.
 CALIBRATION = Calibration(floor=0.279, neutral=0.0236, temperature=6.0, persistence=0.776, spread=0.061)
 COARSEST = 16  # rolls by a multiple of so many of its pixels roll the response
 
