@@ -82,7 +82,7 @@ READINGS: dict[str, Reading] = {
     "shares false=0.3 clutter=0.03 temperature=0.25": shares(0.3, 0.03, 0.25),
 }
 TOLD = "range told to 15 %"
-FORMER = f"{OURS}:floor=0.065,neutral=0.0204,temperature=3.47,persistence=0.77,spread=0"  # a steeper reading of weak responses
+FORMER = f"{OURS}:floor=0.065,neutral=0.0204,temperature=3.47,persistence=0.77,spread=0"  # once shipped
 GROUPS: dict[str, tuple[str, ...]] = {
     "rivals": ("centroid", "cent_circ", "grid", "eagor_paper", "vmf", "grid_filter", "particle_filter"),
     "memory": (
