@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 
 from eagor._arrays import Array, namespace
-from eagor.grids import ErpGrid, Grid
+from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.harmonics import RealHarmonics
 
 _MARGIN = 3.0  # nats by which what is cut off the kernel's spectrum stays below the lowest ratio
@@ -33,6 +33,8 @@ def averaged(log_ratio: Array, grid: Grid, spread: float, least: float, most: fl
     # Beyond this degree a kernel as high as the highest ratio has faded into the lowest.
     basis = RealHarmonics(math.ceil(math.sqrt(2 * (most - least + _MARGIN)) / spread))
     whole, xp = basis.quadrature(1), namespace(log_ratio)
+    if isinstance(grid, ErpGrid):  # samples of a coarse picture say nothing at so high a degree: take them as cells
+        grid = PatchGrid(*grid.shape)
     gain = basis.synthesise(basis.smooth(basis.analyse(xp.expm1(log_ratio), grid), spread), whole)
     # 1 + gain, kept from what truncation may leave below the lowest ratio.
     return xp.log1p(xp.clip(gain, math.expm1(least), math.expm1(most))), whole

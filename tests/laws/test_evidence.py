@@ -353,8 +353,9 @@ def test_averaging_conserves_the_mean_ratio_and_stays_within_the_ratios(floor, t
     assert values.max() <= log_ratio.max() + 0.06
 
 
-def test_averaging_leaves_what_says_the_same_everywhere():
-    evidence = Evidence.from_response(np.full(FINE.shape, 0.3), FINE, Calibration(spread=SPREAD))
+@pytest.mark.parametrize("grid", [FINE, PATCHES, ErpGrid(12, 24), ErpGrid(90, 180)])
+def test_averaging_leaves_what_says_the_same_everywhere(grid):
+    evidence = Evidence.from_response(np.full(grid.shape, 0.3), grid, Calibration(spread=SPREAD))
     assert np.allclose(field(evidence), Calibration().log_ratio(np.array(0.3)), atol=1e-6)
 
 
