@@ -87,12 +87,12 @@ class Calibration:
     @property
     def empty(self) -> float:
         """r where we looked and saw nothing: the lowest value there is."""
-        return self.temperature * math.log(self.floor / (self.neutral + self.floor))
+        return float(self.log_ratio(np.array(0.0)))
 
     @property
     def full(self) -> float:
         """r of a response of 1: the highest value there is."""
-        return self.temperature * math.log((1 + self.floor) / (self.neutral + self.floor))
+        return float(self.log_ratio(np.array(1.0)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -225,6 +225,11 @@ def _settings(name: str, text: str) -> dict[str, str]:
     return {key: value for key, _, value in pairs}
 
 
+def _numbers(settings: dict[str, str]) -> dict[str, float]:
+    """Settings from text, angles in radians. Raises ValueError for what is no number."""
+    return {key: math.radians(float(text)) if key in _ANGLES else float(text) for key, text in settings.items()}
+
+
 _READING = ("floor", "neutral", "temperature")
 _REPEATING = (*_READING, "persistence", "spread")
 _OURS = (
@@ -268,8 +273,7 @@ def tracker_config(
     """
     if unknown := [key for key in settings if key not in _OURS]:
         raise KeyError(unknown[0])
-    numbers = {key: float(value) for key, value in settings.items() if key != "decode"}
-    numbers |= {key: math.radians(value) for key, value in numbers.items() if key in _ANGLES}
+    numbers = _numbers({key: value for key, value in settings.items() if key != "decode"})
     if settings.get("decode", "mode") not in ("mode", "mean"):
         raise EagorError(f"decode = {settings['decode']!r}; wanted mode or mean")
     changes: dict[str, Any] = {}
@@ -300,10 +304,8 @@ def _filter(base: str, settings: dict[str, str], rng: np.random.Generator) -> Me
     if unknown := [key for key in settings if key not in SETTINGS[base]]:
         raise KeyError(unknown[0])
     state: Any = _FILTERS[base](rng)
-    numbers = {key: float(value) for key, value in settings.items()}
-    changes: dict[str, Any] = {
-        key: math.radians(value) if key in _ANGLES else value for key, value in numbers.items() if key not in _READING
-    }
+    numbers = _numbers(settings)
+    changes: dict[str, Any] = {key: value for key, value in numbers.items() if key not in _READING}
     if reading := {key: numbers[key] for key in _READING if key in numbers}:
         changes["calibration"] = replace(state.calibration, **reading)
     return FilterMethod(replace(state, **changes) if changes else state)
