@@ -1,4 +1,4 @@
-"""Detections on the sphere: from a box in an image to a smooth bump around the direction that it means."""
+"""Detections on the sphere: from a box or a mask in an image to a bump around the direction that it means."""
 
 from __future__ import annotations
 
@@ -61,6 +61,19 @@ def bump(directions: np.ndarray, centre: np.ndarray, spread: np.ndarray) -> np.n
     """exp(-d^2 / 2) with d the Mahalanobis distance in the tangent plane at `centre`."""
     offsets = _tangent(directions, centre)
     return np.exp(-0.5 * np.einsum("...k,kl,...l->...", offsets, np.linalg.inv(spread), offsets))
+
+
+def widened(mask: np.ndarray, grid: Grid, spread: float) -> np.ndarray:
+    """A mask ``(H, W)`` as a response, with a bump of `spread` (radians) about its middle if that is the wider one."""
+    points, areas = grid.directions[mask], grid.weights[mask]
+    middle = areas @ points
+    length = np.linalg.norm(middle)
+    if spread <= 0 or length < 1e-9 * areas.sum() or not len(points):
+        return mask
+    centre = middle / length
+    if areas @ (_tangent(points, centre) ** 2).sum(axis=-1) > 2 * spread**2 * areas.sum():
+        return mask
+    return np.maximum(mask, np.exp((grid.directions @ centre - 1) / spread**2))
 
 
 def _tangent(directions: np.ndarray, centre: np.ndarray) -> np.ndarray:

@@ -206,6 +206,31 @@ def test_masks_take_the_best_score_where_they_overlap():
     assert evidence.response[0, 0] == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("grid", [ErpGrid(128, 256), PerspectiveGrid(96, 96, math.pi / 2)], ids=["sphere", "view"])
+@pytest.mark.parametrize("azimuth_deg", [20, -30, 179.5])
+def test_a_small_mask_counts_like_a_small_box(grid, azimuth_deg):
+    """Cut at degree 15, three degrees of mask as they are would be less than nothing at all."""
+    if isinstance(grid, PerspectiveGrid) and azimuth_deg > 90:
+        grid = replace(grid, body_R_view=rotation((0, 0, 1), math.pi))
+    there = direction(math.radians(azimuth_deg), math.radians(-5))
+    mask = grid.directions @ there > math.cos(math.radians(1.5))
+    assert mask.any()
+    small, raw = (field(Evidence.from_mask(mask, grid, min_spread=spread)) for spread in (math.radians(4), 0.0))
+    point = field(Evidence.from_points(there, 1 / math.radians(4) ** 2, grid=grid))
+    assert small.max() == pytest.approx(point.max(), rel=0.1)
+    assert raw.max() < 0.4 < 1.2 < small.max()
+    assert angular_distance(brightest(Evidence.from_mask(mask, grid)), there) < math.radians(3)
+
+
+def test_a_mask_that_is_wide_enough_is_taken_at_its_word():
+    grid = ErpGrid(128, 256)
+    wide = grid.directions @ direction(2.0, 0.3) > math.cos(math.radians(12))
+    ring = wide & (grid.directions @ direction(2.0, 0.3) < math.cos(math.radians(9)))
+    for mask in (wide, ring, np.ones(grid.shape, bool), np.zeros(grid.shape, bool)):
+        evidence = Evidence.from_mask(mask, grid, scores=[0.7])
+        assert np.array_equal(evidence.log_ratio, Evidence.from_response(mask * np.float32(0.7), grid).log_ratio)
+
+
 def test_the_left_of_the_picture_is_the_left_of_the_body():
     response = np.zeros(PATCHES.shape)
     response[6, 3] = 1
