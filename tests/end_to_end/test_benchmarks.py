@@ -144,11 +144,27 @@ def test_scores_by_other_rules_and_of_predictions(folder, runs, tmp_path):
     found = answer("score", file, "--task", "hstar-hos", "--data", folder, "--out", tmp_path / "kept", code=3)
     assert (found["episodes"], found["missing"], found["overall"]) == (10, 6, 100.0)
     assert len(ledger.read(tmp_path / "kept")) == 10
+    again = answer("score", file, "--task", "hstar-hos", "--data", folder, "--out", tmp_path / "kept", code=3)
+    assert again == found
+    file.write_text(json.dumps(lines[0] | {"submit": [0, 90]}))
+    said = refused("score", file, "--task", "hstar-hos", "--data", folder, "--out", tmp_path / "kept")
+    assert f"another result for {lines[0]['case']}" in said
     file.write_text('{"doc_id": 0, "filtered_resps": ["<answer>submit(1,2)</answer>"]}\n{"doc_id": 1, "text": "?"}\n')
     found = answer("score", file, "--task", "hstar-hos", "--data", folder, code=3)
     assert (found["episodes"], found["causes"].get("format")) == (2, 1)
     file.write_text('{"case": "nowhere/0/0", "submit": [1, 2]}\n')
     assert "line 1" in refused("score", file, "--task", "hstar-hos", "--data", folder)
+
+
+def test_what_was_scored_over_a_named_folder_is_comparable_wherever_it_was_named_from(
+    folder, runs, tmp_path, monkeypatch
+):
+    place, _, ours = runs
+    monkeypatch.chdir(folder.parent)
+    answer("score", place / "ours", "--data", folder.name, "--scoring", "strict", "--out", tmp_path / "strict")
+    found = answer("compare", place / "ours", tmp_path / "strict")
+    assert found["settings"] == {"scoring": ["official", "strict"]}
+    assert found["figures"]["overall"]["b"] == ours["strict"]
 
 
 def test_reports_comparisons_and_failures(runs, tmp_path):
@@ -191,6 +207,8 @@ def test_the_list_and_what_a_folder_holds(folder, tmp_path):
         (("run", "hstar-hos", "--data", "x", "--agent", "oracle", "--shard", "2"), "I/N"),
         (("run", "hstar-hos", "--data", "x", "--labels", "both"), "no option labels"),
         (("export",), "--task and --data"),
+        (("export", "run", "--task", "osr"), "leave out --task"),
+        (("export", "run", "--set", "sure=0.5"), "leave out --task and --set"),
         (("compare", "nowhere", "nowhere"), "no run.json"),
     ],
 )

@@ -177,8 +177,10 @@ def export(options: BenchExport) -> int:
     if options.run is not None:
         from eagor.evaluation import benchmarks
 
+        if options.task or options.set:
+            raise terminal.UsageError(f"{options.run} says what it is a run of; leave out --task and --set")
         settings, records = benchmarks.read_run(options.run)
-        settings |= {"data": str(options.data)} if options.data else {}
+        settings |= {"data": str(options.data.resolve())} if options.data else {}
     else:
         if not (options.task and options.data):
             raise terminal.UsageError("name a run, or --task and --data")

@@ -270,11 +270,12 @@ class BenchFailures(Common):
 class BenchExport(Common):
     """Write a run, or a benchmark's cases, for other software."""
 
-    run: Annotated[Path | None, Positional, _bare("RUN")] = None
+    run: Annotated[Path | None, Positional, _bare("[RUN]")] = None
     """The folder of a run; what needs only the data does without."""
     to: Annotated[str, arg(metavar="FORMAT")] = "jsonl"
     """jsonl (samples with lmms-eval's keys), or what the benchmark offers: lmms-eval, hstar-txt, ..."""
-    task: TaskOfRun = None
+    task: Annotated[str | None, _bare("NAME")] = None
+    """The benchmark, where no run is named."""
     data: DataOfRun = None
     set: Annotated[tuple[str, ...], _bare("OPTION=VALUE ...")] = ()
     """The benchmark's options, where no run is named."""
