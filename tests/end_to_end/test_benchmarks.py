@@ -184,6 +184,8 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
     failed = answer("failures", place / "ours")
     assert sum(failed["causes"].values()) == round(16 * (1 - ours["overall"] / 100))
     assert "No case failed" in bench("failures", place / "oracle").stdout
+    for words in (("report", place / "ours"), ("export", place / "ours")):
+        assert "tables.md is no folder" in refused(*words, "--out", tmp_path / "tables.md")
 
 
 def test_the_list_and_what_a_folder_holds(folder, tmp_path):

@@ -323,6 +323,8 @@ def test_track_prints_one_line_per_frame(series, tmp_path):
     assert [entry["stamp"] for entry in entries] == [0.0, 1.0]
     assert entries[-1]["distance_m"] is not None
     assert len(list(pictures.iterdir())) == 2
+    head = eagor(*words[:6], "--compare").stdout.splitlines()[0]
+    assert {"grid_filter", "particle_filter"} <= set(head.split())
 
 
 def test_a_known_floor_changes_distances_and_has_to_be_below(three):

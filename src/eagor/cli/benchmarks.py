@@ -94,8 +94,11 @@ def score(options: BenchScore) -> int:
 
 def report(options: BenchReport) -> int:
     """``eagor bench report`` of benchmarks' runs."""
+    from eagor.cli.looking import checked_folder
     from eagor.evaluation.benchmark_report import write_report
 
+    if options.out is not None:
+        checked_folder(options.out)
     return reported(lambda: write_report(options.folders, options.out), options.json)
 
 
@@ -171,6 +174,7 @@ def failures(options: BenchFailures) -> int:
 
 def export(options: BenchExport) -> int:
     """``eagor bench export``."""
+    from eagor.cli.looking import checked_folder
     from eagor.evaluation import predictions
     from eagor.tasks import benchmark
 
@@ -188,6 +192,7 @@ def export(options: BenchExport) -> int:
     out = options.out or options.run
     if out is None:
         raise terminal.UsageError("without a run, name the folder to write into with --out")
+    checked_folder(out)
     known = benchmark.load(str(settings["task"]))
     if options.to == "jsonl" and "jsonl" not in known.exports:
         files = [predictions.samples(settings, records, out)]

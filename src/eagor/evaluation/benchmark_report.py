@@ -26,7 +26,7 @@ from eagor.tasks.benchmark import load
 def write_report(folders: Sequence[Path], out: Path | None = None) -> Path:
     """Write the report of the runs in `folders`, all of one benchmark, into `out` (None: the first folder).
 
-    Returns the path of its page. Raises `EagorError` where there are no records, or several benchmarks; OSError.
+    Returns the path of its page. Raises `EagorError` where there are no records, or several benchmarks; `StorageError`.
     """
     runs = [read_run(Path(folder)) for folder in folders]
     if not runs:
@@ -35,7 +35,6 @@ def write_report(folders: Sequence[Path], out: Path | None = None) -> Path:
     if len(tasks) > 1:
         raise EagorError(f"the runs are of {', '.join(sorted(tasks))}; one report is about one benchmark")
     out = Path(out or folders[0])
-    out.mkdir(parents=True, exist_ok=True)
     summaries = [scores.summarise(settings, records) for settings, records in runs]
     sheets = [benchmark_sheets.main_sheet(summaries)]
     turns, views = benchmark_sheets.turn_sheet(summaries), benchmark_sheets.views_sheet(summaries)

@@ -42,6 +42,8 @@ class BenchmarkRun:
     def settings(self) -> dict[str, Any]:
         """Everything that decides the results, as the JSON of run.json. Raises `EagorError` for what does not fit."""
         benchmark = self.benchmark
+        if self.seed < 0:
+            raise EagorError(f"seed {self.seed}; wanted a whole number from 0 on")
         told: dict[str, Any] = {
             "task": self.task,
             "data": str(Path(self.data).resolve()),
