@@ -7,6 +7,7 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
+from eagor.evaluation.published import compared_with
 from eagor.evaluation.sheets import Box, Sheet
 from eagor.tasks.task import load
 
@@ -53,7 +54,7 @@ def table_csv(summary: dict[str, Any]) -> str:
                 }
                 if found := part.get("differences", {}).get(method, {}).get(column.key):
                     row |= {
-                        "reference": summary["reference"] if ":" not in method else method.partition(":")[0],
+                        "reference": compared_with(method, summary["reference"]),
                         "difference": found["difference"],
                         "difference_low": found["low"],
                         "difference_high": found["high"],
