@@ -58,6 +58,13 @@ WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
         (("bench", "report", "folder"), "no run.json"),
         (("bench", "run", "hstar-hos", "--data", "folder", "--agent", "random", "--seed", "-1"), "seed -1"),
         (("bench", "info", "folder"), "as hstar-hos, hstar-hps: "),
+        ((*WAYPOINT, "--address", "head:1"), "add --engine ray"),
+        (("calibrate", "--perception", "truth", "--rows", "-4"), "--rows -4"),
+        (("calibrate", "--perception", "truth", "--take", "4"), "--take 4 is for eagor calibrate heads"),
+        (
+            ("calibrate", "heads", "--perception", "folder", "--trials", "9"),
+            "--trials 9 is for eagor calibrate responses",
+        ),
         (("calibrate", "--perception", "truth", "--out", "folder"), "--out folder"),
         (("calibrate", "--perception", "truth", "--out", "a.png/x.json"), "cannot be written"),
         (("calibrate", "--perception", "truth", "--seed", "-1", "--episodes", "1"), "between 0 and 1999"),

@@ -24,6 +24,7 @@ from eagor.worlds.panorama import read_panorama
 
 IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 MAX_DEGREE = 63
+LEAST_ROWS = 8
 
 
 def checked_degree(degree: int) -> int:
@@ -31,6 +32,13 @@ def checked_degree(degree: int) -> int:
     if not 1 <= degree <= MAX_DEGREE:
         raise UsageError(f"--degree {degree}; wanted 1 to {MAX_DEGREE} (15 resolves about 12 degrees)")
     return degree
+
+
+def checked_rows(rows: int | None) -> int | None:
+    """`rows` of rendered panoramas, once they are enough to see something in; None is what the perception works at."""
+    if rows is not None and rows < LEAST_ROWS:
+        raise UsageError(f"--rows {rows}; wanted {LEAST_ROWS} or more")
+    return rows
 
 
 def checked_query(query: str) -> str:
