@@ -176,11 +176,17 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
     assert "http" not in page.replace("http://www.w3.org", "")
     assert f"{ours['overall']:.2f}" in (tmp_path / "tables.md").read_text()
     assert r"\begin{tabular}" in (tmp_path / "tables.tex").read_text()
+    facts = (tmp_path / "tables.md").read_text().partition("## ")[0]
+    assert [line for line in facts.splitlines() if line.startswith("- Run")] == [
+        "- Run: eagor · truth:miss=0.5",
+        "- Run: oracle",
+    ]
     assert (tmp_path / "tables.csv").read_text().count("\n") == 1 + 2 * 6
     found = answer("compare", place / "oracle", place / "ours")
     overall = found["figures"]["overall"]
     assert overall["difference"] == pytest.approx(100 - ours["overall"])
     assert overall["mcnemar"]["only_b"] == 0
+    assert "Only 4 clusters" in bench("compare", place / "oracle", place / "ours").stdout
     failed = answer("failures", place / "ours")
     assert sum(failed["causes"].values()) == round(16 * (1 - ours["overall"] / 100))
     assert "No case failed" in bench("failures", place / "oracle").stdout

@@ -105,6 +105,7 @@ def report(options: BenchReport) -> int:
 def compare(options: BenchCompare) -> int:
     """``eagor bench compare``."""
     from eagor.evaluation import benchmarks, scores
+    from eagor.evaluation.samples import FEW, lowest_p
 
     found = scores.compare(benchmarks.read_run(options.a), benchmarks.read_run(options.b))
     if options.json:
@@ -135,6 +136,12 @@ def compare(options: BenchCompare) -> int:
         )
     table(rows)
     print("p: sign flips of whole clusters; McNemar takes cases as independent.")
+    clusters = max((figure.get("clusters", 1) for figure in found["figures"].values()), default=1)
+    if clusters < FEW:
+        print(
+            f"Only {clusters} cluster{'s' * (clusters > 1)}: intervals that resample so few are too narrow, and p "
+            f"cannot be below {lowest_p(clusters):.2g}."
+        )
     return terminal.OK
 
 

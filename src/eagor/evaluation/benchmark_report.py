@@ -61,7 +61,10 @@ def write_report(folders: Sequence[Path], out: Path | None = None) -> Path:
     title = f"{load(tasks.pop()).title}: {summaries[0]['episodes']} cases" + (
         f", {len(runs)} runs" if len(runs) > 1 else ""
     )
-    facts = [fact for run, summary in zip(runs, summaries, strict=True) for fact in _facts(run[0], summary, run[1])]
+    facts: list[tuple[str, str]] = []
+    for label, summary, (settings, records) in zip(benchmark_sheets.labels_of(summaries), summaries, runs, strict=True):
+        facts += [("Run", label)] if len(runs) > 1 else []
+        facts += _facts(settings, summary, records)
     lead = page.paragraph(_outcome(summaries)) + page.details("What was run", page.facts(facts))
     path = out / "report.html"
     written(path, page.document(title, lead, sections, f"Made by eagor {__version__}."))
@@ -105,11 +108,14 @@ def figures_csv(summaries: Sequence[Mapping[str, Any]]) -> str:
 
 def latex(sheet: Sheet) -> str:
     """The main table as a LaTeX tabular, without its intervals."""
-    marks = {"%": r"\%", "&": r"\&", "_": r"\_", "#": r"\#", "·": r"$\cdot$", "↑": r"$\uparrow$", "↓": r"$\downarrow$",
-             "–": "--"}  # fmt: skip
+    marks = str.maketrans({
+        "%": r"\%", "&": r"\&", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}", "\\": r"\textbackslash{}", "·": r"$\cdot$", "↑": r"$\uparrow$",
+        "↓": r"$\downarrow$", "–": "--",
+    })  # fmt: skip
 
     def plain(text: str) -> str:
-        return "".join(marks.get(letter, letter) for letter in text)
+        return text.translate(marks)
 
     lines = [rf"\begin{{tabular}}{{l{'r' * (len(sheet.heads) - 1)}}}", r"\toprule"]
     lines += [" & ".join(map(plain, sheet.heads)) + r" \\", r"\midrule"]
