@@ -126,6 +126,8 @@ GOOD = "stamp,yaw_deg,pitch_deg,roll_deg\n0,0,0,0\n1,10,0,0\n2,20,0,0\n"
 def test_help_lists_the_commands():
     done = eagor("--help")
     assert done.returncode == 0
+    for text in ("--version", "3 finished but some could not be run"):
+        assert text in done.stdout
     for name in ("locate", "track", "demo", "doctor"):
         assert name in done.stdout
         assert eagor(name, "--help").returncode == 0

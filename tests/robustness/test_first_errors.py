@@ -24,6 +24,8 @@ def place(tmp_path, monkeypatch):
     (tmp_path / "torn.glb").write_bytes(b"glTF\x02\0\0\0")
     (tmp_path / "folder").mkdir()
     (tmp_path / "x.png").mkdir()
+    (tmp_path / "torn").mkdir()
+    (tmp_path / "torn" / "run.json").write_text('{"kind": "benchmark", "task": "osr"}')
     return tmp_path
 
 
@@ -56,6 +58,7 @@ WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
         ((*WAYPOINT, "--world", "torn.glb"), "torn.glb"),
         (("bench", "failures", "folder", "--limit", "-1"), "--limit -1"),
         (("bench", "report", "folder"), "no run.json"),
+        (("bench", "report", "torn"), "run.json does not name its data"),
         (("bench", "run", "hstar-hos", "--data", "folder", "--agent", "random", "--seed", "-1"), "seed -1"),
         (("bench", "info", "folder"), "as hstar-hos, hstar-hps: "),
         ((*WAYPOINT, "--address", "head:1"), "add --engine ray"),

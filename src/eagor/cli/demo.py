@@ -10,6 +10,7 @@ from eagor.cli import terminal
 from eagor.cli.looking import checked_folder
 from eagor.cli.options import Demo
 from eagor.estimate import Estimate
+from eagor.evaluation.published import OURS, PAPERS
 from eagor.perception import load
 from eagor.tasks.episodes import PER_PLACE, Slot
 from eagor.tasks.eyes import rows_of
@@ -18,7 +19,6 @@ from eagor.tasks.places import APARTMENT, SEEDS
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
 
-OURS, PUBLISHED = "eagor", "eagor_paper"
 SPOKEN = {
     "centroid": "the plain centroid",
     "cent_circ": "the circular centroid",
@@ -127,8 +127,8 @@ def summary(search: Search) -> list[str]:
     metrics = {name: part["metrics"] for name, part in search.methods.items()}
     lines = [f"{_told(OURS, metrics, search)}; {_told('centroid', metrics, search, short=True)}."]
     lines[0] = lines[0][0].upper() + lines[0][1:]
-    published = _told(PUBLISHED, metrics, search, short=True)
-    lines.append(f"{published[0].upper()}{published[1:]}, off by {metrics[PUBLISHED]['mae']:.0f} degrees on average; "
+    published = _told(PAPERS, metrics, search, short=True)
+    lines.append(f"{published[0].upper()}{published[1:]}, off by {metrics[PAPERS]['mae']:.0f} degrees on average; "
                  f"ours by {metrics[OURS]['mae']:.0f}.")  # fmt: skip
     faster = [n for n, m in metrics.items() if m["success"] and n != OURS and m["steps"] < metrics[OURS]["steps"]]
     if metrics[OURS]["success"] and faster:

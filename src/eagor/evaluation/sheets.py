@@ -172,7 +172,8 @@ def ordering_sheet(records: Sequence[Record], task: str) -> Sheet | None:
     notes = (
         f"Margins of {PAPERS} (the method as published) over the paper's rivals; positive: it is better. Of "
         f"{sum(counts.values())} comparisons {counts['holds']} hold (the 95 % interval lies on the published side of 0 "
-        f"and p < {SIGNIFICANT}), {counts['reversed']} are reversed (on the other side), {counts['open']} are open.",
+        f"and p < {SIGNIFICANT}), {counts['reversed']} are reversed (on the other side), {counts['open']} are open. "
+        "Each is judged for itself, without a correction for their number.",
         "Measured: paired over the episodes that both have. Published margins are differences of the printed figures.",
     )
     return Sheet(f"What {PAPERS} gains over the paper's rivals", _heads(columns, "margin"), tuple(rows), notes)
