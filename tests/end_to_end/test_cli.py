@@ -360,6 +360,17 @@ def test_a_run_without_one_good_frame_has_failed(three):
     assert "none of the 3 frames" in done.stderr
 
 
+@pytest.mark.parametrize("zero", [0.0, 5.0])
+def test_a_replay_a_little_after_its_frame_is_taken_on_any_clock(three, tmp_path, zero):
+    images, write = three
+    looks = tmp_path / "looks.jsonl"
+    with looks.open("w") as file:
+        write_record(file, zero, points=[{"azimuth_deg": 40, "elevation_deg": 10}])
+    poses = write("stamp,yaw_deg,pitch_deg,roll_deg\n" + "".join(f"{zero + s},0,0,0\n" for s in (-0.02, 1, 2)))
+    frames = answer("track", images, "red", "--poses", poses, "--perception", f"replay:{looks}")["frames"]
+    assert [frame["looks"] for frame in frames] == [1, 0, 0]
+
+
 def test_a_replay_on_another_clock_says_so(three, tmp_path):
     images, write = three
     looks = tmp_path / "looks.jsonl"

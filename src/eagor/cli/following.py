@@ -97,7 +97,7 @@ def follow(
         for evidence in looks:
             placed = _within(evidence, poses[0].stamp, poses[fed - 1].stamp)
             tracker.observe(placed)
-            now = max(now, float(placed.stamp or now))
+            now = now if placed.stamp is None else max(now, float(placed.stamp))
         for method in rivals.values():
             method.move(stamp, step.pose.world_R_body, step.pose.position)
             for evidence in looks:
