@@ -371,6 +371,19 @@ def test_a_replay_a_little_after_its_frame_is_taken_on_any_clock(three, tmp_path
     assert [frame["looks"] for frame in frames] == [1, 0, 0]
 
 
+def test_a_line_of_a_replay_is_evidence_once_however_fast_the_camera_is(three, tmp_path):
+    images, write = three
+    looks = tmp_path / "looks.jsonl"
+    with looks.open("w") as file:
+        write_record(file, 5.03, points=[{"azimuth_deg": 40, "elevation_deg": 10}])
+    frames = {}
+    for name, stamps in {"fast": (5.0, 5.033, 5.066), "slow": (4.0, 5.033, 6.0)}.items():
+        poses = write("stamp,yaw_deg,pitch_deg,roll_deg\n" + "".join(f"{stamp},0,0,0\n" for stamp in stamps))
+        frames[name] = answer("track", images, "red", "--poses", poses, "--perception", f"replay:{looks}")["frames"]
+        assert [frame["looks"] for frame in frames[name]] == [0, 1, 0]
+    assert frames["fast"][1]["presence"] == frames["slow"][1]["presence"]
+
+
 def test_a_replay_on_another_clock_says_so(three, tmp_path):
     images, write = three
     looks = tmp_path / "looks.jsonl"
