@@ -74,6 +74,12 @@ def checked_folder(path: Path, option: str = "--out") -> Path:
     return path
 
 
+def check_not_read(path: Path | None, option: str, inputs: Sequence[Path]) -> None:
+    """Raise `UsageError` if `path`, which is to be written, is among the `inputs`: they would be lost, or mixed up."""
+    if path is not None and os.path.realpath(path) in map(os.path.realpath, inputs):
+        raise UsageError(f"{option} {path} is what is read; name another place to write to")
+
+
 def _nearest(path: Path) -> Path:
     """`path` itself, or the nearest place above it that is there."""
     place = path.absolute()

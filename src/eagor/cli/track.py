@@ -19,6 +19,7 @@ from eagor._files import Lines
 from eagor.cli import terminal
 from eagor.cli.following import RIVALS, Result, follow, make_rivals
 from eagor.cli.looking import (
+    check_not_read,
     checked_folder,
     checked_out,
     checked_query,
@@ -41,7 +42,10 @@ def track(options: Track) -> int:
     if len(options.words) < 2:
         raise terminal.UsageError(f"got {' '.join(options.words)!r}; wanted FRAMES (a folder or images), then QUERY")
     query = checked_query(options.words[-1])
-    images = find_frames([Path(word) for word in options.words[:-1]])
+    places = [Path(word) for word in options.words[:-1]]
+    check_not_read(options.out, "--out", [options.poses])
+    check_not_read(options.picture, "--picture", places)
+    images = find_frames(places)
     steps = pair(read_poses(options.poses), images, options.poses)
     config = replace(tracker_config(options.degree, options.calibration), floor=_checked_floor(options.floor, steps))
     perception = make_perception(options.perception)
