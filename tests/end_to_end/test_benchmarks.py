@@ -182,11 +182,16 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
         "- Run: oracle",
     ]
     assert (tmp_path / "tables.csv").read_text().count("\n") == 1 + 2 * 6
+    settings = ledger.description(place / "ours")
     found = answer("compare", place / "oracle", place / "ours")
     overall = found["figures"]["overall"]
     assert overall["difference"] == pytest.approx(100 - ours["overall"])
     assert overall["mcnemar"]["only_b"] == 0
     assert "Only 4 clusters" in bench("compare", place / "oracle", place / "ours").stdout
+    for agent in ("oracle", "constant"):
+        words = ("--data", settings["data"], "--agent", agent, "--limit", 1, "--out", tmp_path / agent)
+        answer("run", "hstar-hos", *words)
+    assert "Only one cluster" in bench("compare", tmp_path / "oracle", tmp_path / "constant").stdout
     failed = answer("failures", place / "ours")
     assert sum(failed["causes"].values()) == round(16 * (1 - ours["overall"] / 100))
     assert "No case failed" in bench("failures", place / "oracle").stdout

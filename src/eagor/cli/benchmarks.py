@@ -137,10 +137,12 @@ def compare(options: BenchCompare) -> int:
     table(rows)
     print("p: sign flips of whole clusters; McNemar takes cases as independent.")
     clusters = max((figure.get("clusters", 1) for figure in found["figures"].values()), default=1)
-    if clusters < FEW:
+    if clusters == 1:
+        print("Only one cluster: nothing can be said about how far the differences carry over to others.")
+    elif clusters < FEW:
         print(
-            f"Only {clusters} cluster{'s' * (clusters > 1)}: intervals that resample so few are too narrow, and p "
-            f"cannot be below {lowest_p(clusters):.2g}."
+            f"Only {clusters} clusters: intervals that resample so few are too narrow, and p cannot be below "
+            f"{lowest_p(clusters):.2g}."
         )
     return terminal.OK
 
