@@ -137,17 +137,13 @@ def _outcome(summaries: Sequence[Mapping[str, Any]]) -> str:
 
 def _facts(settings: Mapping[str, Any], summary: Mapping[str, Any], records: Sequence[Record]) -> list[tuple[str, str]]:
     pairs = [
-        (key.capitalize(), _words(value)) for key, value in settings.items() if key != "kind" and value is not None
+        (key.capitalize(), export.words(value))
+        for key, value in settings.items()
+        if key != "kind" and value is not None
     ]
     pairs.append(("Cases", f"{summary['episodes']} with results, {summary['failed']} without"))
     pairs.append(("Computing time", computing_time(records)))
     return [*pairs, ("Intervals", f"{100 * LEVEL:.0f} %; Wilson's, and {RESAMPLES} resamples of whole clusters")]
-
-
-def _words(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_words(item)}" for key, item in value.items())
-    return "yes" if value is True else "no" if value is False else str(value)
 
 
 def _turn_chart(summaries: Sequence[Mapping[str, Any]]) -> str:

@@ -29,6 +29,17 @@ def markdown(title: str, facts: Sequence[tuple[str, str]], sheets: Sequence[Shee
     return "\n".join(lines)
 
 
+def words(value: Any) -> str:
+    """A setting as text."""
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {words(item)}" for key, item in value.items())
+    if isinstance(value, list):
+        return " ".join(f"({words(item)})" if isinstance(item, list) else words(item) for item in value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
 def table_csv(summary: dict[str, Any]) -> str:
     """One row per stratum ("" for all episodes), method and column, at full precision; empty where there is no case."""
     text = io.StringIO()
