@@ -66,6 +66,7 @@ WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
         (("bench", "info", "folder"), "as hstar-hos, hstar-hps: "),
         ((*WAYPOINT, "--address", "head:1"), "add --engine ray"),
         (("calibrate", "--perception", "truth", "--rows", "-4"), "--rows -4"),
+        (("calibrate", "--perception", "truth", "--episodes", "4"), "wanted 5 or more"),
         (("calibrate", "--perception", "truth", "--take", "4"), "--take 4 is for eagor calibrate heads"),
         (
             ("calibrate", "heads", "--perception", "folder", "--trials", "9"),

@@ -31,13 +31,18 @@ def calibrate(options: Calibrate) -> int:
 
 def responses(options: Calibrate) -> int:
     """``eagor calibrate``."""
-    from eagor.evaluation.calibration import record_episodes
+    from eagor.evaluation.calibration import PER_PLACE, TASKS, development_slots, record_episodes
     from eagor.evaluation.fitting import DRAWS, fit
     from eagor.perception import short_name
 
     if min(options.workers, options.trials, options.episodes) < 1:
         raise terminal.UsageError(
             f"--workers {options.workers} --trials {options.trials} --episodes {options.episodes}; wanted 1 or more"
+        )
+    if len({slot.seed for slot in development_slots(options.episodes, options.seed)}) < 2:
+        raise terminal.UsageError(
+            f"--episodes {options.episodes} are all of one apartment; wanted {1 + PER_PLACE * len(TASKS)} or more: one "
+            "half of the apartments is fitted to, the other judges"
         )
     out = checked_out(options.out or Path(f"calibration-{short_name(options.perception)}.json"))
     with terminal.progress("looking", options.episodes) as advance:
