@@ -149,8 +149,9 @@ def paired_difference(
     """Whether `a` and `b` ``(n,)``, measured on the SAME cases, differ in the mean: a - b, its interval, and p.
 
     p is of the sign-flip permutation test: were the methods alike, each group's difference could as well have had the
-    other sign. All 2^groups sign patterns are tried where they are at most `resamples`, as many random ones otherwise
-    (then p = (hits + 1) / (resamples + 1), so it is never 0). The interval is `bootstrap_interval`'s.
+    other sign. All 2^groups sign patterns are tried where they are at most `resamples`, as many random ones otherwise.
+    p is twice the share of patterns that reach as far to the side of the found difference, at most 1; of random ones
+    that share is (hits + 1) / (resamples + 1), so p is never 0. The interval is `bootstrap_interval`'s.
     """
     a, b = _vector(a, "a"), _vector(b, "b")
     same_length(a=a, b=b)

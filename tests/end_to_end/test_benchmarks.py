@@ -144,11 +144,27 @@ def test_scores_by_other_rules_and_of_predictions(folder, runs, tmp_path):
     found = answer("score", file, "--task", "hstar-hos", "--data", folder, "--out", tmp_path / "kept", code=3)
     assert (found["episodes"], found["missing"], found["overall"]) == (10, 6, 100.0)
     assert len(ledger.read(tmp_path / "kept")) == 10
+    again = answer("score", file, "--task", "hstar-hos", "--data", folder, "--out", tmp_path / "kept", code=3)
+    assert again == found
+    file.write_text(json.dumps(lines[0] | {"submit": [0, 90]}))
+    said = refused("score", file, "--task", "hstar-hos", "--data", folder, "--out", tmp_path / "kept")
+    assert f"another result for {lines[0]['case']}" in said
     file.write_text('{"doc_id": 0, "filtered_resps": ["<answer>submit(1,2)</answer>"]}\n{"doc_id": 1, "text": "?"}\n')
     found = answer("score", file, "--task", "hstar-hos", "--data", folder, code=3)
     assert (found["episodes"], found["causes"].get("format")) == (2, 1)
     file.write_text('{"case": "nowhere/0/0", "submit": [1, 2]}\n')
     assert "line 1" in refused("score", file, "--task", "hstar-hos", "--data", folder)
+
+
+def test_what_was_scored_over_a_named_folder_is_comparable_wherever_it_was_named_from(
+    folder, runs, tmp_path, monkeypatch
+):
+    place, _, ours = runs
+    monkeypatch.chdir(folder.parent)
+    answer("score", place / "ours", "--data", folder.name, "--scoring", "strict", "--out", tmp_path / "strict")
+    found = answer("compare", place / "ours", tmp_path / "strict")
+    assert found["settings"] == {"scoring": ["official", "strict"]}
+    assert found["figures"]["overall"]["b"] == ours["strict"]
 
 
 def test_reports_comparisons_and_failures(runs, tmp_path):
@@ -160,14 +176,27 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
     assert "http" not in page.replace("http://www.w3.org", "")
     assert f"{ours['overall']:.2f}" in (tmp_path / "tables.md").read_text()
     assert r"\begin{tabular}" in (tmp_path / "tables.tex").read_text()
+    facts = (tmp_path / "tables.md").read_text().partition("## ")[0]
+    assert [line for line in facts.splitlines() if line.startswith("- Run")] == [
+        "- Run: eagor · truth:miss=0.5",
+        "- Run: oracle",
+    ]
     assert (tmp_path / "tables.csv").read_text().count("\n") == 1 + 2 * 6
+    settings = ledger.description(place / "ours")
     found = answer("compare", place / "oracle", place / "ours")
     overall = found["figures"]["overall"]
     assert overall["difference"] == pytest.approx(100 - ours["overall"])
     assert overall["mcnemar"]["only_b"] == 0
+    assert "Only 4 clusters" in bench("compare", place / "oracle", place / "ours").stdout
+    for agent in ("oracle", "constant"):
+        words = ("--data", settings["data"], "--agent", agent, "--limit", 1, "--out", tmp_path / agent)
+        answer("run", "hstar-hos", *words)
+    assert "Only one cluster" in bench("compare", tmp_path / "oracle", tmp_path / "constant").stdout
     failed = answer("failures", place / "ours")
     assert sum(failed["causes"].values()) == round(16 * (1 - ours["overall"] / 100))
     assert "No case failed" in bench("failures", place / "oracle").stdout
+    for words in (("report", place / "ours"), ("export", place / "ours")):
+        assert "tables.md is no folder" in refused(*words, "--out", tmp_path / "tables.md")
 
 
 def test_the_list_and_what_a_folder_holds(folder, tmp_path):
@@ -191,6 +220,8 @@ def test_the_list_and_what_a_folder_holds(folder, tmp_path):
         (("run", "hstar-hos", "--data", "x", "--agent", "oracle", "--shard", "2"), "I/N"),
         (("run", "hstar-hos", "--data", "x", "--labels", "both"), "no option labels"),
         (("export",), "--task and --data"),
+        (("export", "run", "--task", "osr"), "leave out --task"),
+        (("export", "run", "--set", "sure=0.5"), "leave out --task and --set"),
         (("compare", "nowhere", "nowhere"), "no run.json"),
     ],
 )

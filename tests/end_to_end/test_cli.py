@@ -126,6 +126,8 @@ GOOD = "stamp,yaw_deg,pitch_deg,roll_deg\n0,0,0,0\n1,10,0,0\n2,20,0,0\n"
 def test_help_lists_the_commands():
     done = eagor("--help")
     assert done.returncode == 0
+    for text in ("--version", "3 finished but some could not be run"):
+        assert text in done.stdout
     for name in ("locate", "track", "demo", "doctor"):
         assert name in done.stdout
         assert eagor(name, "--help").returncode == 0
@@ -323,6 +325,8 @@ def test_track_prints_one_line_per_frame(series, tmp_path):
     assert [entry["stamp"] for entry in entries] == [0.0, 1.0]
     assert entries[-1]["distance_m"] is not None
     assert len(list(pictures.iterdir())) == 2
+    head = eagor(*words[:6], "--compare").stdout.splitlines()[0]
+    assert {"grid_filter", "particle_filter"} <= set(head.split())
 
 
 def test_a_known_floor_changes_distances_and_has_to_be_below(three):
@@ -354,6 +358,30 @@ def test_a_run_without_one_good_frame_has_failed(three):
     done = eagor("track", images, "red", "--poses", write(GOOD))
     assert done.returncode == 1
     assert "none of the 3 frames" in done.stderr
+
+
+@pytest.mark.parametrize("zero", [0.0, 5.0])
+def test_a_replay_a_little_after_its_frame_is_taken_on_any_clock(three, tmp_path, zero):
+    images, write = three
+    looks = tmp_path / "looks.jsonl"
+    with looks.open("w") as file:
+        write_record(file, zero, points=[{"azimuth_deg": 40, "elevation_deg": 10}])
+    poses = write("stamp,yaw_deg,pitch_deg,roll_deg\n" + "".join(f"{zero + s},0,0,0\n" for s in (-0.02, 1, 2)))
+    frames = answer("track", images, "red", "--poses", poses, "--perception", f"replay:{looks}")["frames"]
+    assert [frame["looks"] for frame in frames] == [1, 0, 0]
+
+
+def test_a_line_of_a_replay_is_evidence_once_however_fast_the_camera_is(three, tmp_path):
+    images, write = three
+    looks = tmp_path / "looks.jsonl"
+    with looks.open("w") as file:
+        write_record(file, 5.03, points=[{"azimuth_deg": 40, "elevation_deg": 10}])
+    frames = {}
+    for name, stamps in {"fast": (5.0, 5.033, 5.066), "slow": (4.0, 5.033, 6.0)}.items():
+        poses = write("stamp,yaw_deg,pitch_deg,roll_deg\n" + "".join(f"{stamp},0,0,0\n" for stamp in stamps))
+        frames[name] = answer("track", images, "red", "--poses", poses, "--perception", f"replay:{looks}")["frames"]
+        assert [frame["looks"] for frame in frames[name]] == [0, 1, 0]
+    assert frames["fast"][1]["presence"] == frames["slow"][1]["presence"]
 
 
 def test_a_replay_on_another_clock_says_so(three, tmp_path):

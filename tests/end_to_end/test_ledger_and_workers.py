@@ -172,6 +172,12 @@ def test_run_json_is_written_once_and_held_against_later_runs(tmp_path):
     assert [path.name for path in (tmp_path / "run").iterdir()] == ["run.json"]
 
 
+def test_records_that_cannot_be_read_are_named(tmp_path):
+    (tmp_path / "worker-0.jsonl").mkdir()
+    with pytest.raises(FormatError, match=r"worker-0\.jsonl cannot be read"):
+        ledger.read(tmp_path)
+
+
 def test_a_folder_without_a_run_or_with_a_broken_one_is_named(tmp_path):
     with pytest.raises(FormatError, match=r"no run\.json"):
         description(tmp_path)

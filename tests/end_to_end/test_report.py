@@ -218,6 +218,7 @@ def test_development_seeds_are_no_results(tmp_path):
     text = write_report(runs.write_run(tmp_path, records, development=True), place).read_text()
     assert "parameters were chosen on them" in text
     assert "Only one apartment" in text
+    assert "beyond chance" not in text
 
 
 def test_a_run_without_ours_or_with_failures_alone_still_has_a_report(tmp_path):

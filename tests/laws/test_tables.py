@@ -362,6 +362,18 @@ def flat(tree):
     return {f"{key}.{inner}": value for key, part in tree.items() for inner, value in flat(part).items()}
 
 
+def test_what_so_few_apartments_cannot_tell_is_said(run):
+    _, summary = run
+    found = [f for row in summary["differences"].values() for f in row.values() if f is not None]
+    lowest = len(found) * 2.0 ** (1 - summary["apartments"])
+    assert min(f["p_holm"] for f in found) >= min(lowest, 1.0)
+    notes = " ".join(main_sheet(summary).notes)
+    assert "Only 5 apartments" in notes
+    assert f"{len(found)} tests no p can be below {min(lowest, 1.0):.2g}" in notes
+    many = summarise(runs.waypoint(apartments=14, each=1, methods=("vmf", "eagor"), steps=8))
+    assert "apartments" not in " ".join(main_sheet(many).notes).replace("whole apartments", "")
+
+
 def test_where_ours_is_behind_is_said_with_the_figures(run):
     _, summary = run
     summary = copy.deepcopy(summary)

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from PIL import Image
@@ -22,6 +23,9 @@ def place(tmp_path, monkeypatch):
     (tmp_path / "bad.json").write_text("[" * 3000)
     (tmp_path / "torn.glb").write_bytes(b"glTF\x02\0\0\0")
     (tmp_path / "folder").mkdir()
+    (tmp_path / "x.png").mkdir()
+    (tmp_path / "torn").mkdir()
+    (tmp_path / "torn" / "run.json").write_text('{"kind": "benchmark", "task": "osr"}')
     return tmp_path
 
 
@@ -34,13 +38,20 @@ WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
     [
         (("locate", "folder", "red"), "is a folder"),
         (("locate", "a.png", "red", "--stamp", "nan"), "a finite number"),
+        (("locate", "a.png", "red", "--picture", "x.png"), "--picture x.png cannot be written"),
+        (("locate", "a.png", "red", "--picture", "folder/../a.png"), "a.png is what is read"),
+        ((*TRACK, "red", "--poses", "poses.csv", "--out", "poses.csv"), "--out poses.csv is what is read"),
+        (("track", "folder", "red", "--poses", "poses.csv", "--picture", "folder"), "--picture folder is what is read"),
         (("locate", "a.png", "red", "--calibration", "bad.json"), "bad.json is no JSON"),
         (("locate", "a.png", "red", "--calibration", "folder"), "folder cannot be read"),
         ((*TRACK, "chair", "--poses", "poses.csv", "--out", "new.csv"), "names no colour"),
         ((*TRACK, "red", "--poses", "poses.csv", "--floor", "nan"), "--floor nan"),
         ((*TRACK, "red", "--poses", "poses.csv", "--out", "nowhere/new.csv"), "no folder"),
         ((*TRACK, "red", "--poses", "folder"), "folder cannot be read"),
+        ((*TRACK, "red", "--poses", "poses.csv", "--picture", "bad.json"), "bad.json is no folder"),
+        (("track", "a.png", "b" * 300, "red", "--poses", "poses.csv"), "there is no file bbb"),
         (("demo", "--out", "a.png"), "cannot be made a folder"),
+        (("demo", "--out", "new", "--perception", "nonsense"), "no perception 'nonsense'"),
         (("demo", "--seed", "-1"), "0 to 9999"),
         ((*WAYPOINT, "--workers", "0"), "--workers 0"),
         ((*WAYPOINT, "--episodes", "-1"), "1 or more"),
@@ -50,7 +61,17 @@ WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
         ((*WAYPOINT, "--world", "torn.glb"), "torn.glb"),
         (("bench", "failures", "folder", "--limit", "-1"), "--limit -1"),
         (("bench", "report", "folder"), "no run.json"),
+        (("bench", "report", "torn"), "run.json does not name its data"),
+        (("bench", "run", "hstar-hos", "--data", "folder", "--agent", "random", "--seed", "-1"), "seed -1"),
         (("bench", "info", "folder"), "as hstar-hos, hstar-hps: "),
+        ((*WAYPOINT, "--address", "head:1"), "add --engine ray"),
+        (("calibrate", "--perception", "truth", "--rows", "-4"), "--rows -4"),
+        (("calibrate", "--perception", "truth", "--episodes", "4"), "wanted 5 or more"),
+        (("calibrate", "--perception", "truth", "--take", "4"), "--take 4 is for eagor calibrate heads"),
+        (
+            ("calibrate", "heads", "--perception", "folder", "--trials", "9"),
+            "--trials 9 is for eagor calibrate responses",
+        ),
         (("calibrate", "--perception", "truth", "--out", "folder"), "--out folder"),
         (("calibrate", "--perception", "truth", "--out", "a.png/x.json"), "cannot be written"),
         (("calibrate", "--perception", "truth", "--seed", "-1", "--episodes", "1"), "between 0 and 1999"),
@@ -67,6 +88,15 @@ def test_one_line_and_nothing_left_behind(place, capsys, words, says):
         assert line.startswith("eagor: error: ")
         assert says in line
     assert sorted(place.rglob("*")) == before
+
+
+def test_a_folder_that_may_not_be_read_is_refused_as_input(place, capsys, monkeypatch):
+    def closed(self):
+        raise PermissionError(13, "Permission denied", str(self))
+
+    monkeypatch.setattr(Path, "iterdir", closed)
+    assert main(["track", "folder", "red", "--poses", "poses.csv"]) == 2
+    assert "folder cannot be read (Permission denied)" in capsys.readouterr().err
 
 
 def test_a_table_that_is_there_is_not_lost_to_a_query_that_means_nothing(place, capsys):

@@ -36,7 +36,10 @@ from eagor.errors import AnswerError, EagorError, ServerError, StorageError, Wor
 
 DESCRIPTION = """In which direction is the thing I asked for, and how sure are we, while the camera turns and moves?
 
-Azimuth is positive to the LEFT, elevation positive up, both in degrees; the middle of a panorama is forward."""
+Azimuth is positive to the LEFT, elevation positive up, both in degrees; the middle of a panorama is forward.
+
+Exit codes: 0 fine, 1 the run failed, 2 usage or input, 3 finished but some could not be run.
+`eagor --version` says which version this is."""
 
 _NO_FAULT_OF_THE_INPUT = (terminal.RunError, ServerError, AnswerError, StorageError, WorkError)
 

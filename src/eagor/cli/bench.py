@@ -6,12 +6,11 @@ Benchmarks with published data go on from here to `eagor.cli.benchmarks`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from eagor.cli import terminal
-from eagor.cli.options import Bench, BenchReport, BenchRun
+from eagor.cli.options import Bench, BenchReport, BenchRun, given
 from eagor.errors import EagorError
 
 SEED = 2000
@@ -37,6 +36,7 @@ def bench(options: Bench) -> int:
 
 def run(options: BenchRun) -> int:
     """``eagor bench run``."""
+    from eagor.cli.looking import checked_rows
     from eagor.evaluation import bench, ledger, tables
     from eagor.perception import short_name
     from eagor.perception.calibrated import read_calibrated
@@ -44,6 +44,7 @@ def run(options: BenchRun) -> int:
     from eagor.tasks.rules import Disturbances
 
     check_options(options, "a simulated task", PUBLISHED_ONLY)
+    checked_rows(options.rows)
     if options.engine == "threads":
         raise terminal.UsageError("--engine threads is for work that waits for servers; simulated tasks compute")
     perception = options.perception or PERCEPTION
@@ -65,8 +66,6 @@ def run(options: BenchRun) -> int:
         settings=pairs_of(options.set),
     )
     out = options.out or Path("runs") / f"{options.task}-{short_name(perception)}-{seed}"
-    if options.rows is not None and options.rows < 8:
-        raise terminal.UsageError(f"--rows {options.rows}; wanted 8 or more")
     units = wanted.units()
     wanted.config()  # what cannot be is told before anything is said to go on
     terminal.log(f"{options.episodes} episodes, {len(methods)} methods; records go to {out}")
@@ -88,12 +87,13 @@ def run(options: BenchRun) -> int:
 
 
 def check_options(options: BenchRun, what: str, others: tuple[str, ...]) -> None:
-    """Raise `UsageError` for an option among `others`, which `what` does not have, and for a run without workers."""
-    defaults = {field.name: field.default for field in fields(BenchRun)}
-    if wrong := [name for name in others if getattr(options, name) != defaults[name]]:
+    """Raise `UsageError` for an option among `others`, which `what` does not have, and for workers that cannot be."""
+    if wrong := given(options, others):
         raise terminal.UsageError(f"{options.task} is {what} and takes no --{wrong[0]}")
     if options.workers < 1:
         raise terminal.UsageError(f"--workers {options.workers}; wanted 1 or more")
+    if options.address is not None and options.engine != "ray":
+        raise terminal.UsageError(f"--address {options.address} is of a Ray cluster; add --engine ray")
 
 
 def told(advance: Callable[[], None]) -> Callable[[dict[str, Any]], None]:

@@ -94,14 +94,18 @@ def score(options: BenchScore) -> int:
 
 def report(options: BenchReport) -> int:
     """``eagor bench report`` of benchmarks' runs."""
+    from eagor.cli.looking import checked_folder
     from eagor.evaluation.benchmark_report import write_report
 
+    if options.out is not None:
+        checked_folder(options.out)
     return reported(lambda: write_report(options.folders, options.out), options.json)
 
 
 def compare(options: BenchCompare) -> int:
     """``eagor bench compare``."""
     from eagor.evaluation import benchmarks, scores
+    from eagor.evaluation.samples import FEW, lowest_p
 
     found = scores.compare(benchmarks.read_run(options.a), benchmarks.read_run(options.b))
     if options.json:
@@ -132,6 +136,14 @@ def compare(options: BenchCompare) -> int:
         )
     table(rows)
     print("p: sign flips of whole clusters; McNemar takes cases as independent.")
+    clusters = max((figure.get("clusters", 1) for figure in found["figures"].values()), default=1)
+    if clusters == 1:
+        print("Only one cluster: nothing can be said about how far the differences carry over to others.")
+    elif clusters < FEW:
+        print(
+            f"Only {clusters} clusters: intervals that resample so few are too narrow, and p cannot be below "
+            f"{lowest_p(clusters):.2g}."
+        )
     return terminal.OK
 
 
@@ -171,14 +183,17 @@ def failures(options: BenchFailures) -> int:
 
 def export(options: BenchExport) -> int:
     """``eagor bench export``."""
+    from eagor.cli.looking import checked_folder
     from eagor.evaluation import predictions
     from eagor.tasks import benchmark
 
     if options.run is not None:
         from eagor.evaluation import benchmarks
 
+        if options.task or options.set:
+            raise terminal.UsageError(f"{options.run} says what it is a run of; leave out --task and --set")
         settings, records = benchmarks.read_run(options.run)
-        settings |= {"data": str(options.data)} if options.data else {}
+        settings |= {"data": str(options.data.resolve())} if options.data else {}
     else:
         if not (options.task and options.data):
             raise terminal.UsageError("name a run, or --task and --data")
@@ -186,6 +201,7 @@ def export(options: BenchExport) -> int:
     out = options.out or options.run
     if out is None:
         raise terminal.UsageError("without a run, name the folder to write into with --out")
+    checked_folder(out)
     known = benchmark.load(str(settings["task"]))
     if options.to == "jsonl" and "jsonl" not in known.exports:
         files = [predictions.samples(settings, records, out)]

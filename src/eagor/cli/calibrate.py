@@ -8,31 +8,41 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eagor.cli import terminal
-from eagor.cli.looking import checked_out
-from eagor.cli.options import Calibrate
+from eagor.cli.looking import checked_out, checked_rows
+from eagor.cli.options import Calibrate, given
 from eagor.errors import EagorError
 
 if TYPE_CHECKING:
     from eagor.perception.calibrated import Calibrated
     from eagor.perception.vlm.labelled import Labelled
 
+RESPONSES_ONLY = ("trials", "workers")
+HEADS_ONLY = ("labels", "take")
+
 
 def calibrate(options: Calibrate) -> int:
     """Run the command; returns its exit code."""
+    other, others = ("responses", RESPONSES_ONLY) if options.what == "heads" else ("heads", HEADS_ONLY)
+    if wrong := given(options, others):
+        raise terminal.UsageError(f"--{wrong[0]} {getattr(options, wrong[0])} is for eagor calibrate {other}")
+    checked_rows(options.rows)
     return heads(options) if options.what == "heads" else responses(options)
 
 
 def responses(options: Calibrate) -> int:
     """``eagor calibrate``."""
-    if options.labels is not None:
-        raise terminal.UsageError(f"--labels {options.labels} is for eagor calibrate heads")
-    from eagor.evaluation.calibration import record_episodes
+    from eagor.evaluation.calibration import PER_PLACE, TASKS, development_slots, record_episodes
     from eagor.evaluation.fitting import DRAWS, fit
     from eagor.perception import short_name
 
     if min(options.workers, options.trials, options.episodes) < 1:
         raise terminal.UsageError(
             f"--workers {options.workers} --trials {options.trials} --episodes {options.episodes}; wanted 1 or more"
+        )
+    if len({slot.seed for slot in development_slots(options.episodes, options.seed)}) < 2:
+        raise terminal.UsageError(
+            f"--episodes {options.episodes} are all of one apartment; wanted {1 + PER_PLACE * len(TASKS)} or more: one "
+            "half of the apartments is fitted to, the other judges"
         )
     out = checked_out(options.out or Path(f"calibration-{short_name(options.perception)}.json"))
     with terminal.progress("looking", options.episodes) as advance:

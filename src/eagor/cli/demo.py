@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from eagor.cli import terminal
+from eagor.cli.looking import checked_folder
 from eagor.cli.options import Demo
 from eagor.estimate import Estimate
+from eagor.evaluation.published import OURS, PAPERS
 from eagor.perception import load
 from eagor.tasks.episodes import PER_PLACE, Slot
 from eagor.tasks.eyes import rows_of
@@ -17,7 +19,6 @@ from eagor.tasks.places import APARTMENT, SEEDS
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
 
-OURS, PUBLISHED = "eagor", "eagor_paper"
 SPOKEN = {
     "centroid": "the plain centroid",
     "cent_circ": "the circular centroid",
@@ -49,16 +50,15 @@ class Search:
 
 def demo(options: Demo) -> int:
     """Run the command; returns its exit code."""
+    from eagor.cli.demo_report import write_report
+
     if not 0 <= options.seed < SEEDS:
         raise terminal.UsageError(f"--seed {options.seed}; wanted an apartment, 0 to {SEEDS - 1}")
     if not 0 <= options.episode < PER_PLACE:
         raise terminal.UsageError(f"--episode {options.episode}; wanted 0 to {PER_PLACE - 1}")
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise terminal.UsageError(f"--out {options.out}: cannot be made a folder ({error})") from error
+    checked_folder(options.out)
     search = play(options.seed, options.episode, options.perception, say=not options.json)
-    report = _write_report(search, options.out)
+    report = write_report(search, options.out)
     if options.json:
         terminal.emit(_as_json(search, options, report))
     else:
@@ -127,8 +127,8 @@ def summary(search: Search) -> list[str]:
     metrics = {name: part["metrics"] for name, part in search.methods.items()}
     lines = [f"{_told(OURS, metrics, search)}; {_told('centroid', metrics, search, short=True)}."]
     lines[0] = lines[0][0].upper() + lines[0][1:]
-    published = _told(PUBLISHED, metrics, search, short=True)
-    lines.append(f"{published[0].upper()}{published[1:]}, off by {metrics[PUBLISHED]['mae']:.0f} degrees on average; "
+    published = _told(PAPERS, metrics, search, short=True)
+    lines.append(f"{published[0].upper()}{published[1:]}, off by {metrics[PAPERS]['mae']:.0f} degrees on average; "
                  f"ours by {metrics[OURS]['mae']:.0f}.")  # fmt: skip
     faster = [n for n, m in metrics.items() if m["success"] and n != OURS and m["steps"] < metrics[OURS]["steps"]]
     if metrics[OURS]["success"] and faster:
@@ -164,12 +164,3 @@ def _as_json(search: Search, options: Demo, report: Path) -> dict[str, Any]:
         "summary": summary(search),
         "report": str(report),
     }
-
-
-def _write_report(search: Search, folder: Path) -> Path:
-    from eagor.cli.demo_report import write_report
-
-    try:
-        return write_report(search, folder)
-    except OSError as error:
-        raise terminal.RunError(f"the report cannot be written into {folder} ({error})") from error

@@ -13,10 +13,11 @@ import numpy as np
 
 from eagor._files import written
 from eagor._version import __version__
-from eagor.cli.demo import OURS, PICTURE_ROWS, PUBLISHED, Search, summary
+from eagor.cli.demo import PICTURE_ROWS, Search, summary
 from eagor.cli.looking import keep_picture
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import draw_errors, draw_map, draw_strip
+from eagor.evaluation.published import OURS, PAPERS
 from eagor.sphere import direction
 from eagor.tasks.methods import DESCRIPTIONS, NAMES
 from eagor.tasks.places import Place, load_place
@@ -90,7 +91,7 @@ def _map(search: Search, place: Place) -> Image:
     ground = place.ground
     rows, cols = ground.free.shape
     x0, y0 = ground.origin
-    shown = [OURS, PUBLISHED, *(name for name in NAMES if name not in (OURS, PUBLISHED))]
+    shown = [OURS, PAPERS, *(name for name in NAMES if name not in (OURS, PAPERS))]
     paths = {name: np.array(search.methods[name]["trace"]["pose"])[:, :2] for name in shown}
     target = place.scene.instances[search.episode["targets"][0]].centre
     extent = (float(x0), float(x0 + cols * ground.cell), float(y0), float(y0 + rows * ground.cell))

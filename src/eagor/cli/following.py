@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -77,6 +78,7 @@ def follow(
     """
     tracker = DirectionTracker(config)
     poses, fed, warned = [step.pose for step in steps], 0, False
+    frames = [step.pose.stamp for step in steps if step.image is not None]
     for index, step in enumerate(steps):
         # One pose ahead: what a replay recorded a little after this frame then finds the pose of its own moment.
         while fed < min(index + 2, len(poses)):
@@ -89,7 +91,7 @@ def follow(
         try:
             panorama = read_frame(step.image, warn=not warned)
             warned = warned or panorama.shape[1] != 2 * panorama.shape[0]
-            looks = look_if_recorded(perception, panorama, query, stamp)
+            looks = _own(look_if_recorded(perception, panorama, query, stamp), stamp, frames)
         except EagorError as error:
             if is_input_fault(error):
                 raise
@@ -97,7 +99,7 @@ def follow(
         for evidence in looks:
             placed = _within(evidence, poses[0].stamp, poses[fed - 1].stamp)
             tracker.observe(placed)
-            now = max(now, float(placed.stamp or now))
+            now = now if placed.stamp is None else max(now, float(placed.stamp))
         for method in rivals.values():
             method.move(stamp, step.pose.world_R_body, step.pose.position)
             for evidence in looks:
@@ -117,6 +119,20 @@ def follow(
 def make_rivals(perception: str) -> dict[str, Method]:
     """Every other method by name, set as it does best with `perception` (as `eagor.perception.load` reads it)."""
     return {name: make_method(name, np.random.default_rng(0), perception) for name in RIVALS}
+
+
+def _own(looks: Sequence[Evidence], stamp: float, frames: Sequence[float]) -> tuple[Evidence, ...]:
+    """Those of `looks` to which no other of the `frames` (their times, rising) is nearer than the one at `stamp`.
+
+    Frames that are closer together than a replay's tolerance find the same line: it is evidence once.
+    """
+
+    def nearest(look: Evidence) -> float:
+        at = stamp if look.stamp is None else float(look.stamp)
+        place = bisect_left(frames, at)
+        return min(frames[max(place - 1, 0) : place + 1], key=lambda frame: abs(frame - at))
+
+    return tuple(look for look in looks if nearest(look) == stamp)
 
 
 def _within(evidence: Evidence, first: float, last: float) -> Evidence:

@@ -12,6 +12,7 @@ import numpy as np
 from eagor.belief import Belief
 from eagor.cli import terminal
 from eagor.cli.looking import (
+    check_not_read,
     checked_picture,
     checked_query,
     first_stamp,
@@ -35,6 +36,7 @@ def locate(options: Locate) -> int:
     query = checked_query(options.query)
     if options.modes < 1:
         raise terminal.UsageError(f"--modes {options.modes}; wanted 1 or more")
+    check_not_read(options.picture, "--picture", [options.panorama])
     config = tracker_config(options.degree, options.calibration)
     if options.picture is not None:
         checked_picture(options.picture)

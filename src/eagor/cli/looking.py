@@ -24,6 +24,7 @@ from eagor.worlds.panorama import read_panorama
 
 IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 MAX_DEGREE = 63
+LEAST_ROWS = 8
 
 
 def checked_degree(degree: int) -> int:
@@ -31,6 +32,13 @@ def checked_degree(degree: int) -> int:
     if not 1 <= degree <= MAX_DEGREE:
         raise UsageError(f"--degree {degree}; wanted 1 to {MAX_DEGREE} (15 resolves about 12 degrees)")
     return degree
+
+
+def checked_rows(rows: int | None) -> int | None:
+    """`rows` of rendered panoramas, once they are enough to see something in; None is what the perception works at."""
+    if rows is not None and rows < LEAST_ROWS:
+        raise UsageError(f"--rows {rows}; wanted {LEAST_ROWS} or more")
+    return rows
 
 
 def checked_query(query: str) -> str:
@@ -41,20 +49,41 @@ def checked_query(query: str) -> str:
 
 
 def checked_picture(path: Path) -> Path:
-    """`path`, once it names a kind of picture and a folder that is there."""
+    """`path`, once it names a kind of picture and a folder that is there and can be written to."""
     if path.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
         raise UsageError(f"--picture {path}: wanted a file name that ends in .png, .jpg or .webp")
     if not path.absolute().parent.is_dir():
         raise UsageError(f"--picture {path}: there is no folder {path.absolute().parent}; make it first")
-    return path
+    return checked_out(path, "--picture")
 
 
-def checked_out(path: Path) -> Path:
+def checked_out(path: Path, option: str = "--out") -> Path:
     """`path` of a file to be written after long work, once it is likely that it can be."""
-    folder = next(place for place in path.absolute().parents if place.exists())
-    if path.is_dir() or not folder.is_dir() or not os.access(path if path.exists() else folder, os.W_OK):
-        raise UsageError(f"--out {path} cannot be written; name a file in a folder that can be written to")
+    there = _nearest(path)
+    if path.is_dir() or not (there.is_dir() or there == path.absolute()) or not os.access(there, os.W_OK):
+        raise UsageError(f"{option} {path} cannot be written; name a file in a folder that can be written to")
     return path
+
+
+def checked_folder(path: Path, option: str = "--out") -> Path:
+    """`path` of a folder to be written into after long work, once it is likely that it can be; nothing is made yet."""
+    there = _nearest(path)
+    if not there.is_dir() or not os.access(there, os.W_OK):
+        why = "cannot be written to" if there.is_dir() else "is no folder"
+        raise UsageError(f"{option} {path}: cannot be made a folder to write into ({there} {why}); name another")
+    return path
+
+
+def check_not_read(path: Path | None, option: str, inputs: Sequence[Path]) -> None:
+    """Raise `UsageError` if `path`, which is to be written, is among the `inputs`: they would be lost, or mixed up."""
+    if path is not None and os.path.realpath(path) in map(os.path.realpath, inputs):
+        raise UsageError(f"{option} {path} is what is read; name another place to write to")
+
+
+def _nearest(path: Path) -> Path:
+    """`path` itself, or the nearest place above it that is there."""
+    place = path.absolute()
+    return next(place for place in (place, *place.parents) if os.path.exists(place))
 
 
 def keep_picture(picture: Image.Image, path: Path) -> None:
@@ -79,16 +108,22 @@ def tracker_config(degree: int, calibration: Path | None) -> TrackerConfig:
 
 def find_frames(places: Sequence[Path]) -> tuple[Path, ...]:
     """The images that `places` name (one folder, or image files), by name; numbers in names count by value."""
-    if len(places) == 1 and places[0].is_dir():
-        found = [p for p in places[0].iterdir() if p.suffix.lower() in IMAGES and not p.name.startswith(".")]
+    if len(places) == 1 and os.path.isdir(places[0]):
+        try:
+            inside = sorted(places[0].iterdir())
+        except OSError as error:
+            raise ImageError(
+                f"{places[0]} cannot be read ({error.strerror}); let it be read, or name another"
+            ) from error
+        found = [p for p in inside if p.suffix.lower() in IMAGES and not p.name.startswith(".")]
         if not found:
             raise ImageError(f"{places[0]} holds no images; wanted files that end in {', '.join(IMAGES)}")
     else:
         found = list(places)
-        for place in found:
-            if place.is_dir():
+        for place in found:  # os.path says no where Path would raise: a name too long, a folder that is closed
+            if os.path.isdir(place):
                 raise UsageError(f"{place} is a folder; give one folder, or only image files")
-            if not place.exists():
+            if not os.path.exists(place):
                 raise ImageError(f"there is no file {place}; give a folder of panoramas, or image files")
     return tuple(sorted(found, key=lambda p: (_natural(p.name), str(p))))
 

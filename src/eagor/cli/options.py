@@ -8,7 +8,8 @@ brackets, which Python takes for one: it is wrapped where it is shown.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -47,6 +48,12 @@ class Common:
     """Print exactly one JSON object on stdout."""
     debug: Flag = False
     """Show the traceback of an error."""
+
+
+def given(options: Common, names: Sequence[str]) -> list[str]:
+    """Those of `names` that are not what they are by default."""
+    defaults = {field.name: field.default for field in fields(options)}
+    return [name for name in names if getattr(options, name) != defaults[name]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,11 +277,12 @@ class BenchFailures(Common):
 class BenchExport(Common):
     """Write a run, or a benchmark's cases, for other software."""
 
-    run: Annotated[Path | None, Positional, _bare("RUN")] = None
+    run: Annotated[Path | None, Positional, _bare("[RUN]")] = None
     """The folder of a run; what needs only the data does without."""
     to: Annotated[str, arg(metavar="FORMAT")] = "jsonl"
     """jsonl (samples with lmms-eval's keys), or what the benchmark offers: lmms-eval, hstar-txt, ..."""
-    task: TaskOfRun = None
+    task: Annotated[str | None, _bare("NAME")] = None
+    """The benchmark, where no run is named."""
     data: DataOfRun = None
     set: Annotated[tuple[str, ...], _bare("OPTION=VALUE ...")] = ()
     """The benchmark's options, where no run is named."""

@@ -18,13 +18,23 @@ from pathlib import Path
 from eagor._files import Lines
 from eagor.cli import terminal
 from eagor.cli.following import RIVALS, Result, follow, make_rivals
-from eagor.cli.looking import checked_out, checked_query, find_frames, keep_picture, make_perception, tracker_config
+from eagor.cli.looking import (
+    check_not_read,
+    checked_folder,
+    checked_out,
+    checked_query,
+    find_frames,
+    keep_picture,
+    make_perception,
+    tracker_config,
+)
 from eagor.cli.options import Track
 from eagor.cli.poses import Step, pair, read_poses
 from eagor.cli.words import signed
 from eagor.sphere import azimuth_elevation
 
 COLUMNS = ("frame", "stamp", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "distance_m", "status")
+WIDE = 2 + max(map(len, RIVALS))  # of a rival's column
 
 
 def track(options: Track) -> int:
@@ -32,7 +42,10 @@ def track(options: Track) -> int:
     if len(options.words) < 2:
         raise terminal.UsageError(f"got {' '.join(options.words)!r}; wanted FRAMES (a folder or images), then QUERY")
     query = checked_query(options.words[-1])
-    images = find_frames([Path(word) for word in options.words[:-1]])
+    places = [Path(word) for word in options.words[:-1]]
+    check_not_read(options.out, "--out", [options.poses])
+    check_not_read(options.picture, "--picture", places)
+    images = find_frames(places)
     steps = pair(read_poses(options.poses), images, options.poses)
     config = replace(tracker_config(options.degree, options.calibration), floor=_checked_floor(options.floor, steps))
     perception = make_perception(options.perception)
@@ -74,7 +87,7 @@ def track(options: Track) -> int:
 
 
 def _header(compare: bool) -> str:
-    others = "".join(f"{name:>15}" for name in RIVALS) if compare else ""
+    others = "".join(f"{name:>{WIDE}}" for name in RIVALS) if compare else ""
     angles = "   (degrees; azimuth/elevation)" if compare else ""
     return f"     stamp  azimuth  elevation  cone 90%  distance  modes  status    {others}{angles}"
 
@@ -86,7 +99,7 @@ def _line(result: Result) -> str:
     line += f" {far:>9} {len(e.modes):>6}  {e.status:10}"
     for direction in result.others.values():
         azimuth, elevation = azimuth_elevation(direction)
-        line += f"{signed(float(azimuth)) + '/' + signed(float(elevation)):>15}"
+        line += f"{signed(float(azimuth)) + '/' + signed(float(elevation)):>{WIDE}}"
     return line.rstrip()
 
 
@@ -133,10 +146,7 @@ def _painter(folder: Path, query: str) -> Callable[[int, Result], None]:
     """Draws a frame with its belief into `folder`; frames that could not be read are left out."""
     from eagor.drawing import draw_belief
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise terminal.UsageError(f"--picture {folder}: cannot be made a folder ({error})") from error
+    checked_folder(folder, "--picture")
 
     def draw(number: int, result: Result) -> None:
         if result.panorama is None:

@@ -26,7 +26,7 @@ from eagor.tasks.benchmark import load
 def write_report(folders: Sequence[Path], out: Path | None = None) -> Path:
     """Write the report of the runs in `folders`, all of one benchmark, into `out` (None: the first folder).
 
-    Returns the path of its page. Raises `EagorError` where there are no records, or several benchmarks; OSError.
+    Returns the path of its page. Raises `EagorError` where there are no records, or several benchmarks; `StorageError`.
     """
     runs = [read_run(Path(folder)) for folder in folders]
     if not runs:
@@ -35,7 +35,6 @@ def write_report(folders: Sequence[Path], out: Path | None = None) -> Path:
     if len(tasks) > 1:
         raise EagorError(f"the runs are of {', '.join(sorted(tasks))}; one report is about one benchmark")
     out = Path(out or folders[0])
-    out.mkdir(parents=True, exist_ok=True)
     summaries = [scores.summarise(settings, records) for settings, records in runs]
     sheets = [benchmark_sheets.main_sheet(summaries)]
     turns, views = benchmark_sheets.turn_sheet(summaries), benchmark_sheets.views_sheet(summaries)
@@ -62,7 +61,10 @@ def write_report(folders: Sequence[Path], out: Path | None = None) -> Path:
     title = f"{load(tasks.pop()).title}: {summaries[0]['episodes']} cases" + (
         f", {len(runs)} runs" if len(runs) > 1 else ""
     )
-    facts = [fact for run, summary in zip(runs, summaries, strict=True) for fact in _facts(run[0], summary, run[1])]
+    facts: list[tuple[str, str]] = []
+    for label, summary, (settings, records) in zip(benchmark_sheets.labels_of(summaries), summaries, runs, strict=True):
+        facts += [("Run", label)] if len(runs) > 1 else []
+        facts += _facts(settings, summary, records)
     lead = page.paragraph(_outcome(summaries)) + page.details("What was run", page.facts(facts))
     path = out / "report.html"
     written(path, page.document(title, lead, sections, f"Made by eagor {__version__}."))
@@ -106,11 +108,14 @@ def figures_csv(summaries: Sequence[Mapping[str, Any]]) -> str:
 
 def latex(sheet: Sheet) -> str:
     """The main table as a LaTeX tabular, without its intervals."""
-    marks = {"%": r"\%", "&": r"\&", "_": r"\_", "#": r"\#", "·": r"$\cdot$", "↑": r"$\uparrow$", "↓": r"$\downarrow$",
-             "–": "--"}  # fmt: skip
+    marks = str.maketrans({
+        "%": r"\%", "&": r"\&", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}", "\\": r"\textbackslash{}", "·": r"$\cdot$", "↑": r"$\uparrow$",
+        "↓": r"$\downarrow$", "–": "--",
+    })  # fmt: skip
 
     def plain(text: str) -> str:
-        return "".join(marks.get(letter, letter) for letter in text)
+        return text.translate(marks)
 
     lines = [rf"\begin{{tabular}}{{l{'r' * (len(sheet.heads) - 1)}}}", r"\toprule"]
     lines += [" & ".join(map(plain, sheet.heads)) + r" \\", r"\midrule"]
@@ -132,17 +137,13 @@ def _outcome(summaries: Sequence[Mapping[str, Any]]) -> str:
 
 def _facts(settings: Mapping[str, Any], summary: Mapping[str, Any], records: Sequence[Record]) -> list[tuple[str, str]]:
     pairs = [
-        (key.capitalize(), _words(value)) for key, value in settings.items() if key != "kind" and value is not None
+        (key.capitalize(), export.words(value))
+        for key, value in settings.items()
+        if key != "kind" and value is not None
     ]
     pairs.append(("Cases", f"{summary['episodes']} with results, {summary['failed']} without"))
     pairs.append(("Computing time", computing_time(records)))
     return [*pairs, ("Intervals", f"{100 * LEVEL:.0f} %; Wilson's, and {RESAMPLES} resamples of whole clusters")]
-
-
-def _words(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_words(item)}" for key, item in value.items())
-    return "yes" if value is True else "no" if value is False else str(value)
 
 
 def _turn_chart(summaries: Sequence[Mapping[str, Any]]) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from eagor.errors import EagorError
+from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger
 from eagor.evaluation.workers import Engine, Outcome, Unit, carry_out
 from eagor.tasks.benchmark import Benchmark, Case, load, read_options
@@ -42,6 +42,8 @@ class BenchmarkRun:
     def settings(self) -> dict[str, Any]:
         """Everything that decides the results, as the JSON of run.json. Raises `EagorError` for what does not fit."""
         benchmark = self.benchmark
+        if self.seed < 0:
+            raise EagorError(f"seed {self.seed}; wanted a whole number from 0 on")
         told: dict[str, Any] = {
             "task": self.task,
             "data": str(Path(self.data).resolve()),
@@ -100,6 +102,9 @@ def read_run(folder: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     settings = ledger.description(folder)
     if settings.get("kind") != KIND:
         raise EagorError(f"{folder} holds a run of {settings.get('task')}, which is no benchmark with published data")
+    for key in ("task", "data"):
+        if not isinstance(settings.get(key), str):
+            raise FormatError(f"{Path(folder) / ledger.RUN} does not name its {key}; restore it")
     records = ledger.read(folder)
     if not records:
         raise EagorError(f"{folder} has no records yet; run something into it first")

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eagor._files import written
 from eagor.errors import EagorError, QueryError, WorldError
 from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
@@ -168,8 +169,7 @@ def kept_recordings(folder: Path, perception: str, count: int, seed: int, left_o
     """The file in `folder` that keeps `record_episodes` (a pickled list), which is made where it is missing."""
     file = folder / f"{perception.replace('/', '-')}-{seed}-{count}.pickle"
     if not file.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(pickle.dumps(record_episodes(perception, count, seed, left_out=left_out)))
+        written(file, pickle.dumps(record_episodes(perception, count, seed, left_out=left_out)))
     return file
 
 

@@ -7,6 +7,7 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
+from eagor.evaluation.published import compared_with
 from eagor.evaluation.sheets import Box, Sheet
 from eagor.tasks.task import load
 
@@ -26,6 +27,17 @@ def markdown(title: str, facts: Sequence[tuple[str, str]], sheets: Sequence[Shee
             lines.append(_line([head, *map(_cell, row.boxes)]))
         lines += ["", *(f"{note}\n" for note in sheet.notes)]
     return "\n".join(lines)
+
+
+def words(value: Any) -> str:
+    """A setting as text."""
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {words(item)}" for key, item in value.items())
+    if isinstance(value, list):
+        return " ".join(f"({words(item)})" if isinstance(item, list) else words(item) for item in value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def table_csv(summary: dict[str, Any]) -> str:
@@ -53,7 +65,7 @@ def table_csv(summary: dict[str, Any]) -> str:
                 }
                 if found := part.get("differences", {}).get(method, {}).get(column.key):
                     row |= {
-                        "reference": summary["reference"] if ":" not in method else method.partition(":")[0],
+                        "reference": compared_with(method, summary["reference"]),
                         "difference": found["difference"],
                         "difference_low": found["low"],
                         "difference_high": found["high"],

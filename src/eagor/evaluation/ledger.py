@@ -152,7 +152,7 @@ def read(folder: Path) -> list[dict[str, Any]]:
     a kill left half written is left out (whoever wrote it had not been told that it was kept).
 
     Raises:
-        FormatError: any other line that is no record; names the file and the line.
+        FormatError: any other line that is no record, or a file that cannot be read; names the file and the line.
     """
     found: dict[str, dict[str, Any]] = {}
     for path in files(folder):
@@ -171,7 +171,10 @@ def files(folder: Path) -> list[Path]:
 
 def records(path: Path) -> Iterator[dict[str, Any]]:
     """The records of one file, in the order in which they were written; see `read`."""
-    data = path.read_bytes()
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FormatError(f"{path} cannot be read ({error.strerror or error}); restore it, or let it be read") from None
     lines = data.split(b"\n")
     torn = lines.pop()  # empty, if the last line is whole
     for number, line in enumerate(lines, start=1):

@@ -13,6 +13,7 @@ from eagor._json import parsed, shown
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger
 from eagor.evaluation.benchmarks import KIND, BenchmarkRun, read_run
+from eagor.evaluation.lines import as_line
 from eagor.evaluation.samples import finished
 from eagor.tasks.benchmark import Case, Record, load, read_options
 
@@ -32,7 +33,7 @@ def read(
     if source.is_dir():
         settings, records = read_run(source)
         options = {k: v for k, v in settings.items() if k in load(str(settings["task"])).options} | dict(options or {})
-        task, data = task or str(settings["task"]), data or Path(str(settings["data"]))
+        task, data = task or str(settings["task"]), Path(data or str(settings["data"])).resolve()
         merged = {**settings, "task": task, "data": str(data), **read_options(load(task), options)}
         cases = load(task).cases(data, merged)
         return merged, cases, {str(record["case"]): _of_record(record) for record in finished(records)}
@@ -69,11 +70,21 @@ def judged(
 def keep(settings: Mapping[str, Any], records: Sequence[Record], folder: Path) -> None:
     """Write `records` as a run, so that it can be reported and compared. Raises `EagorError` if another is there."""
     ledger.begin(folder, settings)
-    there = {record["key"] for record in ledger.read(folder)}
+    there = {record["key"]: record for record in ledger.read(folder)}
+    for record in records:
+        # The settings do not name the file that was judged: those of another one are the same.
+        if record["key"] in there and not _same(record, there[record["key"]]):
+            raise EagorError(f"{folder} holds another result for {record['case']}; choose another folder")
     with ledger.Ledger(folder) as file:
         for record in records:
             if record["key"] not in there:
                 file.append(record)
+
+
+def _same(record: Record, kept: Record) -> bool:
+    """Whether a result that is kept says what `record` says, whenever and however quickly it came about."""
+    found = json.loads(as_line(record))
+    return all(kept.get(name) == value for name, value in found.items() if name not in ("attempt", "seconds"))
 
 
 def samples(settings: Mapping[str, Any], records: Sequence[Record], folder: Path) -> Path:

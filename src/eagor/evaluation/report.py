@@ -115,19 +115,21 @@ def _facts(config: dict[str, Any], records: Sequence[Record], summary: dict[str,
     seeds = sorted({record["episode"]["seed"] for record in finished(records) if "seed" in record["episode"]})
     kinds = {True: "development seeds, not results", False: "not development seeds"}
     pairs = [("Task", load(summary["task"]).title)]
-    pairs += [(name.capitalize(), _words(config[name])) for name in ("perception", "world", "rows") if name in config]
+    pairs += [
+        (name.capitalize(), export.words(config[name])) for name in ("perception", "world", "rows") if name in config
+    ]
     if seeds:
         spread = f"{seeds[0]} to {seeds[-1]} ({len(seeds)} of them)" if len(seeds) > 1 else str(seeds[0])
         kind = kinds.get(config.get("development", ""), "run.json does not say whether they are development seeds")
         pairs.append(("Seeds", f"{spread}; {kind}"))
     pairs.append(
-        ("Episodes", f"{summary['episodes']} with results of {_words(config.get('episodes', 'unknown'))} asked")
+        ("Episodes", f"{summary['episodes']} with results of {export.words(config.get('episodes', 'unknown'))} asked")
     )
     units = f"{len(records)} recorded, {summary['failed']} of them failed"
     pairs.append(("Units of work", units))
     shown_before = {"task", "perception", "world", "rows", "seed", "episodes", "development", "methods"}
     pairs.append(("Methods", ", ".join(summary["methods"])))
-    pairs += [(name.capitalize(), _words(value)) for name, value in config.items() if name not in shown_before]
+    pairs += [(name.capitalize(), export.words(value)) for name, value in config.items() if name not in shown_before]
     pairs += _looked(records)
     pairs.append(("Computing time", computing_time(records)))
     pairs.append(
@@ -156,17 +158,6 @@ def _looked(records: Sequence[Record]) -> list[tuple[str, str]]:
         ("Model", ", ".join(models) or "unknown"),
         ("Looks", f"{looks}, of which {unread} with an answer that could not be read{cost}"),
     ]
-
-
-def _words(value: Any) -> str:
-    """A setting as text."""
-    if isinstance(value, dict):
-        return ", ".join(f"{key} {_words(item)}" for key, item in value.items())
-    if isinstance(value, list):
-        return " ".join(f"({_words(item)})" if isinstance(item, list) else _words(item) for item in value)
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _column_notes(task: Task) -> str:

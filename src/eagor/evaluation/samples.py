@@ -20,6 +20,7 @@ from eagor.tasks.task import Column
 SEED = 20260
 RESAMPLES = 2000
 LEVEL = 0.95
+FEW = 10  # groups (apartments, clusters), below which intervals that resample them are too narrow to be trusted
 
 Record = Mapping[str, Any]
 
@@ -169,6 +170,11 @@ def gap(a: Sample, b: Sample) -> Gap | None:
         level=LEVEL,
     )
     return Gap(found.difference, found.interval.low, found.interval.high, found.p, found.n, found.groups)
+
+
+def lowest_p(groups: int, tests: int = 1) -> float:
+    """The p of `gap` where all `groups` agree, times the number of `tests` as `holm` has it (so perhaps above 1)."""
+    return tests * 2.0 ** (1 - groups)
 
 
 def holm(p: Sequence[float]) -> list[float]:

@@ -8,7 +8,7 @@ often than not). Where they differ, the wider one is to be believed.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -74,14 +74,7 @@ def cell(figure: Figure, records: Sequence[Record]) -> dict[str, Any]:
         wilson = wilson_interval(int(values.sum()), len(values), LEVEL) if shares else None
         ends = None if wilson is None else [100 * wilson.low, 100 * wilson.high]
         return {"value": 100 * value, "n": len(values), "wilson": ends, "cluster": cluster}
-    kinds = np.array([figure.over(record) for _, record in chosen])
-    place = np.unique(kinds, return_inverse=True)[1]
-
-    def mean_of_means(indices: np.ndarray) -> float:
-        rows = indices.astype(np.intp)
-        sums, counts = np.bincount(place[rows], values[rows]), np.bincount(place[rows])
-        return float((sums[counts > 0] / counts[counts > 0]).mean())
-
+    mean_of_means = _mean_of_means(values, [figure.over(record) for _, record in chosen])
     everything = np.arange(len(values), dtype=np.float64)
     cluster = None
     if len(set(labels)) > 1:
@@ -89,6 +82,18 @@ def cell(figure: Figure, records: Sequence[Record]) -> dict[str, Any]:
         drawn = bootstrap_interval(everything, rng, LEVEL, mean_of_means, labels, RESAMPLES)
         cluster = [100 * drawn.low, 100 * drawn.high]
     return {"value": 100 * mean_of_means(everything), "n": len(values), "wilson": None, "cluster": cluster}
+
+
+def _mean_of_means(values: np.ndarray, kinds: Sequence[str]) -> Callable[[np.ndarray], float]:
+    """What takes indices into `values` ``(n,)`` and returns the mean over their `kinds` of the mean over each kind."""
+    place = np.unique(kinds, return_inverse=True)[1]
+
+    def mean(indices: np.ndarray) -> float:
+        rows = indices.astype(np.intp)
+        sums, counts = np.bincount(place[rows], values[rows]), np.bincount(place[rows])
+        return float((sums[counts > 0] / counts[counts > 0]).mean())
+
+    return mean
 
 
 def tags(records: Sequence[Record]) -> dict[str, Any]:
@@ -129,10 +134,10 @@ def compare(
         raise EagorError("the runs share no case that both have a result of; run the same part of the data with both")
     figures = {}
     for figure in load(str(settings_a["task"])).figures:
-        pairs = [(figure.read(left[case]), figure.read(right[case]), left[case]["cluster"]) for case in shared]
-        both = [(x, y, group) for x, y, group in pairs if x is not None and y is not None]
+        pairs = [(figure.read(left[case]), figure.read(right[case]), left[case]) for case in shared]
+        both = [(x, y, record) for x, y, record in pairs if x is not None and y is not None]
         if both:
-            figures[figure.key] = {"title": figure.title, **_difference(both)}
+            figures[figure.key] = {"title": figure.title, **_difference(figure, both)}
     return {
         "task": settings_a["task"],
         "cases": len(shared),
@@ -147,14 +152,23 @@ def compare(
     }
 
 
-def _difference(both: Sequence[tuple[float, float, str]]) -> dict[str, Any]:
+def _difference(figure: Figure, both: Sequence[tuple[float, float, Record]]) -> dict[str, Any]:
+    """One figure of `compare`, from the scores of both runs and a record of each case."""
     x, y = (np.array([pair[k] for pair in both], dtype=np.float64) for k in (0, 1))
-    groups = [pair[2] for pair in both]
-    found: dict[str, Any] = {"n": len(both), "a": 100 * float(x.mean()), "b": 100 * float(y.mean())}
+    groups = [record["cluster"] for _, _, record in both]
+    kinds = [figure.over(record) if figure.over else "" for _, _, record in both]
+    _, place, counts = np.unique(kinds, return_inverse=True, return_counts=True)
+    weights = len(both) / (len(counts) * counts[place])  # with these, a plain mean is the mean of the kinds' means
+    found: dict[str, Any] = {"n": len(both), "a": 100 * float((weights * x).mean())}
+    found["b"] = 100 * float((weights * y).mean())
     found["difference"] = found["a"] - found["b"]
     if len(set(groups)) > 1:
-        gap = paired_difference(x, y, np.random.default_rng(SEED), groups)
-        found |= {"low": 100 * gap.interval.low, "high": 100 * gap.interval.high, "p": gap.p, "clusters": gap.groups}
+        gap = paired_difference(weights * x, weights * y, np.random.default_rng(SEED), groups, LEVEL)
+        ends = gap.interval
+        if figure.over:  # clusters that are drawn hold other shares of the kinds
+            everything, statistic = np.arange(len(both), dtype=np.float64), _mean_of_means(x - y, kinds)
+            ends = bootstrap_interval(everything, np.random.default_rng(SEED), LEVEL, statistic, groups, RESAMPLES)
+        found |= {"low": 100 * ends.low, "high": 100 * ends.high, "p": gap.p, "clusters": gap.groups}
     if bool(np.isin([x, y], (0.0, 1.0)).all()):
         test = mcnemar(x, y)
         found["mcnemar"] = {"only_a": test.only_a, "only_b": test.only_b, "p": test.p}

@@ -10,11 +10,10 @@ from typing import Any
 from eagor.evaluation import curves, parts
 from eagor.evaluation.kernels import half_width_deg, highest_sidelobe
 from eagor.evaluation.published import FIGURES, OURS, PAPERS, RIVALS, is_ablation, is_rival
-from eagor.evaluation.samples import Gap, Record, gap, sample
+from eagor.evaluation.samples import FEW, Gap, Record, gap, lowest_p, sample
 from eagor.evaluation.tables import SIGNIFICANT, best, corrected, mark, shown, shown_columns
 from eagor.tasks.task import Column, load
 
-FEW = 10  # apartments, below which intervals are too narrow to be trusted
 DAGGER = {"-": "†", "+": "‡", "": ""}
 KEYS = {
     "degree": "degree of the harmonics",
@@ -76,15 +75,9 @@ def main_sheet(summary: dict[str, Any]) -> Sheet:
         f"† worse, ‡ better than {summary['reference']}: p < {SIGNIFICANT} over the episodes that both have, sign "
         "flips of whole apartments, Holm's correction over all tests of this table. Bold: the best of its column.",
     ]
-    if summary["reference"] == OURS in names:
+    if summary["reference"] == OURS in names and summary["apartments"] > 1:
         notes.append(_behind(summary, rivals, columns))
-    if summary["apartments"] == 1:
-        notes.append("Only one apartment: nothing can be said about how far the figures carry over to others.")
-    elif summary["apartments"] < FEW:
-        notes.append(
-            f"Only {summary['apartments']} apartments: intervals that resample so few are too narrow, and p cannot be "
-            f"below {2.0 ** (1 - summary['apartments']):.2g}."
-        )
+    notes += _few(summary, rivals)
     if published:
         notes.append(
             "As published: the paper's figures, from the paper's own setting (its worlds, perception and rules). They "
@@ -93,6 +86,23 @@ def main_sheet(summary: dict[str, Any]) -> Sheet:
     return Sheet(
         f"{load(summary['task']).title}: {summary['episodes']} episodes", _heads(columns), tuple(rows), tuple(notes)
     )
+
+
+def _few(summary: dict[str, Any], rivals: Sequence[str]) -> list[str]:
+    """What so few apartments cannot tell; nothing where there are enough, or none."""
+    apartments, notes = summary["apartments"], []
+    if apartments == 1:
+        return ["Only one apartment: nothing can be said about how far the figures carry over to others."]
+    if 0 < apartments < FEW:
+        notes.append(f"Only {apartments} apartments: intervals that resample so few are too narrow.")
+    tests = sum(found is not None for name in rivals for found in summary["differences"].get(name, {}).values())
+    lowest = lowest_p(apartments, tests)
+    if tests and lowest >= SIGNIFICANT:
+        notes.append(
+            f"With {apartments} apartments and {tests} tests no p can be below {min(lowest, 1.0):.2g} after the "
+            "correction: whatever the figures are, none of their differences is told from chance."
+        )
+    return notes
 
 
 def _behind(summary: dict[str, Any], rivals: Sequence[str], columns: Sequence[Column]) -> str:
@@ -162,7 +172,8 @@ def ordering_sheet(records: Sequence[Record], task: str) -> Sheet | None:
     notes = (
         f"Margins of {PAPERS} (the method as published) over the paper's rivals; positive: it is better. Of "
         f"{sum(counts.values())} comparisons {counts['holds']} hold (the 95 % interval lies on the published side of 0 "
-        f"and p < {SIGNIFICANT}), {counts['reversed']} are reversed (on the other side), {counts['open']} are open.",
+        f"and p < {SIGNIFICANT}), {counts['reversed']} are reversed (on the other side), {counts['open']} are open. "
+        "Each is judged for itself, without a correction for their number.",
         "Measured: paired over the episodes that both have. Published margins are differences of the printed figures.",
     )
     return Sheet(f"What {PAPERS} gains over the paper's rivals", _heads(columns, "margin"), tuple(rows), notes)
@@ -216,11 +227,12 @@ def parts_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet | N
         rows.append(Row(name, tuple(boxes), "ours" if name == OURS else ""))
     if not rows:
         return None
-    steps = "; ".join(f"{part}: {100 * share:.0f} % of the steps of {OURS}" for part, share in shares.items())
+    steps = "; ".join(f"{part} {100 * share:.0f} %" for part, share in shares.items())
     notes = (
         "Mean direction error over the steps of each kind, over the episodes that have such steps. Before the target "
         "was ever in sight nothing can be known of it but where it is not: that part is the price of the search, and "
-        "an estimator that made no mistake would have the other two at 0. " + steps,
+        "an estimator that made no mistake would have the other two at 0."
+        + (f" Of the steps of {OURS}: {steps}." if steps else ""),
         f"Distance: mean relative error once the camera has moved by {100 * parts.BASELINE:.0f} % of it since the "
         "first sighting, for methods that state one.",
     )

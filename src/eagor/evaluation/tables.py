@@ -135,12 +135,6 @@ def shown(value: float | None, column: Column, sign: bool = False) -> str:
     return text.replace("-", "−")
 
 
-def compare(records: Sequence[Record], a: str, b: str, columns: Iterable[Column]) -> dict[str, Gap | None]:
-    """Mean of a - b per column; p_holm is corrected for these tests."""
-    found = {column.key: gap(sample(records, a, column), sample(records, b, column)) for column in columns}
-    return corrected({(key,): value for key, value in found.items()})[()]
-
-
 def corrected(gaps: dict[tuple[str, ...], Gap | None]) -> dict[tuple[str, ...], dict[str, Gap | None]]:
     """`gaps` with p_holm filled in over all of them; nested by all but the last part of their names."""
     there = [name for name, found in gaps.items() if found is not None]
