@@ -102,6 +102,17 @@ def test_the_checker_wants_a_roll_that_the_response_can_follow():
         check_perception(ColourPerception(rows=8), painted_room(32, 64), "red", roll=3)
 
 
+@pytest.mark.parametrize("rows", [0, -1, 2.5, math.nan, "256", True])
+def test_rows_of_colour_are_whole_numbers(rows):
+    with pytest.raises(EagorError, match=r"ColourPerception: rows = .*; wanted a whole number, 1 or more"):
+        load("colour", rows=rows)
+
+
+def test_text_after_scout_is_no_calibration():
+    with pytest.raises(EagorError, match=r"calibration = 'moderate'; wanted an eagor\.Calibration"):
+        load("scout:moderate")
+
+
 # --- load ------------------------------------------------------------------------------------------------------------
 
 
@@ -443,7 +454,7 @@ BAD_LINES = [
     ('{"stamp": 1}', "has none of boxes, points, response; wanted exactly one"),
     (line(image="a.png"), "image is 'a.png'"),
     (line(image={}), "height is missing; wanted a whole number"),
-    (line(image={"width": 0, "height": 4}), "width"),
+    (line(image={"width": 0, "height": 4}), "width is 0; wanted a whole number"),
     (line(image={"width": 10.5, "height": 4}), "width is 10.5; wanted a whole number"),
     (line(image=PANORAMA | {"projection": "cubemap"}), "projection is 'cubemap'"),
     (line(image=PANORAMA | {"projection": "perspective"}), "hfov_deg is missing"),
@@ -502,9 +513,12 @@ def test_a_missing_file_and_a_bad_tolerance(tmp_path, replay_file):
     for path in (tmp_path / "no.jsonl", tmp_path, "a\0b"):
         with pytest.raises(FormatError, match="cannot be read"):
             read_records(path)
-    for tolerance in (-1.0, math.nan):
+    for tolerance in (-1.0, math.nan, "1", None, True):
         with pytest.raises(TimeError, match="tolerance"):
             ReplayPerception(replay_file, tolerance=tolerance)
+    for stamp in (None, math.nan, "1"):
+        with pytest.raises(TimeError, match="replay needs the time of capture"):
+            ReplayPerception(replay_file).near("chair", stamp)
 
 
 def test_windows_line_ends_and_a_byte_order_mark_are_fine(tmp_path):

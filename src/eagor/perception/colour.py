@@ -15,6 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from eagor._checks import require, whole
 from eagor.errors import ImageError, QueryError
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PatchGrid
@@ -79,10 +80,15 @@ class ColourPerception:
         calibration: how responses become evidence; None for the default of `Evidence`.
         rows: the panorama is averaged (in linear light) down to at most this many rows and twice as many columns
             before it is judged. A thing needs two cells each way to count in full; single cells do not count.
+
+    Raises `EagorError` for less than one row.
     """
 
     calibration: Calibration | None = None
     rows: int = 256
+
+    def __post_init__(self) -> None:
+        require(self, {"rows": (whole(self.rows, 1), "a whole number, 1 or more")})
 
     def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for what `query` names in `panorama` ``(H, W, 3)``, uint8 or floating in [0, 1], sRGB.
