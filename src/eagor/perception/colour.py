@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from eagor._checks import require, whole
+from eagor._srgb import to_linear
 from eagor.errors import ImageError, QueryError
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PatchGrid
@@ -140,7 +141,7 @@ def _reduced(panorama: np.ndarray, rows: int) -> np.ndarray:
         )
     decode: Callable[[np.ndarray], np.ndarray]
     if image.dtype == np.uint8:
-        decode = _linear(np.arange(256, dtype=np.float32) / 255).__getitem__
+        decode = to_linear(np.arange(256, dtype=np.float32) / 255).__getitem__
     elif image.dtype.kind == "f":
         decode = _linear_checked
     else:
@@ -156,12 +157,7 @@ def _reduced(panorama: np.ndarray, rows: int) -> np.ndarray:
 def _linear_checked(coded: np.ndarray) -> np.ndarray:
     if not (coded.min() >= 0 and coded.max() <= 1):  # NaN fails both comparisons
         raise ImageError("a floating panorama must lie in [0, 1] and be finite; divide 8-bit values by 255")
-    return _linear(coded.astype(np.float32))
-
-
-def _linear(coded: np.ndarray) -> np.ndarray:
-    """sRGB values in [0, 1] to linear light (IEC 61966-2-1)."""
-    return np.where(coded > 0.04045, ((coded + 0.055) / 1.055) ** 2.4, coded / 12.92)
+    return to_linear(coded.astype(np.float32))
 
 
 # Linear sRGB to CIE XYZ (IEC 61966-2-1), each row over its sum, so that white (D65) is (1, 1, 1).
