@@ -152,8 +152,22 @@ def test_what_cannot_be_played_is_refused_before_anything_is_played(tmp_path):
         ({"agent": "vlm"}, "--model"),
         ({"agent": "vlm", "model": "hstar_data:missing"}, "missing"),
         ({"scoring": "kind"}, "official, strict"),
-        ({"turns": 0}, "turns = 0"),
+        ({"turns": 0}, "turns = 0; wanted 1, 2, ..., 50"),
+        ({"turns": 2.7}, "turns = 2.7; wanted 1, 2"),
+        ({"turns": True}, "turns = True; wanted 1, 2"),
+        ({"turns": float("inf")}, "turns = inf; wanted 1, 2"),
         ({"sure": 0.0}, "sure"),
+        ({"sure": "nan"}, "sure = 'nan'; wanted something like 0.95"),
+        ({"resolution": 17}, "resolution = 17; wanted rows of a picture, 18 or more"),
+        ({"resolution": 1080.5}, "resolution = 1080.5; wanted something like 1080"),
+        ({"resolution": 10**9}, "resolution = 1000000000; wanted rows"),
+        ({"seed": -1}, "seed = -1; wanted a whole number, 0 or more"),
+        ({"seed": 2.5}, "seed = 2.5"),
+        ({"agent": "vlm", "model": "llava:latest"}, "or llava:latest@http://localhost:11434 for a model on a server"),
+        (
+            {"agent": "vlm", "model": "hstar_data:panorama"},
+            "wanted a function without arguments that returns the model",
+        ),
         ({"agent": "sweep", "perception": "truth:miss=2"}, "miss"),
     ):
         with pytest.raises(EagorError, match=words):
