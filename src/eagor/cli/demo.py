@@ -9,9 +9,8 @@ from typing import Any
 from eagor.cli import terminal
 from eagor.cli.options import Demo
 from eagor.estimate import Estimate
-from eagor.perception import load
+from eagor.perception import load, rows_of
 from eagor.tasks.episodes import PER_PLACE, Slot
-from eagor.tasks.eyes import rows_of
 from eagor.tasks.methods import DESCRIPTIONS, NAMES, TrackerMethod
 from eagor.tasks.places import APARTMENT, SEEDS
 from eagor.tasks.play import Player

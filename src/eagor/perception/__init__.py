@@ -31,6 +31,8 @@ BUILT_IN = {
     "truth": "eagor.perception.truth:TruthPerception",
 }
 
+ROWS = 256  # of the panoramas, for perceptions that do not say
+
 _TEXTS = ("revision", "heads")  # options that are text, whatever they look like
 
 
@@ -89,6 +91,11 @@ def load(spec: str, **options: Any) -> Perception:
             f"It takes {name}{inspect.signature(make)}; the text after ':' is the first argument"
         ) from error
     return make(*arguments, **options)
+
+
+def rows_of(perception: Any) -> int:
+    """Rows of the panoramas that `perception` works at: its attribute `rows`, `ROWS` where it does not say."""
+    return int(getattr(perception, "rows", ROWS))
 
 
 def is_model(spec: str) -> bool:
