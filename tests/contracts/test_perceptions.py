@@ -16,7 +16,7 @@ from eagor import plugins
 from eagor.cli import main
 from eagor.errors import EagorError, FormatError, ImageError, QueryError, ResponseError, TimeError
 from eagor.evidence import Calibration, Evidence
-from eagor.grids import PatchGrid, PerspectiveGrid
+from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.perception import Perception, check_perception, known, load
 from eagor.perception.colour import COLOURS, SYNONYMS, ColourPerception, parse_colour
 from eagor.perception.noise import Noise
@@ -100,6 +100,21 @@ def test_the_checker_finds_faults(fault, says):
 def test_the_checker_wants_a_roll_that_the_response_can_follow():
     with pytest.raises(AssertionError, match="another roll"):
         check_perception(ColourPerception(rows=8), painted_room(32, 64), "red", roll=3)
+
+
+@pytest.mark.parametrize("rows", [300, 350, 480, 512])
+def test_colour_points_straight_whatever_the_size_of_the_panorama(rows):
+    grid, off = ErpGrid(rows, 2 * rows), []
+    for azimuth, elevation in ((20, -10), (-100, 5), (3, 30), (150, -40), (-33, 12), (77, -3)):
+        panorama = np.full((rows, 2 * rows, 3), 128, dtype=np.uint8)
+        centre = direction(math.radians(azimuth), math.radians(elevation))
+        panorama[angular_distance(grid.directions, centre) < math.radians(12)] = (220, 20, 20)
+        evidence = ColourPerception()(panorama, "red")
+        weights = np.asarray(evidence.response) * evidence.grid.weights
+        mean = np.einsum("ij,ijk->k", weights, evidence.grid.directions)
+        found = np.degrees(azimuth_elevation(mean / np.linalg.norm(mean)))
+        off.append([(found[0] - azimuth + 180) % 360 - 180, found[1] - elevation])
+    assert np.abs(np.mean(off, axis=0)).max() < 0.1 * 180 / rows  # of a pixel
 
 
 @pytest.mark.parametrize("rows", [0, -1, 2.5, math.nan, "256", True])

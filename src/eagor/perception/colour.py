@@ -147,8 +147,9 @@ def _reduced(panorama: np.ndarray, rows: int) -> np.ndarray:
     else:
         raise ImageError(f"the panorama holds {image.dtype}; wanted uint8, or floating numbers in [0, 1]")
     height, width = image.shape[:2]
-    tops = np.linspace(0, height, min(height, rows) + 1).astype(int)
-    lefts = np.linspace(0, width, min(width, 2 * rows) + 1).astype(int)
+    # Cells end at the pixel border that is nearest: at the one before, all would look half a pixel up and to the left.
+    tops = np.rint(np.linspace(0, height, min(height, rows) + 1)).astype(int)
+    lefts = np.rint(np.linspace(0, width, min(width, 2 * rows) + 1)).astype(int)
     strips = [decode(image[top:end]).mean(axis=0) for top, end in pairwise(tops)]
     sums = np.add.reduceat(np.stack(strips), lefts[:-1], axis=1)
     return sums / np.diff(lefts)[:, None].astype(np.float32)
