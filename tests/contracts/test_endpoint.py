@@ -20,7 +20,7 @@ from eagor.evidence import Calibration, Evidence
 from eagor.grids import ErpGrid
 from eagor.perception import check_perception, load
 from eagor.perception.endpoint import EndpointPerception, from_text
-from eagor.perception.endpoint.chat import ServedChat
+from eagor.perception.endpoint.chat import ServedChat, chat_from_text
 from eagor.perception.endpoint.faults import retry_after
 from eagor.perception.vlm.talk import IMAGE, Message
 from eagor.sphere import angular_distance, direction
@@ -581,6 +581,7 @@ def test_names_of_all_kinds(text, model, servers):
         ("m@http://a?pixels=many", {}, "pixels=many.*wanted a int"),
         ("m@http://a?seam=perhaps", {}, "seam=perhaps.*bool"),
         ("m@http://a?servers=b", {}, "servers cannot be set"),
+        ("m@http://a?pixels=1&pixels=1", {}, "pixels comes twice"),
         ("m@http://a?extractor=attention", {}, "extractor is 'attention'; wanted nothing, boxes, views"),
         ("m@http://a?frame=metres", {}, "frame is 'metres'"),
         ("m@http://a?pixels=-1", {}, "pixels = -1; wanted 0 or more"),
@@ -611,6 +612,11 @@ def test_names_of_all_kinds(text, model, servers):
 def test_wrong_names_and_options(text, options, says):
     with pytest.raises(EagorError, match=says):
         from_text(text, **options)
+
+
+def test_a_talking_model_s_options_come_once():
+    with pytest.raises(EagorError, match="retries comes twice"):
+        chat_from_text("m@http://a?retries=1&retries=1")
 
 
 def test_too_few_pixels_for_one_cell(server):

@@ -17,7 +17,7 @@ from eagor.cli import main
 from eagor.errors import EagorError, FormatError, ImageError, QueryError, ResponseError, TimeError
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
-from eagor.perception import Perception, check_perception, known, load
+from eagor.perception import Perception, check_perception, known, load, short_name
 from eagor.perception.colour import COLOURS, SYNONYMS, ColourPerception, parse_colour
 from eagor.perception.noise import Noise
 from eagor.perception.replay import ReplayPerception, parse_record, read_records, write_record
@@ -121,6 +121,21 @@ def test_colour_points_straight_whatever_the_size_of_the_panorama(rows):
 def test_rows_of_colour_are_whole_numbers(rows):
     with pytest.raises(EagorError, match=r"ColourPerception: rows = .*; wanted a whole number, 1 or more"):
         load("colour", rows=rows)
+
+
+@pytest.mark.parametrize(
+    ("spec", "says"),
+    [
+        ("http://localhost:8000/v1", r"A model on a server is endpoint:MODEL@ADDRESS"),
+        ("~nobody-of-this-name/model", "there is no folder '~nobody-of-this-name/model'"),
+        ("~nobody-of-this-name", "there is no perception"),
+        ("/" + "x" * 5000, "there is no folder"),
+    ],
+)
+def test_names_that_lead_nowhere(spec, says):
+    with pytest.raises(EagorError, match=says):
+        load(spec)
+    assert short_name(spec)
 
 
 def test_text_after_scout_is_no_calibration():

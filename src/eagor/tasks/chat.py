@@ -8,9 +8,9 @@ from __future__ import annotations
 import hashlib
 import importlib
 import inspect
+import os
 from collections.abc import Sequence
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -46,7 +46,7 @@ def load_chat(spec: str) -> Chat:
             ) from error
         return _made(spec, make)
     place, _, written = spec.partition("?")
-    here = (Path(place).expanduser() / "config.json").is_file()
+    here = os.path.isfile(os.path.join(os.path.expanduser(place), "config.json"))
     if here or ("/" in place and "@" not in place and "://" not in place):
         from eagor.perception.transformers.chat import LocalChat
 

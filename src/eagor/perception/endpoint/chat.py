@@ -103,6 +103,8 @@ def chat_from_text(text: str) -> ServedChat:
     kinds = {field.name: type(field.default) for field in fields(ServedChat) if field.name not in ("model", "servers")}
     options: dict[str, Any] = {}
     for name, value in parse_qsl(written, keep_blank_values=True):
+        if name in options:
+            raise EagorError(f"{name} comes twice in {text!r}; wanted each option once")
         try:
             options[name] = kinds[name](value)
         except (KeyError, ValueError):
