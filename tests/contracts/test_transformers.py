@@ -929,6 +929,18 @@ def test_thresholds_that_are_no_scores_are_refused(folders, threshold):
         load(f"{folders('owlv2')}?threshold={threshold}")
 
 
+def test_heads_of_another_family_are_refused(folders, tmp_path):
+    file = tmp_path / "heads.json"
+    Heads("x", "qwen3_vl", ((0, 0),), 1.5).write(file)
+    with pytest.raises(EagorError, match=r"were found for x, a qwen3_vl; .* is a llava"):
+        load(f"{folders('llava')}?heads={file}")
+
+
+def test_too_few_pixels_for_a_localiser(folders):
+    with pytest.raises(ImageError, match=r"no picture of 2:1 .* at most 10 pixels; allow more"):
+        load(f"{folders('grounding_dino')}?pixels=10")(noise(), "red chair")
+
+
 def test_a_number_may_be_typed_as_people_do(folders):
     assert load(f"{folders('qwen2_5_vl')}?pixels=1e5").looker.pixels == 100_000
 
