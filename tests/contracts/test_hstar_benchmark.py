@@ -160,7 +160,7 @@ def test_what_cannot_be_played_is_refused_before_anything_is_played(tmp_path):
         ({"turns": float("inf")}, "turns = inf; wanted 1, 2"),
         ({"sure": 0.0}, "sure"),
         ({"sure": "nan"}, "sure = 'nan'; wanted something like 0.95"),
-        ({"resolution": 17}, "resolution = 17; wanted rows of a picture, 18 or more"),
+        ({"resolution": 17}, "resolution = 17; wanted rows of a picture, 18 to 8640"),
         ({"resolution": 1080.5}, "resolution = 1080.5; wanted something like 1080"),
         ({"resolution": 10**9}, "resolution = 1000000000; wanted rows"),
         ({"seed": -1}, "seed = -1; wanted a whole number, 0 or more"),

@@ -78,9 +78,7 @@ class HStar:
         if not 0 < found["sure"] <= 1:
             raise EagorError(f"sure = {found['sure']}; wanted a probability above 0, at most 1")
         if not 18 <= found["resolution"] <= MOST_ROWS:
-            raise EagorError(
-                f"resolution = {found['resolution']}; wanted rows of a picture, 18 or more, to {MOST_ROWS}"
-            )
+            raise EagorError(f"resolution = {found['resolution']}; wanted rows of a picture, 18 to {MOST_ROWS}")
         if found["perception"]:
             open_perception(found["perception"])
         if found["model"]:
