@@ -7,7 +7,7 @@ import pickle
 import subprocess
 import sys
 import threading
-from functools import partial
+from functools import partial, reduce
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,7 +20,9 @@ from eagor.evidence import Calibration, Evidence
 from eagor.grids import ErpGrid
 from eagor.perception import check_perception, load
 from eagor.perception.endpoint import EndpointPerception, from_text
+from eagor.perception.endpoint.chat import ServedChat, chat_from_text
 from eagor.perception.endpoint.faults import retry_after
+from eagor.perception.vlm.talk import IMAGE, Message
 from eagor.sphere import angular_distance, direction
 
 openai = pytest.importorskip("openai")
@@ -358,6 +360,70 @@ def test_lasting_failures_say_what_to_change(server, fault, kind, says):
     assert set(FAULTS) | {"drop", "slow", "html", "cut", "empty"} >= {fault}
 
 
+NONSENSE = {  # what a completion may hold instead of what is documented, by where; None: it does not matter
+    ("choices",): ({"a": 1}, "no list of choices"),
+    ("error",): ({"message": "out of memory"}, None),
+    ("choices", 0, "message", "content"): ([{"text": "[]"}], "no chat completion"),
+    ("choices", 0, "logprobs", "content", 0, "token"): (None, None),
+    ("choices", 0, "logprobs", "content", 1, "logprob"): ("likely", None),
+    ("choices", 0, "logprobs", "content", 0, "logprob"): (math.nan, None),
+    ("choices", 0, "logprobs", "content", 0, "top_logprobs"): ([{"token": 3, "logprob": []}], None),
+    ("usage", "prompt_tokens"): ("many", None),
+    ("usage", "completion_tokens"): ([], None),
+    ("model",): (7, None),
+    ("system_fingerprint",): ([1], None),
+}
+
+
+@pytest.mark.parametrize("extractor", ["boxes", "views"])
+@pytest.mark.parametrize("place", NONSENSE, ids=lambda place: place[-1])
+def test_a_server_may_answer_with_other_types(server, place, extractor, monkeypatch):
+    value, says = NONSENSE[place]
+
+    def changed(body, reply, model, complete=server._completion):
+        made = complete(body, reply, model)
+        inner = reduce(lambda part, key: part and part[key], place[:-1], made)
+        if inner is not None:  # no probabilities where none were asked for
+            inner[place[-1]] = value
+        return made
+
+    monkeypatch.setattr(server, "_completion", changed)
+    perception = asking(server, extractor=extractor, pixels=112 * 112)
+    if says is None:
+        assert error_deg(perception(ball(60, 0, 12), "red ball"), 60, 0) < 30
+        assert ServedChat(QWEN, (server.url,))([Message("user", f"{IMAGE}Is it red? yes or no", (ball(0, 0),))]).text
+    else:
+        with pytest.raises(ServerError, match=says):
+            perception(ball(60, 0), "red ball")
+        with pytest.raises(ServerError, match="no chat completion"):
+            ServedChat(QWEN, (server.url,))([Message("user", f"{IMAGE}Is it red? yes or no", (ball(0, 0),))])
+
+
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        (b"[" * 100_000 + b"]" * 100_000, "RecursionError"),
+        (b"", "JSONDecodeError"),
+        (b"null", "no chat completion"),
+        (b'{"error": {"message": "out of memory"}}', "no list of choices.*out of memory"),
+    ],
+    ids=["deep", "empty", "null", "error"],
+)
+def test_a_body_that_is_no_completion(server, body, says, monkeypatch):
+    write = server._write
+    monkeypatch.setattr(server, "_write", lambda handler, status, _, kind: write(handler, status, body, kind))
+    with pytest.raises(ServerError, match=says):
+        asking(server)(ball(0, 0), "red ball")
+    with pytest.raises(ServerError, match="no chat completion"):
+        asking(server, model="")(ball(0, 0), "red ball")  # the list of its models is no better
+
+
+def test_a_box_of_the_whole_panorama_is_no_error(server):
+    server.answer = lambda request: '[{"bbox_2d": [0, 0, 392, 196]}]'
+    response = np.asarray(asking(server)(ball(0, 0), "red ball").response)
+    assert response.min() == response.max() > 0.9
+
+
 def test_no_server_at_all():
     with ContractServer(reddish) as server:
         url = server.url  # nobody listens there once it is gone
@@ -515,9 +581,23 @@ def test_names_of_all_kinds(text, model, servers):
         ("m@http://a?pixels=many", {}, "pixels=many.*wanted a int"),
         ("m@http://a?seam=perhaps", {}, "seam=perhaps.*bool"),
         ("m@http://a?servers=b", {}, "servers cannot be set"),
+        ("m@http://a?pixels=1&pixels=1", {}, "pixels comes twice"),
         ("m@http://a?extractor=attention", {}, "extractor is 'attention'; wanted nothing, boxes, views"),
         ("m@http://a?frame=metres", {}, "frame is 'metres'"),
         ("m@http://a?pixels=-1", {}, "pixels = -1; wanted 0 or more"),
+        ("m@http://a", {"pixels": 1e6}, "pixels = 1000000.0; wanted 0 or more, a whole number"),
+        ("m@http://a?timeout=1e10", {}, "timeout = 10000000000.0; wanted seconds above 0, at most 86400"),
+        ("m@http://a?hfov_deg=nan", {}, "hfov_deg = nan; wanted degrees above 0, at most 150"),
+        ("m@http://a", {"hfov_deg": "wide"}, "hfov_deg = 'wide'"),
+        ("m@http://a?overlap_deg=-1", {}, "overlap_deg = -1.0; wanted degrees from 0 to 150"),
+        ("m@http://a?overlap_deg=80", {}, "views of 100 degrees with 80 of overlap .* at least 30 wider"),
+        ("m@http://a?reach_deg=0", {}, "reach_deg = 0.0; wanted degrees above 0, at most 90"),
+        ("m@http://a", {"reach_deg": True}, "reach_deg = True"),
+        ("m@http://a", {"seam": "false"}, "seam = 'false'; wanted True or False"),
+        ("m@http://a", {"key": 5}, "key = 5; wanted the name of an environment variable"),
+        ("m@http://a", {"model": None}, "model = None; wanted its name on the servers"),
+        ("m", {"servers": "http://a"}, "servers = 'http://a'; wanted a tuple of addresses"),
+        ("m", {"servers": None}, "servers = None; wanted a tuple of addresses"),
         ("m@http://a?timeout=0", {}, "timeout = 0.0; wanted seconds above 0"),
         ("m@http://a?concurrency=0", {}, "concurrency = 0; wanted a whole number"),
         ("m@http://a?backoff=nan", {}, "backoff = nan"),
@@ -532,6 +612,11 @@ def test_names_of_all_kinds(text, model, servers):
 def test_wrong_names_and_options(text, options, says):
     with pytest.raises(EagorError, match=says):
         from_text(text, **options)
+
+
+def test_a_talking_model_s_options_come_once():
+    with pytest.raises(EagorError, match="retries comes twice"):
+        chat_from_text("m@http://a?retries=1&retries=1")
 
 
 def test_too_few_pixels_for_one_cell(server):

@@ -22,8 +22,10 @@ from eagor.tasks.hstar.bench import HOS, HPS
 from eagor.tasks.hstar.causes import CAUSES, cause_of
 from eagor.tasks.hstar.data import Episode, read_episodes
 from eagor.tasks.hstar.files import open_panorama
+from eagor.tasks.hstar.lmms import process_results
 from eagor.tasks.hstar.play import play, work
 from eagor.tasks.hstar.prompts import conversation, first_text, system_text
+from eagor.tasks.hstar.rules import window_of
 from eagor.tasks.hstar.talking import VlmAgent
 from eagor.tasks.hstar.words import head_of, phrase_of, tag_of, thing_of
 
@@ -152,8 +154,22 @@ def test_what_cannot_be_played_is_refused_before_anything_is_played(tmp_path):
         ({"agent": "vlm"}, "--model"),
         ({"agent": "vlm", "model": "hstar_data:missing"}, "missing"),
         ({"scoring": "kind"}, "official, strict"),
-        ({"turns": 0}, "turns = 0"),
+        ({"turns": 0}, "turns = 0; wanted 1, 2, ..., 50"),
+        ({"turns": 2.7}, "turns = 2.7; wanted 1, 2"),
+        ({"turns": True}, "turns = True; wanted 1, 2"),
+        ({"turns": float("inf")}, "turns = inf; wanted 1, 2"),
         ({"sure": 0.0}, "sure"),
+        ({"sure": "nan"}, "sure = 'nan'; wanted something like 0.95"),
+        ({"resolution": 17}, "resolution = 17; wanted rows of a picture, 18 to 8640"),
+        ({"resolution": 1080.5}, "resolution = 1080.5; wanted something like 1080"),
+        ({"resolution": 10**9}, "resolution = 1000000000; wanted rows"),
+        ({"seed": -1}, "seed = -1; wanted a whole number, 0 or more"),
+        ({"seed": 2.5}, "seed = 2.5"),
+        ({"agent": "vlm", "model": "llava:latest"}, "or llava:latest@http://localhost:11434 for a model on a server"),
+        (
+            {"agent": "vlm", "model": "hstar_data:panorama"},
+            "wanted a function without arguments that returns the model",
+        ),
         ({"agent": "sweep", "perception": "truth:miss=2"}, "miss"),
     ):
         with pytest.raises(EagorError, match=words):
@@ -399,3 +415,16 @@ def test_a_served_model_refuses_what_makes_no_sense(options, says):
 
 def test_a_served_model_completes_its_addresses():
     assert ServedChat("m", ("http://a:8000/", "https://b/v2")).servers == ("http://a:8000/v1", "https://b/v2")
+
+
+@pytest.mark.parametrize(
+    "said",
+    ['{"submit": [1]}', '{"submit": "left"}', '{"submit": [null, 1]}', '{"submit": [Infinity, 0]}', '{"submit": 5}',
+     "null", "[1]", "to the left", "[" * 100_000],
+)  # fmt: skip
+def test_what_is_no_submission_scores_nothing_in_lmms_eval(tmp_path, said):
+    episode = read_episodes(hstar_data.write(tmp_path), "hos")[0]
+    doc = {"episode": json.dumps(episode.as_json()), "levels": ["easy", "medium", "hard"]}
+    yaw, pitch = window_of(episode.item).centre
+    assert process_results(doc, [json.dumps({"submit": [round(yaw), round(pitch)]})])["success"] == 1
+    assert process_results(doc, [said])["success"] == 0

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import struct
 import subprocess
 import sys
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -246,6 +248,9 @@ def test_majority_does_not_look_at_the_scene_it_answers(data: Path) -> None:
         ({"agent": "nobody"}, "it has eagor"),
         ({"agent": "constant", "labels": "mine"}, "wanted official, corrected, both"),
         ({"agent": "constant", "camera_height": -1}, "above 0"),
+        ({"agent": "constant", "camera_height": "nan"}, "camera_height = 'nan'; wanted something like 1.5"),
+        ({"agent": "constant", "camera_height": float("inf")}, "camera_height = inf"),
+        ({"agent": "random", "seed": -1}, "seed = -1; wanted a whole number, 0 or more"),
         ({"agent": "eagor", "perception": "truth:blurred"}, "truth:outline"),
         ({"agent": "eagor", "perception": "colour", "range": "depth"}, r"1 of 1 scenes have no depth\.npy"),
     ],
@@ -289,3 +294,14 @@ def test_one_command_gives_the_table_and_goes_on_where_it_stopped(data: Path, tm
     found = json.loads(second.stdout)
     assert found["episodes"] == len(played(data, agent="oracle"))
     assert found["direction_corrected"] > found["direction_official"]
+
+
+def test_info_tells_of_pictures_that_cannot_be_read(data: Path) -> None:
+    (picture,) = data.rglob("rgb.png")
+    whole = picture.read_bytes()
+    side = struct.pack(">I", 100_000)
+    head = b"IHDR" + side + side + whole[24:29]
+    bomb = whole[:12] + head + struct.pack(">I", zlib.crc32(head)) + whole[33:]
+    for content in (b"", whole[:20], bomb):
+        picture.write_bytes(content)
+        assert load("osr").info(data)["pictures"] == {"unreadable": 1}

@@ -16,8 +16,8 @@ from eagor import plugins
 from eagor.cli import main
 from eagor.errors import EagorError, FormatError, ImageError, QueryError, ResponseError, TimeError
 from eagor.evidence import Calibration, Evidence
-from eagor.grids import PatchGrid, PerspectiveGrid
-from eagor.perception import Perception, check_perception, known, load
+from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
+from eagor.perception import Perception, check_perception, known, load, short_name
 from eagor.perception.colour import COLOURS, SYNONYMS, ColourPerception, parse_colour
 from eagor.perception.noise import Noise
 from eagor.perception.replay import ReplayPerception, parse_record, read_records, write_record
@@ -100,6 +100,47 @@ def test_the_checker_finds_faults(fault, says):
 def test_the_checker_wants_a_roll_that_the_response_can_follow():
     with pytest.raises(AssertionError, match="another roll"):
         check_perception(ColourPerception(rows=8), painted_room(32, 64), "red", roll=3)
+
+
+@pytest.mark.parametrize("rows", [300, 350, 480, 512])
+def test_colour_points_straight_whatever_the_size_of_the_panorama(rows):
+    grid, off = ErpGrid(rows, 2 * rows), []
+    for azimuth, elevation in ((20, -10), (-100, 5), (3, 30), (150, -40), (-33, 12), (77, -3)):
+        panorama = np.full((rows, 2 * rows, 3), 128, dtype=np.uint8)
+        centre = direction(math.radians(azimuth), math.radians(elevation))
+        panorama[angular_distance(grid.directions, centre) < math.radians(12)] = (220, 20, 20)
+        evidence = ColourPerception()(panorama, "red")
+        weights = np.asarray(evidence.response) * evidence.grid.weights
+        mean = np.einsum("ij,ijk->k", weights, evidence.grid.directions)
+        found = np.degrees(azimuth_elevation(mean / np.linalg.norm(mean)))
+        off.append([(found[0] - azimuth + 180) % 360 - 180, found[1] - elevation])
+    assert np.abs(np.mean(off, axis=0)).max() < 0.1 * 180 / rows  # of a pixel
+
+
+@pytest.mark.parametrize("rows", [0, -1, 2.5, math.nan, "256", True])
+def test_rows_of_colour_are_whole_numbers(rows):
+    with pytest.raises(EagorError, match=r"ColourPerception: rows = .*; wanted a whole number, 1 or more"):
+        load("colour", rows=rows)
+
+
+@pytest.mark.parametrize(
+    ("spec", "says"),
+    [
+        ("http://localhost:8000/v1", r"A model on a server is endpoint:MODEL@ADDRESS"),
+        ("~nobody-of-this-name/model", "there is no folder '~nobody-of-this-name/model'"),
+        ("~nobody-of-this-name", "there is no perception"),
+        ("/" + "x" * 5000, "there is no folder"),
+    ],
+)
+def test_names_that_lead_nowhere(spec, says):
+    with pytest.raises(EagorError, match=says):
+        load(spec)
+    assert short_name(spec)
+
+
+def test_text_after_scout_is_no_calibration():
+    with pytest.raises(EagorError, match=r"calibration = 'moderate'; wanted an eagor\.Calibration"):
+        load("scout:moderate")
 
 
 # --- load ------------------------------------------------------------------------------------------------------------
@@ -443,7 +484,7 @@ BAD_LINES = [
     ('{"stamp": 1}', "has none of boxes, points, response; wanted exactly one"),
     (line(image="a.png"), "image is 'a.png'"),
     (line(image={}), "height is missing; wanted a whole number"),
-    (line(image={"width": 0, "height": 4}), "width"),
+    (line(image={"width": 0, "height": 4}), "width is 0; wanted a whole number"),
     (line(image={"width": 10.5, "height": 4}), "width is 10.5; wanted a whole number"),
     (line(image=PANORAMA | {"projection": "cubemap"}), "projection is 'cubemap'"),
     (line(image=PANORAMA | {"projection": "perspective"}), "hfov_deg is missing"),
@@ -502,9 +543,12 @@ def test_a_missing_file_and_a_bad_tolerance(tmp_path, replay_file):
     for path in (tmp_path / "no.jsonl", tmp_path, "a\0b"):
         with pytest.raises(FormatError, match="cannot be read"):
             read_records(path)
-    for tolerance in (-1.0, math.nan):
+    for tolerance in (-1.0, math.nan, "1", None, True):
         with pytest.raises(TimeError, match="tolerance"):
             ReplayPerception(replay_file, tolerance=tolerance)
+    for stamp in (None, math.nan, "1"):
+        with pytest.raises(TimeError, match="replay needs the time of capture"):
+            ReplayPerception(replay_file).near("chair", stamp)
 
 
 def test_windows_line_ends_and_a_byte_order_mark_are_fine(tmp_path):

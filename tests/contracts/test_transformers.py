@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -23,12 +24,14 @@ from eagor.perception import check_perception, load, parse_options
 from eagor.perception.transformers import TransformersPerception, family_of, inputs, prefix
 from eagor.perception.transformers.attention import densities, relative, saturated
 from eagor.perception.transformers.capture import Capture, capturing, full_layers
+from eagor.perception.transformers.chat import conversation
 from eagor.perception.transformers.heads import Heads, elbow, fit_heads, read_heads, spatial_entropy
 from eagor.perception.transformers.layout import Block, Layout
 from eagor.perception.transformers.prefix import Decoded, Running
 from eagor.perception.vlm.families import FAMILIES
 from eagor.perception.vlm.labelled import Labelled
 from eagor.perception.vlm.sizes import resized
+from eagor.perception.vlm.talk import IMAGE, Message
 from eagor.sphere import angular_distance, direction
 
 LANGUAGE, LOCALISERS = vlm_models.LANGUAGE, vlm_models.LOCALISERS
@@ -909,7 +912,7 @@ def test_what_cannot_be_loaded_says_why(folders, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "option",
     ["seam=no", "presence=maybe", "batch=0", "batch=many", "max_tokens=0", "pixels=lots", "layers=2.5", "device=one",
-     "threshold=0.3", "heads=nowhere.json"],
+     "threshold=0.3", "heads=nowhere.json", "batch=2.5", "batch=true", "max_tokens=nan", "layers=true", "device=meta"],
 )  # fmt: skip
 def test_options_without_a_meaning_are_refused_before_weights_are_read(folders, monkeypatch, option):
     def read(*_args, **_rest):
@@ -918,6 +921,69 @@ def test_options_without_a_meaning_are_refused_before_weights_are_read(folders, 
     monkeypatch.setattr(transformers.AutoModelForImageTextToText, "from_pretrained", read)
     with pytest.raises(EagorError, match=option.partition("=")[0]):
         load(f"{folders('llava')}?{option}")
+
+
+@pytest.mark.parametrize("threshold", ["nan", "inf", "-1", "2", "true", "low"])
+def test_thresholds_that_are_no_scores_are_refused(folders, threshold):
+    with pytest.raises(EagorError, match=r"threshold = .*; wanted a score from 0 to 1"):
+        load(f"{folders('owlv2')}?threshold={threshold}")
+
+
+def test_heads_of_another_family_are_refused(folders, tmp_path):
+    file = tmp_path / "heads.json"
+    Heads("x", "qwen3_vl", ((0, 0),), 1.5).write(file)
+    with pytest.raises(EagorError, match=r"were found for x, a qwen3_vl; .* is a llava"):
+        load(f"{folders('llava')}?heads={file}")
+
+
+def test_too_few_pixels_for_a_localiser(folders):
+    with pytest.raises(ImageError, match=r"no picture of 2:1 .* at most 10 pixels; allow more"):
+        load(f"{folders('grounding_dino')}?pixels=10")(noise(), "red chair")
+
+
+def test_a_number_may_be_typed_as_people_do(folders):
+    assert load(f"{folders('qwen2_5_vl')}?pixels=1e5").looker.pixels == 100_000
+
+
+@pytest.mark.parametrize("file", ["config.json", "model.safetensors", "tokenizer.json", "preprocessor_config.json"])
+@pytest.mark.parametrize("damage", ["missing", "empty", "cut", "other"])
+def test_a_damaged_checkpoint_is_named(folders, tmp_path, file, damage):
+    folder = shutil.copytree(folders("llava"), tmp_path / "damaged")
+    whole = (folder / file).read_bytes()
+    if damage == "missing":
+        (folder / file).unlink()
+    else:
+        (folder / file).write_bytes({"empty": b"", "cut": whole[: len(whole) // 2], "other": b"[]"}[damage])
+    with pytest.raises(EagorError, match=r"damaged' (has no config\.json|cannot be loaded)"):
+        load(str(folder))
+
+
+def test_weights_that_are_not_there_are_missed(folders, tmp_path):
+    from safetensors.torch import load_file, save_file
+
+    folder = shutil.copytree(folders("llava"), tmp_path / "partial")
+    weights = load_file(folder / "model.safetensors")
+    lost = next(name for name in sorted(weights) if name.endswith("q_proj.weight"))
+    del weights[lost]
+    save_file(weights, folder / "model.safetensors", metadata={"format": "pt"})
+    with pytest.warns(UserWarning, match=r"lack 1 weights of the model, such as .*q_proj\.weight; they are random now"):
+        load(str(folder))
+
+
+@pytest.mark.parametrize(
+    "template",
+    [
+        "{% for message in messages %}{{ message['role'] + message['content'] }}{% endfor %}",  # takes words alone
+        "{{ raise_exception('one message at a time') }}",
+        "{% for message in messages %}{{ message.content",
+    ],
+)
+def test_a_template_that_takes_no_pictures_is_passed_over(random_models, monkeypatch, template):
+    language = random_models("qwen2_5_vl")
+    monkeypatch.setattr(language.tokenizer, "chat_template", template)
+    assert inputs.template_of(language.tokenizer, language.family) == language.family.template
+    said = [Message("system", "Be brief."), Message("user", f"{IMAGE}What is it?", (noise(),))]
+    assert "Be brief." in conversation(language.tokenizer, language.family, said)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from eagor._srgb import to_linear
 from eagor.errors import WorldError
 from eagor.queries import COLOURS, parse_query
 from eagor.tasks.places import UNTARGETED
@@ -14,7 +15,6 @@ from eagor.worlds.apartment.meshes import Part, box, part
 from eagor.worlds.apartment.palette import TONES
 from eagor.worlds.raycast import make_raycaster
 from eagor.worlds.scene import Lamp, Material
-from eagor.worlds.srgb import to_linear
 
 ROOMS = {"living room", "bedroom", "kitchen", "bathroom", "hall", "study", "dining room"}
 BUDGET = 1600  # triangles of one piece

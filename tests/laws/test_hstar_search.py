@@ -2,12 +2,14 @@
 
 import itertools
 import math
+import re
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from eagor.errors import EagorError
 from eagor.evidence import Calibration, Evidence
 from eagor.perception.noise import Noise
 from eagor.tasks.hstar.camera import View, inside
@@ -130,6 +132,37 @@ def test_a_repeated_look_counts_for_less_and_one_that_comes_back_later_for_more(
     assert fall(here, here) == pytest.approx(1.5 * once, rel=0.05)
     assert fall(here, away, here) == pytest.approx(1.75 * once, rel=0.05)
     assert fall(here, here, here) == pytest.approx(2.0 * once, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("rules", "says"),
+    [
+        ({"degree": 2.5}, "degree = 2.5; wanted a whole number, 1 or more"),
+        ({"sure": math.nan}, "sure = nan; wanted a probability above 0, at most 1"),
+        ({"hit": 1.5}, "hit = 1.5; wanted a probability"),
+        ({"alarm": 1.0}, "alarm = 1.0; wanted a probability from 0 to below 1"),
+        ({"repeats": True}, "repeats = True; wanted a share"),
+        ({"tilt": -1.0}, "tilt = -1.0; wanted degrees, 0 or more"),
+        ({"height": "low"}, "height = 'low'; wanted degrees"),
+        ({"elsewhere": 0.0}, "elsewhere = 0.0; wanted a share above 0"),
+        ({"shift": math.inf}, "shift = inf; wanted a number"),
+        ({"slope": 0}, "slope = 0; wanted a number above 0"),
+    ],
+)
+def test_rules_out_of_range_are_refused(rules, says):
+    with pytest.raises(EagorError, match=f"SearchRules: {re.escape(says)}"):
+        SearchRules(**rules)
+
+
+def test_rules_at_their_ends_still_tell_where_to_look():
+    for rules in (
+        SearchRules(hit=1.0, alarm=0.0, repeats=1.0),
+        SearchRules(hit=0.0),
+        SearchRules(tilt=1e-3, slope=100),
+    ):
+        search = Search.begin("hos", rules)
+        assert np.isfinite(search.information()).all()
+        assert 0 <= search.answer().probability <= 1
 
 
 def test_what_is_stated_is_a_probability_that_rises_with_the_share_of_the_belief():

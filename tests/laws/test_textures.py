@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from eagor._srgb import to_coded, to_linear
 from eagor.errors import WorldError
 from eagor.perception.colour import ColourPerception
 from eagor.queries import COLOURS
@@ -16,7 +17,6 @@ from eagor.worlds.apartment.paintings import MOTIFS_OF, paint
 from eagor.worlds.apartment.palette import TONES, sRGB
 from eagor.worlds.apartment.pictures import PICTURES
 from eagor.worlds.apartment.textures import REPEAT, SURFACES, WHOLE, material
-from eagor.worlds.srgb import to_coded, to_linear
 
 REPEATING = [(kind, variant) for kind, (count, _) in SURFACES.items() for variant in range(count) if kind not in WHOLE]
 COLOURED = ["fabric", "leather", "paint", "plastic", "ceramic", "carpet", "wood"]

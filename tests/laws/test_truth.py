@@ -473,6 +473,18 @@ def test_numbers_out_of_range_are_refused(text):
         Noise.parse(text)
 
 
+@pytest.mark.parametrize("value", ["0.1", None, True, 10**400])
+def test_so_is_what_is_no_number(value):
+    with pytest.raises(EagorError, match=r"miss = .*wanted a number from 0 to 1"):
+        Noise(miss=value)
+
+
+@pytest.mark.parametrize("rows", [0, -3, 2.5, math.nan, "18", True])
+def test_rows_are_whole_numbers(rows):
+    with pytest.raises(GridError, match=r"rows = .*; wanted a whole number, 1 or more"):
+        TruthPerception(rows=rows)
+
+
 def test_errors_say_what_was_wanted():
     detector = episode(SCENE)
     for image in (np.zeros((8, 16, 3), np.uint8), np.zeros((8, 16)), [[1, 2]], np.zeros((0, 0), int), None):

@@ -202,6 +202,14 @@ def test_deep_and_long_answers_take_no_forever():
             parse_boxes(text, "thousand", SIZE)
 
 
+@pytest.mark.parametrize("times", [1, 2, 3, 5000])
+def test_a_key_written_again_and_again_holds_all(times):
+    boxes = [[index, 10, index + 20, 50] for index in range(times)]
+    text = "{" + ", ".join(f'"bbox_2d": {box}' for box in boxes) + "}"
+    found = parse_boxes(text, "pixels", (100, 10_000))
+    assert [[round(box.x0 * 10_000), 10, round(box.x1 * 10_000), 50] for box in found] == boxes
+
+
 @given(WRITTEN)
 @settings(deadline=None)
 def test_values_know_their_place(entries):
@@ -473,6 +481,7 @@ LAYOUTS = [
     (80, 10, 30),
     (70, 0, 20),
     (90, 15, 50),
+    (78, 48, 90),  # less than 30 apart where degrees have become radians
 ]
 RANDOM = np.random.default_rng(0).normal(size=(20_000, 3))
 RANDOM /= np.linalg.norm(RANDOM, axis=-1, keepdims=True)
@@ -611,6 +620,22 @@ def test_boxes_are_drawn_as_evidence_draws_them(x, y, width, height, score):
     roll = 1 / 3 if x + width + 1 / 3 <= 1 else -1 / 3 if x >= 1 / 3 else 0
     moved = Box(x + roll, y, x + width + roll, y + height, "", score)
     np.testing.assert_allclose(drawn([moved], PatchGrid(7, 9), evidence.grid, roll=roll), mine, atol=1e-5)
+
+
+@pytest.mark.parametrize("box", [Box(0, 0, 1, 1, "", 0.6), Box(0, 0.2, 1, 0.8, "", 0.6)])
+@pytest.mark.parametrize("roll", [0.0, 0.5])
+def test_a_box_all_around_names_no_direction_and_is_no_error(box, roll):
+    response = drawn([box], PatchGrid(7, 14), PatchGrid(9, 18), roll)
+    np.testing.assert_allclose(response, 0.6)
+    other = Box(0.4, 0.45, 0.5, 0.55)  # what does name one still counts
+    both = drawn([box, other], PatchGrid(7, 14), PatchGrid(9, 18), roll)
+    assert both.max() == drawn([other], PatchGrid(7, 14), PatchGrid(9, 18), roll).max() > 0.6
+
+
+@pytest.mark.parametrize("side", [1e-300, 1e-15, 1e-7])
+def test_boxes_of_no_size_to_speak_of_are_left_out(side):
+    assert parse_boxes(f"[[0.5, 0.5, {0.5 + side!r}, 0.6]]", "unit", SIZE) == []
+    assert parse_boxes(f"[[0.0, 0.0, {side!r}, {side!r}]]", "unit", SIZE) == []
 
 
 def test_no_box_is_a_look_that_saw_nothing():

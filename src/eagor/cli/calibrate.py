@@ -80,7 +80,7 @@ def heads(options: Calibrate) -> int:
         raise terminal.UsageError(f"{perception.family.title} has no attention heads to read; wanted a language model")
     if options.labels is None:
         from eagor.evaluation.labelled import apartment_labels
-        from eagor.tasks.eyes import rows_of
+        from eagor.perception import rows_of
 
         examples = apartment_labels(count, options.seed, options.rows or rows_of(perception))
     else:

@@ -11,9 +11,8 @@ from eagor.cli.looking import checked_folder
 from eagor.cli.options import Demo
 from eagor.estimate import Estimate
 from eagor.evaluation.published import OURS, PAPERS
-from eagor.perception import load
+from eagor.perception import load, rows_of
 from eagor.tasks.episodes import PER_PLACE, Slot
-from eagor.tasks.eyes import rows_of
 from eagor.tasks.methods import DESCRIPTIONS, NAMES, TrackerMethod
 from eagor.tasks.places import APARTMENT, SEEDS
 from eagor.tasks.play import Player

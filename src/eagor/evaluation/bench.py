@@ -12,10 +12,11 @@ from eagor import plugins, worlds
 from eagor._version import __version__
 from eagor.errors import EagorError
 from eagor.evaluation.workers import Engine, Outcome, Unit, carry_out
+from eagor.perception import rows_of
 from eagor.perception.calibrated import Calibrated
 from eagor.tasks import task as tasks
 from eagor.tasks.episodes import slots
-from eagor.tasks.eyes import rows_of, shared
+from eagor.tasks.eyes import shared
 from eagor.tasks.fitted import fitted
 from eagor.tasks.methods import NAMES, ORACLE, make_method
 from eagor.tasks.places import APARTMENT, DEVELOPMENT

@@ -23,10 +23,10 @@ from eagor.errors import EagorError, QueryError, WorldError
 from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
 from eagor.metrics import angular_error_deg
-from eagor.perception import load
+from eagor.perception import load, rows_of
 from eagor.tasks import task as tasks
 from eagor.tasks.episodes import Slot
-from eagor.tasks.eyes import is_privileged, rows_of
+from eagor.tasks.eyes import is_privileged
 from eagor.tasks.places import APARTMENT, DEVELOPMENT, load_place
 from eagor.tasks.play import MASS, Player, Recording
 from eagor.tasks.rules import Camera, Disturbances, as_dict

@@ -31,6 +31,8 @@ BUILT_IN = {
     "truth": "eagor.perception.truth:TruthPerception",
 }
 
+ROWS = 256  # of the panoramas, for perceptions that do not say
+
 _TEXTS = ("revision", "heads")  # options that are text, whatever they look like
 
 
@@ -77,7 +79,7 @@ def load(spec: str, **options: Any) -> Perception:
             return local_model(TransformersPerception, model, parse_options(written) | options)
         raise QueryError(
             f"there is no perception {name!r}; known are {', '.join(sorted(choices))}, folders with a model, and hub "
-            "names such as Qwen/Qwen2.5-VL-7B-Instruct"
+            "names such as Qwen/Qwen2.5-VL-7B-Instruct. A model on a server is endpoint:MODEL@ADDRESS"
         )
     make: Callable[..., Perception] = plugins.bring(choices[name], "perception")
     arguments = (text,) if colon else ()
@@ -89,6 +91,11 @@ def load(spec: str, **options: Any) -> Perception:
             f"It takes {name}{inspect.signature(make)}; the text after ':' is the first argument"
         ) from error
     return make(*arguments, **options)
+
+
+def rows_of(perception: Any) -> int:
+    """Rows of the panoramas that `perception` works at: its attribute `rows`, `ROWS` where it does not say."""
+    return int(getattr(perception, "rows", ROWS))
 
 
 def is_model(spec: str) -> bool:
@@ -108,7 +115,7 @@ def short_name(spec: str) -> str:
         model = place.rpartition("@")[0] or ("" if "://" in place else place)
         name = f"endpoint-{model.rstrip('/').rpartition('/')[2]}" if model else name
     elif name not in known():
-        name = Path(str(spec).partition("?")[0]).expanduser().resolve().name
+        name = Path(os.path.expanduser(str(spec).partition("?")[0])).resolve().name
     return re.sub(r"[^\w.+-]+", "-", name).strip("-.") or "perception"
 
 
@@ -140,7 +147,7 @@ def _value(text: str) -> Any:
 
 def _names_a_model(text: str) -> bool:
     """Whether `text` is a folder with a model in it, or looks like a path or a hub name."""
-    return (Path(text) / "config.json").is_file() or "/" in text.replace(os.sep, "/")
+    return os.path.isfile(os.path.join(text, "config.json")) or ("/" in text.replace(os.sep, "/") and "://" not in text)
 
 
 def local_model(make: Callable[..., Any], name: str, options: dict[str, Any]) -> Any:
@@ -148,10 +155,10 @@ def local_model(make: Callable[..., Any], name: str, options: dict[str, Any]) ->
 
     Raises `EagorError` for a folder without a model in it, or options that `make` does not take.
     """
-    folder = Path(name).expanduser()
-    if folder.is_dir() and not (folder / "config.json").is_file():
+    folder = os.path.expanduser(name)  # of a user who does not exist: the name as it is
+    if os.path.isdir(folder) and not os.path.isfile(os.path.join(folder, "config.json")):
         raise EagorError(f"the folder {name!r} has no config.json; wanted one that holds a model")
-    if not folder.is_dir() and name.startswith((".", "~", "/")):
+    if not os.path.isdir(folder) and name.startswith((".", "~", "/")):
         raise EagorError(f"there is no folder {name!r}; wanted one that holds a model, or a hub name")
     try:
         inspect.signature(make).bind(name, **options)
@@ -160,7 +167,7 @@ def local_model(make: Callable[..., Any], name: str, options: dict[str, Any]) ->
             f"the model {name!r} cannot be taken with the options {sorted(options)}: {error}. It takes "
             f"{', '.join([*inspect.signature(make).parameters][1:])}"
         ) from error
-    return make(str(folder) if folder.is_dir() else name, **options)
+    return make(str(Path(folder)) if os.path.isdir(folder) else name, **options)
 
 
 def check_perception(

@@ -15,6 +15,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from eagor._checks import require, whole
+from eagor._srgb import to_linear
 from eagor.errors import ImageError, QueryError
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PatchGrid
@@ -79,10 +81,15 @@ class ColourPerception:
         calibration: how responses become evidence; None for the default of `Evidence`.
         rows: the panorama is averaged (in linear light) down to at most this many rows and twice as many columns
             before it is judged. A thing needs two cells each way to count in full; single cells do not count.
+
+    Raises `EagorError` for less than one row.
     """
 
     calibration: Calibration | None = None
     rows: int = 256
+
+    def __post_init__(self) -> None:
+        require(self, {"rows": (whole(self.rows, 1), "a whole number, 1 or more")})
 
     def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for what `query` names in `panorama` ``(H, W, 3)``, uint8 or floating in [0, 1], sRGB.
@@ -134,14 +141,15 @@ def _reduced(panorama: np.ndarray, rows: int) -> np.ndarray:
         )
     decode: Callable[[np.ndarray], np.ndarray]
     if image.dtype == np.uint8:
-        decode = _linear(np.arange(256, dtype=np.float32) / 255).__getitem__
+        decode = to_linear(np.arange(256, dtype=np.float32) / 255).__getitem__
     elif image.dtype.kind == "f":
         decode = _linear_checked
     else:
         raise ImageError(f"the panorama holds {image.dtype}; wanted uint8, or floating numbers in [0, 1]")
     height, width = image.shape[:2]
-    tops = np.linspace(0, height, min(height, rows) + 1).astype(int)
-    lefts = np.linspace(0, width, min(width, 2 * rows) + 1).astype(int)
+    # Cells end at the pixel border that is nearest: at the one before, all would look half a pixel up and to the left.
+    tops = np.rint(np.linspace(0, height, min(height, rows) + 1)).astype(int)
+    lefts = np.rint(np.linspace(0, width, min(width, 2 * rows) + 1)).astype(int)
     strips = [decode(image[top:end]).mean(axis=0) for top, end in pairwise(tops)]
     sums = np.add.reduceat(np.stack(strips), lefts[:-1], axis=1)
     return sums / np.diff(lefts)[:, None].astype(np.float32)
@@ -150,12 +158,7 @@ def _reduced(panorama: np.ndarray, rows: int) -> np.ndarray:
 def _linear_checked(coded: np.ndarray) -> np.ndarray:
     if not (coded.min() >= 0 and coded.max() <= 1):  # NaN fails both comparisons
         raise ImageError("a floating panorama must lie in [0, 1] and be finite; divide 8-bit values by 255")
-    return _linear(coded.astype(np.float32))
-
-
-def _linear(coded: np.ndarray) -> np.ndarray:
-    """sRGB values in [0, 1] to linear light (IEC 61966-2-1)."""
-    return np.where(coded > 0.04045, ((coded + 0.055) / 1.055) ** 2.4, coded / 12.92)
+    return to_linear(coded.astype(np.float32))
 
 
 # Linear sRGB to CIE XYZ (IEC 61966-2-1), each row over its sum, so that white (D65) is (1, 1, 1).

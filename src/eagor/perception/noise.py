@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 
+from eagor._checks import within
 from eagor.errors import EagorError
 
 WIDEST = 0.7  # radians: root of the sum of the variances over both axes
@@ -54,7 +55,7 @@ class Noise:
         for field in fields(self):
             value = getattr(self, field.name)
             highest = {"spread": math.pi / 2, "smallest": math.inf}.get(field.name, 1.0)
-            if not (0 <= value <= highest and math.isfinite(value)):
+            if not within(value, 0, highest):
                 unit = " radians (degrees in the text form)" if field.name == "spread" else ""
                 raise EagorError(f"{field.name} = {value!r}; wanted a number from 0 to {highest:.4g}{unit}")
 
@@ -88,18 +89,19 @@ class Noise:
         profiles = {"ideal": cls.ideal, "moderate": cls.moderate}
         first, *rest = [part.strip() for part in text.split(",")]
         pairs = rest if first in ("", *profiles) else [first, *rest]
+        names = [field.name for field in fields(cls)]
         changes: dict[str, float] = {}
         for pair in pairs:
             key, _, value = (part.strip() for part in pair.partition("="))
             try:
-                if key in changes:
-                    raise KeyError(key)
-                changes[{field.name: field.name for field in fields(cls)}[key]] = float(value)
-            except (KeyError, ValueError):
+                if key in changes or key not in names:
+                    raise ValueError(key)
+                changes[key] = float(value)
+            except ValueError:
                 raise EagorError(
                     f"truth settings {text!r}: cannot read {pair!r}. Wanted 'ideal', 'moderate' or key=number pairs "
-                    "parted by commas, each key once, such as 'miss=0.1,spread=4'; keys: "
-                    f"{', '.join(field.name for field in fields(cls))} (spread in degrees)"
+                    f"parted by commas, each key once, such as 'miss=0.1,spread=4'; keys: {', '.join(names)} (spread "
+                    "in degrees)"
                 ) from None
         if "spread" in changes:
             changes["spread"] = math.radians(changes["spread"])

@@ -16,12 +16,11 @@ import numpy as np
 from eagor.errors import ImageError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
-from eagor.perception import Perception
+from eagor.perception import Perception, rows_of
 from eagor.perception.vlm.sizes import checked_picture
 from eagor.perception.vlm.views import bilinear
 from eagor.sphere import world_R_body
 
-ROWS = 256  # of the panorama that a picture is put into, for perceptions that do not say
 BORDER = 0.5  # share of a response's cell that the picture has to fill for the cell to count as looked at
 
 
@@ -60,7 +59,7 @@ def look_at_view(
     grid = PerspectiveGrid(height, width, hfov, world_R_body(0.0, -pitch))
     if isinstance(perception, ViewPerception):
         return perception.view(picture, grid, query, stamp=stamp)
-    panorama = pasted(picture, grid, int(getattr(perception, "rows", ROWS)))
+    panorama = pasted(picture, grid, rows_of(perception))
     found = perception(panorama, query, stamp=stamp)
     if isinstance(found.grid, PerspectiveGrid | FisheyeGrid):
         raise ImageError(

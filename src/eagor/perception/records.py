@@ -203,9 +203,9 @@ def _number(entry: dict, key: str, low: float = -1e300, high: float = 1e300, def
 
 
 def _size(entry: dict, key: str) -> int:
-    value: Any = entry.get(key, 0)
+    value: Any = entry.get(key)
     fine = isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= _LARGEST
-    _need(fine, key, value or None, f"a whole number from 1 to {_LARGEST}")
+    _need(fine, key, value, f"a whole number from 1 to {_LARGEST}")
     return int(value)
 
 

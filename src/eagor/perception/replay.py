@@ -34,6 +34,7 @@ from bisect import bisect_left, bisect_right
 
 import numpy as np
 
+from eagor._checks import within
 from eagor.errors import EagorError, FormatError, QueryError, TimeError
 from eagor.evidence import Calibration, Evidence
 from eagor.perception.records import Record, parse_record, read_records, write_record
@@ -52,7 +53,7 @@ class ReplayPerception:
     Attributes:
         records: all `Record` objects by rising stamp.
 
-    Raises `FormatError` for a file that does not follow the format.
+    Raises `FormatError` for a file that does not follow the format, `TimeError` for a tolerance that is none.
     """
 
     def __init__(
@@ -60,9 +61,9 @@ class ReplayPerception:
     ) -> None:
         self.records = read_records(path)
         self.calibration = calibration
-        self.tolerance = float(tolerance)
-        if not self.tolerance >= 0:
+        if not within(tolerance, 0):
             raise TimeError(f"tolerance = {tolerance!r}; wanted seconds, 0 or more")
+        self.tolerance = float(tolerance)
         self._name = os.fspath(path)
 
     def near(self, query: str, stamp: float | None) -> tuple[Record, ...]:
@@ -72,7 +73,7 @@ class ReplayPerception:
         """
         if not isinstance(query, str):
             raise QueryError(f"the query is {query!r}; wanted words")
-        if stamp is None or not math.isfinite(stamp):
+        if stamp is None or not within(stamp, -math.inf):
             raise TimeError(f"replay needs the time of capture, seconds; got stamp={stamp!r}. Pass stamp=...")
         first = bisect_left(self.records, stamp - self.tolerance, key=lambda r: r.stamp)
         last = bisect_right(self.records, stamp + self.tolerance, key=lambda r: r.stamp)

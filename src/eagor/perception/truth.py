@@ -21,7 +21,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor.errors import ImageError
+from eagor._checks import whole
+from eagor.errors import GridError, ImageError
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.perception.noise import WIDEST, Noise
@@ -64,6 +65,8 @@ class TruthPerception:
     def __init__(self, noise: str | Noise = "", calibration: Calibration = CALIBRATION, rows: int = 18) -> None:
         self.noise = noise if isinstance(noise, Noise) else Noise.parse(noise)
         self.calibration = calibration
+        if not whole(rows, 1):
+            raise GridError(f"rows = {rows!r}; wanted a whole number, 1 or more")
         self.grid = PatchGrid(rows, 2 * rows)
 
     def episode(self, labels: Sequence[Named], seed: int) -> TruthEpisode:

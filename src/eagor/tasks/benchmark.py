@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
@@ -20,6 +21,8 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from eagor import plugins
+from eagor._checks import whole, within
+from eagor._json import shown
 from eagor._version import __version__
 from eagor.errors import EagorError
 
@@ -64,18 +67,30 @@ class Option:
         """`value`, perhaps text, as this option's. Raises `EagorError` for one that is not among the choices."""
         if isinstance(self.default, bool):
             found: Any = {"true": True, "false": False, "1": True, "0": False}.get(str(value).lower(), value)
-        elif isinstance(self.default, int | float) and not isinstance(value, bool):
-            try:
-                found = type(self.default)(value)
-            except (TypeError, ValueError):
-                found = value
+        elif isinstance(self.default, int | float):
+            found = _number(type(self.default), value)
         else:
             found = value
         fits = found in self.choices if self.choices else isinstance(found, type(self.default))
         if not fits:
-            wanted = ", ".join(map(str, self.choices)) or f"something like {self.default!r}"
-            raise EagorError(f"{name} = {value!r}; wanted {wanted} ({self.what})")
+            many = isinstance(self.default, int | float) and len(self.choices) > 8
+            listed = (*self.choices[:2], "...", *self.choices[-1:]) if many else self.choices
+            wanted = ", ".join(map(str, listed)) or f"something like {self.default!r}"
+            raise EagorError(f"{name} = {shown(value)}; wanted {wanted} ({self.what})")
         return found
+
+
+def _number(kind: type[int] | type[float], value: Any) -> Any:
+    """`value`, perhaps text, as a finite number of this kind; None for what is none, such as True, or 2.7 as an int.
+
+    Other text is left as it is: an option may have choices that are words.
+    """
+    try:
+        found = kind(value)
+    except (TypeError, ValueError, OverflowError):
+        return value if isinstance(value, str) else None
+    same = isinstance(value, str) or (found == value and not isinstance(value, bool))
+    return found if same and within(found, -math.inf) else None
 
 
 @dataclass(frozen=True)
@@ -211,8 +226,8 @@ def settled(benchmark: Benchmark, settings: Mapping[str, Any], looking: Sequence
     """What `Benchmark.settle` returns, complete, before anything is made: who plays, with what, by which options.
 
     `looking`: the agents that need a perception; `truth`: what the perception truth is in this benchmark, for the text
-    of an error. Raises `EagorError` for an agent or an option that there is not, or where something to look with, or to
-    ask, is missing.
+    of an error. Raises `EagorError` for an agent or an option that there is not, for a seed that is none, or where
+    something to look with, or to ask, is missing.
     """
     agent = settings.get("agent") or next(iter(benchmark.agents))
     if agent not in benchmark.agents:
@@ -228,13 +243,16 @@ def settled(benchmark: Benchmark, settings: Mapping[str, Any], looking: Sequence
             f"the agent {agent} asks a model; name it with --model, such as MODEL@http://localhost:8000/v1, a folder "
             "or hub name, or package.module:function"
         )
+    seed = settings.get("seed") or 0
+    if not whole(seed, 0):
+        raise EagorError(f"seed = {seed!r}; wanted a whole number, 0 or more")
     return {
         "task": benchmark.name,
         "data": str(settings["data"]),
         "agent": agent,
         "perception": perception if agent in looking else None,
         "model": model if agent == TALKING else None,
-        "seed": int(settings.get("seed") or 0),
+        "seed": int(seed),
         **read_options(benchmark, {name: settings.get(name) for name in benchmark.options}),
         **({"calibrated": settings["calibrated"]} if settings.get("calibrated") and agent in looking else {}),
         "versions": {"eagor": __version__},

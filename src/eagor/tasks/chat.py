@@ -8,9 +8,10 @@ from __future__ import annotations
 import hashlib
 import importlib
 import inspect
+import os
 from collections.abc import Sequence
 from functools import lru_cache
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -37,13 +38,15 @@ def load_chat(spec: str) -> Chat:
     named = module.replace(".", "").isidentifier() and name.isidentifier()
     if colon and named and not {"@", "/"} & set(spec):
         try:
-            return getattr(importlib.import_module(module), name)()
-        except (ImportError, AttributeError) as error:
+            make = getattr(importlib.import_module(module), name)
+        except Exception as error:  # a broken module may raise anything
             raise EagorError(
-                f"the model {spec!r} cannot be imported ({error}); wanted package.module:function"
+                f"the model {spec!r} cannot be imported ({type(error).__name__}: {error}); wanted "
+                f"package.module:function, or {spec}@http://localhost:11434 for a model on a server"
             ) from error
+        return _made(spec, make)
     place, _, written = spec.partition("?")
-    here = (Path(place).expanduser() / "config.json").is_file()
+    here = os.path.isfile(os.path.join(os.path.expanduser(place), "config.json"))
     if here or ("/" in place and "@" not in place and "://" not in place):
         from eagor.perception.transformers.chat import LocalChat
 
@@ -51,6 +54,17 @@ def load_chat(spec: str) -> Chat:
     from eagor.perception.endpoint.chat import chat_from_text
 
     return chat_from_text(spec)
+
+
+def _made(spec: str, make: Any) -> Chat:
+    """What `make` makes. Raises `EagorError` if it is to be called with anything, as a model itself is."""
+    try:
+        inspect.signature(make).bind()
+    except (TypeError, ValueError) as error:  # ValueError: it does not tell what it takes
+        raise EagorError(
+            f"the model {spec!r} cannot be made ({error}); wanted a function without arguments that returns the model"
+        ) from error
+    return make()
 
 
 @lru_cache(maxsize=1)

@@ -21,8 +21,6 @@ from eagor.perception.calibrated import from_json
 from eagor.queries import Named
 from eagor.tasks.chat import shared_chat
 
-ROWS = 256  # of the panoramas, for perceptions that do not say
-
 
 class Eye(Protocol):
     """Looks once per step."""
@@ -125,11 +123,6 @@ def release() -> None:
 def recalibration(settings: Mapping[str, Any]) -> Calibration | None:
     """How the settings of a run say that responses are to be read ("calibrated"); None: as the perception does."""
     return from_json(settings["calibrated"], "the settings").calibration if settings.get("calibrated") else None
-
-
-def rows_of(perception: Any) -> int:
-    """Rows of the panoramas that the perception works at (its attribute `rows`, where it has one)."""
-    return int(getattr(perception, "rows", ROWS))
 
 
 def is_privileged(perception: Any) -> bool:

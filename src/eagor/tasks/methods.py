@@ -214,20 +214,28 @@ def make_method(
     except KeyError as error:
         known = ", ".join(SETTINGS[base]) or "none"
         raise EagorError(f"method {name!r}: there is no setting {error}; known for {base}: {known}") from None
+    except EagorError as error:
+        raise EagorError(f"method {name!r}: {error}") from None
     except ValueError as error:
         raise EagorError(f"method {name!r}: a setting wants a number ({error})") from None
 
 
 def _settings(name: str, text: str) -> dict[str, str]:
     pairs = [item.partition("=") for item in text.split(",") if item]
-    if any(not (key and equals and value) for key, equals, value in pairs):
-        raise EagorError(f"method {name!r}: wanted name:key=value,key=value, such as eagor:degree=7,decode=mean")
-    return {key: value for key, _, value in pairs}
+    found = {key: value for key, _, value in pairs}
+    if any(not (key and equals and value) for key, equals, value in pairs) or len(found) < len(pairs):
+        raise EagorError(
+            f"method {name!r}: wanted name:key=value,key=value, each key once, such as eagor:degree=7,decode=mean"
+        )
+    return found
 
 
 def _numbers(settings: dict[str, str]) -> dict[str, float]:
     """Settings from text, angles in radians. Raises ValueError for what is no number."""
-    return {key: math.radians(float(text)) if key in _ANGLES else float(text) for key, text in settings.items()}
+    found = {key: math.radians(float(text)) if key in _ANGLES else float(text) for key, text in settings.items()}
+    if nan := [key for key, value in found.items() if math.isnan(value)]:
+        raise ValueError(f"{nan[0]} = nan")
+    return found
 
 
 _READING = ("floor", "neutral", "temperature")
@@ -278,7 +286,7 @@ def tracker_config(
         raise EagorError(f"decode = {settings['decode']!r}; wanted mode or mean")
     changes: dict[str, Any] = {}
     if "degree" in numbers:
-        changes["degree"] = int(numbers["degree"])
+        changes["degree"] = _whole("degree", numbers)
     if "decode" in settings:
         changes["decode"] = settings["decode"]
     if "keep" in numbers:
@@ -288,9 +296,9 @@ def tracker_config(
     if "switch" in numbers:
         changes["switch_at"] = numbers["switch"]
     if "heights" in numbers:
-        changes["floor"] = FLOOR if numbers["heights"] else None
+        changes["floor"] = FLOOR if _whole("heights", numbers, 1) else None
     if "shells" in numbers:
-        count = int(numbers["shells"])
+        count = _whole("shells", numbers)
         changes["ranges"] = tuple(log_ranges(count=count).tolist()) if count else None
     reading = {key: numbers[key] for key in _REPEATING if key in numbers}
     if reading:
@@ -298,6 +306,14 @@ def tracker_config(
             config.calibration or calibration or Calibration(), scale_to_max=False, **reading
         )
     return replace(config, **changes)
+
+
+def _whole(key: str, numbers: dict[str, float], most: float = math.inf) -> int:
+    """The setting of this name as a whole number from 0 to `most`. Raises `EagorError`."""
+    if not (numbers[key].is_integer() and 0 <= numbers[key] <= most):
+        wanted = "a whole number, 0 or more" if most == math.inf else f"a whole number from 0 to {most:g}"
+        raise EagorError(f"{key} = {numbers[key]:g}; wanted {wanted}")
+    return int(numbers[key])
 
 
 def _filter(base: str, settings: dict[str, str], rng: np.random.Generator) -> Method:

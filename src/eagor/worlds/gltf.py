@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from eagor._srgb import to_coded, to_linear
 from eagor.queries import COLOURS, SYNONYMS, singular
 from eagor.worlds.scene import Material
-from eagor.worlds.srgb import to_coded, to_linear
 
 FORMAT = "eagor semantic 1"  # of the JSON beside an exported GLB
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from eagor._srgb import to_coded, to_linear
 from eagor.errors import EagorError, PoseError
 from eagor.grids import ErpGrid
 from eagor.sphere import check_rotation
-from eagor.worlds.srgb import to_coded, to_linear
 
 BALL_COLOURS = {
     "red": (200, 30, 35),

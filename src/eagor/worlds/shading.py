@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from eagor._srgb import to_coded, to_linear
 from eagor.worlds.lattice import Lattice, unseen
 from eagor.worlds.raycast import Hits
 from eagor.worlds.scene import Scene
 from eagor.worlds.sky import look_up, painted
-from eagor.worlds.srgb import to_coded, to_linear
 from eagor.worlds.texels import LEVELS, Texels
 
 BRIGHTEST = 5.0  # light beyond it is cut; 1 shows a white surface at the edge of the shoulder's reach

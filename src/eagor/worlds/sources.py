@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from eagor._srgb import to_linear
 from eagor.worlds import sky
 from eagor.worlds.raycast import Raycaster
 from eagor.worlds.scene import Material, Scene
-from eagor.worlds.srgb import to_linear
 
 SKY_GAIN = 5.0  # how much brighter the sky is than `daylight`, which is also drawn: eyes and cameras adapt to the room
 LIFT = 0.004  # metres that rays start above their surface

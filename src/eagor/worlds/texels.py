@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from eagor._srgb import to_coded, to_linear
 from eagor.worlds.scene import Material
-from eagor.worlds.srgb import to_coded, to_linear
 
 LEVELS = 12  # sides up to 2048 texels, halved down to 1
 _LARGEST = 1 << (LEVELS - 1)

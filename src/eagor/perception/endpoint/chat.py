@@ -12,7 +12,7 @@ import numpy as np
 
 from eagor._checks import require, whole, within
 from eagor.errors import AnswerError, EagorError
-from eagor.perception.endpoint.messages import data_uri
+from eagor.perception.endpoint.messages import count_in, data_uri, first_choice
 from eagor.perception.endpoint.naming import place_of
 from eagor.perception.endpoint.servers import (
     DEFAULT_SERVER,
@@ -103,6 +103,8 @@ def chat_from_text(text: str) -> ServedChat:
     kinds = {field.name: type(field.default) for field in fields(ServedChat) if field.name not in ("model", "servers")}
     options: dict[str, Any] = {}
     for name, value in parse_qsl(written, keep_blank_values=True):
+        if name in options:
+            raise EagorError(f"{name} comes twice in {text!r}; wanted each option once")
         try:
             options[name] = kinds[name](value)
         except (KeyError, ValueError):
@@ -145,11 +147,13 @@ class _Conversation:
 
     def read(self, completion: Any, tries: int) -> Said:
         """The reply. An empty one is one; none at all is an `AnswerError`."""
-        text = completion.choices[0].message.content if completion.choices else None
+        choice = first_choice(completion)
+        text = choice.message.content if choice else None
         if text is None:
-            reason = completion.choices[0].finish_reason if completion.choices else "no choices"
+            reason = choice.finish_reason if choice else "no choices"
             raise AnswerError(
                 f"{completion.model} returned no text (finish reason: {reason}); is max_tokens too small?"
             )
-        used = completion.usage
-        return Said(text, used.prompt_tokens if used else None, used.completion_tokens if used else None)
+        if not isinstance(text, str):
+            raise TypeError(f"the reply is {text!r}")
+        return Said(text, count_in(completion.usage, "prompt_tokens"), count_in(completion.usage, "completion_tokens"))

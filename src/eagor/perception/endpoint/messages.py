@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import math
 from collections.abc import Set
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from PIL import Image
 
+from eagor._checks import whole, within
 from eagor.errors import AnswerError
 from eagor.perception.vlm.boxes import without_thoughts
 from eagor.perception.vlm.presence import means
@@ -100,29 +102,54 @@ class Question:
 
         Raises `AnswerError` if it is empty, `AttributeError` or `TypeError` if it is no chat completion at all.
         """
-        choice = completion.choices[0] if completion.choices else None
+        choice = first_choice(completion)
         usage = completion.usage
         text = (choice.message.content or "") if choice else ""
         if not text.strip():
             why = f"it stopped because of {choice.finish_reason!r}" if choice else "no choices"
-            counted = getattr(usage, "completion_tokens", None)
+            counted = count_in(usage, "completion_tokens")
             raise AnswerError(
                 f"{completion.model} gave an empty answer ({why}, {counted} tokens). If it thinks before it answers, "
                 "allow more tokens (max_tokens=...) or turn that off; else look at the server's chat template for this "
                 "model"
             )
         given = getattr(getattr(choice, "logprobs", None), "content", None) or ()
-        given = [entry for entry in given if entry.logprob is not None]
+        given = [entry for entry in given if _is_token(entry)]
         return Answer(
             text,
             tuple((entry.token, entry.logprob) for entry in given),
-            tuple(tuple((other.token, other.logprob) for other in entry.top_logprobs or ()) for entry in given),
-            completion.model or "",
-            getattr(completion, "system_fingerprint", None),
-            getattr(usage, "prompt_tokens", None),
-            getattr(usage, "completion_tokens", None),
+            tuple(
+                tuple((other.token, other.logprob) for other in entry.top_logprobs or () if _is_token(other))
+                for entry in given
+            ),
+            str(completion.model or ""),
+            str(revision) if (revision := getattr(completion, "system_fingerprint", None)) else None,
+            count_in(usage, "prompt_tokens"),
+            count_in(usage, "completion_tokens"),
             tries,
         )
+
+
+def first_choice(completion: Any) -> Any:
+    """The first choice of a completion, None where its list is empty.
+
+    Raises `AttributeError` or `TypeError`, which show what came, if it is no chat completion. The client does not look
+    at what servers send.
+    """
+    if not isinstance(completion.choices, list):
+        raise TypeError(f"no list of choices in {completion!r}")
+    return completion.choices[0] if completion.choices else None
+
+
+def count_in(usage: Any, name: str) -> int | None:
+    """How many tokens a server says there were; None where it does not tell, or tells no number."""
+    count: Any = getattr(usage, name, None)
+    return count if whole(count, 0) else None
+
+
+def _is_token(entry: Any) -> bool:
+    """Whether `entry` is a piece with the logarithm of its probability; some servers write null, or NaN."""
+    return isinstance(entry.token, str) and within(entry.logprob, -math.inf)
 
 
 @dataclass(frozen=True)

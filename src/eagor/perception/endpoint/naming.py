@@ -27,7 +27,10 @@ def from_text(text: str = "", /, **options: Any) -> EndpointPerception:
     if addresses:
         given["servers"] = addresses
     for name, value in parse_qsl(written, keep_blank_values=True):
-        given[name] = _read_option(name, value, known)
+        found = _read_option(name, value, known)
+        if name in given:
+            raise EagorError(f"{name} comes twice in the name of an endpoint; wanted each option once")
+        given[name] = found
     given |= options
     unknown = sorted(given.keys() - known.keys())
     if unknown:

@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from eagor._checks import require, whole, within
+from eagor._checks import above, require, whole, within
 from eagor.errors import AnswerError, EagorError
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
@@ -23,7 +23,7 @@ from eagor.perception.vlm.boxes import Frame, Order
 from eagor.perception.vlm.prompts import phrase
 from eagor.perception.vlm.sizes import checked_picture, exact_size
 from eagor.perception.vlm.styles import Style, style_of
-from eagor.perception.vlm.views import tangent_views
+from eagor.perception.vlm.views import check_fields, tangent_views
 
 _SECOND_TRY = 0.5  # temperature when an answer could not be read: at 0 it would be the same again
 
@@ -95,12 +95,17 @@ class EndpointPerception:
                 wanted = ", ".join(choice or "nothing" for choice in choices)
                 raise EagorError(f"{name} is {getattr(self, name)!r}; wanted {wanted}")
         wanted = {
-            "pixels": (within(self.pixels, 0), "0 or more"),
+            "pixels": (whole(self.pixels, 0), "0 or more, a whole number"),
             "cell": (whole(self.cell, 0), "a whole number of pixels, 0 or more"),
             "max_tokens": (whole(self.max_tokens, 1), "a whole number, 1 or more"),
             "concurrency": (whole(self.concurrency, 1), "a whole number, 1 or more"),
+            "seam": (isinstance(self.seam, bool), "True or False"),
+            "hfov_deg": (above(self.hfov_deg, 0, 150), "degrees above 0, at most 150"),
+            "overlap_deg": (within(self.overlap_deg, 0, 150), "degrees from 0 to 150"),
+            "reach_deg": (above(self.reach_deg, 0, 90), "degrees above 0, at most 90"),
         }
         require(self, wanted)
+        check_fields(*self._angles)
         check_asking(self)
 
     def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
@@ -199,8 +204,7 @@ class EndpointPerception:
         """The views that ``views`` cuts for `model`."""
         style = self.style(model)
         side, _ = exact_size(style.cell, self.pixels or style.view**2, 1.0)
-        angles = (math.radians(degrees) for degrees in (self.hfov_deg, self.overlap_deg, self.reach_deg))
-        return tangent_views(side, *angles)
+        return tangent_views(side, *self._angles)
 
     def _extractor(self, style: Style) -> str:
         return self.extractor or ("boxes" if style.grounded else "views")
@@ -215,6 +219,11 @@ class EndpointPerception:
     def _size(self, style: Style) -> tuple[int, int]:
         """(height, width) of the panorama as it is sent for boxes."""
         return exact_size(style.cell, self.pixels or style.pixels, style.aspect)
+
+    @property
+    def _angles(self) -> tuple[float, float, float]:
+        """Field, overlap and reach of the views, radians."""
+        return math.radians(self.hfov_deg), math.radians(self.overlap_deg), math.radians(self.reach_deg)
 
     @property
     def _manner(self) -> Manner:

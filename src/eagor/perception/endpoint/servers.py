@@ -21,7 +21,10 @@ from eagor.perception.endpoint.faults import Asked, explained, message, refused_
 DEFAULT_SERVER = "http://localhost:8000/v1"
 LONGEST_REST = 30.0  # seconds that a failing server is left alone at most, unless it asks for more
 _CONNECT = 10.0  # seconds to reach a server
+_LONGEST = 86400.0  # seconds to wait for an answer: sockets count them in few bits
 _CONNECTING = threading.Lock()
+# What the client, and reading what it returns, raise where what came is not what was asked for.
+_NONSENSE = (ValueError, AttributeError, TypeError, RecursionError)
 
 
 Read = TypeVar("Read", covariant=True)
@@ -107,7 +110,7 @@ class Servers:
             first = self._servers[0]
             try:
                 names = _names(first)
-            except (openai.OpenAIError, ValueError, AttributeError, TypeError) as error:
+            except (openai.OpenAIError, *_NONSENSE) as error:
                 raise explained(error, self._asked(first, (0, 0), 1), None) from error
             if len(names) != 1:
                 raise QueryError(f"{first.url} has {len(names)} models ({', '.join(names)}); name one before the @")
@@ -153,7 +156,7 @@ class Servers:
                 answer = question.read(server.client.chat.completions.create(**body), tries)
             except openai.OpenAIError as error:
                 failed = error
-            except (ValueError, AttributeError, TypeError) as error:  # what came is no chat completion
+            except _NONSENSE as error:
                 if isinstance(error, EagorError):
                     raise
                 failed = error
@@ -215,7 +218,7 @@ class Servers:
 
         try:
             return _names(server)
-        except (openai.OpenAIError, ValueError, AttributeError, TypeError):
+        except (openai.OpenAIError, *_NONSENSE):
             return None
 
 
@@ -231,12 +234,15 @@ def check_asking(asker: Any) -> None:
     Raises `EagorError` for values that make no sense, and where no server is named.
     """
     wanted = {
-        "timeout": (above(asker.timeout, 0), "seconds above 0"),
+        "model": (isinstance(asker.model, str), "its name on the servers, empty for the only one"),
+        "key": (isinstance(asker.key, str), "the name of an environment variable, empty for no key"),
+        "timeout": (above(asker.timeout, 0, _LONGEST), f"seconds above 0, at most {_LONGEST:g}"),
         "retries": (whole(asker.retries, 0), "a whole number, 0 or more"),
         "backoff": (within(asker.backoff, 0), "seconds, 0 or more"),
-        "servers": (len(asker.servers) > 0, f"at least one address, such as {DEFAULT_SERVER}"),
+        "servers": (isinstance(asker.servers, tuple | list), f"a tuple of addresses, such as ({DEFAULT_SERVER!r},)"),
     }
     require(asker, wanted)
+    require(asker, {"servers": (len(asker.servers) > 0, f"at least one address, such as {DEFAULT_SERVER}")})
     object.__setattr__(asker, "servers", tuple(checked_address(url) for url in asker.servers))
 
 

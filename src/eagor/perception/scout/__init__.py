@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from eagor._checks import require
 from eagor.errors import EagorError, ImageError
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PatchGrid
@@ -42,9 +43,14 @@ class ScoutPerception:
 
     Attributes:
         calibration: how responses become evidence (default: as fitted on development apartments).
+
+    Raises `EagorError` for another calibration, such as text after ``scout:``.
     """
 
     calibration: Calibration = CALIBRATION
+
+    def __post_init__(self) -> None:
+        require(self, {"calibration": (isinstance(self.calibration, Calibration), "an eagor.Calibration; no text")})
 
     @property
     def rows(self) -> int:

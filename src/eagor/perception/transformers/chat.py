@@ -108,13 +108,11 @@ def conversation(tokenizer: Any, family: Family, messages: Sequence[Message]) ->
 
     It is written by the checkpoint's template, where that knows pictures and takes these messages.
     """
-    from eagor.perception.transformers.inputs import own_template
+    from eagor.perception.transformers.inputs import own_template, templated
 
     said = [(message.role, [_plain(part, family) for part in message.parts()]) for message in messages]
     pictures = sum(part is None for _, parts in said for part in parts)
     if own_template(tokenizer, family) is not None:
-        from jinja2 import TemplateError
-
         turns = [
             {
                 "role": role,
@@ -122,10 +120,7 @@ def conversation(tokenizer: Any, family: Family, messages: Sequence[Message]) ->
             }
             for role, parts in said
         ]
-        try:
-            written = tokenizer.apply_chat_template(turns, tokenize=False, add_generation_prompt=True)
-        except TemplateError:  # such as one that wants no system message
-            written = ""
+        written = templated(tokenizer, turns)
         words = [part.strip() for _, parts in said for part in parts if part is not None]
         if written.count(family.placeholder) == pictures and all(word in written for word in words):
             return written.replace(family.placeholder, family.expansion)

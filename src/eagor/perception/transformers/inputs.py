@@ -219,13 +219,19 @@ def template_of(tokenizer: Any, family: Family) -> str:
 
 def own_template(tokenizer: Any, family: Family) -> str | None:
     """What the checkpoint's own template makes of one image and a mark; None without one that knows images."""
-    if not getattr(tokenizer, "chat_template", None):
-        return None
     content = [{"type": "image"}, {"type": "text", "text": _MARK}]
-    written = tokenizer.apply_chat_template(
-        [{"role": "user", "content": content}], tokenize=False, add_generation_prompt=True
-    )
+    written = templated(tokenizer, [{"role": "user", "content": content}])
     return written if written.count(family.placeholder) == 1 and written.count(_MARK) == 1 else None
+
+
+def templated(tokenizer: Any, turns: Sequence[Mapping[str, Any]]) -> str:
+    """What the checkpoint's own template makes of `turns`; empty without one that takes them."""
+    if not getattr(tokenizer, "chat_template", None):
+        return ""
+    try:
+        return tokenizer.apply_chat_template(turns, tokenize=False, add_generation_prompt=True)
+    except Exception:  # a template is a program: one for words alone, or without system messages, raises what it likes
+        return ""
 
 
 def typed(family: Family, ids: torch.Tensor, image_token: int) -> dict[str, torch.Tensor]:

@@ -68,6 +68,12 @@ class LanguageModel:
         self._yes, self._no = _answers(self.tokenizer)
         possible = full_layers(self.model)
         if self.heads is not None:
+            kind = self.model.config.model_type
+            if self.heads.model_type != kind:  # heads of another family may exist here, too, and look at anything
+                raise EagorError(
+                    f"the heads were found for {self.heads.model}, a {self.heads.model_type}; {self.name} is a {kind}. "
+                    "Calibrate heads for this model"
+                )
             count = self.model.config.get_text_config().num_attention_heads
             if any(layer not in possible or head >= count for layer, head in self.heads.heads):
                 raise EagorError(

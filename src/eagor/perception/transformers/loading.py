@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from eagor._checks import within
+from eagor._json import whole
 from eagor.errors import EagorError
 from eagor.perception.transformers.account import revision_of
 from eagor.perception.vlm.families import Family, chosen, family_of
@@ -31,7 +34,8 @@ def load_model(
 ) -> Looker:
     """The model with this hub name or in this folder, in evaluation mode on its device; options as in the perception.
 
-    Raises `EagorError` if packages are missing, nothing can be loaded there, or it is of no known family.
+    Warns of weights that the checkpoint lacks. Raises `EagorError` if packages are missing, nothing can be loaded
+    there, or it is of no known family.
     """
     config, family = read_family(name, revision)
     import torch
@@ -58,9 +62,15 @@ def load_model(
     if where == "auto":
         options["device_map"] = "auto"
     make = _class_for(transformers, family)
-    model = _loaded(name, "weights", make.from_pretrained, revision, **options).eval()
-    if where != "auto":
-        model = model.to(where)
+    model, told = _loaded(name, "weights", make.from_pretrained, revision, output_loading_info=True, **options)
+    if lacking := sorted(told["missing_keys"]):  # transformers makes them up
+        warnings.warn(
+            f"the files of {name!r} lack {len(lacking)} weights of the model, such as {lacking[0]}; they are random "
+            "now. Fetch the checkpoint again",
+            UserWarning,
+            stacklevel=2,
+        )
+    model = model.eval() if where == "auto" else model.eval().to(where)
     tokenizer = _loaded(name, "tokenizer", transformers.AutoTokenizer.from_pretrained, revision)
     processor = _loaded(
         name, "image processor", transformers.AutoImageProcessor.from_pretrained, revision, backend="pil"
@@ -124,7 +134,7 @@ def _loaded(name: str, what: str, load: Any, revision: str | None, **options: An
     """What `load` makes of `name`. Raises `EagorError` with the reason."""
     try:
         return load(name, revision=revision, **options) if revision else load(name, **options)
-    except (OSError, ValueError, KeyError, ImportError) as error:
+    except Exception as error:  # what is read raises whatever its damage leads it to
         reason = " ".join(str(error).split())
         raise EagorError(
             f"the {what} of {name!r} cannot be loaded ({type(error).__name__}: {reason[:300]}). Wanted a hub name such "
@@ -143,23 +153,26 @@ def _device(torch: Any, name: str | None) -> str:
     """The device to run on. Raises `EagorError` for a name that is none, or a GPU that is not there."""
     if name == "auto":
         return name
+    if not name:
+        return "cuda" if torch.cuda.is_available() else "cpu"
     try:
-        kind = torch.device(name).type if name else "cuda" if torch.cuda.is_available() else "cpu"
+        device = torch.device(name)
     except (RuntimeError, TypeError):
         raise EagorError(f"device = {name!r}; wanted cpu, cuda, cuda:1, mps or auto") from None
-    if kind == "cuda" and not torch.cuda.is_available():
-        raise EagorError(f"device = {name!r}, and torch finds no GPU of that kind here; leave it out, or ask for cpu")
-    return name or kind
+    try:
+        torch.zeros(1, device=device).item()
+    except (RuntimeError, AssertionError):  # torch was built without it, or there are fewer; meta holds no numbers
+        raise EagorError(
+            f"device = {name!r}, and torch finds none of that kind here; leave it out, or ask for cpu"
+        ) from None
+    return name
 
 
 def counted(name: str, value: Any, example: str) -> int:
-    """The option `value` as a whole number from 1. Raises `EagorError`, which gives the `example`."""
-    try:
-        if int(value) >= 1:
-            return int(value)
-    except (ValueError, TypeError, OverflowError):
-        pass
-    raise EagorError(f"{name} = {value!r}; wanted a whole number from 1, such as {example}")
+    """The option `value` as a whole number from 1, perhaps typed as 1e6. Raises `EagorError` with the `example`."""
+    if not (within(value, 1) and float(value).is_integer()):
+        raise EagorError(f"{name} = {value!r}; wanted a whole number from 1, such as {example}")
+    return int(value)
 
 
 def switched(name: str, value: Any) -> bool:
@@ -170,10 +183,9 @@ def switched(name: str, value: Any) -> bool:
 
 
 def _score(threshold: Any) -> float:
-    try:
-        return float(threshold)
-    except (ValueError, TypeError):
-        raise EagorError(f"threshold = {threshold!r}; wanted a score from 0 to 1, such as 0.2") from None
+    if not within(threshold, 0, 1):
+        raise EagorError(f"threshold = {threshold!r}; wanted a score from 0 to 1, such as 0.2")
+    return float(threshold)
 
 
 def _numbers(layers: str | int | Sequence[int] | None) -> tuple[int, ...] | None:
@@ -181,7 +193,8 @@ def _numbers(layers: str | int | Sequence[int] | None) -> tuple[int, ...] | None
     if layers is None:
         return None
     try:
-        parts = layers.split(",") if isinstance(layers, str) else [layers] if isinstance(layers, int) else layers
-        return tuple(int(part) for part in parts)
+        if isinstance(layers, str):
+            return tuple(int(part) for part in layers.split(","))
+        return tuple(whole(part) for part in ([layers] if isinstance(layers, int) else layers))
     except (ValueError, TypeError) as error:
         raise EagorError(f"layers = {layers!r}; wanted numbers such as 20,21,22") from error

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from eagor.errors import ImageError
 from eagor.grids import Grid
 from eagor.perception.transformers.account import Account
 from eagor.perception.transformers.prefix import chunks
@@ -58,7 +59,7 @@ class Localiser:
     lock: Any = field(default_factory=RLock, repr=False)
 
     def size(self, aspect: float) -> tuple[int, int]:
-        """(height, width) that images are resized to before `look`."""
+        """(height, width) that images are resized to before `look`. Raises `ImageError` for too few pixels."""
         if self.family.fit == "squash":
             side = int(self.model.config.vision_config.image_size)
             return side, side
@@ -72,6 +73,10 @@ class Localiser:
         # Whole cells that boxes can be drawn on: a width of many divisors.
         width = longest if aspect >= 1 else longest * aspect
         width = width // _FINEST * _FINEST if width >= _FINEST else width // 12 * 12
+        if width < 1:
+            raise ImageError(
+                f"no picture of {aspect:g}:1 for {self.name} has at most {self.pixels} pixels; allow more pixels"
+            )
         return max(1, round(width / aspect)), int(width)
 
     def cells(self, aspect: float, extractor: Extractor) -> tuple[int, int]:

@@ -44,6 +44,7 @@ _ABSENT = re.compile(
 )
 # Some chat templates open the thoughts themselves, so that the answer only closes them.
 _THOUGHTS = re.compile(r"\A(?:(?!<think).)*</think(?:ing)?>|<think(?:ing)?>.*?(?:</think(?:ing)?>|\Z)", re.DOTALL)
+_LEAST = 1e-6  # of the image's sides: what is smaller has no area
 _PAST = 1.1  # coordinates beyond so many image sides are in another frame, not just careless
 
 
@@ -252,7 +253,7 @@ def _box(found: _Found, frame: Frame, size: tuple[int, int], trace: Trace | None
     if min(xs[0], ys[0]) < 1 - _PAST or max(xs[1], ys[1]) > _PAST or max(xs[0], ys[0]) >= 1 or min(xs[1], ys[1]) <= 0:
         return "outside"
     x0, y0, x1, y1 = (min(max(value, 0.0), 1.0) for value in (xs[0], ys[0], xs[1], ys[1]))
-    if not (x0 < x1 and y0 < y1):
+    if not (x1 - x0 > _LEAST and y1 - y0 > _LEAST):
         return "empty"
     score = found.score
     if score is None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from eagor.detections import MIN_SPREAD, bump, moments
+from eagor.errors import ResponseError
 from eagor.grids import Grid
 from eagor.perception.vlm.boxes import Box
 
@@ -16,7 +17,8 @@ def drawn(boxes: Sequence[Box], image: Grid, canvas: Grid, roll: float = 0.0) ->
 
     A whole panorama is any `PatchGrid` or `ErpGrid` (its size does not matter), a view its `PerspectiveGrid`. As in
     `Evidence.from_boxes`, each box becomes the Gaussian with the mean direction and the second moments of its solid
-    angle, widened by `MIN_SPREAD`, times its score; the highest counts. No box: zeros.
+    angle, widened by `MIN_SPREAD`, times its score; the highest counts. Other than there, a box all around, such as
+    one of the whole panorama, is no error: it names no direction, and counts alike everywhere. No box: zeros.
 
     `roll` is the fraction of its width by which a panorama was rolled to the right before the model saw it; the
     response is that of the panorama itself.
@@ -26,7 +28,10 @@ def drawn(boxes: Sequence[Box], image: Grid, canvas: Grid, roll: float = 0.0) ->
     for box in boxes:
         left, right = (box.x0 - roll) * width, (box.x1 - roll) * width  # columns go on beyond the seam
         corners = np.array([left, box.y0 * height, right, box.y1 * height])
-        centre, spread = moments(corners, image)
-        there = bump(canvas.directions, centre, spread + MIN_SPREAD**2 * np.eye(2))
+        try:
+            centre, spread = moments(corners, image)
+            there = bump(canvas.directions, centre, spread + MIN_SPREAD**2 * np.eye(2))
+        except ResponseError:  # all around: a `Box` has some area
+            there = np.ones(canvas.shape)
         response = np.maximum(response, box.score * there)
     return response.astype(np.float32)

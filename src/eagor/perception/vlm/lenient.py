@@ -98,6 +98,7 @@ def _collection(text: str, place: int, depth: int) -> Node:
     closing, keyed = _CLOSING[opening], opening == "{"
     entries: list[Node] = []
     pairs: dict[str, Node] = {}
+    repeated: set[str] = set()
     at = place + 1
     while True:
         at = _skip(text, at)
@@ -113,8 +114,12 @@ def _collection(text: str, place: int, depth: int) -> Node:
             key, inner = str(node.value), _value(text, _skip(text, at + 1), depth + 1)
             if inner is None or _torn(inner):
                 return Node(pairs, place, at, whole=False)
-            before = pairs.get(key)  # a key written twice holds both
-            pairs[key] = Node([before, inner], before.start, inner.end) if before else inner
+            if key in pairs:  # a key written several times holds all that is written, in one list
+                before = pairs[key].value if key in repeated else [pairs[key]]
+                pairs[key] = Node([*before, inner], pairs[key].start, inner.end)
+                repeated.add(key)
+            else:
+                pairs[key] = inner
             node, at = inner, inner.end
         elif keyed:  # {[...], [...]}: a set of values without keys
             pairs[f"{len(pairs)}"] = node

@@ -32,6 +32,7 @@ OPTIONS = {
     "form": Option("free_think", "of the model's replies", ("free_think", "no_think", "grounding")),
     "window": Option(WINDOW, "turns of conversation that the model is shown", tuple(range(1, 51))),
 }
+MOST_ROWS = 8640  # of a view: more is a mistake
 FARTHEST_ANSWER = 10**6  # degrees; more is a mistake
 EXPORTS = {
     "lmms-eval": "a folder of task files for lmms_eval --include_path, with the episodes and their panoramas' paths",
@@ -76,8 +77,8 @@ class HStar:
         found = settled(self, settings, LOOKING, "the annotations through noise, for studies")
         if not 0 < found["sure"] <= 1:
             raise EagorError(f"sure = {found['sure']}; wanted a probability above 0, at most 1")
-        if found["resolution"] < 18:
-            raise EagorError(f"resolution = {found['resolution']}; wanted rows of a picture, 18 or more")
+        if not 18 <= found["resolution"] <= MOST_ROWS:
+            raise EagorError(f"resolution = {found['resolution']}; wanted rows of a picture, 18 to {MOST_ROWS}")
         if found["perception"]:
             open_perception(found["perception"])
         if found["model"]:

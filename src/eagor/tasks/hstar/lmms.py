@@ -11,6 +11,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from eagor._json import number, parsed
 from eagor.tasks.chat import IMAGE
 from eagor.tasks.hstar.camera import RESOLUTION, View, render_view
 from eagor.tasks.hstar.data import Episode
@@ -61,12 +62,12 @@ def process_results(doc: Doc, results: Sequence[str]) -> dict[str, Any]:
     """Success of one episode, overall and for its level: 0 or 1. Aggregate with `mean`, which skips other levels."""
     episode = _episode(doc)
     try:
-        found = json.loads(results[0])
-        submitted = found.get("submit") if isinstance(found, dict) else None
-    except (ValueError, IndexError):
+        yaw, pitch = map(number, parsed(results[0])["submit"])
+        submitted = yaw, pitch
+    except (ValueError, TypeError, LookupError):  # nothing was submitted, or it is not our JSON but a model's words
         submitted = None
     way = str(doc.get("scoring", "official"))
-    good = float(bool(submitted and submit_succeeds(episode.item, submitted[0], submitted[1], way)))
+    good = float(submitted is not None and submit_succeeds(episode.item, *submitted, way))
     return {"success": good} | {
         f"success_{level}": good if level == episode.level_name else None for level in doc["levels"]
     }

@@ -14,6 +14,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from eagor._checks import above, require, whole, within
 from eagor.belief import Belief
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid
@@ -45,6 +46,8 @@ class SearchRules:
 
     The defaults were found on development apartments (random trials, as ``benchmarks/search.py --fit`` makes them),
     `shift` and `slope` by the log score of what was stated at each of ten turns.
+
+    Raises `EagorError` for numbers out of range.
     """
 
     degree: int = 15
@@ -57,6 +60,21 @@ class SearchRules:
     elsewhere: float = 0.05
     shift: float = 1.44
     slope: float = 1.24
+
+    def __post_init__(self) -> None:
+        wanted = {
+            "degree": (whole(self.degree, 1), "a whole number, 1 or more"),
+            "sure": (above(self.sure, 0, 1), "a probability above 0, at most 1"),
+            "hit": (within(self.hit, 0, 1), "a probability from 0 to 1"),
+            "alarm": (within(self.alarm, 0, 1) and self.alarm < 1, "a probability from 0 to below 1"),
+            "repeats": (within(self.repeats, 0, 1), "a share from 0 to 1"),
+            "tilt": (within(self.tilt, 0), "degrees, 0 or more"),
+            "height": (within(self.height, -90, 90), "degrees from -90 to 90"),
+            "elsewhere": (above(self.elsewhere, 0), "a share above 0: nowhere is a target impossible"),
+            "shift": (within(self.shift, -100, 100), "a number from -100 to 100"),
+            "slope": (above(self.slope, 0, 100), "a number above 0, at most 100"),
+        }
+        require(self, wanted)
 
     def stated(self, share: float) -> float:
         """The probability that the window with this share of the belief is the right one."""

@@ -188,5 +188,5 @@ def _size(scene: Scene) -> str:
         try:
             with Image.open(scene.image) as picture:
                 return f"{picture.width} x {picture.height}"
-        except (OSError, ValueError):
+        except Exception:  # decoders raise whatever the damage leads them to
             return "unreadable"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor.worlds.srgb import to_linear
+from eagor._srgb import to_linear
 
 
 def linear(rgb: tuple[int, int, int]) -> np.ndarray:

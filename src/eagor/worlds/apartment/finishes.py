@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eagor._srgb import to_coded, to_linear
 from eagor.worlds.apartment.plans import Plan
 from eagor.worlds.apartment.textures import material
 from eagor.worlds.scene import Material
-from eagor.worlds.srgb import to_coded, to_linear
 
 Look = tuple[str, Material]  # kind of material (its repeat), and the material
 

@@ -13,12 +13,12 @@ from functools import cache
 
 import numpy as np
 
+from eagor._srgb import to_coded, to_linear
 from eagor.errors import WorldError
 from eagor.worlds.apartment.canvas import noise
 from eagor.worlds.apartment.palette import sRGB
 from eagor.worlds.apartment.pictures import PICTURES
 from eagor.worlds.scene import Material
-from eagor.worlds.srgb import to_coded, to_linear
 
 # Metres that one repeat covers, u and v alike. What is drawn `WHOLE` is one thing from edge to edge, and its builders
 # set uv from 0 to 1.
