@@ -45,11 +45,11 @@ def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any
         {difference, low, high, p, p_holm, n, groups} or None}}, "strata": {title: {label: {"episodes", "methods",
         "intervals", "counts"}}}, "failures": [{"key", "attempt", "error"}]}``.
 
-        - episodes: how many have a result of some method; failed: units that have none.
-        - intervals: 95 %; Wilson's for shares of success, cluster bootstrap by apartment for means.
-        - differences: method minus reference over the episodes that both have; p by sign flips of whole apartments;
-          p_holm is corrected for all tests of the table. Ablations ("eagor:degree=7") make a table of their own, in
-          which each is compared with the method that it varies.
+        Episodes: how many have a result of some method; failed: units that have none. Intervals: 95 %; Wilson's for
+        shares of success, cluster bootstrap by apartment for means. Differences: method minus reference over the
+        episodes that both have; p by sign flips of whole apartments; p_holm is corrected for all tests of the table.
+        Ablations ("eagor:degree=7") make a table of their own, in which each is compared with the method that it
+        varies.
 
     Raises:
         EagorError: the records are of several tasks, or of one that has no table.
