@@ -26,13 +26,17 @@ def responses(options: Calibrate) -> int:
     """``eagor calibrate``."""
     if options.labels is not None:
         raise terminal.UsageError(f"--labels {options.labels} is for eagor calibrate heads")
-    from eagor.evaluation.calibration import record_episodes
+    from eagor.evaluation.calibration import development_slots, record_episodes
     from eagor.evaluation.fitting import DRAWS, fit
     from eagor.perception import short_name
 
     if min(options.workers, options.trials, options.episodes) < 1:
         raise terminal.UsageError(
             f"--workers {options.workers} --trials {options.trials} --episodes {options.episodes}; wanted 1 or more"
+        )
+    if len({slot.seed for slot in development_slots(options.episodes, options.seed)}) < 2:
+        raise terminal.UsageError(
+            f"--episodes {options.episodes}: all in one apartment; wanted two, one to search on and one to judge"
         )
     out = checked_out(options.out or Path(f"calibration-{short_name(options.perception)}.json"))
     with terminal.progress("looking", options.episodes) as advance:
