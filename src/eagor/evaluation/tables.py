@@ -40,10 +40,10 @@ def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any
         reference: the method that all others are compared with.
 
     Returns:
-        ``{"task", "episodes", "apartments", "failed", "methods": {name: {column: value or None}}, "intervals": {name:
-        {column: [low, high] or None}}, "counts": {name: {column: n}}, "reference", "differences": {name: {column:
-        {difference, low, high, p, p_holm, n, groups} or None}}, "strata": {title: {label: {"episodes", "methods",
-        "intervals", "counts"}}}, "failures": [{"key", "attempt", "error"}]}``.
+        dict[str, Any]: ``{"task", "episodes", "apartments", "failed", "methods": {name: {column: value or None}},
+        "intervals": {name: {column: [low, high] or None}}, "counts": {name: {column: n}}, "reference", "differences":
+        {name: {column: {difference, low, high, p, p_holm, n, groups} or None}}, "strata": {title: {label: {"episodes",
+        "methods", "intervals", "counts"}}}, "failures": [{"key", "attempt", "error"}]}``.
 
         Episodes: how many have a result of some method; failed: units that have none. Intervals: 95 %; Wilson's for
         shares of success, cluster bootstrap by apartment for means. Differences: method minus reference over the
