@@ -34,6 +34,11 @@ def responses(options: Calibrate) -> int:
         raise terminal.UsageError(
             f"--workers {options.workers} --trials {options.trials} --episodes {options.episodes}; wanted 1 or more"
         )
+    if short_name(options.perception) == "replay":
+        raise terminal.UsageError(
+            f"--perception {options.perception} cannot look at rendered apartments; write its calibration by hand "
+            "(docs/how-to/detector.md)"
+        )
     if len({slot.seed for slot in development_slots(options.episodes, options.seed)}) < 2:
         raise terminal.UsageError(
             f"--episodes {options.episodes}: all in one apartment; wanted two, one to search on and one to judge"
