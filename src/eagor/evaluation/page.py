@@ -71,6 +71,7 @@ rect.stop{fill:var(--paper);stroke:var(--ink);stroke-width:1.5}text.stop{fill:va
 .below .mark{fill:#fff;stroke:#fff;stroke-width:3}.below .open.mark{fill:none;stroke-width:5}
 .said .mark{stroke:none}.said .open.mark{stroke:var(--c);stroke-width:2.4}
 details{margin:.5rem 0}summary{cursor:pointer}code{font-size:.9em}
+@media (max-width:40rem){tbody th:first-child{white-space:normal;min-width:10rem}}
 """
 STYLE = (
     f"{_STYLE}{_palette(_LIGHT)}@media (prefers-color-scheme:dark){{:root{{--ink:#e6e9ef;--quiet:#a3acba;"
