@@ -3,7 +3,7 @@
     python benchmarks/estimator.py [--perception scout] [--groups reading memory ...] [--episodes 60] [--seed 900]
                                    [--workers 2] [--folder DIR] [--json FILE]
 
-Waypoint Following and Target Tracking are open loop: their episodes are recorded once, in development apartments
+Waypoint Following and `tracking` are open loop: their episodes are recorded once, in development apartments
 (others are refused), and every variant meets the same looks. The table gives means over episodes, and for each variant
 the difference to `eagor` as it ships, paired by episode, with a 95 % interval over apartments; + and - mark differences
 beyond chance (uncorrected: this table is for finding things out, the reports test).
@@ -110,13 +110,14 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "degree": tuple(f"{OURS}:degree={degree}" for degree in (7, 11, 21, 31)),
     "decoding": (f"{OURS}:decode=mean", *(f"{OURS}:switch={nats}" for nats in (0, 4))),
 }
-# What is shown, w: of Waypoint Following, t: of Target Tracking; which side is better, "" where neither is.
+# What is shown, w: of Waypoint Following, t: of Target Direction Estimation; which side is better, "" where neither is.
 COLUMNS = {
     **dict.fromkeys(("w.error", "w.sight", "w.hidden", "w.L4", "w.TC"), "low"),
     **{"w.cover": "", "w.dist": "low", "w.log": "high"},
     **dict.fromkeys(("t.error", "t.TC", "t.recov"), "low"),
     **{"t.cover": "", "t.log": "high"},
 }
+LONG = 28  # letters; a longer name has a line of its own
 
 
 @dataclass
@@ -264,8 +265,8 @@ def compared(
 
 def show(group: str, names: Sequence[str], found: dict[str, dict[int, dict[str, float]]], seeds: Sequence[int]) -> Any:
     """Print one group; returns it as JSON."""
-    print(f"\n{group}\n  " + " ".join(f"{column:>8s}" for column in COLUMNS))
-    kept = {}
+    width, kept = max(len(name) for name in names if len(name) <= LONG), {}
+    print(f"\n{group}\n{'':{width}} " + " ".join(f"{column:>8s}" for column in COLUMNS))
     for name in names:
         cells, kept[name] = [], {}
         for column, better in COLUMNS.items():
@@ -276,7 +277,8 @@ def show(group: str, names: Sequence[str], found: dict[str, dict[int, dict[str, 
             kept[name][column] = cell
             sure = name != OURS and better and (cell[2] > 0 or cell[3] < 0)
             cells.append(f"{cell[0]:7.2f}{('+' if (cell[1] > 0) == (better == 'high') else '-') if sure else ' '}")
-        print("  " + " ".join(cells) + f"  {name}", flush=True)
+        before = name if len(name) <= width else f"{name}\n{'':{width}}"
+        print(f"{before:{width}} " + " ".join(cells).rstrip(), flush=True)
     return kept
 
 

@@ -2,7 +2,7 @@
 
 Install it beside eagor (``pip install ./examples/plugin``), and every command knows what ``pyproject.toml`` names:
 
-    eagor locate room.png "brightest" --perception brightness
+    eagor locate PANO "brightest" --perception brightness
     eagor bench run turntable --world hall --perception truth --episodes 5
 
 Each of the three has a check that ships with eagor; call it from your tests:

@@ -17,8 +17,9 @@ import pytest
 
 from eagor.cli import main
 from eagor.errors import EagorError
-from eagor.evaluation import ledger
+from eagor.evaluation import benchmark_sheets, ledger, scores
 from eagor.evaluation.workers import Outcome, Unit, run_units
+from eagor.tasks import benchmark
 
 TESTS = Path(__file__).parents[1]
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "EAGOR_DEBUG"} | {
@@ -197,6 +198,18 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
     assert "No case failed" in bench("failures", place / "oracle").stdout
     for words in (("report", place / "ours"), ("export", place / "ours")):
         assert "tables.md is no folder" in refused(*words, "--out", tmp_path / "tables.md")
+
+
+def test_a_benchmark_that_names_no_causes_has_failures_all_the_same(monkeypatch):
+    monkeypatch.setitem(benchmark.BUILT_IN, "numbers", "small_benchmark:Numbers")
+    records = [
+        {"case": case, "cluster": "a", "status": "ok", "tags": ["odd"], "score": score, "answer": "7"}
+        for case, score in (("a1", 1.0), ("a2", 0.0))
+    ]
+    records.append({"key": "a3", "status": "failed", "attempt": 2, "error": "torn"})
+    summary = scores.summarise({"task": "numbers"}, records)
+    assert summary["causes"] == summary["tags"]["odd"]["causes"] == {"wrong": 1}
+    assert benchmark_sheets.failed_lines(records) == ["a2  wrong  [odd]  '': 7"]
 
 
 def test_the_list_and_what_a_folder_holds(folder, tmp_path):

@@ -9,8 +9,10 @@ import re
 import signal
 import subprocess
 import sys
+from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from eagor.conventions import direction_from_hstar, wxyz_from_rotation
 from eagor.grids import ErpGrid
 from eagor.perception.replay import write_record
 from eagor.sphere import angular_distance, azimuth_elevation, direction, world_R_body
+from eagor.tasks.methods import NAMES
 from eagor.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.worlds.panorama import read_panorama, turn
 
@@ -200,6 +203,14 @@ def test_doctor():
     assert "all there" in eagor("doctor").stdout
 
 
+def test_the_doctor_says_what_a_served_model_wants(monkeypatch, capsys):
+    monkeypatch.setattr(
+        import_module("eagor.cli.doctor"), "find_spec", lambda name: None if name == "openai" else object()
+    )
+    assert main(["doctor"]) == 0
+    assert "endpoint: wants openai (the extra 'endpoint')" in capsys.readouterr().out
+
+
 # --- locate ----------------------------------------------------------------------------------------------------------
 
 
@@ -292,6 +303,15 @@ def test_usage_errors_exit_with_two(words):
 # --- track -----------------------------------------------------------------------------------------------------------
 
 
+def test_the_names_of_the_rivals_stand_apart_above_their_columns(series):
+    done = eagor("track", series / "frames", "red ball", "--poses", series / "poses.csv", "--compare")
+    header, *lines = done.stdout.splitlines()
+    names = header.partition("status")[2].partition("   (")[0].split()
+    assert names == ["centroid", "cent_circ", "grid", "eagor_paper", "vmf", "grid_filter", "particle_filter"]
+    for line in lines:  # and each column ends where its name ends
+        assert all(line[: header.index(f" {name}") + 1 + len(name)][-1].isdigit() for name in names)
+
+
 def test_track_follows_across_the_seam(series, tmp_path):
     out = tmp_path / "estimates.csv"
     found = answer("track", series / "frames", "red ball", "--poses", series / "poses.csv", "--compare", "--out", out)
@@ -302,6 +322,7 @@ def test_track_follows_across_the_seam(series, tmp_path):
     assert (np.abs(np.diff(azimuths)) > 180).any()
     assert max(error_deg(entry, t) for entry, t in zip(entries, truth, strict=True)) < 5
     assert entries[-1]["distance_m"] is None
+    assert entries[-1]["distance_spread"] is None
     assert {"centroid", "eagor_paper", "particle_filter"} <= set(entries[0]["methods"])
     rows = list(csv.DictReader(io.StringIO(out.read_text())))
     assert [float(row["azimuth_deg"]) for row in rows] == [entry["azimuth_deg"] for entry in entries]
@@ -324,6 +345,8 @@ def test_track_prints_one_line_per_frame(series, tmp_path):
     entries = [json.loads(line) for line in out.read_text().splitlines()]
     assert [entry["stamp"] for entry in entries] == [0.0, 1.0]
     assert entries[-1]["distance_m"] is not None
+    told = [int(re.search(r" m +(\d+) %", line)[1]) for line in done.stdout.splitlines()[1:]]
+    assert told == [round(100 * math.expm1(entry["distance_spread"])) for entry in entries]
     assert len(list(pictures.iterdir())) == 2
     head = eagor(*words[:6], "--compare").stdout.splitlines()[0]
     assert {"grid_filter", "particle_filter"} <= set(head.split())
@@ -485,6 +508,18 @@ def test_the_demo_leaves_a_report(tmp_path):
     assert "0 to 4" in refused("demo", "--episode", "5", "--out", tmp_path)
 
 
+def test_a_method_has_one_colour_in_both_pictures_of_the_demo(monkeypatch):
+    from eagor.cli import demo_report
+
+    trace = {"error_deg": [3.0, 2.0], "pose": [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]}
+    search = SimpleNamespace(methods={name: {"trace": trace} for name in NAMES}, episode={"targets": (0,)})
+    ground = SimpleNamespace(free=np.ones((2, 2)), structure=np.zeros((2, 2)), origin=(0, 0), cell=1.0)
+    place = SimpleNamespace(ground=ground, scene=SimpleNamespace(instances=[SimpleNamespace(centre=np.zeros(3))]))
+    monkeypatch.setattr(demo_report, "draw_errors", lambda stamps, errors: list(errors))
+    monkeypatch.setattr(demo_report, "draw_map", lambda walls, free, extent, paths, target: list(paths))
+    assert demo_report._errors(search) == demo_report._map(search, place)  # colours are given in this order
+
+
 def test_a_bench_run_goes_on_where_it_stopped_and_is_reported(tmp_path):
     words = ("bench", "run", "tracking", "--episodes", "2", "--seed", "1", "--out", tmp_path / "run")
     methods = ("--methods", "centroid,eagor_paper", "eagor:degree=7")
@@ -519,6 +554,8 @@ def test_a_calibration_is_fitted_written_and_taken(room, tmp_path):
     assert json.loads((tmp_path / "run" / "run.json").read_text())["calibrated"]["forgetting"] == found["forgetting"]
     assert answer("locate", room, "red ball", "--calibration", out)["modes"]
     assert "results" in refused("calibrate", "--perception", "truth", "--seed", "2000")
+    assert "by hand" in refused("calibrate", "--perception", "replay:detections.jsonl")
+    assert "all in one apartment" in refused("calibrate", "--perception", "truth", "--episodes", "4")
     assert "--trials 0" in refused("calibrate", "--perception", "truth", "--trials", "0")
     assert "eagor calibrate" in refused("locate", room, "red ball", "--calibration", tmp_path / "none.json")
 

@@ -14,7 +14,8 @@ from eagor.evidence import Calibration, Evidence
 from eagor.grids import ErpGrid, Grid
 from eagor.posterior import log_integral
 
-GRID = ErpGrid(64, 128)  # cells of 2.8 degrees, for the rivals that keep a map
+GRID = ErpGrid(64, 128)
+"""The cells (2.8 degrees) of the rivals that keep a map."""
 NOTHING_KNOWN = -math.log(4 * math.pi)
 
 

@@ -151,6 +151,7 @@ def failures(options: BenchFailures) -> int:
     """``eagor bench failures``."""
     from eagor.evaluation import benchmark_sheets, benchmarks, scores
     from eagor.evaluation.benchmark_report import failure_sheets
+    from eagor.evaluation.samples import cause_of
 
     if options.limit < 0:
         raise terminal.UsageError(f"--limit {options.limit}; wanted 0 or more")
@@ -160,9 +161,9 @@ def failures(options: BenchFailures) -> int:
     if options.json:
         keys = ("task", "agent", "episodes", "failed", "tags", "causes", "failures")
         listed = [
-            {key: record.get(key) for key in ("case", "cause", "tags", "answer", "error")}
+            {key: record.get(key) for key in ("case", "cause", "tags", "answer", "error")} | {"cause": cause}
             for record in records
-            if record.get("cause")
+            if (cause := cause_of(record))
         ]
         terminal.emit({key: summary[key] for key in keys} | {"cases": listed[: options.limit]})
         return terminal.OK

@@ -39,9 +39,14 @@ def responses(options: Calibrate) -> int:
         raise terminal.UsageError(
             f"--workers {options.workers} --trials {options.trials} --episodes {options.episodes}; wanted 1 or more"
         )
+    if short_name(options.perception) == "replay":
+        raise terminal.UsageError(
+            f"--perception {options.perception} cannot look at rendered apartments; write its calibration by hand "
+            "(docs/how-to/detector.md)"
+        )
     if len({slot.seed for slot in development_slots(options.episodes, options.seed)}) < 2:
         raise terminal.UsageError(
-            f"--episodes {options.episodes} are all of one apartment; wanted {1 + PER_PLACE * len(TASKS)} or more: one "
+            f"--episodes {options.episodes} are all in one apartment; wanted {1 + PER_PLACE * len(TASKS)} or more: one "
             "half of the apartments is fitted to, the other judges"
         )
     out = checked_out(options.out or Path(f"calibration-{short_name(options.perception)}.json"))

@@ -26,14 +26,24 @@ from eagor.tasks.rules import Camera
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+# Light or dark as the reader has it. On a phone tables and pictures keep a width that can be read, and scroll.
 STYLE = """
-body{font:16px/1.55 system-ui,sans-serif;color:#1f2430;background:#fff;max-width:1120px;margin:2.5rem auto;padding:0
-1.2rem} h1{font-size:1.7rem;margin-bottom:.2rem}h2{font-size:1.2rem;margin-top:2.2rem}
-img{max-width:100%;height:auto;border-radius:6px}
-table{border-collapse:collapse;width:100%}th,td{padding:.4rem .7rem;border-bottom:1px solid #e3e6ec;text-align:right}
-th:first-child,td:first-child,th:last-child,td:last-child{text-align:left}td:last-child{color:#5b6472;font-size:.92em}
-tr.ours{background:#e8f6f8}.note{color:#5b6472;font-size:.92em}
+:root{color-scheme:light dark;--ink:#1f2430;--quiet:#5b6472;--paper:#fff;--rule:#e3e6ec;--ours:#e8f6f8}
+@media (prefers-color-scheme:dark){:root{--ink:#e6e9ef;--quiet:#a3acba;--paper:#14171d;--rule:#333a46;--ours:#17303f}}
+body{font:16px/1.55 system-ui,sans-serif;color:var(--ink);background:var(--paper);max-width:1120px;margin:2.5rem auto;
+padding:0 1.2rem}h1{font-size:1.7rem;margin-bottom:.2rem}h2{font-size:1.2rem;margin-top:2.2rem}
+.scroll{overflow-x:auto}img{display:block;max-width:100%;height:auto;border-radius:6px}
+table{border-collapse:collapse;width:100%}
+th,td{padding:.4rem .7rem;border-bottom:1px solid var(--rule);text-align:right}
+th:first-child,td:first-child,th:last-child,td:last-child{text-align:left}
+td:last-child{color:var(--quiet);font-size:.92em;min-width:14rem}
+tr.ours{background:var(--ours)}.note{color:var(--quiet);font-size:.92em}
+@media (max-width:45rem){img{max-width:none;width:45rem}}
 """
+
+
+# In this order the methods have their colours, the same in both pictures.
+SHOWN = (OURS, PAPERS, *(name for name in NAMES if name not in (OURS, PAPERS)))
 
 
 def write_report(search: Search, folder: Path) -> Path:
@@ -81,8 +91,7 @@ def _highlights(trace: dict[str, list[Any]]) -> list[tuple[int, str]]:
 
 
 def _errors(search: Search) -> Image:
-    names = [OURS, *(name for name in NAMES if name != OURS)]
-    errors = {name: search.methods[name]["trace"]["error_deg"] for name in names}
+    errors = {name: search.methods[name]["trace"]["error_deg"] for name in SHOWN}
     longest = max(len(values) for values in errors.values())
     return draw_errors([step * Camera().seconds for step in range(longest)], errors)
 
@@ -91,8 +100,7 @@ def _map(search: Search, place: Place) -> Image:
     ground = place.ground
     rows, cols = ground.free.shape
     x0, y0 = ground.origin
-    shown = [OURS, PAPERS, *(name for name in NAMES if name not in (OURS, PAPERS))]
-    paths = {name: np.array(search.methods[name]["trace"]["pose"])[:, :2] for name in shown}
+    paths = {name: np.array(search.methods[name]["trace"]["pose"])[:, :2] for name in SHOWN}
     target = place.scene.instances[search.episode["targets"][0]].centre
     extent = (float(x0), float(x0 + cols * ground.cell), float(y0), float(y0 + rows * ground.cell))
     return draw_map(ground.structure, ground.free, extent, paths, target)
@@ -115,8 +123,8 @@ def _page(search: Search, pictures: dict[str, Image]) -> str:
 <h1>Where is the {thing}?</h1>
 <p>A camera stands in {html.escape(search.episode["scene"])} with its back to the {thing},
 {search.episode["shortest"]:.1f} m of walking away. {words}</p>
-<table><tr><th>method</th>{"".join(f"<th>{head}</th>" for head in heads)}</tr>
-{"".join(rows)}</table>
+<div class="scroll"><table><tr><th>method</th>{"".join(f"<th>{head}</th>" for head in heads)}</tr>
+{"".join(rows)}</table></div>
 <p class="note">Each step goes {Camera().step} m along the estimate, sliding along walls; the search is over within
 {rules.success_distance} m (of walking) of the target, or after {rules.max_steps} steps. All methods see through the
 same perception, whose mistakes are drawn from the same seed.</p>
@@ -135,4 +143,4 @@ def _embedded(picture: Image, text: str) -> str:
     buffer = io.BytesIO()
     picture.save(buffer, format="PNG", optimize=True)
     data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return f'<img alt="{html.escape(text)}" src="data:image/png;base64,{data}">'
+    return f'<div class="scroll"><img alt="{html.escape(text)}" src="data:image/png;base64,{data}"></div>'

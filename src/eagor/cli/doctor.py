@@ -23,6 +23,7 @@ OPTIONAL = {
     "transformers": "local models: the extra 'vlm'",
     "openai": "models on servers: the extra 'endpoint'",
 }
+READY = "ready"
 
 
 def doctor(options: Doctor) -> int:
@@ -32,6 +33,8 @@ def doctor(options: Doctor) -> int:
     here = machine.machine()
     points = {part.GROUP.removeprefix("eagor."): part.known() for part in (perception, worlds, task, benchmark)}
     known = {kind: {name: _state(each[name]) for name in sorted(each)} for kind, each in points.items()}
+    if known["perceptions"]["endpoint"] == READY and optional["openai"] is None:
+        known["perceptions"]["endpoint"] = "wants openai (the extra 'endpoint')"
     left_out = [
         text for kind, each in points.items() for at in each.values() for text in plugins.left_out(at, kind[:-1])
     ]
@@ -56,7 +59,7 @@ def doctor(options: Doctor) -> int:
         print(f"{'left out':12} {line}")
     for label, text in machine.lines(here):
         print(f"{label:12} {text}")
-    print("all there" if healthy else "something is missing: install eagor again with pip")
+    print("all there that eagor itself needs" if healthy else "something is missing: install eagor again with pip")
     return terminal.OK if healthy else terminal.FAILED
 
 
@@ -66,7 +69,7 @@ def _state(point: EntryPoint) -> str:
         point.load()
     except Exception as error:  # a broken plugin may raise anything
         return f"cannot be imported ({type(error).__name__}: {error})"
-    return "ready"
+    return READY
 
 
 def _cores() -> int:

@@ -46,9 +46,14 @@ class Result:
         """Metres; None where it is unknown: no positions, or no target yet."""
         return None if self.estimate.status == "searching" else self.estimate.distance
 
+    @property
+    def distance_spread(self) -> float | None:
+        """Standard deviation of the distance's logarithm: large until the camera has moved. None as `distance` is."""
+        return None if self.distance is None else self.estimate.distance_spread
+
     def as_json(self) -> dict[str, Any]:
         """This frame for ``--json`` and for .jsonl files."""
-        e, distance = self.estimate, self.distance
+        e, distance, spread = self.estimate, self.distance, self.distance_spread
         entry: dict[str, Any] = {
             "frame": self.image.name,
             "stamp": self.stamp,
@@ -57,6 +62,7 @@ class Result:
             "credible_angle_deg": degrees(e.credible_angle),
             "presence": round(e.presence, 6),
             "distance_m": None if distance is None else round(distance, 4),
+            "distance_spread": None if spread is None else round(spread, 4),
             "status": e.status,
             "modes": [mode_as_json(m.direction, m.weight) for m in e.modes],
             "looks": self.looks,

@@ -105,7 +105,8 @@ def _print(options: Locate, estimate: Estimate, modes: list[tuple[np.ndarray, fl
     print(f"  direction       {in_words(estimate.azimuth, estimate.elevation)}")
     print(f"  azimuth         {signed(estimate.azimuth)} deg (positive to the left)")
     print(f"  elevation       {signed(estimate.elevation)} deg")
-    print(f"  credible angle  {math.degrees(estimate.credible_angle):.1f} deg (a cone about it that holds 90 %)")
+    cone = f"{math.degrees(estimate.credible_angle):.1f} deg"
+    print(f"  credible angle  {cone} (a cone about it that holds 90 %; looks that agree narrow it)")
     print(f"  presence        {100 * estimate.presence:.0f} %")
     print("  modes           azimuth elevation  weight")
     for direction, weight in modes:

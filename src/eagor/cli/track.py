@@ -33,8 +33,11 @@ from eagor.cli.poses import Step, pair, read_poses
 from eagor.cli.words import signed
 from eagor.sphere import azimuth_elevation
 
-COLUMNS = ("frame", "stamp", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "distance_m", "status")
-WIDE = 2 + max(map(len, RIVALS))  # of a rival's column
+COLUMNS = (
+    "frame", "stamp", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "distance_m", "distance_spread",
+    "status",
+)  # fmt: skip
+WIDTH = 2 + max(len("-180.0/-90.0"), *map(len, RIVALS))  # of a rival's column
 
 
 def track(options: Track) -> int:
@@ -87,19 +90,20 @@ def track(options: Track) -> int:
 
 
 def _header(compare: bool) -> str:
-    others = "".join(f"{name:>{WIDE}}" for name in RIVALS) if compare else ""
+    others = "".join(f"{name:>{WIDTH}}" for name in RIVALS) if compare else ""
     angles = "   (degrees; azimuth/elevation)" if compare else ""
-    return f"     stamp  azimuth  elevation  cone 90%  distance  modes  status    {others}{angles}"
+    return f"     stamp  azimuth  elevation  cone 90%  distance  give or take  modes  status    {others}{angles}"
 
 
 def _line(result: Result) -> str:
-    e, distance = result.estimate, result.distance
+    e, distance, spread = result.estimate, result.distance, result.distance_spread
     far = "-" if distance is None else f"{distance:.2f} m"
+    give_or_take = "-" if spread is None else f"{100 * math.expm1(spread):.0f} %"
     line = f"{result.stamp:10.3f} {signed(e.azimuth):>8} {signed(e.elevation):>10} {signed(e.credible_angle)[1:]:>9}"
-    line += f" {far:>9} {len(e.modes):>6}  {e.status:10}"
+    line += f" {far:>9} {give_or_take:>13} {len(e.modes):>6}  {e.status:10}"
     for direction in result.others.values():
         azimuth, elevation = azimuth_elevation(direction)
-        line += f"{signed(float(azimuth)) + '/' + signed(float(elevation)):>{WIDE}}"
+        line += f"{signed(float(azimuth)) + '/' + signed(float(elevation)):>{WIDTH}}"
     return line.rstrip()
 
 

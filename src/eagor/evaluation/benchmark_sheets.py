@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from eagor.evaluation.published_search import FAILURE_TAGS, PUBLISHED
-from eagor.evaluation.samples import Record, finished
+from eagor.evaluation.samples import Record, cause_of, finished
 from eagor.evaluation.sheets import Box, Row, Sheet
 from eagor.tasks.benchmark import load
 
@@ -165,7 +165,7 @@ def failed_lines(records: Sequence[Record], limit: int | None = None) -> list[st
     """One line for each case that failed."""
     found = []
     for record in finished(records):
-        if record.get("cause"):
+        if cause := cause_of(record):
             said = record.get("words") or record.get("question") or ""
             answer = record.get("answer")
             given = (
@@ -175,7 +175,7 @@ def failed_lines(records: Sequence[Record], limit: int | None = None) -> list[st
             )
             tags = ", ".join(record.get("tags", ()))
             off = f", {record['error']:.0f}° off" if record.get("error") is not None else ""
-            found.append(f"{record['case']}  {record['cause']}  [{tags}]  {said!r}: {given or 'no answer'}{off}")
+            found.append(f"{record['case']}  {cause}  [{tags}]  {said!r}: {given or 'no answer'}{off}")
     return found[:limit]
 
 

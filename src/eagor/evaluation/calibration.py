@@ -1,6 +1,6 @@
 """Fitting how the responses of a perception are read, and how fast what was seen is forgotten, by log score.
 
-Episodes of Waypoint Following and Target Tracking in development apartments are recorded once: poses, and responses to
+Episodes of Waypoint Following and `tracking` in development apartments are recorded once: poses, and responses to
 two queries, one for the target and one that nothing there answers. A trial reads them with other settings. Its score,
 in nats, higher is better, has two parts, and only honest beliefs maximise them (Good, 1952): the log density that the
 belief gave to the true direction, and the log of the probability that it gave to the truth about presence.

@@ -54,7 +54,7 @@ def fit(
     seeds = sorted({recording.episode.slot.seed for recording in recordings})
     halves = [[r for r in recordings if seeds.index(r.episode.slot.seed) % 2 == half] for half in (0, 1)]
     if not all(halves):
-        raise EagorError(f"{len(recordings)} episodes of {len(seeds)} apartments; calibrating needs at least two")
+        raise EagorError(f"{len(recordings)} episodes of {len(seeds)} apartment; calibrating needs at least two")
     start = _settings_now(recordings)
     with tempfile.TemporaryDirectory() as folder, _mapping(workers) as run:
         files = [Path(folder) / f"half-{half}" for half in (0, 1)]

@@ -54,7 +54,7 @@ tr.ours>*{background:var(--ours)}tr.ours th{font-weight:700}
 tr.paper>*{color:var(--quiet);border-top-style:none;font-style:italic;padding-top:0}tr.paper th{padding-left:1.5rem}
 .figures{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,340px),1fr));gap:1rem;align-items:start}
 .strip{grid-template-columns:repeat(auto-fit,minmax(min(100%,300px),1fr))}
-figure{margin:0}figcaption{font-size:.88rem;color:var(--quiet);margin-top:.2rem}
+figure{margin:0}.figures>figure:only-child{max-width:560px}figcaption{font-size:.88rem;color:var(--quiet);margin-top:.2rem}
 svg{width:100%;height:auto;display:block}svg text{font:12px system-ui,sans-serif;fill:var(--quiet)}
 svg .label{fill:var(--ink)}.rule{stroke:var(--rule)}
 .event{stroke:var(--quiet);stroke-dasharray:2 3;fill:none}text.event{stroke:none;fill:var(--quiet);font-size:11px}
@@ -71,6 +71,7 @@ rect.stop{fill:var(--paper);stroke:var(--ink);stroke-width:1.5}text.stop{fill:va
 .below .mark{fill:#fff;stroke:#fff;stroke-width:3}.below .open.mark{fill:none;stroke-width:5}
 .said .mark{stroke:none}.said .open.mark{stroke:var(--c);stroke-width:2.4}
 details{margin:.5rem 0}summary{cursor:pointer}code{font-size:.9em}
+@media (max-width:40rem){tbody th:first-child{white-space:normal;min-width:10rem}}
 """
 STYLE = (
     f"{_STYLE}{_palette(_LIGHT)}@media (prefers-color-scheme:dark){{:root{{--ink:#e6e9ef;--quiet:#a3acba;"

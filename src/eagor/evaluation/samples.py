@@ -72,6 +72,12 @@ def finished(records: Iterable[Record]) -> list[Record]:
     return [record for record in records if record["status"] == "ok"]
 
 
+def cause_of(record: Record) -> str | None:
+    """Why a benchmark's case failed ("wrong" where the benchmark names no cause); None for one that did not fail."""
+    cause = record.get("cause")
+    return str(cause or "wrong") if cause or record.get("score", 1) < 1 else None
+
+
 def failures(records: Iterable[Record]) -> list[dict[str, Any]]:
     """What the records without a result say: key, attempt, error."""
     return [

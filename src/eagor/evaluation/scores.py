@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.evaluation.samples import LEVEL, RESAMPLES, SEED, failures, finished, mean_intervals
+from eagor.evaluation.samples import LEVEL, RESAMPLES, SEED, cause_of, failures, finished, mean_intervals
 from eagor.statistics import (
     bootstrap_interval,
     calibration_error,
@@ -54,7 +54,7 @@ def summarise(settings: Mapping[str, Any], records: Sequence[Record]) -> dict[st
     if good:
         found |= _by_turn(good) | _views(good) | _reliability(good)
     found["tags"] = tags(good)
-    found["causes"] = dict(Counter(str(record["cause"]) for record in good if record.get("cause")).most_common())
+    found["causes"] = dict(Counter(filter(None, map(cause_of, good))).most_common())
     found["failures"] = failures(records)
     return found
 
@@ -102,7 +102,7 @@ def tags(records: Sequence[Record]) -> dict[str, Any]:
     for tag in sorted({tag for record in records for tag in record.get("tags", ())}):
         part = [record for record in records if tag in record.get("tags", ())]
         figure = cell(Figure(tag, tag, "", lambda record: record["score"]), part)
-        causes = Counter(str(record["cause"]) for record in part if record.get("cause"))
+        causes = Counter(filter(None, map(cause_of, part)))
         found[tag] = {
             "episodes": len(part),
             "share": 100 * len(part) / len(records),

@@ -227,7 +227,7 @@ def parts_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet | N
         rows.append(Row(name, tuple(boxes), "ours" if name == OURS else ""))
     if not rows:
         return None
-    steps = "; ".join(f"{part} {100 * share:.0f} %" for part, share in shares.items())
+    steps = ", ".join(f"{100 * share:.0f} % {part}" for part, share in shares.items())
     notes = (
         "Mean direction error over the steps of each kind, over the episodes that have such steps. Before the target "
         "was ever in sight nothing can be known of it but where it is not: that part is the price of the search, and "

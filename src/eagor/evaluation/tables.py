@@ -33,23 +33,22 @@ SIGNIFICANT = 0.05
 
 
 def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any]:
-    """The table of one task.
+    """The table of one task, as plain values.
+
+    - ``"task"``, ``"reference"``: names; ``"episodes"``: how many have a result of some method; ``"apartments"``;
+      ``"failed"``: units that have none, ``"failures"``: ``[{"key", "attempt", "error"}]``.
+    - ``"methods"``: ``{name: {column: value or None}}``; ``"counts"``: ``{name: {column: n}}``.
+    - ``"intervals"``: ``{name: {column: [low, high] or None}}``, 95 %; Wilson's for shares of success, cluster
+      bootstrap by apartment for means.
+    - ``"differences"``: ``{name: {column: {difference, low, high, p, p_holm, n, groups} or None}}``, method minus
+      reference over the episodes that both have; p by sign flips of whole apartments; p_holm is corrected for all tests
+      of the table. Ablations ("eagor:degree=7") make a table of their own, in which each is compared with the method
+      that it varies.
+    - ``"strata"``: ``{title: {label: {"episodes", "methods", "intervals", "counts"}}}``.
 
     Args:
         records: of one task, such as `eagor.evaluation.ledger.read` returns.
         reference: the method that all others are compared with.
-
-    Returns:
-        ``{"task", "episodes", "apartments", "failed", "methods": {name: {column: value or None}}, "intervals": {name:
-        {column: [low, high] or None}}, "counts": {name: {column: n}}, "reference", "differences": {name: {column:
-        {difference, low, high, p, p_holm, n, groups} or None}}, "strata": {title: {label: {"episodes", "methods",
-        "intervals", "counts"}}}, "failures": [{"key", "attempt", "error"}]}``.
-
-        - episodes: how many have a result of some method; failed: units that have none.
-        - intervals: 95 %; Wilson's for shares of success, cluster bootstrap by apartment for means.
-        - differences: method minus reference over the episodes that both have; p by sign flips of whole apartments;
-          p_holm is corrected for all tests of the table. Ablations ("eagor:degree=7") make a table of their own, in
-          which each is compared with the method that it varies.
 
     Raises:
         EagorError: the records are of several tasks, or of one that has no table.

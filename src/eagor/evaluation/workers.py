@@ -19,6 +19,7 @@ from eagor.tasks.eyes import release
 __all__ = ["Engine", "Outcome", "Unit", "WorkError", "carry_out", "run_units"]
 
 Engine = Literal["processes", "threads", "ray"]
+"""Who the workers of a run are."""
 
 
 @dataclass(frozen=True)

@@ -134,7 +134,8 @@ class Benchmark(Protocol):
 
     and, where they make sense, which the shared reports then show:
 
-    - "level": the stratum's title; "tags": list of texts, known before the run; "cause": why it failed, known after;
+    - "level": the stratum's title; "tags": list of texts, known before the run; "cause": why it failed, known after
+      (without it a score below 1 is "wrong");
     - "by_turn": for every turn up to the last allowed, 1 if an answer given then would have succeeded, else 0;
     - "views": how many looks were taken; "stated": the probability of success that the agent stated with its answer;
       "sure": whether it stopped because it was sure;
