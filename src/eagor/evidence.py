@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -105,11 +105,11 @@ class Evidence:
     Values are never changed after construction.
     """
 
-    log_ratio: Array
+    log_ratio: Array = field(repr=False)
     grid: Grid
     calibration: Calibration
     stamp: float | None = None
-    seen: Region | None = None
+    seen: Region | None = field(default=None, repr=False)
     peak: float = 1.0  # what the response was divided by (scale_to_max)
     source: Mapping[str, object] | None = None
 

@@ -23,7 +23,7 @@ from eagor.baselines import (
 )
 from eagor.baselines.filters import concentration, mean_length
 from eagor.belief import Belief
-from eagor.errors import ResponseError, RotationError
+from eagor.errors import EagorError, ResponseError, RotationError
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
 from eagor.ranged import RangedBelief
@@ -420,3 +420,19 @@ def test_particles_without_noise_keep_their_places_exactly():
     turn = rotation((1, 2, 3), 2.0)
     np.testing.assert_allclose(start.predict(turn).predict(turn.T).particles, start.particles, atol=1e-12)
     assert rng.bit_generator.state == state
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: VonMisesFisherFilter(noise=-1.0),
+        lambda: HistogramFilter(diffusion=math.nan),
+        lambda: HistogramFilter(mixing=2.0),
+        lambda: ParticleFilter.uniform(10, np.random.default_rng(0), roughening=-0.1),
+        lambda: ParticleFilter.uniform(10, np.random.default_rng(0), reborn=1.5),
+        lambda: ParticleFilter.uniform(10, np.random.default_rng(0), kernel=0.0),
+    ],
+)
+def test_settings_that_mean_nothing_are_refused(make):
+    with pytest.raises(EagorError, match="wanted"):
+        make()

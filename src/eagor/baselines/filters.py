@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from eagor._arrays import to_numpy
+from eagor._checks import above, require, within
 from eagor.baselines import maps
 from eagor.baselines.maps import GRID
 from eagor.belief import Belief
@@ -82,6 +83,9 @@ class VonMisesFisherFilter:
     calibration: Calibration = field(default_factory=lambda: Calibration(floor=0.4, neutral=0.05, temperature=8.0))
     noise: float = math.radians(10)
 
+    def __post_init__(self) -> None:
+        require(self, {"noise": (within(self.noise, 0), "radians per look, from 0 on")})
+
     def predict(self, new_R_old: np.ndarray, translation: ArrayLike | None = None) -> VonMisesFisherFilter:
         turned, kappa = check_rotation(new_R_old) @ self.eta, float(np.linalg.norm(self.eta))
         if kappa > 0 and self.noise > 0:
@@ -119,6 +123,13 @@ class HistogramFilter:
     calibration: Calibration = field(default_factory=lambda: Calibration(floor=0.4, neutral=0.05, temperature=8.0))
     diffusion: float = 0.0
     mixing: float = 0.02
+
+    def __post_init__(self) -> None:
+        wanted = {
+            "diffusion": (within(self.diffusion, 0), "radians per look, from 0 on"),
+            "mixing": (within(self.mixing, 0, 1), "a share from 0 to 1"),
+        }
+        require(self, wanted)
 
     def predict(self, new_R_old: np.ndarray, translation: ArrayLike | None = None) -> HistogramFilter:
         turned = check_rotation(new_R_old) @ self.body_R_grid
@@ -158,6 +169,14 @@ class ParticleFilter:
     roughening: float = math.radians(2)
     reborn: float = 0.05
     kernel: float = math.radians(4)
+
+    def __post_init__(self) -> None:
+        wanted = {
+            "roughening": (within(self.roughening, 0), "radians per look, from 0 on"),
+            "reborn": (within(self.reborn, 0, 1), "a share from 0 to 1"),
+            "kernel": (above(self.kernel, 0), "radians above 0"),
+        }
+        require(self, wanted)
 
     @classmethod
     def uniform(cls, count: int, rng: np.random.Generator, **settings: Any) -> ParticleFilter:

@@ -48,6 +48,11 @@ def run(options: BenchRun) -> int:
     if options.engine == "threads":
         raise terminal.UsageError("--engine threads is for work that waits for servers; simulated tasks compute")
     perception = options.perception or PERCEPTION
+    if short_name(perception) == "replay":
+        raise terminal.UsageError(
+            f"--perception {perception} was written for other frames than those of {options.task}, which are rendered; "
+            "a detector of your own plays as a perception (docs/how-to/detector.md)"
+        )
     seed = SEED if options.seed is None else options.seed
     methods = bench.named(options.methods) or default_methods(perception)
     if options.ablations:
