@@ -2,10 +2,9 @@
 
 The published policy goes a fixed step along the estimate, whatever happens. Among furniture that ends at the first
 corner that sliding does not lead around, for any estimate, the true direction included. With `detour`, the body
-remembers where it ran into something, and plans around that as if all else were open, anew whenever it has touched
-something more or has come to the next corner of its way (planning under the free-space assumption; Koenig, Tovey and
-Smirnov, Artificial Intelligence 147, 2003). It has no map but what it touched, and nothing else feeds it: its odometry,
-and the directions that it was told.
+remembers where it ran into something, and plans around that as if all else were open, anew at every step (planning
+under the free-space assumption; Koenig, Tovey and Smirnov, Artificial Intelligence 147, 2003). It has no map but what
+it touched, and nothing else feeds it: its odometry, and the directions that it was told.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ WALL, HIGHEST = 5.0, 20.0  # metres of detour that a touch is worth, and that al
 VISIT, AROUND = 0.2, 2  # metres that a detour planned at a node adds to those through it and so many nodes around
 KEPT = 0.9  # share of that which is left after another plan
 RANGE = 5.0  # metres along the estimate, where a way is to lead: nobody knows how far away the target is
-STRAYED = math.radians(45)  # a way that was begun is gone on with until the estimate points elsewhere by so much
 LOOK, WINDOW = 1.5, 10.0  # metres: straight stretches of a way are seen so far, and ways stray so far from the body
 _NEIGHBOURS = [(i, j, math.hypot(i, j) * SPACING) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
 _EDGES = np.array([(1, 0), (0, 1), (1, 1), (1, -1)])  # every edge of the lattice once, from one of its ends
@@ -43,7 +41,6 @@ class Policy:
     _walls: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 2)))  # both ends of each touched stretch
     _extra: dict[tuple[Node, Node], float] = field(default_factory=dict)  # metres by which walls lengthen edges
     _visits: dict[Node, float] = field(default_factory=dict)
-    _begun: tuple[np.ndarray, np.ndarray] | None = None  # the point that the body is on its way to, and the goal then
 
     def heading(self, azimuth: float, xy: np.ndarray, yaw: float) -> float:
         """The heading to go in, radians from straight ahead, in (-pi, pi]; without `detour` the azimuth as it is.
@@ -86,7 +83,7 @@ class Policy:
         if (here - first) @ along < 0:
             along = -along
         wall = np.array([first - HALF * along, here + HALF * along]) + STANDOFF * normal
-        self._walls, self._begun = np.concatenate([self._walls, wall[None]]), None
+        self._walls = np.concatenate([self._walls, wall[None]])
         self._note(wall)
 
     def _note(self, wall: np.ndarray) -> None:
@@ -109,16 +106,9 @@ class Policy:
         return WALL * self._in_the_way(here, here + share * (there - here))
 
     def _way(self, here: np.ndarray, goal: np.ndarray) -> np.ndarray:
-        """The direction ``(2,)`` (of any length) in which the cheapest way to the goal begins, or goes on.
-
-        Of two ways around that are nearly as good, one is the cheaper here and the other one a step further on: without
-        going on with what was begun, the body would go to and fro between the two for good.
-        """
+        """The direction ``(2,)`` (of any length) in which the cheapest way to the goal begins."""
         if not self._in_the_way(here, goal):
-            self._begun = None
             return goal - here
-        if self._begun is not None and self._goes_on(here, goal, *self._begun):
-            return self._begun[0] - here
         target = None
         for node in self._plan(here, goal):
             point = np.array(node) * SPACING
@@ -126,14 +116,7 @@ class Policy:
             if target is not None and not seen:
                 break
             target = point
-        self._begun = None if target is None else (target, goal - here)
         return target - here if target is not None else goal - here
-
-    def _goes_on(self, here: np.ndarray, goal: np.ndarray, target: np.ndarray, then: np.ndarray) -> bool:
-        """Whether the way to `target`, begun when the goal lay in the direction `then`, is still the one to go."""
-        now = goal - here
-        same = float(now @ then) > math.cos(STRAYED) * float(np.hypot(*now) * np.hypot(*then))
-        return same and float(np.hypot(*(target - here))) > self.step and not self._in_the_way(here, target)
 
     def _plan(self, here: np.ndarray, goal: np.ndarray) -> list[Node]:
         """The cheapest way over the lattice (A*), from about a step away from the body to the goal."""
