@@ -30,6 +30,8 @@ from eagor.perception import short_name
 from eagor.sphere import azimuth_elevation
 from eagor.tracker import DirectionTracker
 
+NEAR = 15  # degrees: how far beside it the answer may lie for somebody who is to find the thing
+
 
 def locate(options: Locate) -> int:
     """Run the command; returns its exit code."""
@@ -72,6 +74,7 @@ def _as_json(options: Locate, estimate: Estimate, modes: list[tuple[np.ndarray, 
         "elevation_deg": degrees(estimate.elevation),
         "credible_angle_deg": degrees(estimate.credible_angle),
         "presence": round(estimate.presence, 6),
+        f"within_{NEAR}_deg": round(estimate.within(math.radians(NEAR)), 6),
         "status": estimate.status,
         "modes": [mode_as_json(direction, weight) for direction, weight in modes],
     }
@@ -108,7 +111,9 @@ def _print(options: Locate, estimate: Estimate, modes: list[tuple[np.ndarray, fl
     cone = f"{math.degrees(estimate.credible_angle):.1f} deg"
     print(f"  credible angle  {cone} (a cone about it that holds 90 %; looks that agree narrow it)")
     print(f"  presence        {100 * estimate.presence:.0f} %")
-    print("  modes           azimuth elevation  weight")
+    near = f"{100 * estimate.within(math.radians(NEAR)):.0f} %"
+    print(f"  how sure        {near} (that it is here, and within {NEAR} degrees of that direction)")
+    print("  modes           azimuth elevation  weight (a share of what stands out)")
     for direction, weight in modes:
         azimuth, elevation = (float(a) for a in azimuth_elevation(direction))
         words = in_words(azimuth, elevation)
