@@ -8,6 +8,9 @@ Waypoint Following and `tracking` are open loop: their episodes are recorded onc
 the difference to `eagor` as it ships, paired by episode, with a 95 % interval over apartments; + and - mark differences
 beyond chance (uncorrected: this table is for finding things out, the reports test).
 
+In the group `detections` the looks are read as if a detector without any calibration had written down their peaks, and
+each line is compared with the default reading.
+
 Some variants are no options of the product, because they did not win; they live here: linear pooling of responses,
 responses as shares of their sum (a detection and a false alarm compete for each frame), and the target's true range,
 told with 15 % of error whenever it is in sight, which no perception here gives: the most that any cue to range, such as
@@ -34,7 +37,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
+from eagor.calibration import Calibration
+from eagor.detections import MIN_SPREAD
 from eagor.evaluation import parts
 from eagor.evaluation.calibration import TASKS, Recorder, kept_recordings
 from eagor.evidence import Evidence
@@ -75,7 +81,27 @@ def shares(false: float, clutter: float, temperature: float) -> Reading:
     return read
 
 
+def detections(calibration: Calibration) -> Reading:
+    """The peaks of the response alone, as a detector would write them down, read with `calibration`."""
+
+    def read(look: Evidence) -> Evidence:
+        response = np.asarray(look.response, dtype=np.float64)
+        peaks = (response == maximum_filter(response, 5, mode=("nearest", "wrap"))) & (response > FAINT)
+        where, scores, kappa = look.grid.directions[peaks], response[peaks], 1 / MIN_SPREAD**2
+        return Evidence.from_points(where, kappa, scores, calibration=calibration, stamp=look.stamp)
+
+    return read
+
+
+DETECTIONS: dict[str, Reading] = {
+    "detections": detections(Calibration()),
+    "detections temperature=6 persistence=0.5": detections(Calibration(temperature=6.0, persistence=0.5)),
+    "detections temperature=6 persistence=0.75": detections(Calibration(temperature=6.0, persistence=0.75)),
+    "detections temperature=9 persistence=0.5": detections(Calibration(temperature=9.0, persistence=0.5)),
+    "detections Calibration.detector()": detections(Calibration.detector()),
+}
 READINGS: dict[str, Reading] = {
+    **DETECTIONS,
     "linear gain=4": linear(4.0),
     "linear gain=12": linear(12.0),
     "shares false=0.5 clutter=0.1 temperature=0.5": shares(0.5, 0.1, 0.5),
@@ -99,8 +125,9 @@ GROUPS: dict[str, tuple[str, ...]] = {
         *(f"{OURS}:floor={floor}" for floor in (0.1, 0.8)),
         *(f"{OURS}:spread={angle}" for angle in (0, 2, 5, 8)),
         FORMER,
-        *READINGS,
+        *(name for name in READINGS if name not in DETECTIONS),
     ),
+    "detections": tuple(DETECTIONS),
     "range": (
         f"{OURS}:shells=0",
         *(f"{OURS}:shells={count}" for count in (14, 30)),
@@ -117,6 +144,7 @@ COLUMNS = {
     **dict.fromkeys(("t.error", "t.TC", "t.recov"), "low"),
     **{"t.cover": "", "t.log": "high"},
 }
+FAINT = 0.1  # a detector writes nothing down that is weaker
 LONG = 28  # letters; a longer name has a line of its own
 
 
@@ -264,18 +292,18 @@ def compared(
 
 
 def show(group: str, names: Sequence[str], found: dict[str, dict[int, dict[str, float]]], seeds: Sequence[int]) -> Any:
-    """Print one group; returns it as JSON."""
+    """Print one group, each line against the first; returns it as JSON."""
     width, kept = max(len(name) for name in names if len(name) <= LONG), {}
     print(f"\n{group}\n{'':{width}} " + " ".join(f"{column:>8s}" for column in COLUMNS))
     for name in names:
         cells, kept[name] = [], {}
         for column, better in COLUMNS.items():
-            cell = compared(found[name], found[OURS], seeds, column)
+            cell = compared(found[name], found[names[0]], seeds, column)
             if cell is None:
                 cells.append(f"{'–':>8s}")
                 continue
             kept[name][column] = cell
-            sure = name != OURS and better and (cell[2] > 0 or cell[3] < 0)
+            sure = name != names[0] and better and (cell[2] > 0 or cell[3] < 0)
             cells.append(f"{cell[0]:7.2f}{('+' if (cell[1] > 0) == (better == 'high') else '-') if sure else ' '}")
         before = name if len(name) <= width else f"{name}\n{'':{width}}"
         print(f"{before:{width}} " + " ".join(cells).rstrip(), flush=True)
@@ -305,13 +333,14 @@ def main() -> int:
         with context.Pool(options.workers, _begin, (str(file), options.perception)) as pool:
             found: dict[str, dict[int, dict[str, float]]] = {}
             for group, names in groups.items():
-                wanted = [name for name in (OURS, *names) if name not in found]
+                shown = names if group == "detections" else (OURS, *names)  # these are read without any calibration
+                wanted = [name for name in shown if name not in found]
                 jobs = [(index, name) for name in wanted for index in range(len(recordings))]
                 for index, name, row in pool.imap(_play, jobs):
                     found.setdefault(name, {})[index] = row
                 if names:
-                    report[group] = show(group, (OURS, *names), found, seeds)
-        print("\n+ better, - worse than eagor as it ships (a 95 % interval of the paired difference excludes 0)")
+                    report[group] = show(group, shown, found, seeds)
+        print("\n+ better, - worse than the first line (a 95 % interval of the paired difference excludes 0)")
         if options.json:
             Path(options.json).write_text(json.dumps(report, indent=1), encoding="utf-8")
     return 0

@@ -29,9 +29,10 @@ if TYPE_CHECKING:
         VonMisesFisherFilter,
     )
     from eagor.belief import Belief
+    from eagor.calibration import Calibration
     from eagor.errors import EagorError
     from eagor.estimate import Estimate, Mode, TrackerConfig
-    from eagor.evidence import Calibration, Evidence
+    from eagor.evidence import Evidence
     from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
     from eagor.harmonics import RealHarmonics
     from eagor.ranged import RangedBelief, log_ranges
@@ -78,9 +79,10 @@ _HOME = {
         "VonMisesFisherFilter",
     ),
     "belief": ("Belief",),
+    "calibration": ("Calibration",),
     "errors": ("EagorError",),
     "estimate": ("Estimate", "Mode", "TrackerConfig"),
-    "evidence": ("Calibration", "Evidence"),
+    "evidence": ("Evidence",),
     "grids": ("ErpGrid", "FisheyeGrid", "PatchGrid", "PerspectiveGrid"),
     "harmonics": ("RealHarmonics",),
     "ranged": ("RangedBelief", "log_ranges"),

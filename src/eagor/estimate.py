@@ -13,7 +13,7 @@ import numpy as np
 from eagor._arrays import to_numpy
 from eagor._checks import require
 from eagor.belief import Belief
-from eagor.evidence import Calibration
+from eagor.calibration import Calibration
 from eagor.harmonics import RealHarmonics
 from eagor.motion import DOUBT, SAME, SETTLE, StillOrMoving, standing
 from eagor.posterior import MIN_WEIGHT, PROMINENCE, RIVAL

@@ -1,13 +1,10 @@
 """Evidence: what one look at the world says about each direction, as a log-likelihood ratio.
 
-A perception answers with a response l in [0, 1] on a grid. The evidence is
-
-    r(omega) = temperature * log((l + floor) / (neutral + floor)),
-
-positive where the target is likelier than not, negative (and bounded) where we looked and saw nothing, and exactly
-zero where we did not look. The logarithm is taken on the grid that the response came on; the coefficients integrate
-each cell over its solid angle. (Upsampling first and taking the logarithm later turns the skirts of isolated cells into
-large areas of evidence.)
+A perception answers with a response l in [0, 1] on a grid. The evidence is the log-likelihood ratio that its
+`eagor.calibration` makes of it: positive where the target is likelier than not, negative (and bounded) where we looked
+and saw nothing, and exactly zero where we did not look. The logarithm is taken on the grid that the response came on;
+the coefficients integrate each cell over its solid angle. (Upsampling first and taking the logarithm later turns the
+skirts of isolated cells into large areas of evidence.)
 
 Where `Calibration.spread` says by how far a response may be off, its likelihood ratios are averaged over that angle
 before they are cut at a degree (`eagor.averaging`): else a small thing all but vanishes there.
@@ -22,8 +19,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eagor._arrays import Array, matched, namespace, to_numpy
-from eagor._checks import above, require, within
 from eagor.averaging import averaged
+from eagor.calibration import Calibration
 from eagor.coverage import Region, confine, region, taper
 from eagor.detections import MIN_SPREAD, WHOLE_SPHERE, bump, canvas_of, moments, widened
 from eagor.errors import ResponseError, TimeError
@@ -31,68 +28,8 @@ from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import unit
 
-SPREADS = math.radians(1), math.radians(30)
 SILENT = 1e-6  # a response below this is the rounding of zero, and must not be scaled up to a detection
 _BLOCK = 1 << 16  # values at a time: adding, checking and taking the logarithm stay in the cache
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """How a response becomes a log-likelihood ratio: ``temperature * log((l + floor) / (neutral + floor))``.
-
-    - `floor` (epsilon): the probability of missing a visible target; it bounds what one empty look can take away.
-    - `neutral` (l0): the response that says nothing.
-    - `temperature` (beta): a factor that tempers evidence which is surer of itself than it should be.
-    - `persistence`: how far one look repeats the one before it, in [0, 1), for who follows a target over time. A
-      detector that is wrong about a thing that stands there is wrong in the same direction again. Of each look at it
-      the share 1 - persistence adds up; the rest counts only while it is the newest (what is new in a series of looks
-      whose errors follow an autoregression of first order).
-    - `spread`: radians (standard deviation per axis) by which a response may lie beside what it means: the evidence
-      about a direction is then the mean likelihood ratio around it. 0: every cell is taken at its word.
-    - `scale_to_max`: divide each response by its own maximum first. Only the published profile does so: it turns
-      "nothing here" into a detection.
-    """
-
-    floor: float = 0.4
-    neutral: float = 0.05
-    temperature: float = 3.0
-    persistence: float = 0.0
-    spread: float = 0.0
-    scale_to_max: bool = False
-
-    def __post_init__(self) -> None:
-        least, most = SPREADS
-        wanted = {
-            "floor": (above(self.floor, 0, 1), "a number above 0 and up to 1"),
-            "neutral": (within(self.neutral, 0, 1), "a number from 0 to 1"),
-            "temperature": (above(self.temperature, 0), "a number above 0"),
-            "persistence": (within(self.persistence, 0, 1) and self.persistence < 1, "a number from 0, below 1"),
-            "spread": (
-                self.spread == 0 or within(self.spread, least, most),
-                f"0, or radians from {least:.4f} to {most:.4f} (1 to 30 degrees)",
-            ),
-        }
-        require(self, wanted, ResponseError)
-
-    @classmethod
-    def paper(cls) -> Calibration:
-        """The published form, log(l + 1e-3), with each frame's response scaled to a maximum of 1."""
-        return cls(floor=1e-3, neutral=1 - 1e-3, temperature=1.0, scale_to_max=True)
-
-    def log_ratio(self, response: Array) -> Array:
-        """r of a response, elementwise; for checking and plotting (`Evidence.from_response` checks its input too)."""
-        xp = namespace(response)
-        return self.temperature * xp.log((response + self.floor) / (self.neutral + self.floor))
-
-    @property
-    def empty(self) -> float:
-        """r where we looked and saw nothing: the lowest value there is."""
-        return float(self.log_ratio(np.array(0.0)))
-
-    @property
-    def full(self) -> float:
-        """r of a response of 1: the highest value there is."""
-        return float(self.log_ratio(np.array(1.0)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

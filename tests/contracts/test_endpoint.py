@@ -15,8 +15,9 @@ import pytest
 from contract_server import FAULTS, ContractServer, Reply, Request, reddish, wait_until
 from served_model import IMAGE_TOKENS, served, write_model
 
+from eagor.calibration import Calibration
 from eagor.errors import AnswerError, EagorError, ImageError, QueryError, ServerError
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import Evidence
 from eagor.grids import ErpGrid
 from eagor.perception import check_perception, load
 from eagor.perception.endpoint import EndpointPerception, from_text

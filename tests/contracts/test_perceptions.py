@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import math
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -13,9 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor import plugins
+from eagor.calibration import Calibration
 from eagor.cli import main
 from eagor.errors import EagorError, FormatError, ImageError, QueryError, ResponseError, TimeError
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.perception import Perception, check_perception, known, load, short_name
 from eagor.perception.colour import COLOURS, SYNONYMS, ColourPerception, parse_colour
@@ -24,6 +26,7 @@ from eagor.perception.replay import ReplayPerception, parse_record, read_records
 from eagor.perception.truth import TruthPerception
 from eagor.queries import Query
 from eagor.sphere import angular_distance, azimuth_elevation, direction
+from eagor.tracker import DirectionTracker
 from eagor.worlds.painted import BALL_COLOURS, Ball, painted_room
 from eagor.worlds.panorama import read_panorama
 
@@ -370,6 +373,24 @@ def test_green_armchairs_in_the_lounge_photograph():
 
 
 # --- replay ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_replay_is_read_as_a_detector_that_nobody_calibrated(replay_file):
+    """A look is believed sooner than by default, and one that repeats it adds less."""
+    assert ReplayPerception(replay_file)(None, "the chair", stamp=1.0).calibration == Calibration.detector()
+    own = Calibration(temperature=2.0)
+    assert ReplayPerception(replay_file, own)(None, "the chair", stamp=1.0).calibration == own
+    boxes, grid = [[500, 250, 524, 270]], ErpGrid(512, 1024)
+
+    def presence(calibration, looks):
+        tracker = DirectionTracker()
+        for step in range(looks):
+            tracker.observe(Evidence.from_boxes(boxes, grid, [0.9], calibration, stamp=0.5 * step))
+        return tracker.estimate(0.5 * looks).presence
+
+    detector, plain = Calibration.detector(), Calibration()
+    assert presence(detector, 2) > 0.5 > presence(plain, 2)
+    assert presence(replace(detector, persistence=0.0), 2) > presence(detector, 2)
 
 
 def test_records_are_sorted_and_the_nearest_answers(replay_file):

@@ -217,11 +217,12 @@ def test_the_doctor_says_what_a_served_model_wants(monkeypatch, capsys):
 def test_locate_as_json(room):
     found = answer("locate", room, "the red ball")
     assert set(found) == {
-        "query", "perception", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "status", "modes",
+        "query", "perception", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "within_15_deg",
+        "status", "modes",
     }  # fmt: skip
     assert error_deg(found, RED_BALL) < 3
     assert found["azimuth_deg"] < -10  # it is to the right
-    assert 0 < found["presence"] < 1
+    assert 0 < found["within_15_deg"] < found["presence"] < 1
     assert 0 < found["credible_angle_deg"] <= 180
     assert set(found["modes"][0]) == {"azimuth_deg", "elevation_deg", "weight"}
     assert error_deg(answer("locate", room, "blue")["modes"][0], bearing(Room().balls[1], EYE, np.eye(3))[0]) < 3

@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from eagor.calibration import Calibration
 from eagor.errors import EagorError
 from eagor.estimate import TrackerConfig
 from eagor.evaluation.calibration import PARAMETERS, Recorder, development_slots, score
 from eagor.evaluation.fitting import fit
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import Evidence
 from eagor.grids import PatchGrid
 from eagor.perception.calibrated import Calibrated, from_json, read_calibrated
 from eagor.sphere import direction, world_R_body

@@ -12,8 +12,9 @@ from strategies import random_directions, rotations
 from eagor import coverage
 from eagor.averaging import averaged
 from eagor.belief import Belief
+from eagor.calibration import Calibration
 from eagor.errors import EagorError, ResponseError, TimeError
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import angular_distance, azimuth_elevation, direction, rotation

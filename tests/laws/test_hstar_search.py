@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from eagor.calibration import Calibration
 from eagor.errors import EagorError
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import Evidence
 from eagor.perception.noise import Noise
 from eagor.tasks.hstar.camera import View, inside
 from eagor.tasks.hstar.rules import submit_succeeds

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from strategies import rotations
 
 from eagor.belief import Belief
+from eagor.calibration import Calibration
 from eagor.errors import EagorError, PoseError, RotationError, TimeError
 from eagor.estimate import TrackerConfig
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import Evidence
 from eagor.grids import PatchGrid
 from eagor.motion import standing
 from eagor.posterior import typical

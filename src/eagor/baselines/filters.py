@@ -16,7 +16,8 @@ from eagor._checks import above, require, within
 from eagor.baselines import maps
 from eagor.baselines.maps import GRID
 from eagor.belief import Belief
-from eagor.evidence import SILENT, Calibration, Evidence
+from eagor.calibration import Calibration
+from eagor.evidence import SILENT, Evidence
 from eagor.peaks import peak_on_grid
 from eagor.sphere import FORWARD, check_rotation, unit
 

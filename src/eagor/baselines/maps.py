@@ -8,9 +8,10 @@ from functools import lru_cache
 import numpy as np
 
 from eagor._arrays import to_numpy
+from eagor.calibration import Calibration
 from eagor.coverage import taper
 from eagor.errors import ResponseError
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, Grid
 from eagor.posterior import log_integral
 

@@ -10,9 +10,9 @@ from typing import Any
 
 from eagor._files import written
 from eagor._json import number, parsed, shown
+from eagor.calibration import Calibration
 from eagor.errors import EagorError
 from eagor.estimate import TrackerConfig
-from eagor.evidence import Calibration
 
 READING = ("floor", "neutral", "temperature", "persistence", "spread")  # fields of `Calibration`
 FORGETTING = ("keep_per_second", "wander", "restless", "surest", "settle")  # fields of `TrackerConfig`, SI, nats

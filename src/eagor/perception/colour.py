@@ -17,8 +17,9 @@ import numpy as np
 
 from eagor._checks import require, whole
 from eagor._srgb import to_linear
+from eagor.calibration import Calibration
 from eagor.errors import ImageError, QueryError
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import Evidence
 from eagor.grids import PatchGrid
 
 # A fuzzy interval: 0 up to the first number, 1 from the second to the third, 0 from the fourth on.

@@ -15,8 +15,9 @@ import numpy as np
 
 from eagor._json import parsed
 from eagor._json import shown as _short
+from eagor.calibration import Calibration
 from eagor.errors import EagorError, FormatError
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
 from eagor.sphere import direction, world_R_body
 

@@ -35,8 +35,9 @@ from bisect import bisect_left, bisect_right
 import numpy as np
 
 from eagor._checks import within
+from eagor.calibration import Calibration
 from eagor.errors import EagorError, FormatError, QueryError, TimeError
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import Evidence
 from eagor.perception.records import Record, parse_record, read_records, write_record
 
 __all__ = ["Record", "ReplayPerception", "parse_record", "read_records", "write_record"]
@@ -47,7 +48,7 @@ class ReplayPerception:
 
     Args:
         path: the JSONL file (format: this module's text).
-        calibration: how responses become evidence.
+        calibration: how responses become evidence; by default that of a detector which nobody has calibrated.
         tolerance: seconds by which a record may be away from the time that is asked for.
 
     Attributes:
@@ -60,7 +61,7 @@ class ReplayPerception:
         self, path: str | os.PathLike[str], calibration: Calibration | None = None, tolerance: float = 0.05
     ) -> None:
         self.records = read_records(path)
-        self.calibration = calibration
+        self.calibration = calibration or Calibration.detector()
         if not within(tolerance, 0):
             raise TimeError(f"tolerance = {tolerance!r}; wanted seconds, 0 or more")
         self.tolerance = float(tolerance)

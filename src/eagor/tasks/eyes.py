@@ -14,8 +14,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from eagor.calibration import Calibration
 from eagor.errors import AnswerError
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import Evidence
 from eagor.perception import Perception, load
 from eagor.perception.calibrated import from_json
 from eagor.queries import Named

@@ -25,9 +25,10 @@ from eagor.baselines import (
     Plain,
     VonMisesFisherFilter,
 )
+from eagor.calibration import Calibration
 from eagor.errors import EagorError, TimeError
 from eagor.estimate import Estimate, TrackerConfig
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import Evidence
 from eagor.perception import is_model
 from eagor.ranged import log_ranges
 from eagor.tasks.fitted import fitted

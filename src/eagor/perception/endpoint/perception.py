@@ -13,8 +13,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from eagor._checks import above, require, whole, within
+from eagor.calibration import Calibration
 from eagor.errors import AnswerError, EagorError
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.perception.endpoint.extractors import GRID, Manner, Plan, boxes_plan, view_plan, views_plan
 from eagor.perception.endpoint.messages import Answer

@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 
 from eagor._checks import require
+from eagor.calibration import Calibration
 from eagor.errors import EagorError, ImageError
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import Evidence
 from eagor.grids import PatchGrid
 from eagor.perception.scout.resizing import resized
 from eagor.queries import parse_query

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from eagor.calibration import Calibration
 from eagor.errors import EagorError
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import Evidence
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
 from eagor.perception.vlm.families import Extractor, Family, chosen, family_of
 from eagor.perception.vlm.prompts import phrase

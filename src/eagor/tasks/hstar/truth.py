@@ -13,8 +13,9 @@ import math
 
 import numpy as np
 
+from eagor.calibration import Calibration
 from eagor.detections import MIN_SPREAD
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.perception.noise import Noise
 from eagor.perception.truth import Report, displaced, drawn

@@ -12,9 +12,10 @@ import numpy as np
 
 from eagor._arrays import to_numpy
 from eagor.belief import Belief
+from eagor.calibration import Calibration
 from eagor.detections import MIN_SPREAD
 from eagor.errors import FormatError, QueryError
-from eagor.evidence import Calibration, Evidence
+from eagor.evidence import Evidence
 from eagor.grids import ErpGrid
 from eagor.perception import Perception
 from eagor.tasks.osr.dataset import Scene

@@ -1,0 +1,87 @@
+"""How a response becomes a log-likelihood ratio: five numbers.
+
+    r = temperature * log((l + floor) / (neutral + floor))
+
+for a response l in [0, 1]: positive above `neutral`, and bounded from below.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from eagor._arrays import Array, namespace
+from eagor._checks import above, require, within
+from eagor.errors import ResponseError
+
+SPREADS = math.radians(1), math.radians(30)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How a response becomes a log-likelihood ratio: ``temperature * log((l + floor) / (neutral + floor))``.
+
+    - `floor` (epsilon): the probability of missing a visible target; it bounds what one empty look can take away.
+    - `neutral` (l0): the response that says nothing.
+    - `temperature` (beta): a factor that tempers evidence which is surer of itself than it should be.
+    - `persistence`: how far one look repeats the one before it, in [0, 1), for who follows a target over time. A
+      detector that is wrong about a thing that stands there is wrong in the same direction again. Of each look at it
+      the share 1 - persistence adds up; the rest counts only while it is the newest (what is new in a series of looks
+      whose errors follow an autoregression of first order).
+    - `spread`: radians (standard deviation per axis) by which a response may lie beside what it means: the evidence
+      about a direction is then the mean likelihood ratio around it. 0: every cell is taken at its word.
+    - `scale_to_max`: divide each response by its own maximum first. Only the published profile does so: it turns
+      "nothing here" into a detection.
+    """
+
+    floor: float = 0.4
+    neutral: float = 0.05
+    temperature: float = 3.0
+    persistence: float = 0.0
+    spread: float = 0.0
+    scale_to_max: bool = False
+
+    def __post_init__(self) -> None:
+        least, most = SPREADS
+        wanted = {
+            "floor": (above(self.floor, 0, 1), "a number above 0 and up to 1"),
+            "neutral": (within(self.neutral, 0, 1), "a number from 0 to 1"),
+            "temperature": (above(self.temperature, 0), "a number above 0"),
+            "persistence": (within(self.persistence, 0, 1) and self.persistence < 1, "a number from 0, below 1"),
+            "spread": (
+                self.spread == 0 or within(self.spread, least, most),
+                f"0, or radians from {least:.4f} to {most:.4f} (1 to 30 degrees)",
+            ),
+        }
+        require(self, wanted, ResponseError)
+
+    @classmethod
+    def paper(cls) -> Calibration:
+        """The published form, log(l + 1e-3), with each frame's response scaled to a maximum of 1."""
+        return cls(floor=1e-3, neutral=1 - 1e-3, temperature=1.0, scale_to_max=True)
+
+    def log_ratio(self, response: Array) -> Array:
+        """r of a response, elementwise; for checking and plotting (`Evidence.from_response` checks its input too)."""
+        xp = namespace(response)
+        return self.temperature * xp.log((response + self.floor) / (self.neutral + self.floor))
+
+    @classmethod
+    def detector(cls) -> Calibration:
+        """What to begin with for a detector that is followed over time, and that nobody has calibrated.
+
+        Its mistakes stay: it goes on taking the same thing for another. So one look is believed more readily than by
+        default, and many alike are believed less (docs/estimator.md has the comparison).
+        """
+        return cls(temperature=9.0, persistence=0.75)
+
+    @property
+    def empty(self) -> float:
+        """r where we looked and saw nothing: the lowest value there is."""
+        return float(self.log_ratio(np.array(0.0)))
+
+    @property
+    def full(self) -> float:
+        """r of a response of 1: the highest value there is."""
+        return float(self.log_ratio(np.array(1.0)))
