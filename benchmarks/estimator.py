@@ -95,10 +95,10 @@ def detections(calibration: Calibration) -> Reading:
 
 DETECTIONS: dict[str, Reading] = {
     "detections": detections(Calibration()),
-    "detections temperature=6 persistence=0.5": detections(Calibration(temperature=6.0, persistence=0.5)),
+    "detections Calibration.detector()": detections(Calibration.detector()),
     "detections temperature=6 persistence=0.75": detections(Calibration(temperature=6.0, persistence=0.75)),
     "detections temperature=9 persistence=0.5": detections(Calibration(temperature=9.0, persistence=0.5)),
-    "detections Calibration.detector()": detections(Calibration.detector()),
+    "detections temperature=9 persistence=0.75": detections(Calibration(temperature=9.0, persistence=0.75)),
 }
 READINGS: dict[str, Reading] = {
     **DETECTIONS,

@@ -71,10 +71,10 @@ class Calibration:
     def detector(cls) -> Calibration:
         """What to begin with for a detector that is followed over time, and that nobody has calibrated.
 
-        Its mistakes stay: it goes on taking the same thing for another. So one look is believed more readily than by
-        default, and many alike are believed less (docs/estimator.md has the comparison).
+        Its mistakes stay: it goes on taking the same thing for another. So one look counts for more than by default,
+        and of those that repeat it half does (docs/estimator.md has the comparison).
         """
-        return cls(temperature=9.0, persistence=0.75)
+        return cls(temperature=6.0, persistence=0.5)
 
     @property
     def empty(self) -> float:

@@ -389,8 +389,8 @@ def test_a_replay_is_read_as_a_detector_that_nobody_calibrated(replay_file):
         return tracker.estimate(0.5 * looks).presence
 
     detector, plain = Calibration.detector(), Calibration()
-    assert presence(detector, 2) > 0.5 > presence(plain, 2)
-    assert presence(replace(detector, persistence=0.0), 2) > presence(detector, 2)
+    assert presence(detector, 3) > 0.5 > presence(plain, 3)
+    assert presence(replace(detector, persistence=0.0), 3) > presence(detector, 3)
 
 
 def test_records_are_sorted_and_the_nearest_answers(replay_file):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -79,14 +79,15 @@ class ColourPerception:
     """Finds the first colour that the query names: "red", "the dark green chair", "a light blue ball".
 
     Attributes:
-        calibration: how responses become evidence; None for the default of `Evidence`.
+        calibration: how responses become evidence; a colour that is somewhere goes on being there, so that of a
+            detector which nobody has calibrated.
         rows: the panorama is averaged (in linear light) down to at most this many rows and twice as many columns
             before it is judged. A thing needs two cells each way to count in full; single cells do not count.
 
     Raises `EagorError` for less than one row.
     """
 
-    calibration: Calibration | None = None
+    calibration: Calibration | None = field(default_factory=Calibration.detector)
     rows: int = 256
 
     def __post_init__(self) -> None:
