@@ -22,6 +22,7 @@ PROMINENCE = 0.7  # nats: a peak counts as a mode if it stands out by a factor o
 MIN_WEIGHT = 0.02  # ... and holds at least this share of the belief,
 RIVAL = 0.6  # or rises above a typical direction by this share of the best one's height,
 CLEAR = 9.0  # ... of which no more than so many nats count: a thing that is seen again and again makes no other vanish
+RIPPLE = 0.1  # of the best one's height: less is its ringing (a field cut at a degree has 0.07 in the first sidelobe)
 
 
 def log_integral(values: np.ndarray, weights: np.ndarray) -> float:
@@ -248,7 +249,7 @@ class Posterior:
         of the belief still lies anywhere, it keeps the candidates comparable. Its height is how far f rises there above
         the typical direction, relative to the best, or to `CLEAR` where that is less. Modes below both `min_weight` and
         `RIVAL` are left out: looks that repeat each other turn a small difference in height into any difference in
-        weight.
+        weight. So is what rises by less than `RIPPLE` of the best: a small thing rings all around.
         """
         label = basins(self.coarse, prominence)
         peaks, inverse = np.unique(label, return_inverse=True)
@@ -260,6 +261,8 @@ class Posterior:
         weight = np.bincount(basin, excess, minlength=len(peaks))
         weight = weight / weight.sum()
         flat = self.coarse.reshape(-1)
-        stands = (flat[peaks] - middle) / min(flat.max() - middle, CLEAR)
-        order = [i for i in np.argsort(-flat[peaks]) if weight[i] >= min_weight or stands[i] >= RIVAL][:count]
+        height, best = flat[peaks] - middle, flat.max() - middle
+        stands = height / min(best, CLEAR)
+        kept = (height >= RIPPLE * best) & ((weight >= min_weight) | (stands >= RIVAL))
+        order = [i for i in np.argsort(-flat[peaks]) if kept[i]][:count]
         return np.array([refine(self.grid, flat, int(peaks[i]))[0] for i in order]), weight[order], stands[order]

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from strategies import directions, field, rotations
 
 from eagor.belief import Belief
+from eagor.calibration import Calibration
 from eagor.errors import EagorError, RotationError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PatchGrid
@@ -193,6 +194,19 @@ def test_modes_turn_with_the_body(seed, R):
 def test_neighbouring_ripples_are_one_mode():
     belief = Belief.uniform(15).update(look(direction(0.0, 0.0)))
     assert len(belief.modes(9)[0]) == 1, "the ringing around one sighting is no second candidate"
+
+
+@pytest.mark.parametrize("degree", [7, 15, 31])
+@pytest.mark.parametrize("looks", [1, 3, 10])
+def test_the_rings_around_a_small_thing_are_no_candidates(degree, looks):
+    there = direction(-0.4, -0.35)
+    small = Evidence.from_points(there, 1 / math.radians(4) ** 2, calibration=Calibration(temperature=6.0))
+    belief = Belief.uniform(degree)
+    for _ in range(looks):
+        belief = belief.update(small)
+    found, _ = belief.modes(5)
+    assert len(found) == 1
+    assert angular_distance(found[0], there) < math.radians(1)
 
 
 def test_a_mode_at_the_pole_and_one_on_the_seam():
