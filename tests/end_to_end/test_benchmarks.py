@@ -218,6 +218,10 @@ def test_the_list_and_what_a_folder_holds(folder, tmp_path):
     assert "oracle" in found["hstar-hos"]["agents"]
     (told,) = answer("info", folder).values()
     assert (told["scenes"], told["targets"], told["episodes"]) == (2, 4, {"hos": 16, "hps": 0})
+    lines = bench("info", folder).stdout.splitlines()
+    at = lines.index("episodes")
+    assert [line.split() for line in lines[at + 1 : at + 3]] == [["hos", "16"], ["hps", "0"]]
+    assert not any("{" in line for line in lines), "parts are lines, not JSON"
     assert "no benchmark's data" in refused("info", tmp_path)
 
 

@@ -22,6 +22,22 @@ def columns(pairs: Mapping[str, Any], indent: int = 4) -> None:
         print(f"{' ' * indent}{name.ljust(wide)}  {what}")
 
 
+def facts(pairs: Mapping[str, Any], indent: int = 0) -> None:
+    """Print names and what was found, and what consists of parts below its name, indented."""
+    plain = {name: words(value) for name, value in pairs.items() if not (isinstance(value, Mapping) and value)}
+    wide = max((len(name) for name in plain), default=0)
+    for name, value in pairs.items():
+        if name in plain:
+            print(f"{' ' * indent}{name.ljust(wide)}  {plain[name]}")
+        else:
+            print(f"{' ' * indent}{name}")
+            facts(value, indent + 2)
+
+
 def words(value: Any) -> str:
-    """Text as it is, anything else as JSON."""
-    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    """Text as it is, a list with commas, what is empty as "none", anything else as JSON."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, list | tuple) or value == {}:
+        return ", ".join(words(item) for item in value) or "none"
+    return json.dumps(value, ensure_ascii=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from eagor.cli import terminal
-from eagor.cli.columns import columns, words
+from eagor.cli.columns import columns, facts
 from eagor.cli.options import BenchInfo, BenchList
 from eagor.errors import EagorError, FormatError
 
@@ -87,7 +87,7 @@ def info(options: BenchInfo) -> int:
         terminal.emit(found)
         return terminal.OK
     for told in found.values():
-        columns({key: words(value) for key, value in told.items()}, 0)
+        facts(told)
     return terminal.OK
 
 
