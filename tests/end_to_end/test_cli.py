@@ -557,6 +557,7 @@ def test_a_calibration_is_fitted_written_and_taken(room, tmp_path):
     assert "results" in refused("calibrate", "--perception", "truth", "--seed", "2000")
     assert "by hand" in refused("calibrate", "--perception", "replay:detections.jsonl")
     assert "rendered" in refused("bench", "run", "tracking", "--perception", "replay:detections.jsonl")
+    assert "rendered" in refused("demo", "--perception", "replay:detections.jsonl")
     assert "all in one apartment" in refused("calibrate", "--perception", "truth", "--episodes", "4")
     assert "--trials 0" in refused("calibrate", "--perception", "truth", "--trials", "0")
     assert "eagor calibrate" in refused("locate", room, "red ball", "--calibration", tmp_path / "none.json")

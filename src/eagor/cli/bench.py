@@ -36,7 +36,7 @@ def bench(options: Bench) -> int:
 
 def run(options: BenchRun) -> int:
     """``eagor bench run``."""
-    from eagor.cli.looking import checked_rows
+    from eagor.cli.looking import check_looks, checked_rows
     from eagor.evaluation import bench, ledger, tables
     from eagor.perception import short_name
     from eagor.perception.calibrated import read_calibrated
@@ -48,11 +48,7 @@ def run(options: BenchRun) -> int:
     if options.engine == "threads":
         raise terminal.UsageError("--engine threads is for work that waits for servers; simulated tasks compute")
     perception = options.perception or PERCEPTION
-    if short_name(perception) == "replay":
-        raise terminal.UsageError(
-            f"--perception {perception} was written for other frames than those of {options.task}, which are rendered; "
-            "a detector of your own plays as a perception (docs/how-to/detector.md)"
-        )
+    check_looks(perception)
     seed = SEED if options.seed is None else options.seed
     methods = bench.named(options.methods) or default_methods(perception)
     if options.ablations:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eagor.cli import terminal
-from eagor.cli.looking import checked_out, checked_rows
+from eagor.cli.looking import check_looks, checked_out, checked_rows
 from eagor.cli.options import Calibrate, given
 from eagor.errors import EagorError
 
@@ -39,11 +39,7 @@ def responses(options: Calibrate) -> int:
         raise terminal.UsageError(
             f"--workers {options.workers} --trials {options.trials} --episodes {options.episodes}; wanted 1 or more"
         )
-    if short_name(options.perception) == "replay":
-        raise terminal.UsageError(
-            f"--perception {options.perception} cannot look at rendered apartments; write its calibration by hand "
-            "(docs/how-to/detector.md)"
-        )
+    check_looks(options.perception)
     if len({slot.seed for slot in development_slots(options.episodes, options.seed)}) < 2:
         raise terminal.UsageError(
             f"--episodes {options.episodes} are all in one apartment; wanted {1 + PER_PLACE * len(TASKS)} or more: one "

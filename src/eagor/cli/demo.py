@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from eagor.cli import terminal
-from eagor.cli.looking import checked_folder
+from eagor.cli.looking import check_looks, checked_folder
 from eagor.cli.options import Demo
 from eagor.estimate import Estimate
 from eagor.evaluation.published import OURS, PAPERS
@@ -56,6 +56,7 @@ def demo(options: Demo) -> int:
     if not 0 <= options.episode < PER_PLACE:
         raise terminal.UsageError(f"--episode {options.episode}; wanted 0 to {PER_PLACE - 1}")
     checked_folder(options.out)
+    check_looks(options.perception)
     search = play(options.seed, options.episode, options.perception, say=not options.json)
     report = write_report(search, options.out)
     if options.json:

@@ -17,7 +17,7 @@ from eagor.cli.terminal import UsageError
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
 from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
-from eagor.perception import Perception, load
+from eagor.perception import Perception, load, short_name
 from eagor.perception.calibrated import read_calibrated
 from eagor.perception.replay import ReplayPerception
 from eagor.worlds.panorama import read_panorama
@@ -39,6 +39,16 @@ def checked_rows(rows: int | None) -> int | None:
     if rows is not None and rows < LEAST_ROWS:
         raise UsageError(f"--rows {rows}; wanted {LEAST_ROWS} or more")
     return rows
+
+
+def check_looks(perception: str) -> None:
+    """Raise `UsageError` if `perception` cannot look at what is rendered: a replay knows its own frames alone."""
+    if short_name(perception) == "replay":
+        raise UsageError(
+            f"--perception {perception} was written for other frames than those that are rendered here; a detector of "
+            "your own plays as a perception, and the calibration of a replay is written by hand "
+            "(docs/how-to/detector.md)"
+        )
 
 
 def checked_query(query: str) -> str:
