@@ -30,11 +30,13 @@ if TYPE_CHECKING:
     )
     from eagor.belief import Belief
     from eagor.calibration import Calibration
+    from eagor.detector import DetectorModel
     from eagor.errors import EagorError
     from eagor.estimate import Estimate, Mode, TrackerConfig
     from eagor.evidence import Evidence
     from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
     from eagor.harmonics import RealHarmonics
+    from eagor.motion import MotionModel
     from eagor.ranged import RangedBelief, log_ranges
     from eagor.sphere import angular_distance, azimuth_elevation, direction
     from eagor.tracker import DirectionTracker
@@ -44,6 +46,7 @@ __all__ = [
     "Calibration",
     "Centroid",
     "CircularCentroid",
+    "DetectorModel",
     "DirectionTracker",
     "EagorError",
     "ErpGrid",
@@ -53,6 +56,7 @@ __all__ = [
     "GridFilter",
     "HistogramFilter",
     "Mode",
+    "MotionModel",
     "ParticleFilter",
     "PatchGrid",
     "PerspectiveGrid",
@@ -80,11 +84,13 @@ _HOME = {
     ),
     "belief": ("Belief",),
     "calibration": ("Calibration",),
+    "detector": ("DetectorModel",),
     "errors": ("EagorError",),
     "estimate": ("Estimate", "Mode", "TrackerConfig"),
     "evidence": ("Evidence",),
     "grids": ("ErpGrid", "FisheyeGrid", "PatchGrid", "PerspectiveGrid"),
     "harmonics": ("RealHarmonics",),
+    "motion": ("MotionModel",),
     "ranged": ("RangedBelief", "log_ranges"),
     "sphere": ("angular_distance", "azimuth_elevation", "direction"),
     "tracker": ("DirectionTracker",),

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from eagor.detector import tangent_frame
 from eagor.errors import ResponseError
 from eagor.grids import FisheyeGrid, Grid, PatchGrid, PerspectiveGrid
 
@@ -63,6 +64,17 @@ def bump(directions: np.ndarray, centre: np.ndarray, spread: np.ndarray) -> np.n
     return np.exp(-0.5 * np.einsum("...k,kl,...l->...", offsets, np.linalg.inv(spread), offsets))
 
 
+def mask_moments(mask: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """Mean direction ``(3,)`` of a mask's solid angle and its covariance ``(2, 2)`` about it in the tangent plane."""
+    points, areas = grid.directions[mask], grid.weights[mask]
+    middle = areas @ points
+    length = float(np.linalg.norm(middle))
+    if length < 1e-9 * areas.sum():
+        raise ResponseError("a mask spans the whole sphere, so it names no direction; wanted the pixels of one thing")
+    offsets = _tangent(points, middle / length)
+    return middle / length, np.einsum("i,ik,il->kl", areas, offsets, offsets) / areas.sum()
+
+
 def widened(mask: np.ndarray, grid: Grid, spread: float) -> np.ndarray:
     """A mask ``(H, W)`` as a response, with a bump of `spread` (radians) about its middle if that is the wider one."""
     points, areas = grid.directions[mask], grid.weights[mask]
@@ -78,10 +90,7 @@ def widened(mask: np.ndarray, grid: Grid, spread: float) -> np.ndarray:
 
 def _tangent(directions: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """Coordinates ``(..., 2)`` (radians) of directions in the tangent plane at `centre`: length is the angle."""
-    helper = np.array([0.0, 0.0, 1.0]) if abs(centre[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    first = np.cross(helper, centre)
-    first /= np.linalg.norm(first)
-    plane = directions @ np.stack([first, np.cross(centre, first)], axis=-1)
+    plane = directions @ tangent_frame(centre).T
     across = np.linalg.norm(plane, axis=-1)
     angle = np.arctan2(across, directions @ centre)
     return plane * (angle / np.maximum(across, 1e-12))[..., None]

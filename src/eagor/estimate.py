@@ -5,93 +5,75 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
 from eagor._arrays import to_numpy
-from eagor._checks import require
-from eagor.belief import Belief
+from eagor._checks import above, require, whole, within
+from eagor._lazy import lazy
 from eagor.calibration import Calibration
+from eagor.detector import DetectorModel, Rates
+from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.harmonics import RealHarmonics
-from eagor.motion import DOUBT, SAME, SETTLE, StillOrMoving, standing
-from eagor.posterior import MIN_WEIGHT, PROMINENCE, RIVAL
-from eagor.ranged import RangedBelief, log_ranges, mean_range, range_spread
-from eagor.sphere import azimuth_elevation
+from eagor.motion import Cases, MotionModel
+from eagor.ranged import log_ranges
+from eagor.reading import Reading
+from eagor.sphere import azimuth_elevation, check_directions
 
 Status = Literal["searching", "tracking", "ambiguous", "stale"]
+SURE = math.radians(15)  # of the answer: what lies within is as good as found
+RIVAL = 0.2  # of the belief: a second mode that holds as much makes the answer ambiguous
+LEAST_MODE = 0.02  # of the belief: a mode that holds less is not listed
+MOST_MODES = 5
+SAME = math.radians(20)  # peaks nearer than this are of the same thing: near things move by parallax
+
+
+FLAT = 1e-6  # nats: a belief that varies by less knows of no direction
 
 
 @dataclass(frozen=True)
 class TrackerConfig:
     """How a `DirectionTracker` believes, forgets and answers.
 
-    - `degree`: of the harmonics; resolution is about 180 / degree degrees.
+    - `degree`: of the harmonics that a belief over the whole sphere is held in; about its peaks it is finer.
     - `decode`: "mode", or "mean" for the published estimate.
-    - `calibration`: read every evidence with this one instead of its own.
+    - `calibration`: read every response, and every detection too, with this one instead of its own.
+    - `detector`: read every set of detections with this model instead of its own.
     - `ranges`: shells (metres) of the belief over distance, used where positions are known; None: directions only.
     - `floor`: height (z, metres) of the floor in the odometry's world, where it is known: things stand on it, so that
       how far below the horizon one is tells how far away it may be (`eagor.ranged.height_prior`).
-    - `keep_per_second`: share of the log-odds that survives one second (1: nothing is forgotten).
-    - `diffusion`: radians per square root of a second by which the belief is spread: for targets of which nothing
-      stands still, and odometry that drifts.
-    - `wander`: radians per square root of a second by which a target wanders if it does not stand still; both cases
-      are believed in side by side (`eagor.motion`). 0: every target stands still.
-    - `restless`: changes per second between standing still and wandering.
-    - `doubt`: neither standing still nor wandering is ever less likely than this.
-    - `settle`: seconds in which what is known of the place where it stood fades, once it is surely elsewhere
-      (`eagor.motion.StillOrMoving.fading`).
-    - `surest`: nats by which the best direction of a target that stands still may rise above a typical one; beyond,
-      what is said of directions is scaled down. Looks share their mistakes: nothing is ever surer than that. What tells
-      its ranges apart is not scaled.
+    - `motion`: how targets come, go and move (`eagor.motion.MotionModel`).
+    - `drift`: radians per root second by which the odometry's heading wanders off.
     - `history`: seconds for which poses and evidence are kept, so that late evidence finds its place.
     - `stale_after`: seconds without evidence after which an estimate is stale.
-    - `found_at`: nats by which the best direction must stand above a uniform belief; below, we are searching.
-    - `switch_at`: nats. The answer stays with the peak that it named last until another rises above that by so much: an
-      answer that jumps to and fro between equals is of no use to anybody.
-    - `present_at`: probability of presence below which we are searching, however far a direction stands out.
-    - `ambiguous_below`: if no mode holds this share of the belief, the answer is ambiguous. So it is if a second one
-      rises nearly as high, or clearly (`eagor.posterior.RIVAL`, `CLEAR`), whatever their weights: looks that repeat
-      each other make any small difference decisive, and two things that both look like the target stay two.
     """
 
     degree: int = 15
     decode: Literal["mode", "mean"] = "mode"
     calibration: Calibration | None = None
+    detector: DetectorModel | None = None
     ranges: Sequence[float] | None = field(default_factory=lambda: tuple(log_ranges(count=20).tolist()))
     floor: float | None = None
-    keep_per_second: float = 0.997
-    diffusion: float = 0.0
-    wander: float = math.radians(7)
-    restless: float = 0.002
-    doubt: float = DOUBT
-    settle: float = SETTLE
-    surest: float = 20.0
+    motion: MotionModel = field(default_factory=MotionModel)
+    drift: float = 0.0
     history: float = 10.0
     stale_after: float = 5.0
-    switch_at: float = 1.0
-    found_at: float = 1.5
-    present_at: float = 0.3
-    ambiguous_below: float = 0.65
 
     def __post_init__(self) -> None:
         RealHarmonics(self.degree)  # complains about what is no degree
+        kinds = (Calibration, DetectorModel, MotionModel)
         fields = {
+            "degree": (whole(self.degree, 1, 127), "a whole number from 1 to 127"),
             "decode": (self.decode in ("mode", "mean"), "mode or mean"),
-            "keep_per_second": (0 < self.keep_per_second <= 1, "a share above 0 and up to 1"),
-            "diffusion": (0 <= self.diffusion < math.pi, "radians per root second, from 0 to pi"),
-            "wander": (0 <= self.wander < math.pi, "radians per root second, from 0 to pi"),
-            "restless": (0 <= self.restless < math.inf, "changes per second, from 0 on"),
-            "doubt": (0 < self.doubt < 0.5, "a probability between 0 and 0.5"),
-            "settle": (self.settle > 0, "seconds above 0"),
-            "surest": (self.surest > 0, "nats above 0"),
-            "history": (self.history >= 0, "seconds from 0 on"),
-            "stale_after": (self.stale_after >= 0, "seconds from 0 on"),
-            "found_at": (not math.isnan(self.found_at), "nats"),
-            "switch_at": (self.switch_at >= 0, "nats from 0 on"),
-            "present_at": (0 <= self.present_at <= 1, "a probability"),
-            "ambiguous_below": (0 <= self.ambiguous_below <= 1, "a share of the belief"),
+            "calibration": (self.calibration is None or isinstance(self.calibration, kinds[0]), "an eagor.Calibration"),
+            "detector": (self.detector is None or isinstance(self.detector, kinds[1]), "an eagor.DetectorModel"),
+            "ranges": (_are_ranges(self.ranges), "at least two rising distances in metres, or None"),
+            "floor": (self.floor is None or within(self.floor, -math.inf), "a height in metres, or None"),
+            "motion": (isinstance(self.motion, kinds[2]), "an eagor.MotionModel"),
+            "drift": (within(self.drift, 0, math.pi), "radians per root second, from 0 to pi"),
+            "history": (within(self.history, 0), "seconds from 0 on"),
+            "stale_after": (within(self.stale_after, 0), "seconds from 0 on"),
         }
         require(self, fields)
 
@@ -99,89 +81,181 @@ class TrackerConfig:
     def paper(cls) -> TrackerConfig:
         """The published recursion: degree 7, log(l + 1e-3) scaled to the frame's maximum, spherical mean."""
         published = Calibration.paper()
-        memory = {"keep_per_second": 1.0, "wander": 0.0}
-        return cls(degree=7, decode="mean", calibration=published, ranges=None, present_at=0.0, **memory)
+        return cls(degree=7, decode="mean", calibration=published, ranges=None, motion=MotionModel.still())
+
+
+def _are_ranges(ranges: Sequence[float] | None) -> bool:
+    if ranges is None:
+        return True
+    try:
+        found = [float(value) for value in ranges]
+    except (TypeError, ValueError):
+        return False
+    return len(found) > 1 and all(above(value, 0) for value in found) and bool((np.diff(found) > 0).all())
 
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A candidate: `direction` ``(3,)`` in the body frame, azimuth and elevation in radians, share of the belief."""
+    """A candidate: `direction` ``(3,)`` in the body frame, azimuth and elevation in radians.
+
+    `weight`: the probability of its basin, all directions from which one climbs to it. What the weights of all modes
+    lack to 1 is elsewhere.
+    """
 
     direction: np.ndarray
     azimuth: float
     elevation: float
     weight: float
 
+    def __repr__(self) -> str:
+        return f"Mode({_angles(self.azimuth, self.elevation)}, weight {self.weight:.2f})"
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The direction ``(3,)`` that is answered, world axes, and whether an older answer is held to."""
+
+    direction: np.ndarray
+    held: bool = False
+
+
+def chosen(reading: Reading, before: Answer | None, repeats: float = 0.0) -> Answer | None:
+    """The answer: the heaviest mode, or the one `before` while no other holds 1 / (1 - repeats) times as much.
+
+    `repeats`: share of a look's mistakes that the next one repeats. Independent looks give the heaviest mode; where one
+    mistake may make another mode heavier for many looks on end, an answer that jumps to and fro is of no use to anybody.
+    """
+    if float(np.ptp(reading.field.values)) < FLAT and not reading.field.patches:
+        return None
+    first, mass = reading.first(SAME)
+    if before is None or first @ before.direction > math.cos(SAME):
+        return Answer(first)
+    near = reading.parts[2] @ before.direction > math.cos(SAME)
+    if float(reading.mass[near].sum()) < mass * (1 - repeats):
+        return Answer(first)
+    kept = reading.top_of(near)
+    # Where the belief still rises at the border of the cone there is no peak left to hold to.
+    return Answer(kept, True) if kept @ before.direction > math.cos(0.9 * SAME) else Answer(first)
+
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The answer at one time, in the body frame of that time. Each part is computed when it is first asked for.
+    """The answer at one time, in the body frame of that time. All of it is read from one posterior.
 
-    `stamp`: the time asked for; `age`: seconds since the newest evidence was captured (infinite before any);
-    `reading`: the belief behind the answer, in the axes of the WORLD; `world_R_body`: the pose that turns it; `named`:
-    the peak that was the answer to the newest evidence, in the axes of the world.
+    `stamp`: the time asked for; `age`: seconds since the newest evidence was captured (infinite before any); `cases`:
+    the posterior, in the axes of the WORLD; `world_R_body`: the pose that turns it; `answer`: what is answered, in the
+    axes of the world; `rates`: what is known of the detector, where it is learnt.
     """
 
     stamp: float
     age: float
-    reading: Belief | RangedBelief | StillOrMoving
+    cases: Cases
     world_R_body: np.ndarray
     config: TrackerConfig
-    named: np.ndarray | None = None
+    answer: Answer | None = None
+    rates: Rates | None = None
 
-    @cached_property
-    def direction(self) -> np.ndarray:
-        """Where it is ``(3,)``: a mode of the belief, or its published mean; forward while nothing is known."""
+    def __repr__(self) -> str:
+        if self.direction is None:
+            return f"Estimate(t={self.stamp:g} s, direction not known, presence {self.presence:.2f}, {self.status})"
+        return (
+            f"Estimate(t={self.stamp:g} s, {_angles(self.azimuth, self.elevation)}, 90 % within "
+            f"{math.degrees(self.credible_angle):.0f}°, presence {self.presence:.2f}, {self.status})"
+        )
+
+    @property
+    def posterior(self) -> Reading:
+        """The posterior over directions, given that the target is here; axes of the world."""
+        return self.cases.reading
+
+    @lazy
+    def direction(self) -> np.ndarray | None:
+        """Where it is ``(3,)``: the first of `modes`, or the one that is held to; None while nothing is known."""
+        if math.isinf(self.age):
+            return None
         if self.config.decode == "mean":
-            return to_numpy(self.reading.direction_belief().mean_direction()) @ self.world_R_body
-        return self._peak @ self.world_R_body  # body_R_world @ peak
+            coarse = self.cases.standing.coarse.direction_belief()
+            return to_numpy(coarse.mean_direction()) @ self.world_R_body
+        return None if self.answer is None else self.answer.direction @ self.world_R_body
 
     @property
-    def _answer(self) -> np.ndarray:
-        """`direction` in the axes of the world."""
-        return self.world_R_body @ self.direction
-
-    @cached_property
-    def _peak(self) -> np.ndarray:
-        return held(self.reading, self.named, self.config.switch_at)
+    def held(self) -> bool:
+        """Whether the answer is an older one, held to although another mode is heavier now."""
+        return self.answer is not None and self.answer.held
 
     @property
-    def azimuth(self) -> float:
-        """Radians, positive left."""
-        return float(azimuth_elevation(self.direction)[0])
+    def azimuth(self) -> float | None:
+        """Radians, positive left; None while nothing is known."""
+        return None if self.direction is None else float(azimuth_elevation(self.direction)[0])
 
     @property
-    def elevation(self) -> float:
-        """Radians, positive up."""
-        return float(azimuth_elevation(self.direction)[1])
+    def elevation(self) -> float | None:
+        """Radians, positive up; None while nothing is known."""
+        return None if self.direction is None else float(azimuth_elevation(self.direction)[1])
 
-    @cached_property
-    def _peaks(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return self.reading.posterior.modes(5, PROMINENCE, MIN_WEIGHT)
-
-    @cached_property
+    @lazy
     def modes(self) -> tuple[Mode, ...]:
-        """The candidates, strongest first."""
-        found, weights, _ = self._peaks
-        return tuple(_mode(d @ self.world_R_body, w) for d, w in zip(found, weights, strict=True))
+        """The candidates, the most probable first; none while nothing is known."""
+        if self.direction is None:
+            return ()
+        found, masses = self.posterior.modes(MOST_MODES, LEAST_MODE)
+        return tuple(_mode(d @ self.world_R_body, m) for d, m in zip(found, masses, strict=True))
 
-    @cached_property
+    @lazy
     def credible_angle(self) -> float:
-        """Half-angle (radians) of the cone about the peak that is the answer which holds 90 % of the belief."""
-        return self.reading.posterior.cone(0.9, self._peak)
+        """Half-angle (radians) of the cone about the answer that holds 90 % of the belief."""
+        return self.posterior.cone(0.9, self._about)
 
     def within(self, angle: float) -> float:
-        """Probability that the target is around and within `angle` radians of that peak: how far to trust it."""
-        return self.presence * self.reading.posterior.within(angle, self._peak)
+        """Probability that the target is here and within `angle` radians of the answer: how far to trust it."""
+        return self.presence * self.posterior.within(angle, self._about)
+
+    @property
+    def _about(self) -> np.ndarray:
+        """The answer in the axes of the world, forward where there is none."""
+        return self.world_R_body[:, 0] if self.direction is None else self.world_R_body @ self.direction
+
+    def log_density(self, directions: np.ndarray) -> np.ndarray:
+        """log of the posterior density (per steradian) ``(...)`` at unit vectors ``(..., 3)``; it integrates to 1."""
+        found = np.asarray(to_numpy(check_directions(np.asarray(directions, dtype=np.float64))))
+        return self.posterior.field(found @ self.world_R_body.T) - self.posterior.log_total
+
+    def density(self, grid: Grid) -> np.ndarray:
+        """The posterior density (per steradian) on a grid of the body frame ``(H, W)``; over the sphere it sums to 1.
+
+        On a grid of the whole sphere each cell holds its mean density: a peak narrower than a cell keeps its mass.
+        """
+        found = np.exp(self.log_density(grid.directions))
+        if not isinstance(grid, ErpGrid | PatchGrid):
+            return found
+        _, _, directions = self.posterior.parts
+        mass = self.posterior.mass
+        x, y, _ = grid.project(directions @ self.world_R_body)
+        cell = np.minimum(y.astype(np.intp), grid.height - 1) * grid.width + x.astype(np.intp) % grid.width
+        weights = grid.weights.reshape(-1)
+        # Where the parts of the reading are finer than the cells, they are summed; elsewhere the values stand.
+        fine = np.bincount(cell, minlength=weights.size) >= 4
+        summed = np.bincount(cell, mass, minlength=weights.size) / weights
+        found = np.where(fine.reshape(grid.shape), summed.reshape(grid.shape), found)
+        return found / float(np.sum(found * grid.weights))
 
     def mass_above(self, direction: np.ndarray) -> float:
         """The mass of the smallest credible region that reaches `direction` ``(3,)``, body frame."""
-        return self.reading.mass_above(self.world_R_body @ direction)
+        return self.posterior.mass_above(self.world_R_body @ np.asarray(direction, dtype=np.float64))
 
-    @cached_property
+    def region(self, mass: float = 0.9) -> tuple[float, float]:
+        """The smallest region that holds `mass`: the log density at its border, per steradian, and its area (sr)."""
+        return self.posterior.region(mass)
+
+    @property
     def presence(self) -> float:
         """Probability that the target is around at all."""
-        return self.reading.presence()
+        return self.cases.presence
+
+    @property
+    def moving(self) -> float | None:
+        """Probability that the target moves, if it is here; None where that is not asked."""
+        return self.cases.moving if self.config.motion.wander else None
 
     @property
     def distance(self) -> float | None:
@@ -193,43 +267,47 @@ class Estimate:
         """Standard deviation of the logarithm of the distance; None where positions are unknown."""
         return None if self._range is None else self._range[1]
 
-    @cached_property
+    @lazy
     def _range(self) -> tuple[float, float] | None:
         """Distance and its spread: both are read from the same probabilities of the ranges, which take their time."""
-        still = standing(self.reading)
-        if not isinstance(still, RangedBelief):
-            return None
-        probabilities = still.range_probabilities(self._answer)
-        return float(mean_range(probabilities, still.ranges)), float(range_spread(probabilities, still.ranges))
+        return None if math.isinf(self.age) else self.cases.standing.distance(self._about)
 
-    @property
-    def moving(self) -> float | None:
-        """Probability that the target moves; None where that is not asked (`TrackerConfig.wander` = 0)."""
-        return self.reading.moving if isinstance(self.reading, StillOrMoving) else None
-
-    @cached_property
+    @lazy
     def status(self) -> Status:
-        """Whether there is an answer: searching, tracking, ambiguous, or stale (nothing new for too long)."""
-        known = not math.isinf(self.age)
-        stale = known and self.age > self.config.stale_after
-        if not known or self.reading.posterior.gain < self.config.found_at or self.presence < self.config.present_at:
-            return "stale" if stale else "searching"
-        if stale:
-            return "stale"
-        _, weights, heights = self._peaks
-        rivals = int((heights >= RIVAL).sum())
-        return "ambiguous" if rivals > 1 or float(weights.max()) < self.config.ambiguous_below else "tracking"
+        """Whether there is an answer, by probabilities that can be checked.
 
+        - "searching": the target is more likely not here, or too little is known of where it is;
+        - "tracking": it is here and within 15 degrees of the answer with a probability of at least 0.5, and no other
+          mode holds a fifth of the belief;
+        - "ambiguous": it is more likely here, and several modes hold a fifth or more each;
+        - "stale": there was an answer, and no evidence for longer than `TrackerConfig.stale_after`.
+        """
+        if self.direction is None:
+            return "searching"
+        found = self._found()
+        return "stale" if found != "searching" and self.age > self.config.stale_after else found
 
-def held(reading: Belief | RangedBelief | StillOrMoving, named: np.ndarray | None, margin: float) -> np.ndarray:
-    """The peak ``(3,)`` that is the answer: the one that was `named` before, unless another is higher by `margin`."""
-    posterior = reading.likelier if isinstance(reading, StillOrMoving) else reading.posterior
-    kept = None if named is None or margin == 0 else posterior.peak_near(named, SAME)
-    if kept is None or kept[1] < float(posterior.coarse.max()) - margin:
-        return posterior.mode
-    return kept[0]
+    def _found(self) -> Status:
+        if self.presence < 0.5:
+            return "searching"
+        rivals = sum(mode.weight >= RIVAL for mode in self.modes)
+        if rivals > 1:
+            return "ambiguous"
+        return "tracking" if self.within(SURE) >= 0.5 else "searching"
+
+    def _repr_html_(self) -> str:
+        """A small picture, for notebooks."""
+        from eagor.thumbnail import estimate_html
+
+        return estimate_html(self)
 
 
 def _mode(direction: np.ndarray, weight: float) -> Mode:
     azimuth, elevation = azimuth_elevation(direction)
     return Mode(direction, float(azimuth), float(elevation), float(weight))
+
+
+def _angles(azimuth: float | None, elevation: float | None) -> str:
+    assert azimuth is not None and elevation is not None
+    side = "left" if azimuth >= 0 else "right"
+    return f"{abs(math.degrees(azimuth)):.0f}° {side}, {math.degrees(elevation):+.0f}° up"

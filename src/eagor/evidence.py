@@ -22,10 +22,12 @@ from eagor._arrays import Array, matched, namespace, to_numpy
 from eagor.averaging import averaged
 from eagor.calibration import Calibration
 from eagor.coverage import Region, confine, region, taper
-from eagor.detections import MIN_SPREAD, WHOLE_SPHERE, bump, canvas_of, moments, widened
+from eagor.detections import MIN_SPREAD, WHOLE_SPHERE, bump, canvas_of, mask_moments, moments, widened
+from eagor.detector import DetectorModel, Detections, View, anisotropic, isotropic
 from eagor.errors import ResponseError, TimeError
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
+from eagor.peaks import decoding_grid
 from eagor.sphere import unit
 
 SILENT = 1e-6  # a response below this is the rounding of zero, and must not be scaled up to a detection
@@ -49,6 +51,14 @@ class Evidence:
     seen: Region | None = field(default=None, repr=False)
     peak: float = 1.0  # what the response was divided by (scale_to_max)
     source: Mapping[str, object] | None = None
+    detections: Detections | None = None  # the set, where the evidence is that of a `DetectorModel`
+
+    @classmethod
+    def from_detections(cls, detections: Detections, grid: Grid, stamp: float | None = None) -> Evidence:
+        """Evidence from a set of detections; `grid` is what its values are drawn on."""
+        stamp = None if stamp is None else checked_stamp(stamp)
+        log_ratio = np.log(detections.ratio(grid.directions)).astype(np.float32)
+        return cls(log_ratio, grid, _DEFAULT, stamp, detections=detections)
 
     @classmethod
     def from_response(
@@ -92,12 +102,15 @@ class Evidence:
         calibration: Calibration | None = None,
         stamp: float | None = None,
         min_spread: float = MIN_SPREAD,
+        detector: DetectorModel | None = None,
     ) -> Evidence:
-        """Evidence from one mask ``(H, W)`` or several ``(n, H, W)``, bool.
+        """Evidence from one mask ``(H, W)`` or several ``(n, H, W)``, bool; ``n = 0`` means looked and saw nothing.
 
-        `scores` ``(n,)`` in [0, 1], default 1. Where masks overlap the best score counts; ``n = 0`` means looked and
-        saw nothing. A mask that is smaller than a box's bump would be is widened to it (`min_spread`, radians; 0: every
-        mask as it is): what is narrower than the belief is all but lost there.
+        Each mask is a detection: its mean direction, as wide as the mask and as `detector` spreads it (default:
+        `DetectorModel()`). `scores` ``(n,)`` in [0, 1].
+
+        With a `calibration` the masks are read as a response map instead: where they overlap the best score counts, and
+        a mask that is smaller than a box's bump is widened to it (`min_spread`, radians; 0: every mask as it is).
         """
         masks = np.asarray(to_numpy(masks))
         if masks.dtype.kind == "f" and not np.isin(masks, (0, 1)).all():
@@ -107,6 +120,10 @@ class Evidence:
         if masks.ndim != 3 or masks.shape[1:] != tuple(grid.shape):
             raise ResponseError(f"masks have shape {masks.shape}; the grid wants (n, {grid.shape[0]}, {grid.shape[1]})")
         weights = _checked_scores(scores, len(masks))
+        if calibration is None or detector is not None:
+            found = [mask_moments(mask, grid) for mask in masks if mask.any()]
+            kept = None if scores is None else weights[[bool(mask.any()) for mask in masks]]
+            return _detected(detector, found, kept, grid, stamp)
         response = np.zeros(grid.shape)
         for mask, weight in zip(masks, weights, strict=True):
             response = np.maximum(response, weight * widened(mask, grid, min_spread))
@@ -121,6 +138,7 @@ class Evidence:
         calibration: Calibration | None = None,
         stamp: float | None = None,
         min_spread: float = MIN_SPREAD,
+        detector: DetectorModel | None = None,
     ) -> Evidence:
         """Evidence from detections, boxes ``(n, 4)`` x0, y0, x1, y1 in the pixels of the image that `grid` describes.
 
@@ -128,12 +146,18 @@ class Evidence:
         that runs past the border, crosses the seam. `scores` ``(n,)`` in [0, 1], default 1. No boxes at all is good
         input.
 
-        The evidence comes on a grid of its own: a panorama is drawn with cells of 2 degrees, a large view as a
-        coarse copy. A detector means the middle of its box, so each box becomes a smooth bump: the Gaussian with the
-        mean direction and the second moments of the box's solid angle, widened by `min_spread` (radians).
+        A detector means the middle of its box: each box is a detection in the mean direction of its solid angle, with
+        that solid angle's second moments, spread as `detector` says (default: `DetectorModel()`).
+
+        With a `calibration` the boxes are read as a response map instead: smooth bumps with these moments, widened by
+        `min_spread` (radians). The values are drawn on a grid of their own: cells of 2 degrees for a panorama, a coarse
+        copy of a large view.
         """
         table = _rows(boxes, 4, "boxes")
         weights = _checked_scores(scores, len(table))
+        if calibration is None or detector is not None:
+            found = [moments(box, grid) for box in table]
+            return _detected(detector, found, None if scores is None else weights, grid, stamp)
         canvas = canvas_of(grid)
         response = np.zeros(canvas.shape)
         for box, weight in zip(table, weights, strict=True):
@@ -146,32 +170,52 @@ class Evidence:
     def from_points(
         cls,
         directions: Array,
-        concentration: Array,
+        concentration: Array | None = None,
         scores: Array | None = None,
         grid: Grid | None = None,
         calibration: Calibration | None = None,
         stamp: float | None = None,
+        detector: DetectorModel | None = None,
     ) -> Evidence:
-        """Evidence from points: directions ``(n, 3)`` with von Mises-Fisher `concentration` (scalar or ``(n,)``, > 0).
+        """Evidence from points: directions ``(n, 3)``, each a detection spread as `detector` says.
 
-        The response is the highest of ``score * exp(concentration * (cos(angle) - 1))``; a spread of s radians is a
-        concentration of 1 / s^2. `grid` tells what was looked at (default: everything); a whole panorama is drawn with
-        cells of 2 degrees, whatever its own.
+        `detector`: how the detector errs (default: `DetectorModel()`). `concentration` (von Mises-Fisher, scalar or
+        ``(n,)``, > 0): of points that know better than the model how far off they may be; a spread of s radians is a
+        concentration of 1 / s^2. `grid` tells what was looked at (default: everything). ``n = 0`` means looked and saw
+        nothing.
+
+        With a `calibration` the points are read as a response map instead, the highest of
+        ``score * exp(concentration * (cos(angle) - 1))``.
         """
         points = _rows(directions, 3, "directions")
         points = unit(points) if len(points) else points
+        model = detector or DetectorModel()
+        if concentration is None:
+            concentration = model.spread**-2
         kappa = np.broadcast_to(np.asarray(to_numpy(concentration), dtype=np.float64), (len(points),))
         if not (np.isfinite(kappa).all() and (kappa > 0).all()):
             raise ResponseError("concentration must be finite and positive: 1 / spread^2, with the spread in radians")
         weights = _checked_scores(scores, len(points))
         canvas = WHOLE_SPHERE if grid is None else canvas_of(grid)
+        if calibration is None or detector is not None:
+            told = None if scores is None else weights
+            view = View(canvas if grid is None else grid)
+            found = Detections.around(model, points, isotropic(points, kappa**-0.5), told, view)
+            return cls.from_detections(found, canvas, stamp)
         cosines = canvas.directions @ points.T
         response = np.max(weights * np.exp(kappa * (cosines - 1)), axis=-1, initial=0.0)
         return cls.from_response(response.astype(np.float32), canvas, calibration, stamp)
 
     def coefficients(self, degree: int) -> Array:
-        """The evidence in spherical harmonics ``(..., (degree + 1)^2)``, body frame at the time of capture."""
+        """The evidence in spherical harmonics ``(..., (degree + 1)^2)``, body frame at the time of capture.
+
+        Of a set of detections, none is taken to be narrower than a field of this degree can hold.
+        """
         basis, grid, values = RealHarmonics(degree), self.grid, self.log_ratio
+        if self.detections is not None:
+            grid = decoding_grid(degree)
+            wide, smooth = self.detections.widened(degree), self.detections.smooth_share(degree)
+            return basis.analyse(np.log(wide.ratio(grid.directions, share=smooth)), grid)
         # What is planned for a view belongs to its lens: look ahead, and turn at the end.
         turn = np.asarray(grid.body_R_view) if isinstance(grid, PerspectiveGrid | FisheyeGrid) else None
         if turn is not None:
@@ -193,6 +237,8 @@ class Evidence:
         Where coverage was partial it is the response that would have said as little with the whole cell in view: the
         neutral one where nothing was covered.
         """
+        if self.detections is not None:
+            return self.detections.response(self.grid.directions)
         xp = namespace(self.log_ratio)
         scale = self.calibration.neutral + self.calibration.floor
         found = scale * xp.exp(self.log_ratio / self.calibration.temperature) - self.calibration.floor
@@ -201,7 +247,7 @@ class Evidence:
 
     def with_calibration(self, calibration: Calibration) -> Evidence:
         """The same look, read with another calibration (coverage masks are kept, partial coverage becomes full)."""
-        if calibration == self.calibration:
+        if calibration == self.calibration and self.detections is None:
             return self
         read = Evidence.from_response(self.response, self.grid, calibration, self.stamp, source=self.source)
         if self.seen is None or not self.seen[-1]:
@@ -209,7 +255,34 @@ class Evidence:
         return replace(read, seen=self.seen, log_ratio=read.log_ratio * (taper(0, self.seen, read.log_ratio) > 0))
 
 
+    def with_detector(self, model: DetectorModel) -> Evidence:
+        """The same set of detections, read with another model. A response map is no such set, and stays as it is."""
+        if self.detections is None or model == self.detections.model:
+            return self
+        return Evidence.from_detections(self.detections.read(model), self.grid, self.stamp)
+
+    @property
+    def repeats(self) -> float:
+        """The share of this look that the next one repeats."""
+        return self.calibration.persistence if self.detections is None else self.detections.model.repeats
+
+
 _DEFAULT = Calibration()
+
+
+def _detected(
+    detector: DetectorModel | None,
+    found: list[tuple[np.ndarray, np.ndarray]],
+    scores: np.ndarray | None,
+    grid: Grid,
+    stamp: float | None,
+) -> Evidence:
+    """Evidence from detections with mean directions and covariances about them."""
+    model = detector or DetectorModel()
+    points = np.array([centre for centre, _ in found]).reshape(-1, 3)
+    covariances = np.array([spread for _, spread in found]).reshape(-1, 2, 2) + model.spread**2 * np.eye(2)
+    detections = Detections.around(model, points, anisotropic(points, covariances), scores, View(grid))
+    return Evidence.from_detections(detections, canvas_of(grid), stamp)
 
 
 def _checked_shape(response: Array, grid: Grid) -> Array:

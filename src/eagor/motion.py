@@ -1,246 +1,294 @@
-"""Whether the target stands still or wanders: two hypotheses, weighed by how well each foretells what is seen next.
+"""Is it here, does it stand, or does it wander? One filter over what there can be, each case weighed by what it foretold.
 
-A thing that stands still is best found by a long memory, with parallax as the guide; a thing that wanders by a short
-one. Neither serves both. So both are kept, and each look is first foretold by either: the one that expected it gains
-(interacting multiple models without exchange of states; Blom and Bar-Shalom, IEEE Transactions on Automatic Control
-33(8), 1988). The belief that is read is their mixture.
+The target is not here, or it stands where it is, or it wanders by so many degrees per root second. Each case that has a
+target holds a belief over directions; a Markov chain leads from case to case (a Bernoulli filter over several models of
+motion: interacting multiple models, Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33(8), 1988; Ristic et
+al., IEEE Transactions on Signal Processing 61(13), 2013). Presence is what the cases with a target weigh together.
 
-The wanderer is held as a density, not as its logarithm. There, diffusion is exact and costs one product: the heat
-kernel multiplies the coefficients of degree l by exp(-l (l + 1) sigma^2 / 2). Its density is q exp(r), with q
-band-limited and r the log ratios of the looks since q was last spread.
+A wanderer is held as a density on a grid: there diffusion is exact and costs one product, since the heat kernel
+multiplies the coefficients of degree l by exp(-l (l + 1) sigma^2 / 2). A target that stands is held as the sum of all
+looks since it stands (`eagor.standing`), which a change of case cannot enter. So of the two ways to stand, since then or
+since now, the likelier one is kept.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+
 
 import numpy as np
 
-from eagor.belief import Belief, Reading
+from eagor._lazy import lazy
+
+from eagor._checks import require, within
+from eagor.belief import Belief
+from eagor.detector import Rates
+from eagor.field import SphereField
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
+from eagor.looks import Look, Sight
 from eagor.peaks import decoding_grid
-from eagor.posterior import Field, Posterior, log_integral, typical
 from eagor.ranged import RangedBelief
+from eagor.reading import Reading
+from eagor.standing import Standing
 
-ANYWHERE = 2e-2  # per second: the share of a wanderer's density that is spread evenly: it may have been carried off
-SETTLE = 10.0  # seconds: how soon what is known of the place where it stood fades, once it surely is elsewhere
-SAME = math.radians(20)  # peaks nearer than this are of the same thing: near things move by parallax
-DOUBT = 0.01  # neither case is ever less likely: things get moved, and looks share their mistakes
-_UNIFORM = 1 / math.sqrt(4 * math.pi)  # the coefficient of degree 0 of a density
-_SURE = 30.0  # nats: odds beyond are as good as certain
+_FAINTEST = 1e-12  # of a mean density: what lies lower is the ringing of a cut series
+
+
+@dataclass(frozen=True)
+class MotionModel:
+    """How targets come, go and move. Rates are per second: 0.002 means once in 500 seconds.
+
+    - `wander`: radians per root second, one number for each kind of moving target that is reckoned with; empty: every
+      target stands still.
+    - `start`: rate at which a standing target begins to move.
+    - `stop`: rate at which a moving one comes to stand.
+    - `jump`: rate at which a moving one turns up anywhere else (carried off, or lost from sight and seen again).
+    - `birth`, `death`: rates at which a target appears and disappears.
+    """
+
+    wander: tuple[float, ...] = (math.radians(2.5), math.radians(10))
+    start: float = 0.002
+    stop: float = 0.02
+    jump: float = 0.02
+    birth: float = 0.0005
+    death: float = 0.0005
+
+    def __post_init__(self) -> None:
+        rates = {name: (within(getattr(self, name), 0, 100), "a rate per second, from 0 on") for name in _RATES}
+        angles = isinstance(self.wander, tuple | list) and all(
+            within(angle, 0, math.pi) and angle > 0 for angle in self.wander
+        )
+        require(self, rates | {"wander": (angles, "radians per root second above 0, in a tuple")})
+        object.__setattr__(self, "wander", tuple(float(angle) for angle in self.wander))
+
+    @classmethod
+    def still(cls) -> MotionModel:
+        """Targets that are there or not, and never move."""
+        return cls(wander=(), start=0.0, stop=0.0, jump=0.0, birth=0.0, death=0.0)
+
+    @property
+    def moving(self) -> float:
+        """The share of targets that move: where `start` and `stop` are in balance."""
+        if not self.wander:
+            return 0.0
+        return self.start / (self.start + self.stop) if self.start + self.stop > 0 else 0.0
+
+
+_RATES = ("start", "stop", "jump", "birth", "death")
 
 
 @dataclass(frozen=True, eq=False)
-class Wanderer:
-    """Where a wandering target may be: the density q exp(r) / Z. World or body axes, as the looks come.
+class Cases:
+    """What there can be, with its probability: absent, standing, or wandering in one of several ways. World axes.
 
-    `spread` ``(size,)``: coefficients of q; `looks` ``(size,)``: of r. `evidence`: log of how likely all looks were
-    under this hypothesis, against a target that is not here.
+    `weights` ``(2 + M,)`` sum to 1. `wanderers` ``(M, H, W)``: densities over a uniform one, on the decoding grid.
     """
 
-    spread: np.ndarray
-    looks: np.ndarray
-    least: float = 1 / (4 * math.pi)  # the lowest density that q can have: what lies lower is ringing
-    evidence: float = 0.0
+    weights: np.ndarray
+    standing: Standing
+    wanderers: np.ndarray
 
     @classmethod
-    def uniform(cls, degree: int) -> Wanderer:
-        """Anywhere."""
-        spread = np.zeros(RealHarmonics(degree).size)
-        spread[0] = _UNIFORM
-        return cls(spread, np.zeros_like(spread))
+    def prior(cls, motion: MotionModel, standing: Standing, presence: float = 0.5) -> Cases:
+        """Before any look; `standing` is a belief that knows nothing."""
+        count, grid = len(motion.wander), decoding_grid(standing.degree)
+        moving = motion.moving
+        weights = np.array([1 - presence, presence * (1 - moving), *[presence * moving / max(count, 1)] * count])
+        return cls(weights, standing, np.ones((count, *grid.shape)))
 
     @property
-    def basis(self) -> RealHarmonics:
-        """The basis of the coefficients."""
-        return RealHarmonics(math.isqrt(len(self.spread)) - 1)
-
-    @cached_property
-    def field(self) -> np.ndarray:
-        """log of q exp(r) on the decoding grid, not normalised."""
-        return self.evaluator()(decoding_grid(self.basis.degree))
-
-    def evaluator(self) -> Callable[[Any], np.ndarray]:
-        """What gives log of q exp(r) on any grid, or at directions."""
-        basis, spread, looks, least = self.basis, self.spread, self.looks, self.least
-
-        def evaluate(where: Any) -> np.ndarray:
-            return np.log(np.maximum(basis.synthesise(spread, where), least)) + basis.synthesise(looks, where)
-
-        return evaluate
-
-    def after(self, elapsed: float, wander: float, keep: float) -> Wanderer:
-        """After `elapsed` seconds of wandering by `wander` radians per root second; `evidence` fades by `keep`."""
-        if elapsed <= 0:
-            return self
-        grid, basis = decoding_grid(self.basis.degree), self.basis
-        density = basis.analyse(np.exp(self.field - log_integral(self.field, grid.weights)), grid)
-        density = basis.smooth(density, wander * math.sqrt(elapsed)) * (_UNIFORM / density[0])
-        lost = -math.expm1(-ANYWHERE * elapsed)
-        density *= 1 - lost
-        density[0] = _UNIFORM
-        return Wanderer(density, np.zeros_like(density), lost / (4 * math.pi), self.evidence * keep)
-
-
-@dataclass(frozen=True, eq=False)
-class StillOrMoving(Reading):
-    """A target that stands still with probability 1 - `moving`, and wanders with probability `moving`.
-
-    `still`: the belief of the first case, over direction, or over direction and distance.
-    """
-
-    still: Belief | RangedBelief
-    wanderer: Wanderer
-    moving: float = 0.5
-    field_of_still: np.ndarray | None = None  # log ratios of `still` on the decoding grid, where they are known already
-
-    @classmethod
-    def uniform(cls, still: Belief | RangedBelief) -> StillOrMoving:
-        """Nothing known, `still` being a belief without evidence."""
-        return cls(still, Wanderer.uniform(still.degree))
+    def grid(self) -> ErpGrid:
+        """Of the wanderers."""
+        return decoding_grid(self.standing.degree)
 
     @property
-    def degree(self) -> int:
-        """The highest degree of the harmonics."""
-        return self.still.degree
+    def presence(self) -> float:
+        """Probability that the target is here."""
+        return float(1 - self.weights[0])
 
     @property
-    def batch_shape(self) -> tuple[int, ...]:
-        """One belief: no batch."""
-        return ()
+    def moving(self) -> float:
+        """Probability that it moves, if it is here."""
+        here = self.weights[1:].sum()
+        return float(self.weights[2:].sum() / here) if here > 0 else 0.0
 
-    @cached_property
-    def moved(self) -> float:
-        """Probability that the target wanders and is elsewhere than it stood by the first case."""
-        grid, field = decoding_grid(self.degree), self.wanderer.field
-        place = grid.directions.reshape(-1, 3)[int(self._stays.argmax())]
-        density = np.exp(field - log_integral(field, grid.weights)) * grid.weights
-        return self.moving * float(density[grid.directions @ place < math.cos(SAME)].sum())
+    @lazy
+    def field(self) -> SphereField:
+        """log of the density over a uniform one, given that the target is here: what answers are read from."""
+        shares = self.weights[1:] / max(float(self.weights[1:].sum()), 1e-300)
+        stands = self.standing.field
+        level = math.log(max(float(shares[0]), 1e-300)) - self.standing.log_mean
+        if not len(self.wanderers):
+            return replace(
+                stands,
+                values=stands.values + level,
+                patches=tuple(replace(patch, values=patch.values + level) for patch in stands.patches),
+            )
+        roams = np.log(np.maximum(np.tensordot(shares[1:], self.wanderers, axes=1), 1e-300))
+        elsewhere = SphereField(self.grid, roams)
+        patches = tuple(
+            replace(patch, values=np.logaddexp(patch.values + level, elsewhere(patch.directions)))
+            for patch in stands.patches
+        )
+        return SphereField(self.grid, np.logaddexp(stands.values + level, roams), patches)
 
-    def fading(self, elapsed: float, settle: float = SETTLE) -> float:
-        """The share of the first case's log-odds that survives `elapsed` seconds.
-
-        What is known of the place where a thing stood is worth nothing once it has left it: should it stand still
-        again, it stands elsewhere. Of something that was carried off, exp(-elapsed / settle) stays.
-        """
-        return math.exp(-self.moved * elapsed / settle)
+    @lazy
+    def reading(self) -> Reading:
+        """What can be read from `field`."""
+        return Reading(self.field)
 
     def after(
-        self, still: Belief | RangedBelief, elapsed: float, wander: float, restless: float, keep: float
-    ) -> StillOrMoving:
-        """After `elapsed` seconds: `still` is the first case carried there; `restless`: changes of mind per second."""
-        changed = -math.expm1(-2 * restless * elapsed) / 2  # of a Markov chain with two states
-        moving = self.moving + changed * (1 - 2 * self.moving)
-        return StillOrMoving(still, self.wanderer.after(elapsed, wander, keep), moving)
+        self, elapsed: float, motion: MotionModel, drift: float, step: np.ndarray | None, height: float | None
+    ) -> Cases:
+        """After `elapsed` seconds, in which the body has moved by `step` ``(3,)`` metres; `drift`: of the odometry."""
+        standing = self.standing
+        if step is not None and step.any():
+            standing = standing.moved(step, height)
+        if elapsed <= 0:
+            return self if standing is self.standing else replace(self, standing=standing)
+        if drift > 0:
+            standing = _drifted(standing, drift, elapsed)
+        born, died, begun, stopped, jumped = (
+            -math.expm1(-rate * elapsed) for rate in (motion.birth, motion.death, motion.start, motion.stop, motion.jump)
+        )
+        absent, stood, roamed = float(self.weights[0]), float(self.weights[1]), self.weights[2:]
+        count = len(roamed)
+        if count == 0:
+            begun = 0.0
+        else:
+            stopped = stopped if motion.stop else 0.0
+        moving = motion.moving
+        # What flows into each case, and with which density.
+        new_stand, from_roam = absent * born * (1 - moving), roamed * ((1 - died) * stopped)
+        kept = stood * (1 - died) * (1 - begun)
+        inflow = new_stand + float(from_roam.sum())
+        wanderers = np.empty_like(self.wanderers)
+        weights = np.empty_like(self.weights)
+        weights[0] = absent * (1 - born) + died * (stood + float(roamed.sum()))
+        weights[1] = kept + inflow
+        if inflow > kept and inflow > 0:  # it stands since now
+            standing = self._restarted(standing, new_stand, from_roam)
+        if count:
+            self._roam(wanderers, weights, elapsed, motion, drift, absent * born * moving / count, stood * (1 - died) * begun / count)
+            if jumped or stopped or died:
+                weights[2:] += 0.0
+        weights /= weights.sum()
+        return Cases(weights, standing, wanderers)
 
-    def update(
-        self,
-        still: Belief | RangedBelief,
-        look: np.ndarray,
-        share: float = 1.0,
-        passing: np.ndarray | None = None,
-        doubt: float = DOUBT,
-    ) -> StillOrMoving:
-        """With the log ratios `look` ``(size,)`` of one more look; neither case gets less likely than `doubt`.
+    def _roam(
+        self, wanderers: np.ndarray, weights: np.ndarray, elapsed: float, motion: MotionModel, drift: float,
+        newborn: float, started: float,
+    ) -> None:  # fmt: skip
+        """Write the wanderers' densities and weights after `elapsed` seconds."""
+        died, stopped, jumped = (-math.expm1(-rate * elapsed) for rate in (motion.death, motion.stop, motion.jump))
+        basis, grid = RealHarmonics(self.standing.degree), self.grid
+        stands = None
+        if started > 0:
+            field = self.standing.field
+            stands = np.exp(np.minimum(field.values - self.standing.log_mean, 700.0))
+            if field.patches:
+                stands = _filled(field, stands, self.standing.log_mean)
+        for index, rate in enumerate(motion.wander):
+            stays = float(self.weights[2 + index]) * (1 - died) * (1 - stopped)
+            sigma = math.hypot(rate * math.sqrt(elapsed), drift * elapsed)
+            density = basis.synthesise(basis.smooth(basis.analyse(self.wanderers[index], grid), sigma), grid)
+            density = np.maximum(density, _FAINTEST)
+            mixed = stays * ((1 - jumped) * density + jumped) + newborn
+            if stands is not None:
+                mixed += started * stands
+            total = float(np.sum(mixed * grid.weights)) / (4 * math.pi)
+            weights[2 + index] = stays + newborn + started
+            wanderers[index] = mixed / total if total > 0 else 1.0
 
-        Looks repeat each other: `still` is the first case with `share` of the look added to it, and `passing`
-        ``(size,)`` is what the look before it counted besides, until now. Either case is judged by how it foretells
-        what is new: the look less what it would repeat of the one before. Where both know the place, a thing that goes
-        on being seen there tells little, and one that was seen and is not there any more tells much.
+    def _restarted(self, standing: Standing, newborn: float, stopped: np.ndarray) -> Standing:
+        """A target that has come to stand just now, where it was wandering, or anywhere."""
+        mixed = newborn + (np.tensordot(stopped, self.wanderers, axes=1) if len(stopped) else 0.0)
+        mixed = np.broadcast_to(np.asarray(mixed, dtype=np.float64), self.grid.shape)
+        mean = float(np.sum(mixed * self.grid.weights)) / (4 * math.pi)
+        found = RealHarmonics(standing.degree).analyse(np.log(np.maximum(mixed / mean, 1e-6)), self.grid)
+        coarse = standing.coarse
+        blank = Standing.uniform(standing.degree, coarse.ranges if isinstance(coarse, RangedBelief) else None, standing.height)
+        return replace(blank, coarse=blank.coarse.plus(found))
 
-        A wanderer is looked at afresh, and its memory is short: it takes the whole look.
+    def updated(self, sight: Sight, rates: Rates | None, passing: Look | None, since: np.ndarray | None) -> tuple[Cases, Look, Rates | None]:
+        """With one more look.
+
+        `passing`: the look before it, of which this one repeats a share, taken before the body moved by `since`.
+        Returns the look as it was read, and what is known of the detector's rates after it.
         """
-        grid, wanderer, basis = decoding_grid(self.degree), self.wanderer, RealHarmonics(self.degree)
-        log_ratio = basis.synthesise(look, grid)
-        repeated = np.zeros(grid.shape) if passing is None else basis.synthesise(passing, grid)
-        before = self._stays
-        new = log_ratio - repeated
-        gains = [
-            log_integral(field + new, grid.weights) - log_integral(field, grid.weights)
-            for field in (before + repeated, wanderer.field)
-        ]
-        odds = math.log(self.moving) - math.log1p(-self.moving) + gains[1] - gains[0]
-        moving = min(max(1 / (1 + math.exp(-min(max(odds, -_SURE), _SURE))), doubt), 1 - doubt)
-        roamed = replace(wanderer, looks=wanderer.looks + look, evidence=wanderer.evidence + gains[1])
-        # A look adds the same to every range, so that it adds as much to the field over all of them.
-        return StillOrMoving(still, roamed, moving, before + share * log_ratio)
+        standing, before = self.standing, self.standing.log_mean
+        repeated = 0.0
+        if passing is not None and passing.sight.repeats > 0:
+            repeated = passing.sight.repeats
+            standing = standing.plus(passing, -repeated, since)
+        look = sight.read(rates)
+        learnt = rates
+        if sight.detections is not None:
+            learnt = self._learnt(sight, look, rates)
+        standing = standing.opened(look).plus(look).focused()
+        gains = np.zeros(len(self.weights))
+        gains[1] = standing.log_mean - before
+        wanderers = self.wanderers
+        if len(wanderers):
+            ratio = np.exp(look.values)
+            new = ratio if repeated == 0 else np.exp(look.values - repeated * passing.values)  # type: ignore[union-attr]
+            shares = self.grid.weights / (4 * math.pi)
+            gains[2:] = np.log(np.einsum("mij,ij->m", wanderers, new * shares))
+            wanderers = wanderers * ratio
+            wanderers /= np.einsum("mij,ij->m", wanderers, shares)[:, None, None]
+        log = np.log(np.maximum(self.weights, 1e-300)) + gains
+        weights = np.exp(log - log.max())
+        return Cases(weights / weights.sum(), standing, wanderers), look, learnt
 
-    def capped(self, most: float, newest: np.ndarray | None = None) -> StillOrMoving:
-        """With the first case made less sure, so that its peak rises at most `most` nats above the typical.
-
-        The peak is read with what the `newest` look ``(size,)`` counts besides; "typical" is the median direction.
-        Only what the looks say of directions is scaled down. What tells the ranges apart stays: a detector repeats its
-        mistakes, but where lines of sight from several places cross is geometry.
-        """
-        grid, basis, agreed = decoding_grid(self.degree), RealHarmonics(self.degree), self.still.agreed
-        stays = self._stays if newest is None else self._stays + basis.synthesise(newest, grid)
-        peak = int(stays.argmax())
-        excess = _rise(stays, peak, grid.weights) - most
-        if excess <= 0:
-            return self
-        height = _rise(basis.synthesise(agreed, grid), peak, grid.weights)
-        less = min(excess / height, 1.0) if height > 0 else 0.0
-        return StillOrMoving(self.still.plus(-less * agreed), self.wanderer, self.moving)
-
-    def plus(self, look: np.ndarray) -> StillOrMoving:
-        """With log ratios `look` ``(size,)``, or ``(K, size)`` by range, that count in the first case while new."""
-        stays = None
-        if look.ndim == 1:
-            stays = self._stays + RealHarmonics(self.degree).synthesise(look, decoding_grid(self.degree))
-        return StillOrMoving(self.still.plus(look), self.wanderer, self.moving, stays)
-
-    @cached_property
-    def _stays(self) -> np.ndarray:
-        return self.still.posterior.coarse if self.field_of_still is None else self.field_of_still
-
-    @cached_property
-    def likelier(self) -> Posterior:
-        """The posterior of the likelier case.
-
-        The answer is read there. In the mixture the sharper case has the higher peak even where it is the less likely.
-        """
-        if self.moving < 0.5:
-            return self.still.posterior
-        return Posterior(self.wanderer.evaluator(), decoding_grid(self.degree).height)
-
-    def direction_belief(self) -> Belief:
-        """The belief over directions alone, projected to this degree."""
-        grid = decoding_grid(self.degree)
-        return Belief(RealHarmonics(self.degree).analyse(self.posterior.coarse, grid))
-
-    def log_density(self, directions: np.ndarray) -> np.ndarray:
-        """log p per steradian at unit vectors ``(n..., 3)``: ``(n...)``; integrates to 1."""
-        return self._evaluator()(directions) - self.posterior.log_total
-
-    def _field(self, index: tuple[int, ...]) -> Field:
-        return self._evaluator()
-
-    def _evaluator(self) -> Callable[[Any], np.ndarray]:
-        """What gives the mixture's log ratios on any grid, or at directions."""
-        grid, known = decoding_grid(self.degree), (self._stays, self.wanderer.field)
-        stays, roams = self.still.posterior.evaluate, self.wanderer.evaluator()
-        totals = [log_integral(values, grid.weights) for values in known]
-        shares = math.log1p(-self.moving), math.log(self.moving)
-        evidence = np.logaddexp(shares[0] + totals[0], shares[1] + self.wanderer.evidence + math.log(4 * math.pi))
-        offsets = [evidence + share - total for share, total in zip(shares, totals, strict=True)]
-
-        def evaluate(where: Any) -> np.ndarray:
-            a, b = known if isinstance(where, ErpGrid) and where == grid else (stays(where), roams(where))
-            return np.logaddexp(a + offsets[0], b + offsets[1])
-
-        return evaluate
+    def _learnt(self, sight: Sight, look: Look, rates: Rates | None) -> Rates:
+        """What the look tells of the detector."""
+        assert look.rates is not None and look.world is not None
+        if look.rates.weights.size == 1:
+            return look.rates
+        field, grid = self.field, self.grid
+        density = np.exp(np.minimum(field(grid), 700.0)) * grid.weights / (4 * math.pi)
+        density /= density.sum()
+        share = sight.grid_share
+        covered = float(np.sum(density * share))
+        expected = 0.0
+        if len(look.world):
+            wide = look.world.widened(sight.degree)
+            expected = float(np.sum(density * share * wide.densities(grid.directions).sum(axis=-1))) * wide.area
+        return look.rates.learnt(self.presence, covered, expected)
 
 
-def _rise(field: np.ndarray, cell: int, weights: np.ndarray) -> float:
-    """By how many nats a field rises in a cell above the typical direction."""
-    return float(field.reshape(-1)[cell]) - typical(field, weights)
+def _filled(field: SphereField, density: np.ndarray, level: float) -> np.ndarray:
+    """Densities of the grid where each patch keeps its mass: its cells are too wide to sample a sharp peak."""
+    found = density.copy()
+    weights = field.grid.weights
+    for patch in field.patches:
+        inside = patch.places(field.grid.directions)[1]
+        mass = float(np.sum(np.exp(np.minimum(patch.values - level, 700.0)) * patch.weights))
+        cells = float(np.sum(found[inside] * weights[inside]))
+        if not inside.any():
+            cell = np.unravel_index(int((field.grid.directions @ patch.frame[0]).argmax()), density.shape)
+            found[cell] += mass / weights[cell]
+        elif cells > 0:
+            found[inside] *= mass / cells
+    return found
 
 
-def standing(belief: Belief | RangedBelief | StillOrMoving) -> Belief | RangedBelief:
-    """The belief about a target that stands still."""
-    return belief.still if isinstance(belief, StillOrMoving) else belief
+def _drifted(standing: Standing, drift: float, elapsed: float) -> Standing:
+    """With the peaks wider by what odometry that drifts by `drift` radians a second adds in `elapsed` seconds.
+
+    Scaling a log-likelihood by s scales the variance of its peak by 1 / s: P + q = P / s.
+    """
+    patches = standing.field.patches
+    width = math.radians(8)
+    if patches:
+        best = max(patches, key=lambda patch: float(patch.values.max()))
+        shares = np.exp(best.values - best.values.max()) * best.weights
+        offsets = np.linspace(-1, 1, len(best.values))
+        u, v = (offsets * best.half[0])[:, None], (offsets * best.half[1])[None, :]
+        width = max(math.sqrt(float(np.sum(shares * (u * u + v * v)) / shares.sum() / 2)), 1e-3)
+    return standing.scaled(width**2 / (width**2 + drift**2 * elapsed))
+
+
+__all__ = ["Belief", "Cases", "MotionModel"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+import math
 
 import numpy as np
 
@@ -26,6 +27,15 @@ class PoseHistory:
 
     def __len__(self) -> int:
         return len(self._stamps)
+
+    @property
+    def first(self) -> float:
+        """The stamp of the oldest pose that is kept."""
+        return self._stamps[0] if self._stamps else -math.inf
+
+    def covers(self, stamp: float) -> bool:
+        """Whether the pose at `stamp` is known, and not only held from the last one before it."""
+        return bool(self._stamps) and self._stamps[0] <= stamp <= self._stamps[-1]
 
     def add(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None) -> None:
         """Append a pose; one with the stamp of the last replaces it. Errors as in `DirectionTracker.rotate`."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -260,10 +260,22 @@ def height_prior(
     ratio against every direction and log range alike, whose mean likelihood is 1.
     """
     grid, ranges = decoding_grid(degree), np.asarray(ranges, dtype=np.float64)
-    height = camera + ranges[:, None, None] * grid.directions[..., 2]
-    likely = ODD + (1 - ODD) * np.exp(-0.5 * ((height - middle) / spread) ** 2)
+    likely = likely_height(camera + ranges[:, None, None] * grid.directions[..., 2], middle, spread)
     mean = np.sum(_shares(ranges)[:, None, None] * likely * grid.weights) / (4 * math.pi)
     return RealHarmonics(degree).analyse(np.log(likely / mean), grid)
+
+
+def likely_height(height: np.ndarray, middle: float = MIDDLE, spread: float = SPREAD) -> np.ndarray:
+    """How likely things are at these heights (metres above the floor), over the likeliest."""
+    return ODD + (1 - ODD) * np.exp(-0.5 * ((height - middle) / spread) ** 2)
+
+
+@lru_cache(maxsize=64)
+def height_level(degree: int, ranges: tuple[float, ...], camera: float) -> float:
+    """log of the mean of `likely_height` over all directions and ranges."""
+    grid, shells = decoding_grid(degree), np.array(ranges)
+    likely = likely_height(camera + shells[:, None, None] * grid.directions[..., 2])
+    return math.log(float(np.sum(_shares(shells)[:, None, None] * likely * grid.weights)) / (4 * math.pi))
 
 
 def _near(cells: ErpGrid | ErpWindow, about: np.ndarray | None) -> np.ndarray:

@@ -1,0 +1,149 @@
+"""A field on the sphere that is fine where it has to be: a grid of the whole sphere, and patches about its peaks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from eagor._lazy import lazy
+from eagor.grids import ErpGrid, ErpWindow
+
+MARGIN = 4  # cells beyond the border of the grid that interpolation needs
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """Values ``(n, n)`` over the plane that touches the sphere in the direction ``frame[0]`` (gnomonic projection).
+
+    `frame` ``(3, 3)``: that direction and the axes u, v of the plane, as rows. `half` ``(2,)``: how far the nodes reach
+    to both sides, in units of the plane (tangents of angles).
+    """
+
+    frame: np.ndarray
+    half: np.ndarray
+    values: np.ndarray
+
+    def places(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates ``(2, ...)`` in units of `half`, -1 to 1, of directions ``(..., 3)``, and which lie inside."""
+        ahead, u, v = np.moveaxis(directions @ self.frame.T, -1, 0)
+        safe = np.maximum(ahead, 1e-6)
+        found = np.stack([u / (safe * self.half[0]), v / (safe * self.half[1])])
+        return found, (ahead > 0) & (np.abs(found) <= 1).all(axis=0)
+
+    def at(self, places: np.ndarray) -> np.ndarray:
+        """Values at coordinates ``(2, m)`` as `places` gives them, by a cubic spline."""
+        from scipy.ndimage import map_coordinates
+
+        count = self.values.shape[0]
+        return map_coordinates(self.values, (places + 1) * ((count - 1) / 2), order=3, mode="nearest")
+
+    @property
+    def directions(self) -> np.ndarray:
+        """Unit vectors ``(n, n, 3)`` of the nodes."""
+        return plane_directions(self.values.shape[-1], self.frame, self.half)
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Solid angles ``(n, n)`` of the nodes."""
+        return plane_weights(self.values.shape[-1], self.half)
+
+
+def plane_directions(count: int, frame: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Unit vectors ``(count, count, 3)`` of nodes on the plane of a `Patch`; the first axis is u."""
+    at = np.linspace(-1, 1, count)
+    plane = frame[0] + (at * half[0])[:, None, None] * frame[1] + (at * half[1])[None, :, None] * frame[2]
+    return plane / np.sqrt(np.einsum("...i,...i->...", plane, plane))[..., None]
+
+
+def plane_weights(count: int, half: np.ndarray) -> np.ndarray:
+    """Solid angles ``(count, count)`` of such nodes: du dv / (1 + u^2 + v^2)^(3/2), half of it at a border."""
+    at, share = np.linspace(-1, 1, count), np.ones(count)
+    share[[0, -1]] = 0.5
+    share *= 2 / (count - 1)
+    u, v = (at * half[0])[:, None], (at * half[1])[None, :]
+    return (share * half[0])[:, None] * (share * half[1]) * (1 + u * u + v * v) ** -1.5
+
+
+@dataclass(frozen=True, eq=False)
+class SphereField:
+    """`values` ``(H, W)`` on a `grid` of the whole sphere; where a patch lies, its values hold instead."""
+
+    grid: ErpGrid
+    values: np.ndarray
+    patches: tuple[Patch, ...] = ()
+
+    def __call__(self, where: ErpGrid | ErpWindow | np.ndarray) -> np.ndarray:
+        """The field on a grid ``(H, W)``, or at unit vectors ``(..., 3)``."""
+        found = self.smooth(where)
+        if not self.patches:
+            return found
+        directions = where if isinstance(where, np.ndarray) else where.directions
+        shape = found.shape
+        found, directions = np.array(found).reshape(-1), directions.reshape(-1, 3)
+        nearest = np.full(found.shape, np.inf)
+        for patch in self.patches:
+            near = np.flatnonzero(directions @ patch.frame[0] > 0)
+            places, inside = patch.places(directions[near])
+            depth = np.abs(places).max(axis=0)
+            inside &= depth < nearest[near]
+            found[near[inside]] = patch.at(places[:, inside])
+            nearest[near[inside]] = depth[inside]
+        return found.reshape(shape)
+
+    def smooth(self, where: ErpGrid | ErpWindow | np.ndarray) -> np.ndarray:
+        """The values of the grid alone."""
+        from scipy.ndimage import map_coordinates
+
+        if isinstance(where, ErpGrid) and where == self.grid:
+            return self.values
+        height, width = self.grid.shape
+        if isinstance(where, np.ndarray):
+            x, y, _ = self.grid.project(where)
+        else:
+            whole = where.whole if isinstance(where, ErpWindow) else where
+            top, left = (where.top, where.left) if isinstance(where, ErpWindow) else (0, 0)
+            rows, columns = where.shape
+            y = (np.arange(rows) + top + 0.5)[:, None] * (height / whole.height) + np.zeros(columns)
+            x = ((np.arange(columns) + left + 0.5) * (width / whole.width))[None, :] % width + np.zeros((rows, 1))
+        padded = np.pad(self.values, ((0, 0), (MARGIN, MARGIN)), mode="wrap")
+        # Beyond a pole the meridian on the other side goes on.
+        beyond = np.pad(np.roll(self.values, width // 2, axis=1), ((0, 0), (MARGIN, MARGIN)), mode="wrap")
+        padded = np.concatenate([beyond[:MARGIN][::-1], padded, beyond[-MARGIN:][::-1]])
+        return map_coordinates(padded, np.stack([y - 0.5 + MARGIN, x - 0.5 + MARGIN]), order=3, mode="nearest")
+
+    @lazy
+    def outside(self) -> np.ndarray:
+        """Which cells ``(H, W)`` of the grid lie in no patch."""
+        free = np.ones(self.grid.shape, dtype=bool)
+        for patch in self.patches:
+            free &= ~patch.places(self.grid.directions)[1]
+        return free
+
+    @lazy
+    def shares(self) -> tuple[np.ndarray, ...]:
+        """Solid angles ``(n, n)`` of the nodes of each patch; 0 where a node lies deeper in another patch."""
+        return tuple(self.owned(index, patch.directions, patch.weights) for index, patch in enumerate(self.patches))
+
+    def owned(self, index: int, directions: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """`weights` ``(...)`` of `directions` ``(..., 3)`` in one patch; 0 for what lies deeper in another."""
+        if len(self.patches) == 1:
+            return weights
+        depth = np.abs(self.patches[index].places(directions)[0]).max(axis=0)
+        weights = weights.copy()
+        for other, patch in enumerate(self.patches):
+            if other != index:
+                places, inside = patch.places(directions)
+                rival = np.abs(places).max(axis=0)
+                weights[inside & ((rival < depth) | ((rival == depth) & (other < index)))] = 0.0
+        return weights
+
+    def log_mean(self) -> float:
+        """log of the mean of exp(field) over the sphere."""
+        free = self.outside if self.patches else slice(None)
+        parts = [(self.values[free], self.grid.weights[free])]
+        parts += [(patch.values, share) for patch, share in zip(self.patches, self.shares, strict=True)]
+        top = max(float(values.max()) for values, _ in parts if values.size)
+        total = sum(float(np.sum(np.exp(values - top) * weights)) for values, weights in parts)
+        return top + math.log(total / (4 * math.pi))

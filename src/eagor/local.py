@@ -1,0 +1,192 @@
+"""A window that follows one peak: direction and distance on a small grid that moves, turns and narrows with the belief.
+
+The field over the whole sphere is cut at a degree, and its shells are as far apart as a search allows. A peak soon gets
+narrower than both. So around each peak the log-likelihood is kept on a grid of its own, as fine as the peak asks for (a
+point-mass filter with a moving grid; Bucy and Senne, Automatica 7, 1971; Simandl, Kralovec and Soederstroem, Automatica
+42, 2006). Nodes are rays of a plane that touches the sphere, times ranges that are even in the logarithm; the
+logarithm of a likelihood is smooth there, and a cubic spline carries it from one grid to the next.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+
+import numpy as np
+
+from eagor._lazy import lazy
+
+from eagor.field import Patch, plane_directions, plane_weights
+
+NODES = 13  # along each side
+RANGES = 16  # of the window, where distances are believed in
+REACH = 5.0  # standard deviations from the middle to a border
+WIDEST = math.tan(math.radians(60))
+DEEP = 4.5  # nats below the peak: what lies above, and hangs together with it, is the peak
+FAINT = 10.0  # nats below the likeliest range: what lies below is left out
+SLACK = 1.25  # a window that is larger than wanted by this factor is drawn anew
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Log-likelihood ratios ``(K, n, n)`` about one peak, in axes that do not turn, about the place of the body.
+
+    `frame`, `half`: as for `eagor.field.Patch`. `logs` ``(K,)``: logarithms of the ranges, evenly spaced; None where
+    only directions are believed in (K = 1). `limits`: the least and the greatest logarithm of a range there is.
+    """
+
+    frame: np.ndarray
+    half: np.ndarray
+    values: np.ndarray
+    logs: np.ndarray | None = None
+    limits: tuple[float, float] = (0.0, 1.0)
+
+    @lazy
+    def directions(self) -> np.ndarray:
+        """Unit vectors ``(n, n, 3)`` of the rays."""
+        return plane_directions(self.values.shape[-1], self.frame, self.half)
+
+    @lazy
+    def weights(self) -> np.ndarray:
+        """Solid angles ``(n, n)`` of the rays."""
+        return plane_weights(self.values.shape[-1], self.half)
+
+    @property
+    def shares(self) -> np.ndarray:
+        """Prior probability ``(K,)`` of the ranges: even in the logarithm."""
+        if self.logs is None:
+            return np.ones(1)
+        share = np.full(len(self.logs), (self.logs[-1] - self.logs[0]) / (len(self.logs) - 1))
+        share[[0, -1]] /= 2
+        return share / (self.limits[1] - self.limits[0])
+
+    def plus(self, log_ratios: np.ndarray) -> Window:
+        """With log ratios ``(n, n)`` added to all ranges, or ``(K, n, n)``."""
+        return replace(self, values=self.values + log_ratios)
+
+    def marginal(self, prior: np.ndarray | None = None) -> np.ndarray:
+        """log of the mean likelihood over the ranges ``(n, n)``; `prior` ``(K, n, n)``: log ratios to count besides."""
+        values = self.values if prior is None else self.values + prior
+        if len(values) == 1:
+            return values[0]
+        top = values.max(axis=0)
+        return np.log(np.tensordot(self.shares, np.exp(values - top), axes=1)) + top
+
+    def patch(self, prior: np.ndarray | None = None) -> Patch:
+        """The window as a part of a field over directions."""
+        return Patch(self.frame, self.half, self.marginal(prior))
+
+    def points(self) -> np.ndarray:
+        """The nodes ``(K, n, n, 3)``, metres."""
+        return np.exp(self.logs)[:, None, None, None] * self.directions  # type: ignore[arg-type]
+
+    @staticmethod
+    def peak_at_border(values: np.ndarray) -> bool:
+        """Whether `values` ``(n, n)`` still rise at the border: the peak is not in the window."""
+        row, column = divmod(int(values.argmax()), values.shape[1])
+        return min(row, column) < 2 or max(row, column) > values.shape[0] - 3
+
+    def moved(self, step: np.ndarray, prior: np.ndarray | None = None) -> Window:
+        """After the body has moved by `step` ``(3,)`` metres, in the axes of the window."""
+        if self.logs is None:
+            return self
+        return self._drawn(self._wanted(prior, step), step)
+
+    def focused(self, prior: np.ndarray | None = None) -> Window:
+        """As fine as the peak is now; itself where it is already."""
+        wanted = self._wanted(prior, None)
+        frame, half, logs = wanted
+        fits = (half * SLACK >= self.half).all() and (half <= self.half * 1.1).all()
+        centred = frame[0] @ self.frame[0] > math.cos(0.25 * math.atan(float(self.half.min())))
+        if fits and centred and (logs is None or self._spans(logs)):
+            return self
+        return self._drawn(wanted, None)
+
+    def _spans(self, logs: np.ndarray) -> bool:
+        length = self.logs[-1] - self.logs[0]  # type: ignore[index]
+        return (logs[-1] - logs[0]) * SLACK >= length
+
+    def _wanted(
+        self, prior: np.ndarray | None, step: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Frame, half widths and ranges of the window that fits the peak, after a `step`."""
+        marginal = self.marginal(prior)
+        peak = _component(marginal)
+        mass = np.where(peak, np.exp(marginal - marginal.max()), 0.0) * self.weights
+        if self.logs is None:
+            points, shares = self.directions[peak], mass[peak] / mass.sum()
+            logs = None
+        else:
+            values = self.values if prior is None else self.values + prior
+            joint = np.exp(np.minimum(values[:, peak] - marginal.max(), 0.0)) * self.shares[:, None] * self.weights[peak]
+            by_range = np.log(np.maximum(joint.sum(axis=1), 1e-300) / self.shares)
+            kept = np.flatnonzero(by_range > by_range.max() - FAINT)
+            span = slice(max(kept[0] - 1, 0), min(kept[-1] + 2, len(by_range)))
+            points = np.exp(self.logs[span])[:, None, None] * self.directions[peak]
+            if step is not None:
+                points = points - step
+            joint = joint[span]
+            shares = (joint / joint.sum()).reshape(-1)
+            points = points.reshape(-1, 3)
+            distances = np.sqrt(np.einsum("ij,ij->i", points, points))
+            points = points / np.maximum(distances, 1e-9)[:, None]
+            counts = shares > 1e-5 * shares.max()
+            log = np.log(np.maximum(distances[counts], 1e-9))
+            slack = (self.logs[1] - self.logs[0]) / 2
+            low, high = max(log.min() - slack, self.limits[0]), min(log.max() + slack, self.limits[1])
+            low, high = min(low, self.limits[1] - 0.02), max(high, self.limits[0] + 0.02)
+            logs = np.linspace(low, max(high, low + 0.02), RANGES)
+        middle = shares @ points
+        middle /= math.sqrt(float(middle @ middle))
+        axes = self.frame[1:] - (self.frame[1:] @ middle)[:, None] * middle
+        axes[0] /= math.sqrt(float(axes[0] @ axes[0]))
+        axes[1] = np.cross(middle, axes[0])
+        ahead = points @ middle
+        plane = (points @ axes.T) / np.maximum(ahead, 0.1)[:, None]
+        covariance = (plane * shares[:, None]).T @ plane
+        variances, turn = np.linalg.eigh(covariance)
+        spacing = self.half / (NODES - 1)
+        sigma = np.sqrt(np.maximum(variances, (0.2 * spacing.min()) ** 2))
+        frame = np.stack([middle, turn[:, 0] @ axes, np.cross(middle, turn[:, 0] @ axes)])
+        return frame, np.minimum(REACH * sigma, WIDEST), logs
+
+    def _drawn(
+        self, wanted: tuple[np.ndarray, np.ndarray, np.ndarray | None], step: np.ndarray | None
+    ) -> Window:
+        """The same field on another grid."""
+        from scipy.ndimage import map_coordinates
+
+        frame, half, logs = wanted
+        new = Window(frame, half, np.zeros((1, NODES, NODES)), logs, self.limits)
+        directions = new.directions
+        if logs is None:
+            places = self._places(directions)
+            values = map_coordinates(self.values[0], places, order=3, mode="nearest")[None]
+            return replace(new, values=values)
+        points = np.exp(logs)[:, None, None, None] * directions
+        if step is not None:
+            points = points + step
+        distances = np.sqrt(np.einsum("...i,...i->...", points, points))
+        places = self._places(points)
+        first, spacing = self.logs[0], self.logs[1] - self.logs[0]  # type: ignore[index]
+        depth = (np.log(np.maximum(distances, 1e-9)) - first) / spacing
+        coordinates = np.concatenate([np.clip(depth, 0, RANGES - 1)[None], places])
+        return replace(new, values=map_coordinates(self.values, coordinates, order=3, mode="nearest"))
+
+    def _places(self, points: np.ndarray) -> np.ndarray:
+        """Indices ``(2, ...)`` of points ``(..., 3)``, held at the borders."""
+        ahead, u, v = np.moveaxis(points @ self.frame.T, -1, 0)
+        safe = np.maximum(ahead, 1e-6)
+        found = np.stack([u / (safe * self.half[0]), v / (safe * self.half[1])])
+        return (np.clip(found, -1, 1) + 1) * ((NODES - 1) / 2)
+
+
+def _component(values: np.ndarray) -> np.ndarray:
+    """The nodes ``(n, n)`` above `DEEP` below the highest, which hang together with it."""
+    from scipy.ndimage import label
+
+    parts, count = label(values > values.max() - DEEP)
+    if count == 1:
+        return parts > 0
+    return parts == parts.reshape(-1)[int(values.argmax())]

@@ -1,0 +1,111 @@
+"""A look as a tracker uses it: evidence of one moment, turned into the axes of the odometry's world."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+import numpy as np
+
+from eagor._lazy import lazy
+
+from eagor._arrays import to_numpy
+from eagor.detector import Detections, Rates
+from eagor.evidence import Evidence
+from eagor.field import SphereField
+from eagor.harmonics import RealHarmonics
+from eagor.peaks import decoding_grid
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """All evidence of one moment, in the axes of the world, before anybody says how the detector errs there.
+
+    Views of one moment are one look, whatever their order: response maps add, detections are one set.
+    """
+
+    stamp: float
+    position: np.ndarray | None
+    world_R_body: np.ndarray
+    degree: int
+    detections: Detections | None
+    mapped: np.ndarray | None  # coefficients of the response maps
+    repeats: float
+
+    @classmethod
+    def of(
+        cls, looks: Sequence[Evidence], degree: int, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None
+    ) -> Sight:
+        """The looks of one moment, seen from `position` with this orientation."""
+        joint: Detections | None = None
+        mapped: np.ndarray | None = None
+        for look in looks:
+            if look.detections is not None:
+                joint = look.detections if joint is None else joint.joined(look.detections)
+            else:
+                found = to_numpy(look.coefficients(degree)).astype(np.float64)
+                mapped = found if mapped is None else mapped + found
+        if mapped is not None:
+            mapped = RealHarmonics(degree).rotate(mapped, world_R_body)
+        return cls(stamp, position, world_R_body, degree, joint, mapped, max(look.repeats for look in looks))
+
+    @property
+    def grid_share(self) -> np.ndarray | float:
+        """v on the decoding grid, in the axes of the world, as `Detections.smooth_share`."""
+        if self.detections is None or not self.detections.views:
+            return 1.0
+        share = self.detections.smooth_share(self.degree)
+        grid = decoding_grid(self.degree)
+        if not isinstance(share, np.ndarray):
+            return share
+        return np.clip(SphereField(grid, share)(grid.directions @ self.world_R_body), 0.0, 1.0)
+
+    def read(self, rates: Rates | None) -> Look:
+        """The look as log ratios; `rates` of the detector, from before this look."""
+        grid, basis = decoding_grid(self.degree), RealHarmonics(self.degree)
+        values = np.zeros(grid.shape) if self.mapped is None else basis.synthesise(self.mapped, grid)
+        given, world = None, None
+        coefficients = self.mapped
+        if self.detections is not None:
+            given = (self.detections.rates if rates is None else rates).given(len(self.detections))
+            world = self.detections.turned(self.world_R_body)
+            wide = world.widened(self.degree)
+            found = np.log(wide.ratio(grid.directions, given, self.grid_share))
+            values = values + found
+            found = basis.analyse(found, grid)
+            coefficients = found if coefficients is None else coefficients + found
+        assert coefficients is not None
+        return Look(self, values, coefficients, world, given)
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """Log ratios of a `Sight`: `values` ``(H, W)`` on the decoding grid and `coefficients` ``(size,)``, world axes."""
+
+    sight: Sight
+    values: np.ndarray
+    coefficients: np.ndarray
+    world: Detections | None
+    rates: Rates | None
+
+    @lazy
+    def centres(self) -> tuple[np.ndarray, np.ndarray]:
+        """Directions ``(n, 3)`` of the detections that say most, and the larger standard deviation ``(n,)`` of each."""
+        if self.world is None or not len(self.world):
+            return np.zeros((0, 3)), np.zeros(0)
+        order = np.argsort(-self.world.ratios, kind="stable")[:8]
+        widths = 1 / np.linalg.norm(self.world.axes[order], axis=-1).min(axis=-1)
+        return self.world.directions[order], widths
+
+    def at(self, directions: np.ndarray, least: float) -> np.ndarray:
+        """Log ratios ``(...)`` at directions ``(..., 3)``, nothing narrower than `least` radians."""
+        found = np.zeros(directions.shape[:-1])
+        if self.sight.mapped is not None:
+            found += RealHarmonics(self.sight.degree).synthesise(self.sight.mapped, directions)
+        if self.world is not None:
+            share: np.ndarray | float = 1.0
+            if self.world.views:
+                share = self.world.share(directions @ self.sight.world_R_body)
+            found += np.log(self.world.at_least(least).ratio(directions, self.rates, share))
+        return found

@@ -1,0 +1,180 @@
+"""Reading a field of log densities: where its peaks are, what they hold, and how wide a region is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from eagor._lazy import lazy
+from eagor.basins import basins
+from eagor.field import Patch, SphereField, plane_directions, plane_weights
+from eagor.peaks import refine
+from eagor.sphere import unit
+
+PROMINENCE = 0.7  # nats: a peak counts as a mode if it stands out by a factor of two from the saddle around it
+FINER = 4  # times as many nodes along a side of a patch, or of a heavy cell, where masses are summed
+HEAVY = 0.002  # of the belief: a cell that holds more is cut into finer ones
+DEEP = 12.0  # nats below the highest peak: no valley deeper than this is told from another
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What a field (log of a density over a uniform one, up to a constant) says of directions; its own axes."""
+
+    field: SphereField
+
+    @lazy
+    def parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Values ``(n,)``, solid angles ``(n,)`` and directions ``(n, 3)`` of small cells that cover the sphere."""
+        field, grid = self.field, self.field.grid
+        free = field.outside
+        values, weights, directions = field.values[free], grid.weights[free], grid.directions[free]
+        mass = np.exp(values - field.log_mean()) * weights / (4 * math.pi)
+        heavy = mass > HEAVY
+        found = [(values[~heavy], weights[~heavy], directions[~heavy])]
+        if heavy.any():
+            rows, columns = np.nonzero(free)
+            rows, columns = rows[heavy], columns[heavy]
+            at = (np.arange(FINER) + 0.5) / FINER
+            y = (rows[:, None, None] + at[None, :, None]) + np.zeros((1, 1, FINER))
+            x = (columns[:, None, None] + at[None, None, :]) + np.zeros((1, FINER, 1))
+            cells = grid.unproject(x, y).reshape(-1, 3)
+            cosine = np.cos(math.pi / 2 - math.pi * y / grid.height)
+            shares = cosine / cosine.sum(axis=(1, 2), keepdims=True) * weights[heavy][:, None, None]
+            found.append((field.smooth(cells), shares.reshape(-1), cells))
+        for index, patch in enumerate(field.patches):
+            count = (patch.values.shape[0] - 1) * FINER + 1
+            side = np.linspace(-1, 1, count)
+            places = np.stack(np.meshgrid(side, side, indexing="ij")).reshape(2, -1)
+            cells = plane_directions(count, patch.frame, patch.half).reshape(-1, 3)
+            shares = field.owned(index, cells, plane_weights(count, patch.half).reshape(-1))
+            counts = shares > 0
+            found.append((patch.at(places)[counts], shares[counts], cells[counts]))
+        values, weights, directions = zip(*found, strict=True)
+        return np.concatenate(values), np.concatenate(weights), np.concatenate(directions)
+
+    @lazy
+    def log_total(self) -> float:
+        """log of the integral of exp(field) over the sphere."""
+        values, weights, _ = self.parts
+        top = float(values.max())
+        return top + math.log(float(np.exp(values - top) @ weights))
+
+    @lazy
+    def mass(self) -> np.ndarray:
+        """Probability ``(n,)`` of each of the `parts`; they sum to 1."""
+        values, weights, _ = self.parts
+        return np.exp(values - self.log_total) * weights
+
+    def within(self, angle: float, about: np.ndarray) -> float:
+        """The probability of the cone of half-angle `angle` (radians) about a direction ``(3,)``."""
+        return float(self.mass[self.parts[2] @ about >= math.cos(min(angle, math.pi))].sum())
+
+    def cone(self, mass: float, about: np.ndarray) -> float:
+        """Half-angle (radians) of the cone about a direction ``(3,)`` that holds `mass`."""
+        cosine = self.parts[2] @ about
+        order = np.argsort(-cosine)
+        cosine, probability = cosine[order], self.mass[order]
+        reached = np.cumsum(probability) - probability / 2
+        return math.acos(max(-1.0, min(1.0, float(np.interp(mass, reached, cosine)))))
+
+    def mass_above(self, direction: np.ndarray) -> float:
+        """The mass of the smallest region of highest density that reaches `direction` ``(3,)``."""
+        return float(self.mass[self.parts[0] > float(self.field(direction[None])[0])].sum())
+
+    def region(self, mass: float) -> tuple[float, float]:
+        """The log density (per steradian) at the border of the smallest region that holds `mass`, and its area."""
+        values, weights, _ = self.parts
+        order = np.argsort(-values, kind="stable")
+        reached = np.cumsum(self.mass[order]) - self.mass[order] / 2
+        place = min(int(np.searchsorted(reached, mass)), len(order) - 1)
+        return float(values[order[place]]) - self.log_total, float(weights[order[: place + 1]].sum())
+
+    def entropy(self) -> float:
+        """Differential entropy in nats."""
+        return self.log_total - float(self.mass @ self.parts[0])
+
+    @lazy
+    def peak(self) -> np.ndarray:
+        """The direction of the highest density ``(3,)``."""
+        return self.top_of(np.ones(len(self.parts[0]), dtype=bool))
+
+    def top_of(self, chosen: np.ndarray) -> np.ndarray:
+        """The direction ``(3,)`` of the highest of the `chosen` parts ``(n,)``, refined."""
+        values, _, directions = self.parts
+        place = np.flatnonzero(chosen)[int(values[chosen].argmax())]
+        return self._refined(directions[place])
+
+    def _refined(self, direction: np.ndarray) -> np.ndarray:
+        """The peak next to a direction, by a quadratic through what lies around it."""
+        for patch in self.field.patches:
+            places, inside = patch.places(direction)
+            if inside:
+                return _top_of_patch(patch, places)
+        grid = self.field.grid
+        x, y, _ = grid.project(direction)
+        cell = min(int(y), grid.height - 1) * grid.width + int(x) % grid.width
+        found, _ = refine(grid, self.field.values.reshape(-1), cell)
+        near = found @ direction > math.cos(2 * math.pi / grid.height)
+        return found if near else direction
+
+    @lazy
+    def _basins(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of each basin, lightest last: its mass ``(b,)``; and the basin ``(n,)`` of each part."""
+        values, _, directions = self.parts
+        grid = self.field.grid
+        x, y, _ = grid.project(directions)
+        home = np.minimum(y.astype(np.intp), grid.height - 1) * grid.width + x.astype(np.intp) % grid.width
+        tops = self.field.values.reshape(-1).copy()
+        if self.field.patches:
+            tops[~self.field.outside.reshape(-1)] = -np.inf
+            np.maximum.at(tops, home, values)
+            lost = ~np.isfinite(tops)  # a cell without a node of its own
+            tops[lost] = self.field(grid.directions.reshape(-1, 3)[lost])
+        tops = np.maximum(tops, tops.max() - DEEP)
+        label = basins(tops.reshape(grid.shape), PROMINENCE).reshape(-1)
+        _, inverse = np.unique(label, return_inverse=True)
+        of_part = inverse[home]
+        masses = np.bincount(of_part, self.mass, minlength=int(inverse.max()) + 1)
+        order = np.argsort(-masses, kind="stable")
+        rank = np.empty_like(order)
+        rank[order] = np.arange(len(order))
+        return masses[order], rank[of_part]
+
+    def modes(self, count: int, least: float) -> tuple[np.ndarray, np.ndarray]:
+        """Directions ``(m, 3)`` and masses ``(m,)`` of the basins that hold at least `least`, at most `count`.
+
+        Each small cell climbs to its peak; a peak that stands less than `PROMINENCE` nats above the saddle to a higher
+        one belongs to it. Heaviest first, and one at least; what their masses lack to 1 is elsewhere.
+        """
+        masses, of_part = self._basins
+        kept = max(1, min(count, int((masses >= least).sum())))
+        return np.array([self.top_of(of_part == index) for index in range(kept)]), masses[:kept]
+
+    def first(self, angle: float) -> tuple[np.ndarray, float]:
+        """The heaviest mode and its mass; where the cone of `angle` about the peak holds most, it need not be looked for."""
+        held = self.within(angle, self.peak)
+        if held > 0.5:
+            return self.peak, held
+        directions, masses = self.modes(1, 1.0)
+        return directions[0], float(masses[0])
+
+
+def _top_of_patch(patch: Patch, places: np.ndarray) -> np.ndarray:
+    """The direction ``(3,)`` of the peak of a patch near `places` ``(2,)``."""
+    step = 2 / (patch.values.shape[0] - 1)
+    at = np.clip(places, -1 + step, 1 - step)
+    side = np.array([-1.0, 0.0, 1.0]) * step
+    nine = patch.at(np.stack(np.meshgrid(at[0] + side, at[1] + side, indexing="ij")).reshape(2, -1)).reshape(3, 3)
+    gu, gv = (nine[2, 1] - nine[0, 1]) / 2, (nine[1, 2] - nine[1, 0]) / 2
+    huu, hvv = nine[2, 1] + nine[0, 1] - 2 * nine[1, 1], nine[1, 2] + nine[1, 0] - 2 * nine[1, 1]
+    huv = (nine[2, 2] + nine[0, 0] - nine[2, 0] - nine[0, 2]) / 4
+    det = huu * hvv - huv * huv
+    if huu < 0 and det > 0:
+        offset = np.array([huv * gv - hvv * gu, huv * gu - huu * gv]) / det
+        if float(np.abs(offset).max()) < 1:
+            at = at + offset * step
+    u, v = at * patch.half
+    return unit(patch.frame[0] + u * patch.frame[1] + v * patch.frame[2])
