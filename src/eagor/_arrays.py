@@ -58,6 +58,22 @@ def akin(values: Array, reference: Array) -> Array:
     return matched(to_numpy(values), reference)
 
 
+def private(values: Array) -> Array:
+    """A copy of `values` that no one else holds, read-only in NumPy; gradients go through it."""
+    if isinstance(values, np.ndarray):
+        return frozen(np.array(values))
+    if hasattr(values, "clone"):  # torch: its asarray would cut the gradient
+        return values.clone()
+    return namespace(values).asarray(values, copy=True)
+
+
+def frozen(values: Array) -> Array:
+    """`values` themselves, read-only where that can be said (NumPy): for new arrays that are kept and handed out."""
+    if isinstance(values, np.ndarray):
+        values.setflags(write=False)
+    return values
+
+
 def to_numpy(values: Array) -> np.ndarray:
     """`values` as an ndarray on the host (a copy where it lives elsewhere)."""
     if isinstance(values, np.ndarray):

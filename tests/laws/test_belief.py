@@ -10,7 +10,7 @@ from strategies import directions, field, rotations
 
 from eagor.belief import Belief
 from eagor.calibration import Calibration
-from eagor.errors import EagorError, RotationError
+from eagor.errors import DirectionError, EagorError, RotationError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PatchGrid
 from eagor.harmonics import RealHarmonics
@@ -119,6 +119,22 @@ def test_regions_entropy_and_presence_match_a_fine_quadrature(degree, height):
     assert np.sum(np.exp(belief.log_density(FINE.directions)) * FINE.weights) == pytest.approx(1, abs=2e-3)
 
 
+@pytest.mark.parametrize("kind", ["numpy", "torch"])
+def test_a_density_is_read_at_unit_vectors_alone(kind):
+    """The harmonics are polynomials: at twice the length they would be anything."""
+    make = np.array if kind == "numpy" else lambda v: pytest.importorskip("torch").tensor(np.array(v))
+    belief = Belief(make(field(7, 4)))
+    exact, rounded = make([[0.6, 0.0, 0.8]]), make([[0.601, 0.0, 0.801333333333]])
+    readers = belief.log_density, belief.log_ratio, belief.basis.evaluate
+    for read in readers:
+        assert np.allclose(read(rounded), read(exact), atol=1e-9), "rounding is taken out"
+        for bad in ([[1.2, 0.0, 1.6]], [[0.0, 0.0, 0.0]], [[np.nan, 0.0, 1.0]], [[np.inf, 0.0, 0.0]]):
+            with pytest.raises(DirectionError, match="unit vectors"):
+                read(make(bad))
+    with pytest.raises(DirectionError, match="unit vectors"):
+        belief.basis.synthesise(belief.coefficients, make([0.0, 0.0, 3.0]))
+
+
 @given(SEEDS, st.floats(0.05, 0.45), st.floats(0.5, 0.95))
 @settings(max_examples=15)
 def test_a_larger_mass_is_a_larger_region(seed, small, large):
@@ -225,6 +241,28 @@ def test_beliefs_never_change():
     assert np.array_equal(belief.coefficients, before)
     with pytest.raises(AttributeError):
         belief.coefficients = before
+
+
+def test_a_belief_is_not_changed_through_the_array_that_it_was_made_of():
+    array = field(7, 1)
+    belief, kept = Belief(array), array.copy()
+    array[:] = 0
+    assert np.array_equal(belief.coefficients, kept)
+    for made in (belief, belief.plus(kept), belief.predict(np.eye(3)), belief.forget(0.5), belief.diffuse(0.05)):
+        with pytest.raises(ValueError, match="read-only"):
+            made.coefficients[0] = 1.0
+
+
+def test_a_belief_of_tensors_is_a_copy_that_gradients_go_through():
+    torch = pytest.importorskip("torch")
+    tensor = torch.tensor(field(7, 1), requires_grad=True)
+    belief = Belief(tensor)
+    before = belief.coefficients.detach().clone()
+    (gradient,) = torch.autograd.grad(belief.forget(0.5).predict(rotation((0, 0, 1), 0.4)).coefficients.sum(), tensor)
+    assert (gradient != 0).any()
+    with torch.no_grad():
+        tensor += 1
+    assert torch.equal(belief.coefficients.detach(), before)
 
 
 def test_forgetting_scales_the_odds():
