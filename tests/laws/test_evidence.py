@@ -1,6 +1,7 @@
 """What one look may and may not say."""
 
 import math
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -39,7 +40,7 @@ def test_the_calibration_is_its_formula(l, floor, neutral, temperature):
     evidence = Evidence.from_response(np.full(PATCHES.shape, l), PATCHES, calibration)
     assert np.allclose(evidence.log_ratio, expected, atol=1e-12)
     assert np.allclose(calibration.log_ratio(np.array(l)), expected)
-    assert np.allclose(evidence.response, l, atol=1e-9)
+    assert np.allclose(evidence.response, l, atol=1e-9 if l > 1e-5 else 1.1e-6), "what is next to nothing is nothing"
     if l == 0:
         assert expected == pytest.approx(calibration.empty)
 
@@ -150,6 +151,53 @@ def test_masked_cells_gain_nothing(grid):
     assert np.allclose(Evidence.from_response(response, grid, coverage=np.ones(grid.shape)).seen is None, True)
     kept = evidence.with_calibration(Calibration(floor=0.2))
     assert (kept.log_ratio[cover == 0] == 0).all()
+
+
+@pytest.mark.parametrize("kind", ["numpy", "torch"])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_partial_coverage_is_kept_when_the_look_is_read_anew(kind, dtype):
+    rng = np.random.default_rng(1)
+    response, cover = rng.random(PATCHES.shape).astype(dtype), np.clip(rng.uniform(-0.3, 1.3, PATCHES.shape), 0, 1)
+    made = response if kind == "numpy" else pytest.importorskip("torch").tensor(response)
+    other = Calibration(floor=0.1, temperature=1.5)
+    evidence = Evidence.from_response(made, PATCHES, coverage=cover)
+    assert np.array_equal(evidence.coverage, cover)
+    assert np.allclose(evidence.response[cover > 0], response[cover > 0], atol=1e-3 if dtype == np.float32 else 1e-9)
+    direct = Evidence.from_response(made, PATCHES, other, coverage=cover)
+    read = evidence.with_calibration(other)
+    assert np.allclose(read.log_ratio, direct.log_ratio, atol=1e-4)
+    assert read.seen == direct.seen
+    assert np.allclose(read.with_calibration(evidence.calibration).log_ratio, evidence.log_ratio, atol=1e-4)
+    half = Evidence.from_response(made, PATCHES, coverage=np.full(PATCHES.shape, 0.5)).with_calibration(other)
+    assert np.allclose(half.log_ratio, 0.5 * other.log_ratio(response), atol=1e-4), "also where every cell was seen"
+    assert Evidence.from_response(made, PATCHES, coverage=np.ones(PATCHES.shape)).coverage is None
+
+
+def test_coverage_is_not_shared_with_the_caller():
+    cover = np.full(PATCHES.shape, 0.5)
+    evidence = Evidence.from_response(np.ones(PATCHES.shape), PATCHES, coverage=cover)
+    cover[:] = 0.0
+    assert (evidence.coverage == 0.5).all()
+
+
+@pytest.mark.parametrize("kind", ["numpy", "torch"])
+@pytest.mark.parametrize("calibration", [Calibration(), Calibration.paper()], ids=["default", "paper"])
+def test_what_was_not_covered_may_be_anything(kind, calibration):
+    """As the error about NaN advises."""
+    response = np.random.default_rng(2).random(PATCHES.shape) * 0.5
+    cover = (PATCHES.directions[..., 2] > -0.4).astype(float)
+    clean = Evidence.from_response(response * cover, PATCHES, calibration, coverage=cover)
+    for bad in (np.nan, np.inf, -3.0, 255.0):
+        dirty = np.where(cover > 0, response, bad)
+        dirty = dirty if kind == "numpy" else pytest.importorskip("torch").tensor(dirty)
+        with pytest.raises(ResponseError, match=r"coverage|wanted \[0, 1\]"):
+            Evidence.from_response(dirty, PATCHES, calibration)
+        found = Evidence.from_response(dirty, PATCHES, calibration, coverage=cover)
+        assert np.allclose(found.log_ratio, clean.log_ratio)
+        assert found.peak == clean.peak
+    dirty = np.where(cover > 0, np.nan, response)
+    with pytest.raises(ResponseError, match="coverage"):
+        Evidence.from_response(dirty, PATCHES, calibration, coverage=cover)
 
 
 @pytest.mark.parametrize(
@@ -284,6 +332,64 @@ def test_one_bad_value_at_the_end_of_a_large_map_is_found():
     response = np.zeros(grid.shape, np.float32)
     response[3, 4] = -0.0
     assert Evidence.from_response(response, grid).log_ratio[3, 4] == pytest.approx(Calibration().empty)
+
+
+@pytest.mark.parametrize("dtype", [">f4", ">f8", "<f4", "<f8", "f2", np.longdouble])
+def test_every_order_of_bytes_and_every_float_is_checked_and_read_alike(dtype):
+    """In the other order of bytes NaN has the bits of a small number."""
+    response = np.random.default_rng(4).random(PATCHES.shape).astype(dtype)
+    expected = Calibration().log_ratio(response.astype(np.float64))
+    assert np.allclose(Evidence.from_response(response, PATCHES).log_ratio, expected, atol=1e-5)
+    assert Evidence.from_response(response, PATCHES).log_ratio.dtype in (np.float32, np.float64)
+    for bad in (np.nan, np.inf, -np.inf, 1.001, -0.001):
+        response[5, 7] = bad
+        with pytest.raises(ResponseError):
+            Evidence.from_response(response, PATCHES)
+
+
+@pytest.mark.parametrize(
+    "response",
+    [
+        np.full(PATCHES.shape, 0.5 + 0.5j),
+        np.full(PATCHES.shape, "0.5"),
+        np.full(PATCHES.shape, 0.5, object),
+        np.zeros(PATCHES.shape, "m8[s]"),
+        np.ma.masked_array(np.zeros(PATCHES.shape), mask=True),
+    ],
+    ids=lambda r: str(r.dtype),
+)
+def test_what_is_no_array_of_real_numbers_is_refused(response):
+    with pytest.raises(ResponseError, match=r"wanted an array of real numbers"):
+        Evidence.from_response(response, PATCHES)
+
+
+def test_complex_tensors_are_refused():
+    torch = pytest.importorskip("torch")
+    with pytest.raises(ResponseError, match="complex"):
+        Evidence.from_response(torch.zeros(PATCHES.shape, dtype=torch.complex64), PATCHES)
+
+
+def test_scaling_to_the_maximum_makes_no_second_map():
+    """The memory that a division takes anew costs more than the logarithm."""
+    grid = ErpGrid(512, 1024)
+    response = np.random.default_rng(5).random(grid.shape, np.float32) * np.float32(0.3)
+    Evidence.from_response(response, grid, Calibration.paper())
+    tracemalloc.start()
+    try:
+        found = Evidence.from_response(response, grid, Calibration.paper())
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert most < 1.3 * found.log_ratio.nbytes
+    assert np.allclose(found.log_ratio, np.log(response / response.max() + 1e-3), atol=1e-5)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_maximum_that_is_nothing_but_rounding_is_not_scaled_up(dtype):
+    response = np.full(PATCHES.shape, np.finfo(dtype).smallest_subnormal)
+    evidence = Evidence.from_response(response, PATCHES, Calibration.paper())
+    assert evidence.peak == 1.0
+    assert np.allclose(evidence.log_ratio, math.log(1e-3))
 
 
 @pytest.mark.parametrize(
