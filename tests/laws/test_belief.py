@@ -14,6 +14,7 @@ from eagor.errors import DirectionError, EagorError, RotationError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PatchGrid
 from eagor.harmonics import RealHarmonics
+from eagor.peaks import decoding_grid
 from eagor.sphere import angular_distance, direction, rotation
 
 SEEDS = st.integers(0, 500)
@@ -288,7 +289,35 @@ def test_diffusion_widens_a_peak_as_convolution_does(concentration, degrees, deg
     spread = 1 - resultant(belief.diffuse(sigma))
     assert spread == pytest.approx(1 - exact, rel=0.02)
     assert 1 - resultant(belief.diffuse_log(sigma)) < 0.9 * (1 - exact) or degrees == 1
-    assert belief.diffuse(sigma).presence(1e-9) == pytest.approx(belief.presence(1e-9), rel=0.05), "Z is kept"
+    assert belief.diffuse(sigma).presence(1e-9) == pytest.approx(belief.presence(1e-9), rel=0.01), "Z is kept"
+
+
+@pytest.mark.parametrize("degree", [7, 15])
+@pytest.mark.parametrize("degrees", [1, 4, 15])
+@pytest.mark.parametrize("height", [1, 8, 40])
+def test_diffusion_keeps_the_integral(degree, degrees, height):
+    """Also in many steps, and where a peak is too steep for its degree: else presence would go up or down with time."""
+    belief = Belief(height * field(degree, 3))
+    spread = belief.diffuse(math.radians(degrees))
+    grid = decoding_grid(degree)
+    before, after = (np.log(np.sum(np.exp(b.log_ratio(grid)) * grid.weights)) for b in (belief, spread))
+    assert after == pytest.approx(before, abs=1e-9)
+    assert spread.posterior.log_total == pytest.approx(belief.posterior.log_total, abs=0.05 if height < 40 else 1.5)
+    assert spread.entropy() > belief.entropy()
+
+
+@pytest.mark.parametrize("kind", ["numpy", "torch"])
+@pytest.mark.parametrize("sigma", [0.02, 0.2])
+def test_diffusion_does_not_know_the_neighbours_in_a_batch(kind, sigma):
+    flat, sharp = 2 * field(7, 1), 60 * field(7, 2)
+    both = np.stack([flat, sharp, flat])
+    if kind == "torch":
+        both = pytest.importorskip("torch").tensor(both)
+    found = Belief(both).diffuse(sigma).log_ratio(FINE)
+    alone = Belief(flat).diffuse(sigma).log_ratio(FINE)
+    limit = 0 if kind == "numpy" else 1e-2
+    assert np.abs(np.asarray(found[0]) - alone).max() <= limit
+    assert np.abs(np.asarray(found[2]) - alone).max() <= limit
 
 
 @given(SEEDS, st.floats(0.01, 0.1))
@@ -322,7 +351,7 @@ def test_batches_are_loops():
         assert batch.presence()[at] == pytest.approx(b.presence())
         assert batch.credible_angle()[at] == pytest.approx(b.credible_angle())
         assert np.allclose(batch.predict(turns)[at].coefficients, b.predict(turns[at]).coefficients, atol=1e-12)
-        assert np.allclose(batch.diffuse(0.05)[at].coefficients, b.diffuse(0.05).coefficients, atol=0.15)
+        assert np.allclose(batch.diffuse(0.05)[at].coefficients, b.diffuse(0.05).coefficients, atol=1e-12)
         directions_, weights = batch.modes(3)
         one, w = b.modes(3)
         assert np.allclose(directions_[at][: len(one)], one)
