@@ -173,6 +173,75 @@ def test_partial_coverage_is_kept_when_the_look_is_read_anew(kind, dtype):
     assert Evidence.from_response(made, PATCHES, coverage=np.ones(PATCHES.shape)).coverage is None
 
 
+def _shapes(grid):
+    """Masks of every kind: a cap, a hole, a stripe over the seam, single cells."""
+    there = grid.directions @ direction(2.5, 0.7)
+    yield "below", grid.directions[..., 2] > -0.4
+    yield "the pole alone", grid.directions[..., 2] > 0.95
+    yield "a hole", there < 0.8
+    yield "a window", there > 0.8
+    yield "the front", grid.directions[..., 0] > -0.6
+    yield "single cells", np.random.default_rng(0).random(grid.shape) > 0.1
+
+
+@pytest.mark.parametrize(
+    "grid",
+    [ErpGrid(24, 48), PatchGrid(25, 51), PerspectiveGrid(24, 40, 1.6), FisheyeGrid(40, math.radians(200))],
+    ids=str,
+)
+@pytest.mark.parametrize("degree", [7, 31])
+def test_borders_are_found_as_by_looking_at_every_cell(grid, degree):
+    for name, mask in _shapes(grid):
+        if mask.all():  # the hole is out of the picture
+            continue
+        where = coverage.region(grid, mask)
+        seen = mask & (grid.weights > 0)
+        hidden = grid.directions[~mask & (grid.weights > 0)]
+        depth = np.full(grid.shape, math.pi) if grid.depth_inside() is None else grid.depth_inside()
+        depth = np.where(seen, np.minimum(depth, coverage._distance(grid.directions, hidden)), 0.0)
+        expected = np.sin(np.clip(depth * (degree + 1) / 2, 0, math.pi / 2)) ** 2
+        assert np.allclose(coverage.taper(degree, where, np.zeros(1)), expected, atol=1e-9), name
+        assert np.array_equal(coverage.looked_at(where), seen)
+        points, reach = RealHarmonics(degree).quadrature().directions, math.pi / (degree + 1)
+        near = coverage._distance(points, grid.directions[seen]) <= reach
+        found = coverage._contains(where, points) | (coverage._distance(points, coverage._rim(where), reach) <= reach)
+        assert np.array_equal(found, near), name
+
+
+def test_the_border_of_a_large_masked_panorama_is_short(monkeypatch):
+    """The search ran over every unseen cell, crowded at the poles: 8 s at 256 rows."""
+    asked, search = [], coverage._distance
+    monkeypatch.setattr(coverage, "_distance", lambda p, t, *a: asked.append(len(t)) or search(p, t, *a))
+    grid = ErpGrid(512, 1024)
+    cover = np.repeat(np.arange(512)[:, None] < 410, 1024, axis=1)
+    values = field(Evidence.from_response(np.zeros(grid.shape, np.float32), grid, coverage=cover))
+    assert len(asked) == 2
+    assert max(asked) <= 1024
+    assert np.abs(values[SPHERE.directions[..., 2] < -0.98]).max() < 0.05
+    assert values[16, 64] == pytest.approx(Calibration().empty, rel=0.1)
+
+
+def test_masks_that_differ_with_every_look_do_not_fill_the_memory(monkeypatch):
+    from eagor import _arrays
+
+    monkeypatch.setattr(_arrays, "RECENT_BYTES", 300_000)
+    rng = np.random.default_rng(0)
+    for _ in range(12):
+        Evidence.from_response(np.zeros(PATCHES.shape), PATCHES, coverage=rng.random(PATCHES.shape) > 0.5).coefficients(
+            7
+        )
+    assert sum(table.nbytes for table in _arrays._recent.values()) <= 300_000
+    assert len(_arrays._recent) > 2
+
+
+def test_a_mask_on_a_fisheye_of_the_whole_sphere_ends_where_the_mask_does():
+    """The corners of its square repeat directions that were seen."""
+    grid = FisheyeGrid(80, 2 * math.pi)
+    where = coverage.region(grid, grid.directions @ direction(0.0, 0.0) < 0.9)
+    weight = coverage.taper(15, where, np.zeros(1))
+    assert (weight[(grid.weights > 0) & (grid.directions[..., 0] < 0.5)] == 1).all()
+
+
 def test_coverage_is_not_shared_with_the_caller():
     cover = np.full(PATCHES.shape, 0.5)
     evidence = Evidence.from_response(np.ones(PATCHES.shape), PATCHES, coverage=cover)
