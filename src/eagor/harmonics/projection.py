@@ -148,7 +148,7 @@ def _analyse_view(degree: int, values: Array, grid: Grid) -> Array:
     weights = constant(_lens_weights, lens, like=values)
     area = constant(_block_areas, lens, degree, like=values)
     sums = values * weights
-    sums = _pool(_pool(sums, rows, -2), columns, -1)
+    sums = pool(pool(sums, rows, -2), columns, -1)
     means = xp.where(area > 0, sums / xp.where(area > 0, area, xp.ones_like(area)), xp.zeros_like(sums))
     if area.shape[0] * area.shape[1] * (degree + 1) ** 2 * 8 <= PLAN_BYTES:
         flat = xp.reshape(means, (*means.shape[:-2], -1))
@@ -165,11 +165,11 @@ def _lens_weights(lens: Lens) -> np.ndarray:
 @lru_cache(maxsize=64)
 def _block_edges(lens: Lens, degree: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """First row and column of each block, and one past the last: whole cells, at most BLOCK / (degree + 1) wide."""
-    cells = max(1, int(BLOCK / (degree + 1) / _largest_cell(lens)))
+    cells = max(1, int(BLOCK / (degree + 1) / largest_cell(lens)))
     return tuple(tuple([*range(0, n, cells), n]) for n in lens[1:3])  # type: ignore[return-value]
 
 
-def _largest_cell(lens: Lens) -> float:
+def largest_cell(lens: Lens) -> float:
     """The side (radians) of the cell in the middle of the view, where cells are largest."""
     _, height, width, _ = lens
     return math.sqrt(float(forward_view(lens).density(np.array(width / 2), np.array(height / 2))))
@@ -177,7 +177,7 @@ def _largest_cell(lens: Lens) -> float:
 
 def _block_areas(lens: Lens, degree: int) -> np.ndarray:
     rows, columns = _block_edges(lens, degree)
-    return _pool(_pool(forward_view(lens).weights, rows, -2), columns, -1)
+    return pool(pool(forward_view(lens).weights, rows, -2), columns, -1)
 
 
 @lru_cache(maxsize=8)
@@ -192,7 +192,7 @@ def _block_row(lens: Lens, degree: int, row: int) -> np.ndarray:
     grid = forward_view(lens)
     rows, columns = (np.asarray(edges) for edges in _block_edges(lens, degree))
     height, width = rows[row + 1] - rows[row], np.diff(columns)
-    side = _largest_cell(lens) * max(height, int(width.max()))
+    side = largest_cell(lens) * max(height, int(width.max()))
     nodes, weights = np.polynomial.legendre.leggauss(min(16, 2 + math.ceil(side * (degree + 1))))
     nodes, weights = (nodes + 1) / 2, weights / 2
     y = (rows[row] + height * nodes)[None, :, None]
@@ -207,7 +207,7 @@ def _block_row(lens: Lens, degree: int, row: int) -> np.ndarray:
     return np.einsum("bij,bijn->bn", share, basis)
 
 
-def _pool(values: Array, edges: tuple[int, ...], axis: int) -> Array:
+def pool(values: Array, edges: tuple[int, ...], axis: int) -> Array:
     """Sums of `values` between consecutive `edges` along `axis`."""
     xp = namespace(values)
     if len(edges) == values.shape[axis] + 1:
