@@ -258,7 +258,7 @@ def test_a_picture_that_is_not_two_to_one_is_refused_unless_forced(tmp_path):
 
 
 def test_frames_that_are_not_two_to_one(three, tmp_path):
-    """The first ends the run before anything is written, later ones are left out; --force takes all, with one warning."""
+    """The first ends the run before anything is written, later ones are left out; --force takes all, and warns once."""
     images, write = three
     words = ("track", images, "red", "--poses", write(GOOD))
     for name in ("b.png", "c.png"):
