@@ -41,7 +41,8 @@ def main() -> None:
         row, column = view.shape[0] // 2, int(view.shape[1] * 0.8)
         spot = view.directions[row, column]
         blob = np.exp(-0.5 * (angular_distance(view.directions, spot) / math.radians(8)) ** 2)
-        outside = coverage._distance(sphere.directions, coverage._seen_points(where)) > math.radians(30)
+        apart = coverage._distance(sphere.directions, coverage._rim(where))
+        outside = ~coverage._contains(where, sphere.directions) & (apart > math.radians(30))
         height = float(basis.synthesise(basis.analyse(blob, view), spot))
         cells = []
         for width, confined in [(0.0, False), (margin, False), (2 * margin, False), (margin, True)]:

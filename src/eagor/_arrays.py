@@ -7,8 +7,11 @@ imported here: a torch tensor is recognised because its owner has imported torch
 
 from __future__ import annotations
 
+import math
+from collections import OrderedDict
 from collections.abc import Callable
 from functools import lru_cache
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -58,6 +61,22 @@ def akin(values: Array, reference: Array) -> Array:
     return matched(to_numpy(values), reference)
 
 
+def private(values: Array) -> Array:
+    """A copy of `values` that no one else holds, read-only in NumPy; gradients go through it."""
+    if isinstance(values, np.ndarray):
+        return frozen(np.array(values))
+    if hasattr(values, "clone"):  # torch: its asarray would cut the gradient
+        return values.clone()
+    return namespace(values).asarray(values, copy=True)
+
+
+def frozen(values: Array) -> Array:
+    """`values` themselves, read-only where that can be said (NumPy): for new arrays that are kept and handed out."""
+    if isinstance(values, np.ndarray):
+        values.setflags(write=False)
+    return values
+
+
 def to_numpy(values: Array) -> np.ndarray:
     """`values` as an ndarray on the host (a copy where it lives elsewhere)."""
     if isinstance(values, np.ndarray):
@@ -87,8 +106,33 @@ def constant(plan: Callable[..., np.ndarray], *key: Any, like: Array) -> Array:
     return _as_foreign(plan, key, namespace(like), like.dtype, device(like))
 
 
-@lru_cache(maxsize=256)
-def _as_numpy(plan: Callable[..., np.ndarray], key: tuple, dtype: str) -> np.ndarray:
+def recent(plan: Callable[..., np.ndarray], *key: Any, like: Array) -> Array:
+    """As `constant`, for large plans that may differ with every look: the last ones are kept, `RECENT_BYTES` in all."""
+    numpy = type(like) is np.ndarray
+    kind = (like.dtype.char,) if numpy else (namespace(like), like.dtype, device(like))
+    with _turn:
+        if (plan, key, kind) in _recent:
+            _recent.move_to_end((plan, key, kind))
+            return _recent[plan, key, kind]
+    # Outside the lock: a plan may ask for another. Two threads may make the same one, which does no harm.
+    made = _make_numpy(plan, key, *kind) if numpy else _make_foreign(plan, key, *kind)
+    with _turn:
+        _recent[plan, key, kind] = made
+        while len(_recent) > 1 and sum(map(_bytes, _recent.values())) > RECENT_BYTES:
+            _recent.popitem(last=False)
+    return made
+
+
+RECENT_BYTES = 1 << 29
+_recent: OrderedDict[tuple, Array] = OrderedDict()
+_turn = Lock()
+
+
+def _bytes(values: Array) -> int:
+    return math.prod(values.shape) * getattr(values, "itemsize", 8)
+
+
+def _make_numpy(plan: Callable[..., np.ndarray], key: tuple, dtype: str) -> np.ndarray:
     table = np.ascontiguousarray(plan(*key))
     if table.dtype.kind == "f":
         table = table.astype(dtype, copy=False)
@@ -96,9 +140,11 @@ def _as_numpy(plan: Callable[..., np.ndarray], key: tuple, dtype: str) -> np.nda
     return table
 
 
-@lru_cache(maxsize=256)
-def _as_foreign(plan: Callable[..., np.ndarray], key: tuple, xp: Any, dtype: Any, place: Any) -> Array:
+def _make_foreign(plan: Callable[..., np.ndarray], key: tuple, xp: Any, dtype: Any, place: Any) -> Array:
     table = np.ascontiguousarray(plan(*key))
     if table.dtype.kind == "f":
         return xp.asarray(table.copy(), dtype=dtype, device=place)
     return xp.asarray(table.copy(), device=place)
+
+
+_as_numpy, _as_foreign = lru_cache(maxsize=256)(_make_numpy), lru_cache(maxsize=256)(_make_foreign)

@@ -11,15 +11,25 @@ out below a weak response that is wide. Averaged as a ratio first, it keeps near
 area costs 2.3 nats.
 
 k is the heat kernel of the sphere (its spectrum is exp(-l (l + 1) sigma^2 / 2)), near a Gaussian at these widths.
+
+A view is laid out on a panorama first, whose cells are finer than the kernel: each pixel shares what it says among the
+four cells around it, so that its middle stays where it was, and the kernel comes out 1 or 2 % wider. (To integrate
+harmonics of so high a degree over every pixel would take a table of gigabytes.)
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
 
-from eagor._arrays import Array, namespace
-from eagor.grids import ErpGrid, Grid, PatchGrid
+import numpy as np
+
+from eagor._arrays import Array, constant, namespace, recent
+from eagor.grids import ErpGrid, FisheyeGrid, Grid, Lens, PatchGrid, forward_view, lens_of
 from eagor.harmonics import RealHarmonics
+from eagor.harmonics.projection import largest_cell, pool
 
 _MARGIN = 3.0  # nats by which what is cut off the kernel's spectrum stays below the lowest ratio
 
@@ -32,9 +42,137 @@ def averaged(log_ratio: Array, grid: Grid, spread: float, least: float, most: fl
     """
     # Beyond this degree a kernel as high as the highest ratio has faded into the lowest.
     basis = RealHarmonics(math.ceil(math.sqrt(2 * (most - least + _MARGIN)) / spread))
-    whole, xp = basis.quadrature(1), namespace(log_ratio)
-    if isinstance(grid, ErpGrid):  # samples of a coarse picture say nothing at so high a degree: take them as cells
-        grid = PatchGrid(*grid.shape)
-    gain = basis.synthesise(basis.smooth(basis.analyse(xp.expm1(log_ratio), grid), spread), whole)
+    gain, whole, xp = _gain(basis, log_ratio, grid), basis.quadrature(1), namespace(log_ratio)
+    gain = basis.synthesise(basis.smooth(gain, spread), whole)
     # 1 + gain, kept from what truncation may leave below the lowest ratio.
     return xp.log1p(xp.clip(gain, math.expm1(least), math.expm1(most))), whole
+
+
+def _gain(basis: RealHarmonics, log_ratio: Array, grid: Grid) -> Array:
+    """By how much likelihood ratios exceed 1, as coefficients ``(..., size)``."""
+    values = namespace(log_ratio).expm1(log_ratio)
+    if isinstance(grid, ErpGrid | PatchGrid):  # samples of a coarse picture say nothing at so high a degree
+        return basis.analyse(values, PatchGrid(*grid.shape))
+    found = basis.analyse(_laid_out(values, lens_of(grid), basis.degree), _panorama(basis.degree))
+    ahead = np.array_equal(grid.body_R_view, np.eye(3))
+    return found if ahead else basis.rotate(found, grid.body_R_view)
+
+
+def _panorama(degree: int) -> ErpGrid:
+    """What views are laid out on: its cells are half as wide as the half wave of the finest harmonic."""
+    return RealHarmonics(degree).quadrature(2)
+
+
+def _laid_out(values: Array, lens: Lens, degree: int) -> Array:
+    """`values` ``(..., h, w)`` of a view that looks forward as a density on `_panorama` ``(..., H, W)``, else 0."""
+    xp = namespace(values)
+    rows, columns = _blocks(lens, degree)
+    sums = pool(pool(values * constant(_weights, lens, like=values), rows, -2), columns, -1)
+    sums = xp.reshape(sums, (*sums.shape[:-2], -1))
+    parts = xp.take(sums, recent(_block_of, lens, degree, like=values), axis=-1)
+    parts = pool(parts * recent(_share, lens, degree, like=values), _plan(lens, degree).edges, -1)
+    cells = xp.concat([parts, xp.zeros_like(parts[..., :1])], axis=-1)
+    cells = xp.take(cells, recent(_place, lens, degree, like=values), axis=-1)
+    return xp.reshape(cells, (*values.shape[:-2], *_panorama(degree).shape))
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """How the blocks of a view share out what they say.
+
+    The n-th part goes from `block_of` it, `share` of it per steradian, to a cell; the parts of one cell stand between
+    two `edges`. `place` is the number of each cell of the panorama among those that get something, the last for none.
+    """
+
+    block_of: np.ndarray
+    share: np.ndarray
+    edges: tuple[int, ...]
+    place: np.ndarray
+
+
+@lru_cache(maxsize=4)
+def _plan(lens: Lens, degree: int) -> _Plan:
+    from scipy.sparse import csr_array
+
+    panorama, view = _panorama(degree), forward_view(lens)
+    x, y, block, share = _nodes(lens, degree)
+    right, down, _ = panorama.project(view.unproject(x, y))
+    cells, shares = [], []
+    for cell, part in _four(panorama, right - 0.5, down - 0.5):
+        cells.append(cell)
+        shares.append(part * share)
+    blocks = int(block.max()) + 1
+    table = csr_array(
+        (np.concatenate(shares), (np.concatenate(cells), np.tile(block, 4))), shape=(panorama.weights.size, blocks)
+    )
+    counts = np.diff(table.indptr)
+    given = np.flatnonzero(counts)
+    place = np.full(counts.shape, len(given), dtype=np.intp)
+    place[given] = np.arange(len(given))
+    density = table.data / np.repeat(panorama.weights.reshape(-1)[given], counts[given])
+    edges = (0, *np.cumsum(counts[given]).tolist())
+    return _Plan(table.indices.astype(np.intp), density, edges, place)
+
+
+def _four(panorama: ErpGrid, u: np.ndarray, v: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """The four cells around points ``(n,)``, in columns and rows from the first cell's centre, and each one's share."""
+    left, top = np.floor(u), np.floor(v)
+    for row, share in ((top, 1 - v + top), (top + 1, v - top)):
+        over = (row < 0) | (row >= panorama.height)  # across a pole the panorama goes on half a turn further
+        inside = np.clip(row, 0, panorama.height - 1)
+        for column, part in ((left, 1 - u + left), (left + 1, u - left)):
+            along = (column + over * (panorama.width // 2)) % panorama.width
+            yield (inside * panorama.width + along).astype(np.intp), share * part
+
+
+def _nodes(lens: Lens, degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Points that stand for a view: x and y ``(n,)`` in its pixels, the block that each is in, and its share of it."""
+    view = forward_view(lens)
+    rows, columns = (np.asarray(edges) for edges in _blocks(lens, degree))
+    side = largest_cell(lens) * max(int(np.diff(rows).max()), int(np.diff(columns).max()))
+    count = max(1, math.ceil(side / _half_cell(degree)))
+    (y, of_row), (x, of_column) = _fine(rows, count), _fine(columns, count)
+    x, y = np.broadcast_arrays(x, y[:, None])
+    share = view.density(x, y)
+    if isinstance(view, FisheyeGrid):
+        share = np.where(view.project(view.unproject(x, y))[2], share, 0.0)
+    whole = share.reshape(len(rows) - 1, count, len(columns) - 1, count).sum(axis=(1, 3))[np.ix_(of_row, of_column)]
+    share = np.divide(
+        share, whole, out=np.full(share.shape, 1 / count**2), where=whole > 0
+    )  # a rim: through its middle
+    block = of_row[:, None] * (len(columns) - 1) + of_column
+    return x.reshape(-1), y.reshape(-1), block.reshape(-1), share.reshape(-1)
+
+
+def _fine(edges: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The middles of `count` equal parts between each two `edges`, and the number of the space that each lies in."""
+    steps = (np.arange(count) + 0.5) / count
+    inner = edges[:-1, None] + np.diff(edges)[:, None] * steps
+    return inner.reshape(-1), np.repeat(np.arange(len(edges) - 1), count)
+
+
+@lru_cache(maxsize=64)
+def _blocks(lens: Lens, degree: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """First row and column of each block of pixels, and one past the last: at most half a cell of the panorama wide."""
+    pixels = max(1, int(_half_cell(degree) / largest_cell(lens)))
+    return tuple(tuple([*range(0, n, pixels), n]) for n in lens[1:3])  # type: ignore[return-value]
+
+
+def _half_cell(degree: int) -> float:
+    return math.pi / _panorama(degree).height / 2
+
+
+def _weights(lens: Lens) -> np.ndarray:
+    return forward_view(lens).weights
+
+
+def _block_of(lens: Lens, degree: int) -> np.ndarray:
+    return _plan(lens, degree).block_of
+
+
+def _share(lens: Lens, degree: int) -> np.ndarray:
+    return _plan(lens, degree).share
+
+
+def _place(lens: Lens, degree: int) -> np.ndarray:
+    return _plan(lens, degree).place

@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from eagor._arrays import Array, akin, as_float, constant, namespace, to_numpy
+from eagor._arrays import Array, akin, as_float, constant, frozen, namespace, private, to_numpy
 from eagor.diffusion import diffuse
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
@@ -163,7 +163,8 @@ class Belief(Reading):
     """A belief over directions: `coefficients` ``(..., (degree + 1)^2)`` of the log-posterior in the body frame.
 
     Leading dimensions are a batch (several targets, particles, episodes). NumPy or torch, kept as it came: what is
-    added in another kind, or from another device, is brought to the belief's.
+    added in another kind, or from another device, is brought to the belief's. They are copied (NumPy: read-only, for a
+    belief never changes).
     """
 
     coefficients: Array
@@ -172,6 +173,14 @@ class Belief(Reading):
         size = self.coefficients.shape[-1] if len(self.coefficients.shape) else 0
         if size < 4 or math.isqrt(size) ** 2 != size:
             raise EagorError(f"coefficients have shape {tuple(self.coefficients.shape)}; wanted (..., (degree + 1)^2)")
+        object.__setattr__(self, "coefficients", private(self.coefficients))
+
+    @classmethod
+    def _of(cls, coefficients: Array) -> Belief:
+        """A belief that keeps `coefficients`, a new array, as it is: nobody else holds it, so it needs no copy."""
+        made = object.__new__(cls)
+        object.__setattr__(made, "coefficients", frozen(coefficients))
+        return made
 
     @classmethod
     def uniform(cls, degree: int, batch_shape: tuple[int, ...] = (), like: Array | None = None) -> Belief:
@@ -200,7 +209,7 @@ class Belief(Reading):
         """Part of a batch."""
         if not self.batch_shape:
             raise EagorError("this belief has no batch dimension to index")
-        return replace(self, coefficients=self.coefficients[index])
+        return Belief(self.coefficients[index])
 
     def direction_belief(self) -> Belief:
         """Itself: it holds nothing but directions (beliefs over more answer with what they know of directions)."""
@@ -213,12 +222,11 @@ class Belief(Reading):
 
     def plus(self, log_ratios: Array) -> Belief:
         """With log ratios ``(..., size)`` added, as coefficients, brought to this belief's kind of array."""
-        return replace(self, coefficients=self.coefficients + akin(log_ratios, self.coefficients))
+        return self._of(self.coefficients + akin(log_ratios, self.coefficients))
 
     def predict(self, new_R_old: Array) -> Belief:
         """After the body has turned: ``new_R_old @ direction_old = direction_new``, ``(..., 3, 3)``, exact."""
-        rotated = rotation.rotate(self.degree, as_float(self.coefficients), check_rotation(new_R_old))
-        return Belief(rotated)
+        return self._of(rotation.rotate(self.degree, as_float(self.coefficients), check_rotation(new_R_old)))
 
     def update(self, evidence: Evidence, new_R_capture: Array | None = None) -> Belief:
         """With one more look added. For evidence from an earlier orientation give `new_R_capture` (to now).
@@ -236,17 +244,17 @@ class Belief(Reading):
         """With all log-odds scaled by `factor` in [0, 1]: what was learnt long ago counts for less."""
         if not 0 <= factor <= 1:
             raise EagorError(f"factor = {factor!r}; wanted 0 (forget everything) to 1 (keep everything)")
-        return Belief(self.coefficients * factor)
+        return self._of(self.coefficients * factor)
 
     def diffuse(self, sigma: float) -> Belief:
         """With the density spread by a Gaussian of `sigma` radians per axis (odometry noise, a moving target)."""
         if not 0 <= sigma < math.pi:
             raise EagorError(f"sigma = {sigma!r}; wanted radians, 0 to pi")
-        return Belief(diffuse(self.degree, self.coefficients, sigma)) if sigma > 0 else self
+        return self._of(diffuse(self.degree, self.coefficients, sigma)) if sigma > 0 else self
 
     def diffuse_log(self, sigma: float) -> Belief:
         """The cheap approximation: exp(-l(l+1) sigma^2 / 2) on the log field. It blurs f, and hardly widens exp(f)."""
-        return Belief(self.basis.smooth(self.coefficients, sigma))
+        return self._of(self.basis.smooth(self.coefficients, sigma))
 
     def log_ratio(self, directions: Grid | Array) -> Array:
         """f, the accumulated log-likelihood ratio, at unit vectors ``(n..., 3)`` or on a grid ``(..., H, W)``."""

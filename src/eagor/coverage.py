@@ -19,7 +19,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor._arrays import Array, constant
+from eagor._arrays import Array, frozen, recent
 from eagor.grids import ErpGrid, FisheyeGrid, Grid, Lens, PatchGrid, PerspectiveGrid, forward_view, lens_of
 from eagor.harmonics import RealHarmonics
 
@@ -42,16 +42,21 @@ def region(grid: Grid, mask: np.ndarray | None) -> Region | None:
     return "pixels" if isinstance(grid, ErpGrid) else "patches", *grid.shape, 0.0, packed
 
 
+def looked_at(where: Region) -> np.ndarray:
+    """The cells ``(H, W)`` that were looked at, bool."""
+    return _mask(where)
+
+
 def taper(degree: int, where: Region, like: Array) -> Array:
     """Weights ``(H, W)`` in [0, 1]: zero at the border of the seen region, one from pi / (degree + 1) inside."""
-    return constant(_taper, degree, where, like=like)
+    return recent(_taper, degree, where, like=like)
 
 
 def confine(degree: int, coefficients: Array, where: Region) -> Array:
     """The nearest field ``(..., size)`` that stays inside the seen region, in the frame of the grid's own lens."""
     if degree > CONFINE_UP_TO:
         return coefficients
-    return coefficients @ constant(_confinement, degree, where, like=coefficients)
+    return coefficients @ recent(_confinement, degree, where, like=coefficients)
 
 
 def _forward_grid(where: Region) -> PerspectiveGrid | FisheyeGrid | ErpGrid | PatchGrid:
@@ -72,7 +77,7 @@ def _mask(where: Region) -> np.ndarray:
     if packed:
         seen = np.unpackbits(np.frombuffer(packed, dtype=np.uint8), count=height * width).astype(bool)
         seen = seen.reshape(height, width)
-    return seen & (_forward_grid(where).weights > 0)
+    return frozen(seen & (_forward_grid(where).weights > 0))
 
 
 def _taper(degree: int, where: Region) -> np.ndarray:
@@ -81,34 +86,60 @@ def _taper(degree: int, where: Region) -> np.ndarray:
     border = grid.depth_inside()
     depth = np.where(seen, math.pi if border is None else border, 0.0)
     if where[-1]:
-        depth = np.minimum(depth, _distance(grid.directions, grid.directions[~seen]))
+        hidden = ~seen & (grid.weights > 0) & _beside(seen, grid)
+        apart = _distance(grid.directions[seen], grid.directions[hidden], math.pi / (degree + 1))
+        depth[seen] = np.minimum(depth[seen], apart)
     return np.sin(np.clip(depth * (degree + 1) / 2, 0, math.pi / 2)) ** 2
 
 
 def _confinement(degree: int, where: Region) -> np.ndarray:
     """The inverse of (1 + (PENALTY - 1) * Gram matrix of the basis over the far unseen), symmetric."""
     basis = RealHarmonics(degree)
-    fine = basis.quadrature()
-    far = _distance(fine.directions, _seen_points(where)) > math.pi / (degree + 1)
+    fine, reach = basis.quadrature(), math.pi / (degree + 1)
+    far = ~_contains(where, fine.directions) & (_distance(fine.directions, _rim(where), reach) > reach)
     values = basis.evaluate(fine.directions[far])
     gram = (values * fine.weights[far][:, None]).T @ values
     return np.linalg.inv(np.eye(basis.size) + (PENALTY - 1) * gram)
 
 
-def _seen_points(where: Region) -> np.ndarray:
-    """Directions ``(n, 3)`` that sample the seen region, its border included."""
+def _contains(where: Region, directions: np.ndarray) -> np.ndarray:
+    """Which of `directions` ``(..., 3)`` lie in a cell that was looked at."""
+    grid, seen = _forward_grid(where), _mask(where)
+    x, y, inside = grid.project(directions)
+    row, column = (np.clip(at.astype(np.intp), 0, n - 1) for at, n in zip((y, x), grid.shape, strict=True))
+    return inside & seen[row, column]
+
+
+def _rim(where: Region) -> np.ndarray:
+    """Directions ``(n, 3)`` along the border of the seen region, on its inner side."""
     grid, seen = _forward_grid(where), _mask(where)
     if not where[-1] and isinstance(grid, PerspectiveGrid):  # cell centres would miss the outer half cells
-        x, y = np.meshgrid(np.linspace(0, grid.width, 100), np.linspace(0, grid.height, 100))
-        return grid.unproject(x, y).reshape(-1, 3)
-    return grid.directions[seen]
+        side, width, height = np.linspace(0, 1, 100), grid.width, grid.height
+        x = np.concatenate([side * width, side * width, 0 * side, 0 * side + width])
+        y = np.concatenate([0 * side, 0 * side + height, side * height, side * height])
+        return grid.unproject(x, y)
+    return grid.directions[seen & _beside(~seen, grid, beyond=True)]
 
 
-def _distance(points: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """Angle (radians) from each of `points` ``(..., 3)`` to the nearest of `targets` ``(n, 3)``."""
+def _beside(marked: np.ndarray, grid: Grid, beyond: bool = False) -> np.ndarray:
+    """Which cells ``(H, W)`` have one of eight neighbours `marked`; past a view's edge everything counts as `beyond`.
+
+    A panorama goes on across the seam and over the poles.
+    """
+    padded = np.pad(marked, 1, constant_values=beyond)
+    if isinstance(grid, ErpGrid | PatchGrid):
+        padded[[0, -1], 1:-1] = np.roll(marked[[0, -1]], marked.shape[1] // 2, axis=1)
+        padded[:, 0], padded[:, -1] = padded[:, -2], padded[:, 1]
+    across = padded[:-2] | padded[1:-1] | padded[2:]
+    return across[:, :-2] | across[:, 1:-1] | across[:, 2:]
+
+
+def _distance(points: np.ndarray, targets: np.ndarray, within: float = math.pi) -> np.ndarray:
+    """Angle (radians) from each of `points` ``(..., 3)`` to the nearest of `targets` ``(n, 3)``; pi beyond `within`."""
     if len(targets) == 0:
         return np.full(points.shape[:-1], math.pi)
     from scipy.spatial import KDTree
 
-    chord = KDTree(targets).query(points.reshape(-1, 3))[0].reshape(points.shape[:-1])
+    most = 2 * math.sin(within / 2) * (1 + 1e-9) if within < math.pi else math.inf
+    chord = KDTree(targets).query(points.reshape(-1, 3), distance_upper_bound=most)[0].reshape(points.shape[:-1])
     return 2 * np.arcsin(np.clip(chord / 2, 0, 1))

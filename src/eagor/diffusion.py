@@ -8,7 +8,8 @@ convolution of exp(f) with a Gaussian of variance s^2 then has a closed form:
 It is exact for a Gaussian peak of any height and width (a concentration k becomes k / (1 + k s^2)), it needs no
 exponential, which over the dynamic range of a log-posterior would lose everything below the peak, and it cannot turn
 negative. The result has no band limit, so the field of the degree nearest to it is taken, in a least-squares
-sense that cares most where the probability is. Wide diffusions are split into steps.
+sense that cares most where the probability is, and shifted so that the integral of exp(f) stays what it was. Wide
+diffusions are split into steps.
 
 A heat kernel on the coefficients of f itself is NOT diffusion: it leaves the concentration of a peak nearly unchanged.
 """
@@ -17,7 +18,9 @@ from __future__ import annotations
 
 import math
 
-from eagor._arrays import Array, namespace
+import numpy as np
+
+from eagor._arrays import Array, constant, namespace
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.peaks import decoding_grid, derivatives
@@ -32,34 +35,75 @@ ITERATIONS = 30  # of conjugate gradients; the result is within the projection's
 def diffuse(degree: int, coefficients: Array, sigma: float) -> Array:
     """log of exp(f) convolved with a heat kernel of standard deviation `sigma` (radians per axis), at the same degree.
 
-    `coefficients` ``(..., size)`` of f. The integral of exp(f) is kept to the accuracy of the projection.
+    `coefficients` ``(..., size)`` of f. The integral of exp(f) is kept, as the decoding grid measures it. Each belief
+    of a batch takes steps of its own, as if it were alone (in NumPy to the last digit; tensors are computed together,
+    and the least squares magnify how a product of matrices is rounded).
     """
+    if isinstance(coefficients, np.ndarray) and coefficients.ndim > 1:
+        found = [_diffused(degree, one, sigma) for one in coefficients.reshape(-1, coefficients.shape[-1])]
+        return np.reshape(found, coefficients.shape)
+    return _diffused(degree, coefficients, sigma)
+
+
+def _diffused(degree: int, coefficients: Array, sigma: float) -> Array:
+    """`diffuse`, all of a batch at once."""
     basis, grid = RealHarmonics(degree), decoding_grid(degree)
     xp = namespace(coefficients)
-    done = 0.0
-    while done < sigma**2 * (1 - 1e-12):
-        f = basis.synthesise(coefficients, grid)
+    f = basis.synthesise(coefficients, grid)
+    before = _log_integral(f, grid)
+    left = xp.zeros_like(before) + sigma**2
+    while bool(xp.any(left > 1e-12 * sigma**2)):
         top = xp.max(f, axis=(-2, -1), keepdims=True)
-        gu, gv, huu, huv, hvv = derivatives(grid, f)
-        size = xp.where(f > top - 10, xp.abs(huu) + xp.abs(huv) + xp.abs(hvv), xp.zeros_like(f))
-        variance = min(sigma**2 - done, max(STEP / max(float(xp.max(size)), 1e-12), sigma**2 / 64))
-        # The eigenvalues of H in closed form, and the gradient in the basis of its eigenvectors.
-        mean, half = (huu + hvv) / 2, xp.hypot((huu - hvv) / 2, huv)
-        angle = 0.5 * xp.atan2(huv, (huu - hvv) / 2)
-        along, across = gu * xp.cos(angle) + gv * xp.sin(angle), gv * xp.cos(angle) - gu * xp.sin(angle)
-        one = 1 - xp.clip(variance * (mean + half), -math.inf, CONVEX)
-        two = 1 - xp.clip(variance * (mean - half), -math.inf, CONVEX)
-        gained = 0.5 * variance * (along**2 / one + across**2 / two) - 0.5 * xp.log(one * two)
-        gained = xp.minimum(gained, top - f)  # diffusion never exceeds the old maximum
-        weight = LEAST + xp.exp((f - top) / DEPTH)
-        spread = coefficients + _nearest(basis, grid, gained, weight)
+        gained, variance, tempering = _gained(f, top, grid, left, sigma)
+        spread = coefficients + _nearest(basis, grid, gained, LEAST + xp.exp((f - top) / DEPTH))
         # A peak too steep for its degree to spread (thousands of nats) would overshoot: temper it to the right
         # curvature.
-        tempered = coefficients / (1 + variance * xp.max(size, axis=(-2, -1))[..., None])
-        risen = xp.max(basis.synthesise(spread, grid), axis=(-2, -1)) > top[..., 0, 0] + 1
-        coefficients = xp.where(risen[..., None], tempered, spread)
-        done += variance
-    return coefficients
+        found = basis.synthesise(spread, grid)
+        risen = xp.max(found, axis=(-2, -1), keepdims=True) > top + 1
+        coefficients = xp.where(risen[..., 0], coefficients / tempering[..., 0], spread)
+        f = xp.where(risen, f / tempering, found)
+        left = left - variance
+    lost = before - _log_integral(f, grid)
+    return coefficients + constant(_flat, degree, like=coefficients) * lost[..., 0]
+
+
+def _flat(degree: int) -> np.ndarray:
+    """The field that is 1 everywhere ``(size,)``."""
+    return np.eye(1, (degree + 1) ** 2)[0] * math.sqrt(4 * math.pi)
+
+
+def _gained(f: Array, top: Array, grid: ErpGrid, left: Array, sigma: float) -> tuple[Array, Array, Array]:
+    """What one step adds to fields ``(..., H, W)``, its variance and how it would temper a peak ``(..., 1, 1)``.
+
+    `top`: the fields' maxima. `left`: the variance that is still to come.
+    """
+    xp = namespace(f)
+    gu, gv, huu, huv, hvv = derivatives(grid, f)
+    size = xp.where(f > top - 10, xp.abs(huu) + xp.abs(huv) + xp.abs(hvv), xp.zeros_like(f))
+    steepest = xp.max(size, axis=(-2, -1), keepdims=True)
+    fits = xp.clip(STEP / xp.clip(steepest, 1e-12, math.inf), sigma**2 / 64, math.inf)
+    variance = xp.minimum(left, fits)
+    # The eigenvalues of H in closed form, and the gradient in the basis of its eigenvectors.
+    mean, half = (huu + hvv) / 2, xp.hypot((huu - hvv) / 2, huv)
+    angle = 0.5 * xp.atan2(huv, (huu - hvv) / 2)
+    along, across = gu * xp.cos(angle) + gv * xp.sin(angle), gv * xp.cos(angle) - gu * xp.sin(angle)
+    one = 1 - xp.clip(variance * (mean + half), -math.inf, CONVEX)
+    two = 1 - xp.clip(variance * (mean - half), -math.inf, CONVEX)
+    gained = 0.5 * variance * (along**2 / one + across**2 / two) - 0.5 * xp.log(one * two)
+    gained = xp.minimum(gained, top - f)  # diffusion never exceeds the old maximum
+    return gained, variance, 1 + variance * steepest
+
+
+def _log_integral(f: Array, grid: ErpGrid) -> Array:
+    """log of the integral of exp(f) over the sphere ``(..., 1, 1)``, for fields ``(..., H, W)`` on `grid`."""
+    xp = namespace(f)
+    top = xp.max(f, axis=(-2, -1), keepdims=True)
+    weights = constant(_weights, grid, like=f)
+    return top + xp.log(xp.sum(xp.exp(f - top) * weights, axis=(-2, -1), keepdims=True))
+
+
+def _weights(grid: ErpGrid) -> np.ndarray:
+    return grid.weights
 
 
 def _nearest(basis: RealHarmonics, grid: ErpGrid, values: Array, weight: Array) -> Array:

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from eagor._arrays import Array, matched, namespace, to_numpy
+from eagor._arrays import Array, frozen, matched, namespace, to_numpy
 from eagor.averaging import averaged
 from eagor.calibration import Calibration
 from eagor.coverage import Region, confine, region, taper
@@ -31,6 +31,7 @@ from eagor.peaks import decoding_grid
 from eagor.sphere import unit
 
 SILENT = 1e-6  # a response below this is the rounding of zero, and must not be scaled up to a detection
+_LEAST_PEAK = 1e-30  # a maximum below this cannot be divided by in float32
 _BLOCK = 1 << 16  # values at a time: adding, checking and taking the logarithm stay in the cache
 
 
@@ -44,21 +45,29 @@ class Evidence:
     Values are never changed after construction.
     """
 
-    log_ratio: Array = field(repr=False)
+    drawn: Array | None = field(repr=False)  # None: the set of detections is drawn when it is asked for
     grid: Grid
     calibration: Calibration
     stamp: float | None = None
     seen: Region | None = field(default=None, repr=False)
     peak: float = 1.0  # what the response was divided by (scale_to_max)
     source: Mapping[str, object] | None = None
+    coverage: np.ndarray | None = field(default=None, repr=False)  # (H, W) in [0, 1]; None: the whole grid
     detections: Detections | None = None  # the set, where the evidence is that of a `DetectorModel`
 
     @classmethod
     def from_detections(cls, detections: Detections, grid: Grid, stamp: float | None = None) -> Evidence:
         """Evidence from a set of detections; `grid` is what its values are drawn on."""
         stamp = None if stamp is None else checked_stamp(stamp)
-        log_ratio = np.log(detections.ratio(grid.directions)).astype(np.float32)
-        return cls(log_ratio, grid, _DEFAULT, stamp, detections=detections)
+        return cls(None, grid, _DEFAULT, stamp, detections=detections)
+
+    @property
+    def log_ratio(self) -> Array:
+        """The log-likelihood ratios ``(..., H, W)`` on the grid."""
+        if self.drawn is not None:
+            return self.drawn
+        assert self.detections is not None
+        return np.log(self.detections.ratio(self.grid.directions)).astype(np.float32)
 
     @classmethod
     def from_response(
@@ -73,25 +82,27 @@ class Evidence:
         """Evidence from a response ``(..., H, W)`` in [0, 1] on `grid`.
 
         `coverage` ``(H, W)`` in [0, 1] (or bool) tells how far each cell was really looked at; by default the whole
-        grid was. `source` tells what produced the response. Raises `ResponseError` on another shape, an empty array,
-        NaN, or values outside [0, 1]. An all-zero response is good input: we looked and saw nothing.
+        grid was. Where it is 0 the response may be anything, NaN too: it is not looked at. `source` tells what produced
+        the response. Raises `ResponseError` on another shape, an empty array, NaN, or values outside [0, 1]. An
+        all-zero response is good input: we looked and saw nothing.
         """
         calibration = calibration or _DEFAULT
         response = _checked_shape(response, grid)
-        peak = 1.0
-        if calibration.scale_to_max:
-            peak = _largest(response)
-            if 0 < peak < 1:
-                response = response / peak
-        log_ratio = _log_ratio(response, calibration)
-        if stamp is not None:
-            stamp = checked_stamp(stamp)
         mask = None
         if coverage is not None:
             coverage = _checked_coverage(coverage, grid)
             mask = coverage > 0
+            response = _where_covered(response, mask)
+        peak = _largest(response) if calibration.scale_to_max else 1.0
+        if peak < _LEAST_PEAK:  # nothing to scale
+            peak = 1.0
+        log_ratio = _log_ratio(response, calibration, peak)
+        if stamp is not None:
+            stamp = checked_stamp(stamp)
+        if coverage is not None:
             log_ratio = log_ratio * matched(coverage, log_ratio)
-        return cls(log_ratio, grid, calibration, stamp, region(grid, mask), peak if peak > 0 else 1.0, source)
+            coverage = None if (coverage == 1).all() else frozen(coverage)
+        return cls(log_ratio, grid, calibration, stamp, region(grid, mask), peak, source, coverage)
 
     @classmethod
     def from_mask(
@@ -211,11 +222,12 @@ class Evidence:
 
         Of a set of detections, none is taken to be narrower than a field of this degree can hold.
         """
-        basis, grid, values = RealHarmonics(degree), self.grid, self.log_ratio
+        basis, grid = RealHarmonics(degree), self.grid
         if self.detections is not None:
             grid = decoding_grid(degree)
             wide, smooth = self.detections.widened(degree), self.detections.smooth_share(degree)
             return basis.analyse(np.log(wide.ratio(grid.directions, share=smooth)), grid)
+        values = self.log_ratio
         # What is planned for a view belongs to its lens: look ahead, and turn at the end.
         turn = np.asarray(grid.body_R_view) if isinstance(grid, PerspectiveGrid | FisheyeGrid) else None
         if turn is not None:
@@ -234,26 +246,26 @@ class Evidence:
     def response(self) -> Array:
         """The response ``(..., H, W)`` in [0, 1] that this evidence was made from (before any scaling), to rounding.
 
-        Where coverage was partial it is the response that would have said as little with the whole cell in view: the
-        neutral one where nothing was covered.
+        Where nothing was covered it is the neutral one.
         """
         if self.detections is not None:
             return self.detections.response(self.grid.directions)
-        xp = namespace(self.log_ratio)
+        ratio, xp = self.log_ratio, namespace(self.log_ratio)
+        if self.coverage is not None:
+            share = matched(self.coverage, ratio)
+            ratio = ratio / xp.where(share > 0, share, xp.ones_like(share))
         scale = self.calibration.neutral + self.calibration.floor
-        found = scale * xp.exp(self.log_ratio / self.calibration.temperature) - self.calibration.floor
+        found = scale * xp.exp(ratio / self.calibration.temperature) - self.calibration.floor
         found = xp.where(found > SILENT, found, xp.zeros_like(found))
         return xp.clip(found, 0.0, 1.0) * self.peak
 
     def with_calibration(self, calibration: Calibration) -> Evidence:
-        """The same look, read with another calibration (coverage masks are kept, partial coverage becomes full)."""
+        """The same look, read with another calibration."""
         if calibration == self.calibration and self.detections is None:
             return self
-        read = Evidence.from_response(self.response, self.grid, calibration, self.stamp, source=self.source)
-        if self.seen is None or not self.seen[-1]:
-            return read
-        return replace(read, seen=self.seen, log_ratio=read.log_ratio * (taper(0, self.seen, read.log_ratio) > 0))
-
+        return Evidence.from_response(
+            self.response, self.grid, calibration, self.stamp, coverage=self.coverage, source=self.source
+        )
 
     def with_detector(self, model: DetectorModel) -> Evidence:
         """The same set of detections, read with another model. A response map is no such set, and stays as it is."""
@@ -295,15 +307,41 @@ def _checked_shape(response: Array, grid: Grid) -> Array:
             "and at least one value. Pass the grid that the response was computed on"
         )
     if isinstance(response, np.ndarray):
-        return response if response.dtype.char in "fd" else response.astype(np.float32)
+        return response.astype(_working(response), copy=False)
     xp = namespace(response)
+    if xp.isdtype(response.dtype, "complex floating"):
+        raise ResponseError(_NO_NUMBERS.format(response.dtype))
     return response if xp.isdtype(response.dtype, "real floating") else xp.astype(response, xp.float32)
 
 
-def _log_ratio(response: Array, calibration: Calibration) -> Array:
-    """The checked log ratio: on NumPy block by block, so that checking costs next to nothing beside the logarithm."""
-    gain = 1 / (calibration.neutral + calibration.floor)
-    offset = calibration.floor * gain
+def _working(response: np.ndarray) -> np.dtype:
+    """The type to compute in: float32 or float64, in this machine's order of bytes (`_log_ratio` reads the bits)."""
+    if response.dtype.kind not in "fiub" or isinstance(response, np.ma.MaskedArray):
+        kind = "a masked array" if isinstance(response, np.ma.MaskedArray) else response.dtype
+        raise ResponseError(_NO_NUMBERS.format(kind))
+    return np.dtype(np.float64 if response.dtype.kind == "f" and response.dtype.itemsize > 4 else np.float32)
+
+
+_NO_NUMBERS = (
+    "response is {}; wanted an array of real numbers in [0, 1] (any float type). What is masked goes into coverage, a "
+    "complex response wants its magnitude"
+)
+
+
+def _where_covered(response: Array, mask: np.ndarray) -> Array:
+    """`response` ``(..., H, W)`` with zeros where `mask` ``(H, W)`` says that nothing was covered."""
+    xp = namespace(response)
+    return xp.where(matched(mask, response), response, xp.zeros_like(response))
+
+
+def _log_ratio(response: Array, calibration: Calibration, peak: float) -> Array:
+    """The checked log ratio of ``response / peak``.
+
+    On NumPy block by block, so that checking costs next to nothing beside the logarithm, and with the division in the
+    gain: the page faults of a second full map cost more than all else.
+    """
+    offset = calibration.floor / (calibration.neutral + calibration.floor)
+    gain = 1 / (calibration.neutral + calibration.floor) / peak
     if not isinstance(response, np.ndarray):
         xp = namespace(response)
         if not (float(xp.min(response)) >= 0 and float(xp.max(response)) <= 1):
@@ -338,7 +376,8 @@ def _what_is_wrong(response: np.ndarray) -> str:
     if not np.isfinite(response).all():
         count = int((~np.isfinite(response)).sum())
         return (
-            f"response has {count} values that are NaN or infinite; wanted numbers in [0, 1]. Mask them with coverage=0"
+            f"response has {count} values that are NaN or infinite; wanted numbers in [0, 1]. Give coverage (H, W) "
+            "that is 0 where they stand: what was not covered is not looked at"
         )
     return (
         f"response runs from {response.min():g} to {response.max():g}; wanted [0, 1]. Logits want a sigmoid, "
@@ -372,7 +411,8 @@ def _rows(values: Array, columns: int, name: str) -> np.ndarray:
 
 
 def _checked_coverage(coverage: np.ndarray, grid: Grid) -> np.ndarray:
-    coverage = np.asarray(to_numpy(coverage), dtype=np.float64)
+    """A copy of `coverage` ``(H, W)``, once its values are in [0, 1]."""
+    coverage = np.array(to_numpy(coverage), dtype=np.float64)
     if coverage.shape != tuple(grid.shape) or not (coverage.min() >= 0 and coverage.max() <= 1):
         raise ResponseError(f"coverage must have the grid's shape {tuple(grid.shape)} and values in [0, 1]")
     return coverage

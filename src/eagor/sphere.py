@@ -21,6 +21,8 @@ from eagor._arrays import Array, alike, as_float, namespace, to_numpy
 from eagor.errors import DirectionError, RotationError
 
 FORWARD = (1.0, 0.0, 0.0)
+ORTHOGONAL = 1e-5  # by how much a rotation's rows may fail to be orthonormal: products of float32 reach 1e-6
+UNIT = 0.01  # by how much a direction's length may differ from 1: it was typed with two or three decimals
 
 
 def direction(azimuth: Array, elevation: Array) -> Array:
@@ -78,6 +80,28 @@ def check_directions(vectors: Array) -> Array:
     return vectors
 
 
+def check_unit(vectors: Array) -> Array:
+    """Unit vectors ``(..., 3)``: `vectors`, with their rounding taken out, once their lengths are 1 to within `UNIT`.
+
+    Raises `DirectionError` on another shape, another length, or what is not finite.
+    """
+    vectors = check_directions(as_float(vectors))
+    xp = namespace(vectors)
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    with np.errstate(over="ignore"):
+        squared = x * x + y * y + z * z
+    off = xp.abs(squared - 1)  # twice what the length is off by; NaN fails every comparison
+    if bool(xp.all(off <= 8 * xp.finfo(vectors.dtype).eps)):
+        return vectors
+    if bool(xp.all(off <= 2 * UNIT)):
+        return vectors / xp.sqrt(squared)[..., None]
+    lengths, good = (np.asarray(to_numpy(a)).reshape(-1) for a in (xp.sqrt(squared), off <= 2 * UNIT))
+    raise DirectionError(
+        f"{(~good).sum()} of {good.size} directions are no unit vectors (length {float(lengths[~good][0]):g}); wanted "
+        "finite (x, y, z) of length 1: eagor.sphere.unit scales them, eagor.sphere.direction takes angles"
+    )
+
+
 def wrap(angle: Array) -> Array:
     """`angle` (radians) brought to [-pi, pi)."""
     return (angle + math.pi) % (2 * math.pi) - math.pi
@@ -101,11 +125,10 @@ def world_R_body(yaw: float, pitch: float = 0.0, roll: float = 0.0) -> np.ndarra
     return rotation((0, 0, 1), yaw) @ rotation((0, 1, 0), pitch) @ rotation((1, 0, 0), roll)
 
 
-def check_rotation(matrix: Array, name: str = "new_R_old", tolerance: float = 1e-6) -> Array:
+def check_rotation(matrix: Array, name: str = "new_R_old", tolerance: float = ORTHOGONAL) -> Array:
     """`matrix` ``(..., 3, 3)`` as a floating array, once it is certain to be a rotation.
 
-    Raises `RotationError` if it has another shape, is not finite, not orthogonal (beyond `tolerance`, or what
-    float32 can hold) or a reflection.
+    Raises `RotationError` if it has another shape, is not finite, not orthogonal (beyond `tolerance`) or a reflection.
     """
     matrix = as_float(matrix)
     if matrix.shape == (3, 3) and type(matrix) is np.ndarray:  # the hot path, in plain floats
@@ -127,7 +150,7 @@ def check_rotation(matrix: Array, name: str = "new_R_old", tolerance: float = 1e
         (a, b, c), (d, e, f), (g, h, i) = rows
         worst = [a * a + b * b + c * c - 1, d * d + e * e + f * f - 1, a * d + b * e + c * f]
         worst += [b * f - c * e - g, c * d - a * f - h, a * e - b * d - i]
-        if all(bool(xp.all(xp.abs(error) < max(tolerance, 1e-5))) for error in worst):
+        if all(bool(xp.all(xp.abs(error) < tolerance)) for error in worst):
             return matrix
     raise RotationError(_what_is_wrong(to_numpy(matrix), name))
 

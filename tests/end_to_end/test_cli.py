@@ -242,14 +242,40 @@ def test_modes_and_degree(room):
     assert len(answer("locate", room, "red", "--modes", "1", "--degree", "7")["modes"]) == 1
 
 
-def test_a_panorama_that_is_not_two_to_one_is_taken_with_a_warning(tmp_path):
+def test_a_picture_that_is_not_two_to_one_is_refused_unless_forced(tmp_path):
     path = tmp_path / "tall.png"
     Image.fromarray(painted_room(96, 192)).resize((192, 144)).save(path)
-    done = eagor("locate", path, "red", "--json")
+    line = refused("locate", path, "red", "--json")
+    for text in ("tall.png is 192 x 144, not 2:1", "288 x 144", "--force"):
+        assert text in line
+    done = eagor("locate", path, "red", "--json", "--force")
     assert done.returncode == 0
     assert done.stderr.startswith("eagor: warning: ")
-    assert "not 2:1" in done.stderr
+    assert "192 x 144, not 2:1" in done.stderr
     assert error_deg(json.loads(done.stdout), RED_BALL) < 3
+    Image.fromarray(painted_room(96, 192)).resize((191, 96)).save(path)
+    assert eagor("locate", path, "red").stderr == "", "one column is rounding"
+
+
+def test_frames_that_are_not_two_to_one(three, tmp_path):
+    """The first ends the run before anything is written, later ones are left out; --force takes all, and warns once."""
+    images, write = three
+    words = ("track", images, "red", "--poses", write(GOOD))
+    for name in ("b.png", "c.png"):
+        Image.fromarray(painted_room(24, 48)).resize((40, 30)).save(images / name)
+    found = answer(*words, code=3)
+    assert found["left_out"] == 2
+    assert ["40 x 30, not 2:1" in entry.get("problem", "") for entry in found["frames"]] == [False, True, True]
+    forced = eagor(*words, "--force", "--json")
+    assert forced.returncode == 0
+    assert json.loads(forced.stdout)["left_out"] == 0
+    assert forced.stderr.count("not 2:1") == 1
+    Image.fromarray(painted_room(24, 48)).resize((40, 30)).save(images / "a.png")
+    out = tmp_path / "out.csv"
+    line = refused(*words, "--out", out)
+    assert "a.png is 40 x 30, not 2:1" in line
+    assert "--force" in line
+    assert not out.exists()
 
 
 def test_locate_replays_what_a_detector_wrote(room, tmp_path):

@@ -10,7 +10,7 @@ from strategies import directions, field, random_directions, rotations
 
 from eagor.errors import DirectionError, GridError, PoseError, RotationError
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
-from eagor.harmonics import RealHarmonics
+from eagor.harmonics import RealHarmonics, projection
 from eagor.harmonics.legendre import degrees
 from eagor.sphere import angular_distance, rotation
 
@@ -160,6 +160,25 @@ def test_views_are_integrated_to_their_stated_accuracy(make, tolerance, degree):
             for i in range(0, height, 40):
                 exact += np.einsum("ij,ijn->n", share[i : i + 40], basis.evaluate(d[i : i + 40]))
     assert np.abs(basis.analyse(values, grid) - exact).max() < tolerance * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("most", [3e6, 1e5])
+def test_a_large_view_is_gathered_into_wider_blocks_so_that_its_plan_is_kept(monkeypatch, most):
+    """A view of 240 x 320 pixels made its plan anew at each look, 11 s at degree 31. Where none fits, rows are made."""
+    degree, values = 9, np.random.default_rng(0).random((180, 240))
+    values = np.kron(values[::6, ::6], np.ones((6, 6)))
+    exact = RealHarmonics(degree).analyse(values, PerspectiveGrid(180, 240, 1.5))
+    monkeypatch.setattr(projection, "PLAN_BYTES", most)
+    made, make = [], projection._block_row
+    monkeypatch.setattr(projection, "_block_row", lambda *key: made.append(key) or make(*key))
+    view = PerspectiveGrid(180, 240, math.nextafter(1.5, 2))  # the same, and nothing is kept for it
+    first = RealHarmonics(degree).analyse(values, view)
+    once = len(made)
+    assert np.array_equal(RealHarmonics(degree).analyse(values, view), first)
+    assert len(made) == once if most > 1e6 else len(made) == 2 * once
+    assert np.abs(first - exact).max() < 2e-3 * np.abs(exact).max()
+    rows, _ = projection._block_edges(projection.lens_of(view), degree)
+    assert max(np.diff(rows)) * projection.largest_cell(projection.lens_of(view)) <= 0.5 / (degree + 1)
 
 
 @given(st.floats(0.01, 1.0), st.floats(0.01, 1.0), SEEDS)

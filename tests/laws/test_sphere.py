@@ -13,6 +13,7 @@ from eagor.sphere import (
     angular_distance,
     azimuth_elevation,
     check_rotation,
+    check_unit,
     direction,
     interpolate_rotation,
     rotation,
@@ -84,6 +85,41 @@ def test_every_rotation_passes_and_its_reflection_does_not(R):
 def test_what_is_no_rotation_is_refused_with_a_reason(matrix, text):
     with pytest.raises(RotationError, match=text):
         check_rotation(np.array(matrix))
+
+
+@pytest.mark.parametrize("kind", ["one", "batch", "list", "one float32", "batch float32", "torch"])
+def test_one_tolerance_for_rotations_of_every_kind(kind):
+    """A batch may not take what a single matrix is refused for, nor the other way around."""
+
+    def as_kind(matrix):
+        if kind == "torch":
+            return pytest.importorskip("torch").tensor(matrix)
+        matrix = np.stack([np.eye(3), matrix]) if "batch" in kind else matrix
+        return matrix.tolist() if kind == "list" else matrix.astype(np.float32 if "32" in kind else np.float64)
+
+    def sheared(by):
+        return np.array([[1.0, by, 0], [0, 1, 0], [0, 0, 1]])
+
+    for by in (0.0, 2e-6, 9e-6):
+        check_rotation(as_kind(sheared(by)))
+    for by in (1.1e-5, 5e-5):
+        with pytest.raises(RotationError, match="not orthogonal"):
+            check_rotation(as_kind(sheared(by)))
+    check_rotation(as_kind(sheared(9e-4)), tolerance=1e-3)
+    with pytest.raises(RotationError, match="not orthogonal"):
+        check_rotation(as_kind(sheared(2e-6)), tolerance=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_unit_vectors_lose_their_rounding_and_others_are_refused(dtype):
+    exact = random_directions(12).reshape(3, 4, 3).astype(dtype)
+    assert check_unit(exact) is exact
+    assert np.allclose(np.linalg.norm(check_unit(np.round(exact, 2)), axis=-1), 1, atol=1e-6)
+    assert check_unit(np.zeros((0, 3), dtype)).shape == (0, 3)
+    for bad, said in (([2, 0, 0], "length 2"), ([0, 0, 0], "length 0"), ([0, np.nan, 1], "length nan"),
+                      ([1e30, 0, 0], "length"), ([np.inf, 0, 0], "inf"), ([0.98, 0, 0], "0.98")):  # fmt: skip
+        with pytest.raises(DirectionError, match=rf"1 of 2 .*{said}.*wanted"):
+            check_unit(np.array([[1, 0, 0], bad], dtype))
 
 
 @given(rotations(), rotations(), st.floats(0, 1))

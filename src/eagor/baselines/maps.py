@@ -9,7 +9,7 @@ import numpy as np
 
 from eagor._arrays import to_numpy
 from eagor.calibration import Calibration
-from eagor.coverage import taper
+from eagor.coverage import looked_at
 from eagor.errors import ResponseError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, Grid
@@ -33,7 +33,7 @@ def seen_response(evidence: Evidence) -> np.ndarray:
     _check_single(evidence)
     response = to_numpy(evidence.response).astype(np.float64) * (evidence.grid.weights > 0)
     if evidence.seen is not None and evidence.seen[-1]:
-        response = response * (taper(0, evidence.seen, response) > 0)
+        response = response * looked_at(evidence.seen)
     return response
 
 

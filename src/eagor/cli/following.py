@@ -12,7 +12,7 @@ import numpy as np
 
 from eagor.belief import Belief
 from eagor.cli.locate import as_angles, degrees, mode_as_json
-from eagor.cli.looking import is_input_fault, look_if_recorded, read_frame
+from eagor.cli.looking import ShapeError, is_input_fault, is_whole, look_if_recorded, read_frame
 from eagor.cli.poses import Step
 from eagor.errors import EagorError
 from eagor.estimate import Estimate, TrackerConfig
@@ -75,12 +75,18 @@ class Result:
 
 
 def follow(
-    steps: Sequence[Step], perception: Perception, query: str, config: TrackerConfig, rivals: Mapping[str, Method]
+    steps: Sequence[Step],
+    perception: Perception,
+    query: str,
+    config: TrackerConfig,
+    rivals: Mapping[str, Method],
+    force: bool = False,
 ) -> Iterator[Result]:
     """One result per image, in time, with what the `rivals` say by name (`make_rivals`).
 
     An image that cannot be read or judged gives a result with a problem; the poses carry the belief on. Raises
-    `EagorError` where no other frame could do better (a query that means nothing).
+    `EagorError` where no other frame could do better: a query that means nothing, or a first image that is not 2:1
+    (with `force`, images of any shape are taken as they are).
     """
     tracker = DirectionTracker(config)
     poses, fed, warned = [step.pose for step in steps], 0, False
@@ -95,11 +101,11 @@ def follow(
         stamp, now = step.pose.stamp, step.pose.stamp
         panorama, looks, problem = None, (), None
         try:
-            panorama = read_frame(step.image, warn=not warned)
-            warned = warned or panorama.shape[1] != 2 * panorama.shape[0]
+            panorama = read_frame(step.image, force, warn=not warned)
+            warned = warned or not is_whole(panorama)
             looks = _own(look_if_recorded(perception, panorama, query, stamp), stamp, frames)
         except EagorError as error:
-            if is_input_fault(error):
+            if is_input_fault(error) or (isinstance(error, ShapeError) and stamp == frames[0]):
                 raise
             problem = str(error)
         for evidence in looks:

@@ -44,7 +44,7 @@ def locate(options: Locate) -> int:
         checked_picture(options.picture)
     perception = make_perception(options.perception)
     stamp = first_stamp(perception, query) if options.stamp is None else options.stamp
-    panorama = read_frame(options.panorama)
+    panorama = read_frame(options.panorama, options.force)
     tracker = DirectionTracker(config)
     looks = look(perception, panorama, query, stamp)
     for evidence in looks:

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from eagor._files import written
-from eagor.cli.terminal import UsageError
+from eagor.cli.terminal import UsageError, warning
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
 from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
@@ -25,6 +25,7 @@ from eagor.worlds.panorama import read_panorama
 IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 MAX_DEGREE = 63
 LEAST_ROWS = 8
+ROUNDING = 2  # columns by which a panorama may fail to be 2:1
 
 
 def checked_degree(degree: int) -> int:
@@ -138,12 +139,33 @@ def find_frames(places: Sequence[Path]) -> tuple[Path, ...]:
     return tuple(sorted(found, key=lambda p: (_natural(p.name), str(p))))
 
 
-def read_frame(path: Path, warn: bool = True) -> np.ndarray:
-    """The panorama in a file; `warn` if it is not 2:1."""
+class ShapeError(ImageError):
+    """A picture is no whole panorama: its sides are not 2:1."""
+
+
+def read_frame(path: Path, force: bool = False, warn: bool = True) -> np.ndarray:
+    """The panorama in a file. Raises `ShapeError` if it is not 2:1, or with `force` says so (once: `warn`)."""
     with warnings.catch_warnings():
-        if not warn:
-            warnings.simplefilter("ignore")
-        return read_panorama(path)
+        warnings.simplefilter("ignore")
+        panorama = read_panorama(path)
+    if is_whole(panorama):
+        return panorama
+    height, width = panorama.shape[:2]
+    what = f"{path} is {width} x {height}, not 2:1"
+    if not force:
+        raise ShapeError(
+            f"{what}; wanted a whole panorama, twice as wide as high ({2 * height} x {height}). Pad what covers less "
+            "than the whole sphere; --force takes it as it is (all columns for 360 degrees, all rows for 180)"
+        )
+    if warn:
+        warning(f"{what}: taken as it is, all columns for 360 degrees, all rows for 180")
+    return panorama
+
+
+def is_whole(panorama: np.ndarray) -> bool:
+    """Whether its sides are 2:1, to the rounding of a resized picture."""
+    height, width = panorama.shape[:2]
+    return abs(width - 2 * height) <= ROUNDING
 
 
 def first_stamp(perception: Perception, query: str) -> float:

@@ -40,6 +40,11 @@ Labels = Annotated[
 ]
 
 
+Force = Annotated[
+    bool, _bare(help="Take pictures that are not 2:1 as they are: all columns for 360 degrees, all rows for 180.")
+]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Common:
     """Options of every command."""
@@ -82,6 +87,7 @@ class Locate(Common):
     """Which record of a replay to take (default: the first for this query)."""
     picture: Annotated[Path | None, _bare("FILE.png")] = None
     """Draw the belief over the panorama."""
+    force: Force = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +117,7 @@ class Track(Common):
     """Draw each frame with the belief into this folder."""
     out: Annotated[Path | None, _bare("FILE")] = None
     """Write the estimates as they come into FILE.csv or FILE.jsonl."""
+    force: Force = False
 
 
 @dataclass(frozen=True, kw_only=True)

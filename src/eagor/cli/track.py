@@ -1,7 +1,8 @@
 """``eagor track``: a series of panoramas and the camera's poses, one line per frame.
 
 A frame that cannot be read does not end the run: it is reported on stderr, the poses carry the belief over it, and the
-exit code is 3. The file of ``--out`` is flushed after every line, so that nothing that was computed is lost.
+exit code is 3. A first frame that is no whole panorama does: the others will hardly be any. The file of ``--out`` is
+flushed after every line, so that nothing that was computed is lost.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ def track(options: Track) -> int:
         write = stack.enter_context(_table(options.out, options.compare)) if options.out else None
         draw = _painter(options.picture, query) if options.picture else None
         advance = stack.enter_context(terminal.progress("looking", len(images), shown=options.json))
-        for number, result in enumerate(follow(steps, perception, query, config, rivals)):
+        for number, result in enumerate(follow(steps, perception, query, config, rivals, options.force)):
             if number == 0 and not options.json:
                 print(_header(options.compare), flush=True)
             if result.problem is not None:

@@ -17,7 +17,7 @@ from eagor.errors import GridError, PoseError
 from eagor.grids import ErpGrid, ErpWindow, Grid
 from eagor.harmonics import legendre, projection, rotation
 from eagor.harmonics.shells import translate
-from eagor.sphere import check_directions, check_rotation
+from eagor.sphere import check_rotation, check_unit
 
 __all__ = ["RealHarmonics"]
 
@@ -46,8 +46,11 @@ class RealHarmonics:
         return (self.degree + 1) ** 2
 
     def evaluate(self, directions: Array) -> Array:
-        """Y ``(..., size)`` at unit vectors ``(..., 3)``, body frame. Raises `DirectionError` on another shape."""
-        return legendre.evaluate(self.degree, check_directions(as_float(directions)))
+        """Y ``(..., size)`` at unit vectors ``(..., 3)``, body frame.
+
+        Lengths within 1 % of 1 are taken for rounding. Raises `DirectionError` on other lengths and shapes.
+        """
+        return legendre.evaluate(self.degree, check_unit(directions))
 
     def analyse(self, values: Array, grid: Grid) -> Array:
         """Coefficients ``(..., size)`` of `values` ``(..., H, W)`` on `grid`: integral of values times Y_lm.
@@ -68,8 +71,11 @@ class RealHarmonics:
     def synthesise(self, coefficients: Array, where: Grid | ErpWindow | Array) -> Array:
         """Values of the field: ``(..., H, W)`` on a grid, ``(..., n...)`` at an array of unit vectors ``(n..., 3)``.
 
-        Raises `GridError` for coefficients and `DirectionError` for vectors of another shape.
+        Raises `GridError` for coefficients of another shape and `DirectionError` for what are no unit vectors (lengths
+        within 1 % of 1 are taken for rounding).
         """
+        if not isinstance(where, Grid | ErpWindow):
+            where = check_unit(where)
         return projection.synthesise(self.degree, self._checked(coefficients), where)
 
     def rotate(self, coefficients: Array, new_R_old: Array) -> Array:

@@ -16,7 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor._arrays import Array, as_float, constant, matched, namespace, to_numpy
+from eagor._arrays import Array, as_float, constant, matched, namespace, recent, to_numpy
 from eagor.grids import (
     ErpGrid,
     ErpWindow,
@@ -33,9 +33,10 @@ from eagor.harmonics.legendre import degrees, evaluate, latitude_table, longitud
 from eagor.harmonics.rotation import rotate
 from eagor.sphere import check_directions
 
-BLOCK = 0.25  # side of a view's block, in units of the angular scale 1 / (degree + 1)
+BLOCK = 0.25  # side of a view's block, in units of the angular scale 1 / (degree + 1) ...
+WIDEST = 2 * BLOCK  # ... and up to this, where the plan would take too much memory else
 SMALL = 1_000_000  # OpenBLAS has kernels of their own for products up to 100^3
-PLAN_BYTES = 256e6  # a view plan larger than this is computed block row by block row instead of kept
+PLAN_BYTES = 256e6  # a view plan that is larger even so is computed block row by block row instead of kept
 
 
 def analyse(degree: int, values: Array, grid: Grid) -> Array:
@@ -148,11 +149,11 @@ def _analyse_view(degree: int, values: Array, grid: Grid) -> Array:
     weights = constant(_lens_weights, lens, like=values)
     area = constant(_block_areas, lens, degree, like=values)
     sums = values * weights
-    sums = _pool(_pool(sums, rows, -2), columns, -1)
+    sums = pool(pool(sums, rows, -2), columns, -1)
     means = xp.where(area > 0, sums / xp.where(area > 0, area, xp.ones_like(area)), xp.zeros_like(sums))
-    if area.shape[0] * area.shape[1] * (degree + 1) ** 2 * 8 <= PLAN_BYTES:
+    if _plan_bytes(rows, columns, degree) <= PLAN_BYTES:
         flat = xp.reshape(means, (*means.shape[:-2], -1))
-        found = flat @ constant(_block_plan, lens, degree, like=values)
+        found = flat @ recent(_block_plan, lens, degree, like=values)
     else:
         found = sum(means[..., i, :] @ matched(_block_row(lens, degree, i), values) for i in range(area.shape[0]))
     return rotate(degree, found, grid.body_R_view)
@@ -164,12 +165,26 @@ def _lens_weights(lens: Lens) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _block_edges(lens: Lens, degree: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """First row and column of each block, and one past the last: whole cells, at most BLOCK / (degree + 1) wide."""
-    cells = max(1, int(BLOCK / (degree + 1) / _largest_cell(lens)))
-    return tuple(tuple([*range(0, n, cells), n]) for n in lens[1:3])  # type: ignore[return-value]
+    """First row and column of each block, and one past the last: whole cells, at most BLOCK / (degree + 1) wide.
+
+    If the plan is too large to keep, at most WIDEST.
+    """
+    finest, widest = (max(1, int(side / (degree + 1) / largest_cell(lens))) for side in (BLOCK, WIDEST))
+    rows: tuple[int, ...] = ()
+    columns: tuple[int, ...] = ()
+    for cells in range(finest, widest + 1):
+        rows, columns = (tuple([*range(0, n, cells), n]) for n in lens[1:3])
+        if _plan_bytes(rows, columns, degree) <= PLAN_BYTES:
+            break
+    return rows, columns
 
 
-def _largest_cell(lens: Lens) -> float:
+def _plan_bytes(rows: tuple[int, ...], columns: tuple[int, ...], degree: int) -> int:
+    """The size of `_block_plan` for blocks between these edges."""
+    return 8 * (len(rows) - 1) * (len(columns) - 1) * (degree + 1) ** 2
+
+
+def largest_cell(lens: Lens) -> float:
     """The side (radians) of the cell in the middle of the view, where cells are largest."""
     _, height, width, _ = lens
     return math.sqrt(float(forward_view(lens).density(np.array(width / 2), np.array(height / 2))))
@@ -177,10 +192,9 @@ def _largest_cell(lens: Lens) -> float:
 
 def _block_areas(lens: Lens, degree: int) -> np.ndarray:
     rows, columns = _block_edges(lens, degree)
-    return _pool(_pool(forward_view(lens).weights, rows, -2), columns, -1)
+    return pool(pool(forward_view(lens).weights, rows, -2), columns, -1)
 
 
-@lru_cache(maxsize=8)
 def _block_plan(lens: Lens, degree: int) -> np.ndarray:
     """Integrals of the basis over every block ``(blocks, (degree + 1)^2)``."""
     rows, _ = _block_edges(lens, degree)
@@ -192,8 +206,9 @@ def _block_row(lens: Lens, degree: int, row: int) -> np.ndarray:
     grid = forward_view(lens)
     rows, columns = (np.asarray(edges) for edges in _block_edges(lens, degree))
     height, width = rows[row + 1] - rows[row], np.diff(columns)
-    side = _largest_cell(lens) * max(height, int(width.max()))
-    nodes, weights = np.polynomial.legendre.leggauss(min(16, 2 + math.ceil(side * (degree + 1))))
+    side = largest_cell(lens) * max(height, int(width.max()))
+    waves = side * (degree + 1)  # two points integrate a block of normal size to 1e-5
+    nodes, weights = np.polynomial.legendre.leggauss(2 if waves <= WIDEST else min(16, 2 + math.ceil(waves)))
     nodes, weights = (nodes + 1) / 2, weights / 2
     y = (rows[row] + height * nodes)[None, :, None]
     x = columns[:-1, None, None] + width[:, None, None] * nodes
@@ -207,7 +222,7 @@ def _block_row(lens: Lens, degree: int, row: int) -> np.ndarray:
     return np.einsum("bij,bijn->bn", share, basis)
 
 
-def _pool(values: Array, edges: tuple[int, ...], axis: int) -> Array:
+def pool(values: Array, edges: tuple[int, ...], axis: int) -> Array:
     """Sums of `values` between consecutive `edges` along `axis`."""
     xp = namespace(values)
     if len(edges) == values.shape[axis] + 1:

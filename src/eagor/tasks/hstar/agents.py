@@ -206,12 +206,12 @@ def _response(look: Look) -> np.ndarray:
 
 
 def _looked_at(look: Look) -> np.ndarray:
-    from eagor.coverage import taper
+    from eagor.coverage import looked_at
 
     seen = look.evidence.seen
     if seen is None or not seen[-1]:
         return np.ones(look.evidence.grid.shape, dtype=bool)
-    return np.asarray(taper(0, seen, np.zeros(1))) > 0
+    return looked_at(seen)
 
 
 def _middle(look: Look) -> tuple[int, int]:
