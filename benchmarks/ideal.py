@@ -210,7 +210,7 @@ def show(title: str, table: dict[str, dict[str, Any]]) -> None:
     walked = any("distance" in row for row in table.values())
     print(f"\n{title}")
     print(
-        f"  {'':26s} {'error, mean [95 %]':>22s} {'at the end':>10s} {'of mean':>7s} {'nats behind [95 %]':>24s}"
+        f"  {'':28s} {'error, mean [95 %]':>22s} {'at the end':>10s} {'of mean':>7s} {'nats behind [95 %]':>24s}"
         f" {'50':>5s} {'90':>5s} {'99 %':>5s}{'  distance' if walked else ''} {'ms':>7s}"
     )
     for name, row in table.items():
@@ -218,7 +218,7 @@ def show(title: str, table: dict[str, dict[str, Any]]) -> None:
         far = f"  {row['distance']['mean']:8.3f}" if walked else ""
         hedged = row["error_mean_direction"]["mean"]
         print(
-            f"  {name:26s} {error['mean']:7.2f} [{error['low']:5.2f}, {error['high']:5.2f}]"
+            f"  {name:28s} {error['mean']:7.2f} [{error['low']:5.2f}, {error['high']:5.2f}]"
             f" {row['error_end']['mean']:10.2f} {'' if math.isnan(hedged) else f'{hedged:.2f}':>7s}"
             f" {nats['mean']:8.3f} [{nats['low']:6.3f}, {nats['high']:6.3f}]"
             f" {cover['0.5']:5.2f} {cover['0.9']:5.2f} {cover['0.99']:5.2f}{far} {row['ms']:7.2f}"
@@ -227,11 +227,11 @@ def show(title: str, table: dict[str, dict[str, Any]]) -> None:
 
 def show_few(table: dict[str, list[dict[str, dict[str, float]]]]) -> None:
     print("\nfew looks: away from what the ideal filter claims, mean (largest)")
-    print(f"  {'':26s} {'looks':>5s} {'presence':>16s} {'within 15':>16s} {'both':>16s}")
+    print(f"  {'':28s} {'looks':>5s} {'presence':>16s} {'within 15':>16s} {'both':>16s}")
     for name, looks in table.items():
         for count, row in enumerate(looks, 1):
             cells = [f"{d['mean']:7.3f} ({d['max']:.3f})" if d else "-" for d in row.values()]
-            print(f"  {name:26s} {count:5d} " + " ".join(f"{cell:>16s}" for cell in cells))
+            print(f"  {name:28s} {count:5d} " + " ".join(f"{cell:>16s}" for cell in cells))
 
 
 def covered(row: dict[str, Any]) -> float:
