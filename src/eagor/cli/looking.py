@@ -211,7 +211,9 @@ def first_stamp(perception: Perception, query: str) -> float:
 def look(perception: Perception, panorama: np.ndarray, query: str, stamp: float) -> tuple[Evidence, ...]:
     """What `perception` sees: one evidence, or one per view where a replay has several views of one moment."""
     if isinstance(perception, ReplayPerception):
-        return tuple(r.evidence(query, perception.calibration) for r in perception.near(query, stamp))
+        return tuple(
+            r.evidence(query, perception.calibration, perception.detector) for r in perception.near(query, stamp)
+        )
     return (perception(panorama, query, stamp=stamp),)
 
 
