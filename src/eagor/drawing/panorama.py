@@ -16,6 +16,7 @@ from eagor.drawing.sheet import INK, figure, image, plain
 from eagor.estimate import Estimate
 from eagor.grids import PatchGrid
 from eagor.sphere import azimuth_elevation, unit
+from eagor.thumbnail import undrawn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,7 +29,6 @@ OTHERS = (("s", "#ffb000"), ("D", "#ff5fa8"), ("^", "#b197ff"), ("v", "#ff7043")
 ROWS, MOST_ROWS = 360, 720  # of the heat: as many as a small region needs
 CELLS = 40  # that a region should consist of, or its border would be a few straight lines
 MASS = 0.9
-HALF = 2 * math.pi  # steradians: the border of a larger region says nothing, and none is drawn
 FLAT = 1e-6  # a density that varies by less than this share of its mean knows nothing
 
 
@@ -43,8 +43,8 @@ def draw_belief(
 ) -> Image:
     """`belief` as heat over `panorama` ``(H, W, 3)``, with the border of its 90 % region.
 
-    Where that region is larger than half of the sphere it is not drawn, and the legend says so. Where nothing is known,
-    nothing is drawn.
+    Where that region is larger than half of the sphere, or ripples alone would decide where its border runs, it is not
+    drawn, and the legend says so. Where nothing is known, nothing is drawn.
 
     Args:
         panorama: what the camera saw, uint8, in the body frame of the belief.
@@ -145,19 +145,16 @@ def _heat(axes: Axes, belief: Estimate | Reading) -> None:
     rgba = colormaps["inferno"](0.35 + 0.6 * share)
     rgba[..., 3] = 0.85 * contrast * np.clip(1.3 * share, 0, 1)
     axes.imshow(rgba, extent=(180, -180, -90, 90), aspect="auto", interpolation="bilinear", zorder=2)
-    if area > HALF:
-        axes.plot([], [], linestyle="none", label=f"{100 * MASS:.0f} % region: over half of the sphere, not drawn")
+    if why := undrawn(log_density, grid.weights, border, area):
+        axes.plot([], [], linestyle="none", label=f"{100 * MASS:.0f} % region: {why}, not drawn")
         return
     # A few columns more on either side, so that a border that crosses the seam runs on into the frame.
     more = 8
     azimuth = np.degrees(math.pi - 2 * math.pi * (np.arange(-more, grid.width + more) + 0.5) / grid.width)
     elevation = np.degrees(grid.latitudes)
     padded = np.concatenate([log_density[:, -more:], log_density, log_density[:, :more]], axis=1)
-    vague = area > math.pi / 2  # an eighth of the sphere: its border follows ripples, and is drawn faintly
-    lines = (("white", 0.8),) if vague else (("black", 3.4), ("white", 1.6))
-    style = {"levels": [border], "linestyles": "solid", "alpha": 0.45 if vague else 1.0, "zorder": 3}
-    for colour, width in lines:
-        axes.contour(azimuth, elevation, padded, colors=colour, linewidths=width, **style)
+    for colour, width in (("black", 3.4), ("white", 1.6)):
+        axes.contour(azimuth, elevation, padded, levels=[border], colors=colour, linewidths=width, zorder=3)
     axes.plot([], [], color="white", linewidth=1.6, label=f"{100 * MASS:.0f} % region")
 
 
