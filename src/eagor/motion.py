@@ -51,9 +51,9 @@ class MotionModel:
     """
 
     wander: tuple[float, ...] = (math.radians(2.5), math.radians(10))
-    start: float = 0.002
-    stop: float = 0.02
-    jump: float = 0.02
+    start: float = 0.005
+    stop: float = 0.01
+    jump: float = 0.03
     birth: float = 0.0005
     death: float = 0.0005
 
@@ -193,7 +193,8 @@ class Cases:
     ) -> None:  # fmt: skip
         """Write the wanderers' densities and weights after `elapsed` seconds."""
         died, stopped, jumped = (-math.expm1(-rate * elapsed) for rate in (motion.death, motion.stop, motion.jump))
-        basis, grid = RealHarmonics(self.standing.degree), self.grid
+        grid = self.grid
+        basis = RealHarmonics(grid.height // 2 - 1)  # a density is narrower than its logarithm: all that the grid holds
         stands = None
         if started > 0:
             field = self.standing.field
