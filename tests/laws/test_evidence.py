@@ -370,11 +370,9 @@ def test_boxes_and_masks_are_detections_in_the_middle_as_wide_as_they_are_and_as
             Evidence.from_boxes([box], grid, detector=model),
         ):
             (found,) = evidence.detections.directions
-            assert math.degrees(angular_distance(found, there)) < 0.5
+            assert math.degrees(angular_distance(found, there)) < 1, "half a cell"
             wide = np.degrees(1 / np.linalg.norm(evidence.detections.axes[0], axis=-1))
-            assert wide == pytest.approx(math.hypot(3, radius / 2), rel=0.2), (
-                "a disc has a quarter of its radius squared"
-            )
+            assert wide == pytest.approx(math.hypot(3, radius / 2), rel=0.2), "a quarter of a disc's radius squared"
             assert math.degrees(angular_distance(brightest(evidence), there)) < 3
 
 
