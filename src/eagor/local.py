@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-
+from typing import Any
 
 import numpy as np
 
@@ -188,7 +188,8 @@ def _component(values: np.ndarray) -> np.ndarray:
     """The nodes ``(n, n)`` above `DEEP` below the highest, which hang together with it."""
     from scipy.ndimage import label
 
-    parts, count = label(values > values.max() - DEEP)
+    found: Any = label(values > values.max() - DEEP)
+    parts, count = found
     if count == 1:
         return parts > 0
     return parts == parts.reshape(-1)[int(values.argmax())]

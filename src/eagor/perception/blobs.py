@@ -54,7 +54,8 @@ def _labelled(inside: np.ndarray, around: bool) -> tuple[np.ndarray, int]:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    labels, count = label(inside, structure=np.ones((3, 3), dtype=int))
+    found: Any = label(inside, structure=np.ones((3, 3), dtype=int))
+    labels, count = found
     if not around or count < 2:
         return labels, count
     left, right = labels[:, 0], labels[:, -1]
