@@ -62,7 +62,7 @@ def linear(gain: float) -> Reading:
 
     def read(look: Evidence) -> Evidence:
         summed = (gain * (look.response - look.calibration.neutral)).astype(np.float32)
-        return replace(look, log_ratio=summed, calibration=replace(look.calibration, spread=0.0))
+        return replace(look, drawn=summed, calibration=replace(look.calibration, spread=0.0))
 
     return read
 
@@ -76,7 +76,7 @@ def shares(false: float, clutter: float, temperature: float) -> Reading:
     def read(look: Evidence) -> Evidence:
         response = np.asarray(look.response, dtype=np.float64)
         share = 4 * math.pi * response / ((response * look.grid.weights).sum() + clutter)
-        return replace(look, log_ratio=(temperature * np.log(false + (1 - false) * share)).astype(np.float32))
+        return replace(look, drawn=(temperature * np.log(false + (1 - false) * share)).astype(np.float32))
 
     return read
 

@@ -1,6 +1,4 @@
-"""The contestants of `ideal.py`: exact Bayes, ours by its public calls, PyRecEst's filters at their best.
-
-All of them are told the same poses and detections. The exact filters take no approximation but numerical integration:
+"""The yardstick of `ideal.py`: what a contestant must do, and exact Bayes, which approximates nothing but integrals.
 
 - `StillOrKnown`: directions on HEALPix. The density at a direction is the product of the exact likelihoods there; only
   its normaliser is a sum over cells. A constant turn is undone in the poses, a jump mixes in a uniform density; a
@@ -12,17 +10,14 @@ All of them are told the same poses and detections. The exact filters take no ap
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import healpy
 import numpy as np
-from ideal_worlds import STEP, Detector, Motion, near
-from scipy.stats import qmc
+from ideal_worlds import STEP, Detector, Motion
 
-import eagor
 from eagor.sphere import unit
 
 PRIOR_RANGE = (0.5, 12.0)  # metres about the start: direction uniform, log range uniform
@@ -30,24 +25,31 @@ NEAR = math.radians(15)
 UNIFORM = -math.log(4 * math.pi)
 
 
-class Contestant(Protocol):
-    """What a filter must do. Directions are in the body frame of the last look, densities per steradian."""
+class Contestant:
+    """What a filter must do. Directions are in the body frame of the last look, densities per steradian.
+
+    `direction`: the answer, about where the density is highest; `mean`: the mean direction of the belief, where the
+    filter offers it (it hedges where two places are likely); `distance`: metres, of worlds with positions.
+    """
+
+    direction: np.ndarray | None = None
+    mean: np.ndarray | None = None
+    distance: float | None = None
 
     def look(self, time: float, pose: np.ndarray, position: np.ndarray | None, detections: np.ndarray) -> None:
         """Predict to this look and update with it, and work out the answer: all that is timed."""
+        raise NotImplementedError
 
-    direction: np.ndarray | None
-    distance: float | None
-
-    def log_density(self, direction: np.ndarray) -> float: ...
+    def log_density(self, direction: np.ndarray) -> float:
+        raise NotImplementedError
 
     def mass_above(self, direction: np.ndarray) -> float:
         """Mass of the smallest region of highest density that reaches `direction`."""
-        ...
+        raise NotImplementedError
 
     def claim(self) -> tuple[float, float]:
         """Probability that it is there at all (0.5 before any look), and within 15 degrees of the answer if it is."""
-        ...
+        return math.nan, math.nan
 
 
 def search_top(log_density: Any, start: np.ndarray, width: float) -> np.ndarray:
@@ -72,7 +74,7 @@ def cells(nside: int) -> np.ndarray:
     return np.stack(healpy.pix2vec(nside, np.arange(healpy.nside2npix(nside))), axis=-1)
 
 
-class StillOrKnown:
+class StillOrKnown(Contestant):
     """Bayes on the sphere for a target that stands, or whose `motion` is known; the frame moves with a known turn."""
 
     def __init__(self, detector: Detector, motion: Motion | None = None, nside: int = 64) -> None:
@@ -82,8 +84,6 @@ class StillOrKnown:
         self.predicted = self.ratio
         self.looks: list[tuple[np.ndarray, float]] = []  # detections, and what they were worth
         self.pose = np.eye(3)
-        self.direction: np.ndarray | None = None
-        self.distance: float | None = None
 
     @property
     def stay(self) -> float:
@@ -101,7 +101,7 @@ class StillOrKnown:
         self.looks.append((found, worth))
         if any(len(seen) for seen, _ in self.looks):
             top = search_top(self.at, self.points[self.ratio.argmax()], 1 / self.nside)
-            self.direction = top @ self.pose
+            self.direction, self.mean = top @ self.pose, unit(self.ratio @ self.points) @ self.pose
 
     def _predict(self, ratio: np.ndarray) -> np.ndarray:
         if self.motion.diffusion:
@@ -123,7 +123,7 @@ class StillOrKnown:
         for index, (found, worth) in enumerate(self.looks):
             before = self.stay * ratio + 1 - self.stay if index else ratio
             ratio = before * self.detector.likelihood(points, found) / worth
-        return np.log(ratio)
+        return np.log(np.maximum(ratio, 1e-300))
 
     def log_density(self, direction: np.ndarray) -> float:
         return UNIFORM + float(self.at((self.pose @ direction)[None])[0])
@@ -143,7 +143,7 @@ class StillOrKnown:
 # ---------- exact: places
 
 
-class Walked:
+class Walked(Contestant):
     """Bayes over places for a target that stands while the camera walks; the prior is `PRIOR_RANGE` about the start.
 
     `most`: no cell holds more of the mass than this; `rays`: points along a line; `drawn`: directions at which regions
@@ -162,8 +162,6 @@ class Walked:
         self.looks: list[tuple[np.ndarray, np.ndarray]] = []  # from where, detections in world axes
         self.pose = np.eye(3)
         self.start = np.zeros(3)
-        self.direction: np.ndarray | None = None
-        self.distance: float | None = None
 
     def _centres(self, level: np.ndarray, pixel: np.ndarray, shell: np.ndarray) -> np.ndarray:
         directions = np.stack(healpy.pix2vec(16 << level, pixel, nest=True), axis=-1)
@@ -195,6 +193,7 @@ class Walked:
             return
         order = np.argsort(far)
         self.distance = math.exp(far[order][np.searchsorted(np.cumsum(weight[order]), 0.5)])
+        self.mean = unit(weight @ unit(offsets)) @ pose
         ranks = np.searchsorted(np.cumsum(weight), (np.arange(self.drawn) + 0.5) / self.drawn)
         self.directions = unit(offsets[ranks])
         self.heights = self.at(self.directions)
@@ -248,234 +247,3 @@ class Walked:
     def claim(self) -> tuple[float, float]:
         odds = math.exp(self.log_total)
         return odds / (1 + odds), math.nan
-
-
-# ---------- ours
-
-
-class Tracker:
-    """`DirectionTracker` by its public calls; a detector without P_D and clutter learns them."""
-
-    def __init__(self, detector: Detector, learn: bool = False, config: eagor.TrackerConfig | None = None) -> None:
-        spread = math.radians(detector.spread)
-        self.model = (
-            eagor.DetectorModel(spread=spread)
-            if learn
-            else eagor.DetectorModel(
-                detection_probability=detector.detection, false_alarms_per_look=detector.alarms, spread=spread
-            )
-        )
-        self.tracker = eagor.DirectionTracker(config or eagor.TrackerConfig())
-        self.direction: np.ndarray | None = None
-        self.distance: float | None = None
-
-    def look(self, time: float, pose: np.ndarray, position: np.ndarray | None, detections: np.ndarray) -> None:
-        self.tracker.rotate(time, pose, position)
-        self.tracker.observe(eagor.Evidence.from_points(detections, detector=self.model, stamp=time))
-        self.estimate = self.tracker.estimate(time)
-        self.direction = self.estimate.direction
-        self.distance = None if position is None else self.estimate.distance
-
-    def log_density(self, direction: np.ndarray) -> float:
-        return float(self.estimate.log_density(direction[None])[0])
-
-    def mass_above(self, direction: np.ndarray) -> float:
-        return float(self.estimate.mass_above(direction))
-
-    def claim(self) -> tuple[float, float]:
-        presence = self.estimate.presence
-        if self.direction is None:
-            return presence, math.nan
-        return presence, self.estimate.within(NEAR) / presence  # `within` counts that it may be absent
-
-
-class Core:
-    """`Belief` alone, turned and updated by hand."""
-
-    def __init__(self, detector: Detector, degree: int) -> None:
-        self.model = eagor.DetectorModel(
-            detection_probability=detector.detection,
-            false_alarms_per_look=detector.alarms,
-            spread=math.radians(detector.spread),
-        )
-        self.belief = eagor.Belief.uniform(degree)
-        self.pose: np.ndarray | None = None
-        self.any = False
-        self.direction: np.ndarray | None = None
-        self.distance: float | None = None
-
-    def look(self, time: float, pose: np.ndarray, position: np.ndarray | None, detections: np.ndarray) -> None:
-        if self.pose is not None:
-            self.belief = self.belief.predict(pose.T @ self.pose)
-        self.pose = pose
-        self.belief = self.belief.update(eagor.Evidence.from_points(detections, detector=self.model))
-        self.any |= len(detections) > 0
-        self.direction = self.belief.mode() if self.any else None
-
-    def log_density(self, direction: np.ndarray) -> float:
-        return float(self.belief.log_density(direction[None])[0])
-
-    def mass_above(self, direction: np.ndarray) -> float:
-        return float(self.belief.mass_above(direction))
-
-    def claim(self) -> tuple[float, float]:
-        return float(self.belief.presence()), math.nan
-
-
-# ---------- PyRecEst
-
-
-class RivalGrid:
-    """PyRecEst's grid filter: density per HEALPix cell, and the mean of what lies near the highest cell as answer."""
-
-    def __init__(self, detector: Detector, nside: int = 32) -> None:
-        from pyrecest.distributions import HypersphericalGridDistribution
-        from pyrecest.filters.abstract_grid_filter import AbstractGridFilter
-
-        blank = HypersphericalGridDistribution(cells(nside), np.full(12 * nside**2, math.exp(UNIFORM)))
-        self.filter = AbstractGridFilter(blank)
-        self.detector = detector
-        self.any = False
-        self.direction: np.ndarray | None = None
-        self.distance: float | None = None
-
-    def look(self, time: float, pose: np.ndarray, position: np.ndarray | None, detections: np.ndarray) -> None:
-        self.pose = pose
-        self.filter.update_nonlinear(lambda z, grid: self.detector.likelihood(grid, z), detections @ pose.T)
-        self.any |= len(detections) > 0
-        if self.any:
-            values, grid = self.filter.filter_state.grid_values, self.filter.filter_state.grid
-            near = grid @ grid[values.argmax()] > math.cos(NEAR)
-            self.direction = unit(values[near] @ grid[near]) @ pose
-
-    def log_density(self, direction: np.ndarray) -> float:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # it warns that its own density is piecewise constant
-            return math.log(max(float(self.filter.filter_state.pdf(self.pose @ direction)), 1e-30))
-
-    def mass_above(self, direction: np.ndarray) -> float:
-        values = self.filter.filter_state.grid_values
-        return float(values[values > math.exp(self.log_density(direction))].sum() / values.sum())
-
-    def claim(self) -> tuple[float, float]:
-        grid = self.filter.filter_state
-        if self.direction is None:
-            return math.nan, math.nan
-        near = grid.grid @ (self.pose @ self.direction) > math.cos(NEAR)
-        return math.nan, float(grid.grid_values[near].sum() / grid.grid_values.sum())
-
-
-class Settings(NamedTuple):
-    """What is tuned of a particle filter, on seeds 0 to 99.
-
-    `resample`: below this share of effective particles; `smoothing`: width of the kernels by which resampled particles
-    are moved, in standard deviations of all (Liu and West 2001: shrunk to their mean first, so that mean and covariance
-    stay); `kernel`: width of the kernels of the density, in Silverman's; `floor`: share of a uniform density.
-    """
-
-    resample: float = 0.5
-    smoothing: float = 0.1
-    kernel: float = 1.4
-    floor: float = 0.003
-
-
-class LiuWest:
-    """The transition model that PyRecEst's `predict_model` asks for."""
-
-    def __init__(self, smoothing: float, rng: np.random.Generator) -> None:
-        self.smoothing, self.rng = smoothing, rng
-
-    def sample_next(self, particles: np.ndarray) -> np.ndarray:
-        mean = particles.mean(axis=0)
-        root = np.linalg.cholesky(np.cov(particles.T) + 1e-12 * np.eye(3))
-        shrunk = mean + math.sqrt(1 - self.smoothing**2) * (particles - mean)
-        return shrunk + self.smoothing * self.rng.normal(size=particles.shape) @ root.T
-
-
-class RivalParticles:
-    """PyRecEst's `EuclideanParticleFilter` over places, from the same prior as the exact filter's, drawn by Sobol.
-
-    Its density over directions is a mixture of von Mises-Fisher kernels on the bearings of its particles over a small
-    uniform one. Its answer is the mean bearing of the particles within 15 degrees of the densest of a few of them.
-    """
-
-    def __init__(self, detector: Detector, seed: int, count: int, settings: Settings | None = None) -> None:
-        from pyrecest.distributions import LinearDiracDistribution
-        from pyrecest.filters.euclidean_particle_filter import EuclideanParticleFilter
-
-        self.detector, self.settings, self.count = detector, settings or Settings(), count
-        self.rng = np.random.default_rng((23, seed))
-        np.random.seed(seed)  # noqa: NPY002 (what PyRecEst draws from)
-        self.filter = EuclideanParticleFilter(count, 3)
-        least = self.settings.resample * count
-        self.filter.set_resampling_criterion(lambda state: 1 / np.sum(state.w**2) < least)
-        self.prior: Any = LinearDiracDistribution
-        self.resampled = self.any = False
-        self.direction: np.ndarray | None = None
-        self.distance: float | None = None
-
-    def _places(self) -> np.ndarray:
-        z, azimuth, far = qmc.Sobol(3, rng=self.rng).random_base2(math.ceil(math.log2(self.count)))[: self.count].T
-        z, azimuth = 2 * z - 1, 2 * math.pi * azimuth
-        level = np.sqrt(1 - z**2)
-        far = PRIOR_RANGE[0] * (PRIOR_RANGE[1] / PRIOR_RANGE[0]) ** far
-        return far[:, None] * np.stack([level * np.cos(azimuth), level * np.sin(azimuth), z], axis=1)
-
-    def look(self, time: float, pose: np.ndarray, position: np.ndarray | None, detections: np.ndarray) -> None:
-        assert position is not None
-        if self.prior is not None:
-            self.filter.filter_state, self.prior = self.prior(position + self._places()), None
-        if self.resampled:
-            self.filter.predict_model(LiuWest(self.settings.smoothing, self.rng))
-        self.pose, found = pose, detections @ pose.T
-        self.resampled = self.filter.update_nonlinear_using_likelihood(
-            lambda places: self.detector.likelihood(unit(places - position), found), return_diagnostics=True
-        ).resampled
-        state = self.filter.filter_state
-        self.weights, offsets = state.w, state.d - position
-        far = np.linalg.norm(offsets, axis=1)
-        self.bearings = offsets / far[:, None]
-        self.any |= len(detections) > 0
-        if self.any:
-            self.distance = math.exp(self.weights @ np.log(far))
-            few, many = self._drawn(64), self._drawn(512)
-            densest = few[np.exp((few @ many.T - 1) / math.radians(5) ** 2).sum(axis=1).argmax()]
-            near = self.bearings @ densest > math.cos(NEAR)
-            self.top = unit(self.weights[near] @ self.bearings[near])
-            self.direction = self.top @ pose
-        self._kernel = None
-
-    def _drawn(self, count: int) -> np.ndarray:
-        ranks = np.searchsorted(np.cumsum(self.weights), (np.arange(count) + 0.5) / count)
-        return self.bearings[np.minimum(ranks, self.count - 1)]
-
-    @property
-    def concentration(self) -> float:
-        """Of the kernels: Silverman's width for two dimensions, the spread taken where half of the mass is."""
-        if self._kernel is None:
-            if not self.any:
-                return 0.5
-            away = 1 - self.bearings @ self.top
-            order = np.argsort(away)
-            half = away[order[np.searchsorted(np.cumsum(self.weights[order]), 0.5)]]
-            spread = math.sqrt(half / math.log(2))  # of a Gaussian with half of its mass this near
-            effective = 1 / np.sum(self.weights**2)
-            self._kernel = max(0.5, 1 / (self.settings.kernel * spread * effective ** (-1 / 6)) ** 2)
-        return self._kernel
-
-    def at(self, directions: np.ndarray) -> np.ndarray:
-        kappa = self.concentration
-        height = kappa / (2 * math.pi * -math.expm1(-2 * kappa))
-        bumps = np.exp(kappa * (directions @ self.bearings.T - 1)) @ self.weights
-        return np.log((1 - self.settings.floor) * height * bumps + self.settings.floor / (4 * math.pi))
-
-    def log_density(self, direction: np.ndarray) -> float:
-        return float(self.at((self.pose @ direction)[None])[0])
-
-    def mass_above(self, direction: np.ndarray) -> float:
-        """At bearings drawn from the kernels themselves: their width is a part of what it believes."""
-        drawn = np.array([near(centre, self.concentration, self.rng) for centre in self._drawn(128)])
-        return float(np.mean(self.at(drawn) > self.log_density(direction)))
-
-    def claim(self) -> tuple[float, float]:
-        return math.nan, math.nan

@@ -131,11 +131,11 @@ def chosen(reading: Reading, before: Answer | None, repeats: float = 0.0) -> Ans
     """
     if float(np.ptp(reading.field.values)) < FLAT and not reading.field.patches:
         return None
-    first, mass = reading.first(SAME)
+    first, _ = reading.first(SAME)
     if before is None or first @ before.direction > math.cos(SAME):
         return Answer(first)
     near = reading.parts[2] @ before.direction > math.cos(SAME)
-    if float(reading.mass[near].sum()) < mass * (1 - repeats):
+    if float(reading.mass[near].sum()) < reading.within(SAME, first) * (1 - repeats):
         return Answer(first)
     kept = reading.top_of(near)
     # Where the belief still rises at the border of the cone there is no peak left to hold to.

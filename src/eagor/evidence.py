@@ -297,6 +297,15 @@ class Evidence:
         """The share of this look that the next one repeats."""
         return self.calibration.persistence if self.detections is None else self.detections.model.repeats
 
+    @property
+    def bias(self) -> float:
+        """Radians: the part of the spread of this look that the next one repeats, so that no number of looks mends it.
+
+        Of a spread with variance s^2 the share `repeats` is the same for all looks.
+        """
+        spread = self.calibration.spread if self.detections is None else self.detections.model.spread
+        return spread * math.sqrt(self.repeats)
+
 
 _DEFAULT = Calibration()
 

@@ -50,6 +50,23 @@ class Patch:
         return plane_weights(self.values.shape[-1], self.half)
 
 
+def blurred(patch: Patch, sigma: float, reach: float) -> Patch:
+    """The density exp(values) convolved with a Gaussian of `sigma` radians, on a patch that has room for it.
+
+    `reach`: standard deviations from the middle of a patch to its border. The plane is taken as flat: sigma is small.
+    """
+    half = np.hypot(patch.half, reach * math.tan(sigma))
+    at = np.linspace(-1, 1, len(patch.values))
+    top = float(patch.values.max())
+    mass = np.exp(patch.values - top) * patch.weights
+    kernels = [
+        np.exp(-0.5 * ((at[:, None] * wide - at[None, :] * narrow) / sigma) ** 2)
+        for wide, narrow in zip(half, patch.half, strict=True)
+    ]
+    density = kernels[0] @ mass @ kernels[1].T / (2 * math.pi * sigma**2)
+    return Patch(patch.frame, half, np.log(np.maximum(density, 1e-300)) + top)
+
+
 def plane_directions(count: int, frame: np.ndarray, half: np.ndarray) -> np.ndarray:
     """Unit vectors ``(count, count, 3)`` of nodes on the plane of a `Patch`; the first axis is u."""
     at = np.linspace(-1, 1, count)

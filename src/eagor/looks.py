@@ -32,6 +32,7 @@ class Sight:
     detections: Detections | None
     mapped: np.ndarray | None  # coefficients of the response maps
     repeats: float
+    bias: float  # radians: the part of the error of its directions that the next look repeats
 
     @classmethod
     def of(
@@ -48,7 +49,8 @@ class Sight:
                 mapped = found if mapped is None else mapped + found
         if mapped is not None:
             mapped = RealHarmonics(degree).rotate(mapped, world_R_body)
-        return cls(stamp, position, world_R_body, degree, joint, mapped, max(look.repeats for look in looks))
+        repeats, bias = max(look.repeats for look in looks), max(look.bias for look in looks)
+        return cls(stamp, position, world_R_body, degree, joint, mapped, repeats, bias)
 
     @property
     def grid_share(self) -> np.ndarray | float:

@@ -24,9 +24,10 @@ from eagor._lazy import lazy
 from eagor._checks import require, within
 from eagor.belief import Belief
 from eagor.detector import Rates
-from eagor.field import SphereField
+from eagor.field import SphereField, blurred
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
+from eagor.local import REACH
 from eagor.looks import Look, Sight
 from eagor.peaks import decoding_grid
 from eagor.ranged import RangedBelief
@@ -84,11 +85,13 @@ class Cases:
     """What there can be, with its probability: absent, standing, or wandering in one of several ways. World axes.
 
     `weights` ``(2 + M,)`` sum to 1. `wanderers` ``(M, H, W)``: densities over a uniform one, on the decoding grid.
+    `bias`: radians by which all looks together may lie beside the thing: the part of their error that repeats.
     """
 
     weights: np.ndarray
     standing: Standing
     wanderers: np.ndarray
+    bias: float = 0.0
 
     @classmethod
     def prior(cls, motion: MotionModel, standing: Standing, presence: float = 0.5) -> Cases:
@@ -119,6 +122,8 @@ class Cases:
         """log of the density over a uniform one, given that the target is here: what answers are read from."""
         shares = self.weights[1:] / max(float(self.weights[1:].sum()), 1e-300)
         stands = self.standing.field
+        if self.bias > 0:
+            stands = _with_bias(stands, self.bias)
         level = math.log(max(float(shares[0]), 1e-300)) - self.standing.log_mean
         if not len(self.wanderers):
             return replace(
@@ -175,7 +180,7 @@ class Cases:
             if jumped or stopped or died:
                 weights[2:] += 0.0
         weights /= weights.sum()
-        return Cases(weights, standing, wanderers)
+        return Cases(weights, standing, wanderers, self.bias)
 
     def _roam(
         self, wanderers: np.ndarray, weights: np.ndarray, elapsed: float, motion: MotionModel, drift: float,
@@ -240,7 +245,7 @@ class Cases:
             wanderers /= np.einsum("mij,ij->m", wanderers, shares)[:, None, None]
         log = np.log(np.maximum(self.weights, 1e-300)) + gains
         weights = np.exp(log - log.max())
-        return Cases(weights / weights.sum(), standing, wanderers), look, learnt
+        return Cases(weights / weights.sum(), standing, wanderers, sight.bias), look, learnt
 
     def _learnt(self, sight: Sight, look: Look, rates: Rates | None) -> Rates:
         """What the look tells of the detector."""
@@ -257,6 +262,19 @@ class Cases:
             wide = look.world.widened(sight.degree)
             expected = float(np.sum(density * share * wide.densities(grid.directions).sum(axis=-1))) * wide.area
         return look.rates.learnt(self.presence, covered, expected)
+
+
+def _with_bias(field: SphereField, bias: float) -> SphereField:
+    """A field whose patches are blurred; where they grow over the grid, what that says is kept."""
+    patches = []
+    for patch in field.patches:
+        wide = blurred(patch, bias, REACH)
+        directions = wide.directions
+        outside = ~patch.places(directions)[1]
+        around = np.full(wide.values.shape, -np.inf)
+        around[outside] = SphereField(field.grid, field.values)(directions[outside])
+        patches.append(replace(wide, values=np.logaddexp(wide.values, around)))
+    return replace(field, patches=tuple(patches))
 
 
 def _filled(field: SphereField, density: np.ndarray, level: float) -> np.ndarray:
