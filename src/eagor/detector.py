@@ -26,12 +26,16 @@ from eagor._checks import above, require, within
 from eagor.errors import ResponseError
 from eagor.grids import ErpGrid, FisheyeGrid, Grid, PerspectiveGrid
 from eagor.peaks import decoding_grid
+from eagor.sphere import cross
 
 RESOLVED = math.radians(115)  # over degree + 1: the narrowest likelihood whose logarithm a degree holds without loss
 CLUTTER_FLOOR = 1e-3  # relative density of false alarms: no place is so clean that one there would be a proof
 # The prior of what is learnt: probabilities of detection and mean numbers of false alarms, with their weights.
 RECALLS, RECALL_WEIGHTS = (0.1, 0.3, 0.5, 0.7, 0.9), (0.1, 0.2, 0.2, 0.25, 0.25)
 ALARMS = (0.02, 0.06, 0.2, 0.6, 2.0, 6.0)
+# How many times as wide as stated the spread may turn out, and how likely that is.
+UNLIKELY = 1e-4  # a scale with less weight is not reckoned with
+SCALES, SCALE_WEIGHTS = (0.5, 1.0, 2.0), (0.06, 0.88, 0.06)
 
 
 @dataclass(frozen=True)
@@ -116,23 +120,31 @@ def _is_curve(curve: Sequence[Sequence[float]] | None) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Rates:
-    """What is known of a detector's rates: joint weights ``(R, A)`` of `recalls` ``(R,)`` and `alarms` ``(A,)``.
+    """What is known of a detector: joint weights ``(R, A)`` of `recalls` ``(R,)`` and `alarms` ``(A,)``.
 
-    Where a rate is stated there is one value of it, and nothing to learn.
+    Where a rate is stated there is one value of it, and nothing to learn. `spreads` ``(S,)``: weights of the stated
+    spread times `scales` ``(S,)``: it is taken as stated until the looks contradict it.
     """
 
     recalls: np.ndarray
     alarms: np.ndarray
     weights: np.ndarray
+    scales: np.ndarray = field(default_factory=lambda: np.ones(1))
+    spreads: np.ndarray = field(default_factory=lambda: np.ones(1))
+    detected: float = 0.0  # number of detections so far,
+    precision_used: float = 0.0  # ... and the sum of the precisions that they were read with, over the stated one
 
     @classmethod
-    def prior(cls, model: DetectorModel) -> Rates:
-        """Before any look."""
+    def prior(cls, model: DetectorModel, learns: bool = False) -> Rates:
+        """Before any look; who `learns` from look to look reckons with another spread than the stated one."""
         known, number = model.detection_probability, model.false_alarms_per_look
         recalls = np.array(RECALLS if known is None else (known,))
         share = np.array(RECALL_WEIGHTS if known is None else (1.0,))
         alarms = np.array(ALARMS if number is None else (number,))
-        return cls(recalls, alarms, share[:, None] * np.full(len(alarms), 1 / len(alarms)))
+        weights = share[:, None] * np.full(len(alarms), 1 / len(alarms))
+        if not learns:
+            return cls(recalls, alarms, weights)
+        return cls(recalls, alarms, weights, np.array(SCALES), np.array(SCALE_WEIGHTS))
 
     def given(self, count: int) -> Rates:
         """With a look of `count` detections, none of which was the target."""
@@ -155,17 +167,33 @@ class Rates:
         """The mean of P_D over the number of false alarms: what one detection weighs."""
         return float(self.recalls @ self.weights @ (1 / self.alarms))
 
-    def learnt(self, presence: float, covered: float, expected: float) -> Rates:
+    def learnt(self, presence: float, covered: float, expected: np.ndarray) -> Rates:
         """After a look, of which `given` knows the number.
 
-        `presence`: of the target before the look; `covered`: share of its density that was looked at; `expected`: the
-        sum over the detections of s_i g(z_i) / lambda(z_i) at one false alarm a look, g under that density.
+        `presence`: of the target before the look; `covered`: share of its density that was looked at; `expected`
+        ``(S,)``: for each scale the sum over the detections of s_i g(z_i) / lambda(z_i) at one false alarm a look, g
+        under that density.
         """
-        if self.weights.size == 1:
-            return self
-        seen = 1 - self.recalls[:, None] * covered + (self.recalls[:, None] / self.alarms) * expected
+        recalls = self.recalls[:, None]
+        seen = 1 - recalls * covered + (recalls / self.alarms) * float(self.spreads @ expected)
         weights = self.weights * (1 - presence + presence * seen)
-        return replace(self, weights=weights / weights.sum())
+        spreads = self.spreads * (1 - presence + presence * (1 - self.recall * covered + self.gain * expected))
+        return replace(self, weights=weights / weights.sum(), spreads=spreads / spreads.sum())
+
+    def noted(self, count: int) -> Rates:
+        """After `count` more detections were read with these spreads."""
+        used = self.precision_used + count * self.precision
+        return replace(self, detected=self.detected + count, precision_used=used)
+
+    @property
+    def precision(self) -> float:
+        """The mean of 1 / scale^2."""
+        return float(self.spreads @ self.scales**-2.0)
+
+    @property
+    def sharpening(self) -> float:
+        """What the precision of a peak is to be multiplied with, now that more is known of the spread."""
+        return 1.0 if self.detected == 0 else self.precision * self.detected / self.precision_used
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,12 +270,10 @@ class Detections:
         """The detections alone in other axes (`share` still asks for those of the body)."""
         return replace(self, directions=self.directions @ new_R_old.T, axes=self.axes @ new_R_old.T)
 
-    def widened(self, degree: int) -> Detections:
-        """None narrower than a field of this `degree` holds."""
-        return self.at_least(RESOLVED / (degree + 1))
-
     def at_least(self, least: float) -> Detections:
         """None narrower than `least` radians: each is widened as a likelihood, so that its mass is kept."""
+        if least == 0:
+            return self
         lengths = np.linalg.norm(self.axes, axis=-1, keepdims=True)
         return replace(self, axes=self.axes * np.minimum(1.0, 1 / np.maximum(least * lengths, 1e-12)))
 
@@ -302,6 +328,10 @@ class Detections:
         """s_i g(z_i | w) over the relative clutter ``(..., n)`` at directions w ``(..., 3)``, per steradian."""
         return self.bumps(directions) * (self.ratios / self.clutter * self._norms)
 
+    def scaled(self, scale: float) -> Detections:
+        """Each one as many times as wide."""
+        return self if scale == 1 else replace(self, axes=self.axes / scale)
+
     def bumps(self, directions: np.ndarray) -> np.ndarray:
         """g over its maximum ``(..., n)``: Gaussian in Lambert's equal-area plane about z_i.
 
@@ -320,17 +350,25 @@ class Detections:
         return product / (2 * math.pi * -np.expm1(-2 * product))
 
     def ratio(
-        self, directions: np.ndarray, rates: Rates | None = None, share: np.ndarray | float | None = None
+        self,
+        directions: np.ndarray,
+        rates: Rates | None = None,
+        share: np.ndarray | float | None = None,
+        least: float = 0.0,
     ) -> np.ndarray:
         """L ``(...)`` at directions ``(..., 3)``, both in the axes of the detections, with `rates` after `Rates.given`.
 
-        `share`: v there (default: as `share` has it, in the axes of the body).
+        `share`: v there (default: as `share` has it, in the axes of the body). `least`: radians; no detection is taken
+        to be narrower.
         """
         rates = self.rates.given(len(self)) if rates is None else rates
         share = self.share(directions) if share is None else share
         found = np.ones(directions.shape[:-1]) - share * rates.recall
         if len(self):
-            found += share * (rates.gain * self.area) * self.densities(directions).sum(axis=-1)
+            for scale, weight in zip(rates.scales.tolist(), rates.spreads.tolist(), strict=True):
+                if weight > UNLIKELY:
+                    density = self.scaled(scale).at_least(least).densities(directions).sum(axis=-1)
+                    found += share * (weight * rates.gain * self.area) * density
         return found
 
 
@@ -357,12 +395,17 @@ def anisotropic(directions: np.ndarray, covariances: np.ndarray) -> np.ndarray:
     return np.einsum("nij,nik->njk", turns, frames) / np.sqrt(variances)[..., None]
 
 
+def resolved(degree: int) -> float:
+    """Radians: the narrowest detection that a field of this degree holds."""
+    return RESOLVED / (degree + 1)
+
+
 def tangent_frame(direction: np.ndarray) -> np.ndarray:
     """Two unit vectors ``(2, 3)`` across a direction ``(3,)`` and each other."""
     helper = np.array([0.0, 0.0, 1.0]) if abs(direction[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    first = np.cross(helper, direction)
+    first = cross(helper, direction)
     first /= math.sqrt(float(first @ first))
-    return np.stack([first, np.cross(direction, first)])
+    return np.array([first, cross(direction, first)])
 
 
 @lru_cache(maxsize=1)

@@ -24,7 +24,7 @@ from eagor.averaging import averaged
 from eagor.calibration import Calibration
 from eagor.coverage import Region, confine, region, taper
 from eagor.detections import MIN_SPREAD, WHOLE_SPHERE, bump, canvas_of, mask_moments, moments, widened
-from eagor.detector import DetectorModel, Detections, View, anisotropic, isotropic
+from eagor.detector import DetectorModel, Detections, View, anisotropic, isotropic, resolved
 from eagor.errors import ResponseError, TimeError
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
@@ -244,8 +244,9 @@ class Evidence:
         basis, grid = RealHarmonics(degree), self.grid
         if self.detections is not None:
             grid = decoding_grid(degree)
-            wide, smooth = self.detections.widened(degree), self.detections.smooth_share(degree)
-            return basis.analyse(np.log(wide.ratio(grid.directions, share=smooth)), grid)
+            smooth = self.detections.smooth_share(degree)
+            ratio = self.detections.ratio(grid.directions, share=smooth, least=resolved(degree))
+            return basis.analyse(np.log(ratio), grid)
         values = self.log_ratio
         # What is planned for a view belongs to its lens: look ahead, and turn at the end.
         turn = np.asarray(grid.body_R_view) if isinstance(grid, PerspectiveGrid | FisheyeGrid) else None

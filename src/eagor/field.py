@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,14 +40,27 @@ class Patch:
         return map_coordinates(self.values, (places + 1) * ((count - 1) / 2), order=3, mode="nearest")
 
     @property
+    def least_ahead(self) -> float:
+        """The cosine of the angle from the middle to a corner."""
+        return 1 / math.sqrt(1 + float(self.half @ self.half)) - 1e-12
+
+    @lazy
     def directions(self) -> np.ndarray:
         """Unit vectors ``(n, n, 3)`` of the nodes."""
         return plane_directions(self.values.shape[-1], self.frame, self.half)
 
-    @property
+    @lazy
     def weights(self) -> np.ndarray:
         """Solid angles ``(n, n)`` of the nodes."""
         return plane_weights(self.values.shape[-1], self.half)
+
+
+def sharpened(patch: Patch, factor: float) -> Patch:
+    """The peak with its precision multiplied by `factor`, its mass kept."""
+    top = float(patch.values.max())
+    values = top + factor * (patch.values - top)
+    before, after = (float(np.sum(np.exp(v - top) * patch.weights)) for v in (patch.values, values))
+    return replace(patch, values=values + math.log(before / after))
 
 
 def blurred(patch: Patch, sigma: float, reach: float) -> Patch:
@@ -101,7 +114,9 @@ class SphereField:
         found, directions = np.array(found).reshape(-1), directions.reshape(-1, 3)
         nearest = np.full(found.shape, np.inf)
         for patch in self.patches:
-            near = np.flatnonzero(directions @ patch.frame[0] > 0)
+            near = np.flatnonzero(directions @ patch.frame[0] > patch.least_ahead)
+            if not len(near):
+                continue
             places, inside = patch.places(directions[near])
             depth = np.abs(places).max(axis=0)
             inside &= depth < nearest[near]
@@ -133,10 +148,12 @@ class SphereField:
     @lazy
     def outside(self) -> np.ndarray:
         """Which cells ``(H, W)`` of the grid lie in no patch."""
-        free = np.ones(self.grid.shape, dtype=bool)
+        directions = self.grid.directions.reshape(-1, 3)
+        free = np.ones(len(directions), dtype=bool)
         for patch in self.patches:
-            free &= ~patch.places(self.grid.directions)[1]
-        return free
+            near = np.flatnonzero(directions @ patch.frame[0] > patch.least_ahead)
+            free[near[patch.places(directions[near])[1]]] = False
+        return free.reshape(self.grid.shape)
 
     @lazy
     def shares(self) -> tuple[np.ndarray, ...]:
@@ -156,8 +173,22 @@ class SphereField:
                 weights[inside & ((rival < depth) | ((rival == depth) & (other < index)))] = 0.0
         return weights
 
+    def nodes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Values, solid angles ``(n,)`` and directions ``(n, 3)`` of the cells in no patch and the nodes of patches."""
+        if not self.patches:
+            return self.values.reshape(-1), self.grid.weights.reshape(-1), self.grid.directions.reshape(-1, 3)
+        free = self.outside
+        values = [self.values[free], *(patch.values.reshape(-1) for patch in self.patches)]
+        weights = [self.grid.weights[free], *(share.reshape(-1) for share in self.shares)]
+        directions = [self.grid.directions[free], *(patch.directions.reshape(-1, 3) for patch in self.patches)]
+        return np.concatenate(values), np.concatenate(weights), np.concatenate(directions)
+
     def log_mean(self) -> float:
         """log of the mean of exp(field) over the sphere."""
+        return self._log_mean
+
+    @lazy
+    def _log_mean(self) -> float:
         free = self.outside if self.patches else slice(None)
         parts = [(self.values[free], self.grid.weights[free])]
         parts += [(patch.values, share) for patch, share in zip(self.patches, self.shares, strict=True)]

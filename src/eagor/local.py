@@ -18,6 +18,7 @@ import numpy as np
 from eagor._lazy import lazy
 
 from eagor.field import Patch, plane_directions, plane_weights
+from eagor.sphere import cross
 
 NODES = 13  # along each side
 RANGES = 16  # of the window, where distances are believed in
@@ -141,14 +142,15 @@ class Window:
         middle /= math.sqrt(float(middle @ middle))
         axes = self.frame[1:] - (self.frame[1:] @ middle)[:, None] * middle
         axes[0] /= math.sqrt(float(axes[0] @ axes[0]))
-        axes[1] = np.cross(middle, axes[0])
+        axes[1] = cross(middle, axes[0])
         ahead = points @ middle
         plane = (points @ axes.T) / np.maximum(ahead, 0.1)[:, None]
         covariance = (plane * shares[:, None]).T @ plane
         variances, turn = np.linalg.eigh(covariance)
         spacing = self.half / (NODES - 1)
         sigma = np.sqrt(np.maximum(variances, (0.2 * spacing.min()) ** 2))
-        frame = np.stack([middle, turn[:, 0] @ axes, np.cross(middle, turn[:, 0] @ axes)])
+        across = turn[:, 0] @ axes
+        frame = np.array([middle, across, cross(middle, across)])
         return frame, np.minimum(REACH * sigma, WIDEST), logs
 
     def _drawn(

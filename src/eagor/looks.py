@@ -11,7 +11,7 @@ import numpy as np
 from eagor._lazy import lazy
 
 from eagor._arrays import to_numpy
-from eagor.detector import Detections, Rates
+from eagor.detector import Detections, Rates, resolved
 from eagor.evidence import Evidence
 from eagor.field import SphereField
 from eagor.harmonics import RealHarmonics
@@ -52,7 +52,7 @@ class Sight:
         repeats, bias = max(look.repeats for look in looks), max(look.bias for look in looks)
         return cls(stamp, position, world_R_body, degree, joint, mapped, repeats, bias)
 
-    @property
+    @lazy
     def grid_share(self) -> np.ndarray | float:
         """v on the decoding grid, in the axes of the world, as `Detections.smooth_share`."""
         if self.detections is None or not self.detections.views:
@@ -70,10 +70,10 @@ class Sight:
         given, world = None, None
         coefficients = self.mapped
         if self.detections is not None:
-            given = (self.detections.rates if rates is None else rates).given(len(self.detections))
+            before = Rates.prior(self.detections.model, learns=True) if rates is None else rates
+            given = before.given(len(self.detections))
             world = self.detections.turned(self.world_R_body)
-            wide = world.widened(self.degree)
-            found = np.log(wide.ratio(grid.directions, given, self.grid_share))
+            found = np.log(world.ratio(grid.directions, given, self.grid_share, resolved(self.degree)))
             values = values + found
             found = basis.analyse(found, grid)
             coefficients = found if coefficients is None else coefficients + found
@@ -109,5 +109,5 @@ class Look:
             share: np.ndarray | float = 1.0
             if self.world.views:
                 share = self.world.share(directions @ self.sight.world_R_body)
-            found += np.log(self.world.at_least(least).ratio(directions, self.rates, share))
+            found += np.log(self.world.ratio(directions, self.rates, share, least))
         return found

@@ -24,7 +24,7 @@ from eagor._lazy import lazy
 from eagor._checks import require, within
 from eagor.belief import Belief
 from eagor.detector import Rates
-from eagor.field import SphereField, blurred
+from eagor.field import SphereField, blurred, sharpened
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.local import REACH
@@ -34,6 +34,7 @@ from eagor.ranged import RangedBelief
 from eagor.reading import Reading
 from eagor.standing import Standing
 
+_UNHEARD = 1e-7  # of the belief: a cell that holds less tells nothing of the detector
 _FAINTEST = 1e-12  # of a mean density: what lies lower is the ringing of a cut series
 
 
@@ -86,12 +87,14 @@ class Cases:
 
     `weights` ``(2 + M,)`` sum to 1. `wanderers` ``(M, H, W)``: densities over a uniform one, on the decoding grid.
     `bias`: radians by which all looks together may lie beside the thing: the part of their error that repeats.
+    `sharpening`: what the precision of peaks is read as, over what it was added up with (`Rates.sharpening`).
     """
 
     weights: np.ndarray
     standing: Standing
     wanderers: np.ndarray
     bias: float = 0.0
+    sharpening: float = 1.0
 
     @classmethod
     def prior(cls, motion: MotionModel, standing: Standing, presence: float = 0.5) -> Cases:
@@ -122,6 +125,8 @@ class Cases:
         """log of the density over a uniform one, given that the target is here: what answers are read from."""
         shares = self.weights[1:] / max(float(self.weights[1:].sum()), 1e-300)
         stands = self.standing.field
+        if abs(self.sharpening - 1) > 0.01:
+            stands = replace(stands, patches=tuple(sharpened(patch, self.sharpening) for patch in stands.patches))
         if self.bias > 0:
             stands = _with_bias(stands, self.bias)
         level = math.log(max(float(shares[0]), 1e-300)) - self.standing.log_mean
@@ -180,7 +185,7 @@ class Cases:
             if jumped or stopped or died:
                 weights[2:] += 0.0
         weights /= weights.sum()
-        return Cases(weights, standing, wanderers, self.bias)
+        return Cases(weights, standing, wanderers, self.bias, self.sharpening)
 
     def _roam(
         self, wanderers: np.ndarray, weights: np.ndarray, elapsed: float, motion: MotionModel, drift: float,
@@ -231,7 +236,7 @@ class Cases:
         look = sight.read(rates)
         learnt = rates
         if sight.detections is not None:
-            learnt = self._learnt(sight, look, rates)
+            learnt = self._learnt(sight, look)
         standing = standing.opened(look).plus(look).focused()
         gains = np.zeros(len(self.weights))
         gains[1] = standing.log_mean - before
@@ -245,23 +250,27 @@ class Cases:
             wanderers /= np.einsum("mij,ij->m", wanderers, shares)[:, None, None]
         log = np.log(np.maximum(self.weights, 1e-300)) + gains
         weights = np.exp(log - log.max())
-        return Cases(weights / weights.sum(), standing, wanderers, sight.bias), look, learnt
+        sharpening = 1.0 if learnt is None else learnt.sharpening
+        return Cases(weights / weights.sum(), standing, wanderers, sight.bias, sharpening), look, learnt
 
-    def _learnt(self, sight: Sight, look: Look, rates: Rates | None) -> Rates:
+    def _learnt(self, sight: Sight, look: Look) -> Rates:
         """What the look tells of the detector."""
         assert look.rates is not None and look.world is not None
-        if look.rates.weights.size == 1:
-            return look.rates
-        field, grid = self.field, self.grid
-        density = np.exp(np.minimum(field(grid), 700.0)) * grid.weights / (4 * math.pi)
-        density /= density.sum()
-        share = sight.grid_share
-        covered = float(np.sum(density * share))
-        expected = 0.0
+        values, weights, directions = self.field.nodes()
+        mass = np.exp(np.minimum(values - self.field.log_mean(), 700.0)) * weights / (4 * math.pi)
+        counts = mass > _UNHEARD
+        mass, directions = mass[counts], directions[counts]
+        mass = mass / mass.sum()
+        share: np.ndarray | float = 1.0
+        if look.world.views:
+            share = look.world.share(directions @ sight.world_R_body)
+        covered = float(np.sum(mass * share))
+        expected = np.zeros(len(look.rates.scales))
         if len(look.world):
-            wide = look.world.widened(sight.degree)
-            expected = float(np.sum(density * share * wide.densities(grid.directions).sum(axis=-1))) * wide.area
-        return look.rates.learnt(self.presence, covered, expected)
+            for index, scale in enumerate(look.rates.scales.tolist()):
+                found = look.world.scaled(scale).densities(directions)
+                expected[index] = float((mass * share) @ found.sum(axis=-1)) * look.world.area
+        return look.rates.noted(len(look.world)).learnt(self.presence, covered, expected)
 
 
 def _with_bias(field: SphereField, bias: float) -> SphereField:

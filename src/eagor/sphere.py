@@ -102,6 +102,12 @@ def check_unit(vectors: Array) -> Array:
     )
 
 
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The cross product of two vectors ``(3,)``; `numpy.cross` takes ten times as long for one."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+
+
 def wrap(angle: Array) -> Array:
     """`angle` (radians) brought to [-pi, pi)."""
     return (angle + math.pi) % (2 * math.pi) - math.pi
