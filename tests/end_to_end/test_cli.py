@@ -316,7 +316,7 @@ def test_views_of_one_moment_are_one_look_whatever_their_order(room, tmp_path):
     for entry in found:  # the others are where nobody looked: above and below
         two = entry["modes"][:2]
         assert sorted(min(range(2), key=lambda k: error_deg(mode, places[k])) for mode in two) == [0, 1]
-        assert max(min(error_deg(mode, place) for place in places) for mode in two) < 2
+        assert max(min(error_deg(mode, place) for place in places) for mode in two) < 3
     weights = [[mode["weight"] for mode in entry["modes"]] for entry in found]
     assert weights[0] == pytest.approx(weights[1], abs=1e-4)
 
