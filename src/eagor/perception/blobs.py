@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -54,16 +55,18 @@ def _labelled(inside: np.ndarray, around: bool) -> tuple[np.ndarray, int]:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    labels, count = label(inside, structure=np.ones((3, 3), dtype=int))
+    counted: Any = label(inside, structure=np.ones((3, 3), dtype=int))
+    labels, count = counted
     if not around or count < 2:
         return labels, count
     left, right = labels[:, 0], labels[:, -1]
     pairs = [(left, right), (left[1:], right[:-1]), (left[:-1], right[1:])]
     pairs += [(row[:-1], row[1:]) for row in (_present(labels[0]), _present(labels[-1]))]
-    one, other = (np.concatenate(side) for side in zip(*pairs, strict=True))
+    one, other = np.concatenate([pair[0] for pair in pairs]), np.concatenate([pair[1] for pair in pairs])
     touching = (one > 0) & (other > 0)
     graph = coo_array((np.ones(int(touching.sum())), (one[touching], other[touching])), shape=(count + 1, count + 1))
-    found, parts = connected_components(graph, directed=False)
+    parts = connected_components(graph, directed=False)[1]
+    found = int(parts.max()) + 1
     # The background is a part of its own, and has to stay 0.
     return np.where(labels > 0, ((parts - parts[0]) % found)[labels], 0), found - 1
 
