@@ -17,8 +17,9 @@ def blobs(response: np.ndarray, grid: Grid, level: float, least: float) -> list[
     """The connected parts of a map ``(H, W)`` that reach `level`: mean direction, covariance and mean response of each.
 
     Cells that touch at a corner are connected; a panorama goes on across its seam, and its first and last rows each
-    meet in a pole. Parts of less than `least` steradians, times the response, are left out. The covariance ``(2, 2)`` (radians^2) is that of
-    the part's solid angle about its mean direction; a part all around has none to speak of, and is as wide as can be.
+    meet in a pole. Parts of less than `least` steradians, times the response, are left out. The covariance ``(2, 2)``
+    (radians^2) is that of the part's solid angle about its mean direction; a part all around has none to speak of, and
+    is as wide as can be.
     """
     labels, count = _labelled(response >= level, isinstance(grid, ErpGrid | PatchGrid))
     where = np.flatnonzero(labels)
