@@ -41,6 +41,7 @@ from scipy.ndimage import maximum_filter
 
 from eagor.calibration import Calibration
 from eagor.detections import MIN_SPREAD
+from eagor.detector import DetectorModel
 from eagor.evaluation import parts
 from eagor.evaluation.calibration import TASKS, Recorder, kept_recordings
 from eagor.evidence import Evidence
@@ -81,21 +82,26 @@ def shares(false: float, clutter: float, temperature: float) -> Reading:
     return read
 
 
-def detections(calibration: Calibration) -> Reading:
-    """The peaks of the response alone, as a detector would write them down, read with `calibration`."""
+def detections(calibration: Calibration | None, model: DetectorModel | None = None) -> Reading:
+    """The peaks of the response alone, as a detector would write them down.
+
+    They are read with `calibration`, as a response map; None: as detections of `model` (default: `DetectorModel()`).
+    """
 
     def read(look: Evidence) -> Evidence:
         response = np.asarray(look.response, dtype=np.float64)
         peaks = (response == maximum_filter(response, 5, mode=("nearest", "wrap"))) & (response > FAINT)
         where, scores, kappa = look.grid.directions[peaks], response[peaks], 1 / MIN_SPREAD**2
-        return Evidence.from_points(where, kappa, scores, calibration=calibration, stamp=look.stamp)
+        return Evidence.from_points(where, kappa, scores, calibration=calibration, stamp=look.stamp, detector=model)
 
     return read
 
 
 DETECTIONS: dict[str, Reading] = {
     "detections": detections(Calibration()),
-    "detections Calibration.detector()": detections(Calibration.detector()),
+    "detections DetectorModel()": detections(None),
+    "detections DetectorModel(repeats=0.5)": detections(None, DetectorModel(repeats=0.5)),
+    "detections temperature=6 persistence=0.5": detections(Calibration(temperature=6.0, persistence=0.5)),
     "detections temperature=6 persistence=0.75": detections(Calibration(temperature=6.0, persistence=0.75)),
     "detections temperature=9 persistence=0.5": detections(Calibration(temperature=9.0, persistence=0.5)),
     "detections temperature=9 persistence=0.75": detections(Calibration(temperature=9.0, persistence=0.75)),

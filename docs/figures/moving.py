@@ -99,15 +99,16 @@ def draw(seen: np.ndarray, estimate: eagor.Estimate, truth: np.ndarray, way: Way
     tall, head, foot = round(width * HIGHEST / 180), 34, 26
     sheet = figure(width, tall + head + foot)
     axes = sheet.add_axes((0, foot / (tall + head + foot), 1, tall / (tall + head + foot)))
-    belief = estimate.reading.direction_belief().predict(estimate.world_R_body.T)
-    paint_belief(axes, seen, belief, estimate, truth, modes=())
+    paint_belief(axes, seen, estimate, truth, modes=())
     axes.set_ylim(-HIGHEST, HIGHEST)
     axes.set_axis_off()
-    off = math.degrees(float(eagor.angular_distance(estimate.direction, truth)))
+    off = "not known"
+    if estimate.direction is not None:
+        off = f"off by {math.degrees(float(eagor.angular_distance(estimate.direction, truth))):.0f}°"
     top, low = 1 - head / 2 / (tall + head + foot), foot / 2 / (tall + head + foot)
     sheet.text(0.012, top, f"Where is the {way.query}?", fontsize=13, color=INK, weight="bold", va="center")
     far = f"   about {estimate.distance:.1f} m away" if estimate.status == "tracking" and estimate.distance else ""
-    said = f"{stamp:4.1f} s   {estimate.status}{far}   off by {off:.0f}°"
+    said = f"{stamp:4.1f} s   {estimate.status}{far}   {off}"
     sheet.text(0.988, top, said, fontsize=11, color=INK, va="center", ha="right")
     for x, mark, colour, what in (
         (0.012, "●", OURS, "estimate, and which way to turn"),

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from eagor._arrays import Array, akin, as_float, constant, frozen, namespace, private, to_numpy
+from eagor._reprs import where
 from eagor.diffusion import diffuse
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
@@ -27,7 +28,7 @@ from eagor.grids import Grid
 from eagor.harmonics import RealHarmonics, rotation
 from eagor.peaks import FLAT, decoding_grid, forward_vector, peak
 from eagor.posterior import CELLS_FOR_REGIONS, MIN_WEIGHT, PROMINENCE, CredibleRegion, Field, Posterior
-from eagor.sphere import check_rotation
+from eagor.sphere import azimuth_elevation, check_rotation
 
 
 class Reading:
@@ -62,6 +63,24 @@ class Reading:
         for index in np.ndindex(*self.batch_shape):
             found[index] = Posterior(self._field(index), decoding_grid(self.degree).height)
         return found
+
+    def _told(self) -> str:
+        """What one belief says, in a few words; how many there are of a batch."""
+        if self.batch_shape:
+            return f"batch {self.batch_shape}"
+        posterior = self.posterior
+        if not np.isfinite(posterior.coarse).all():
+            return "not finite"
+        if float(np.ptp(posterior.coarse)) < FLAT:
+            return "nothing known"
+        azimuth, elevation = (float(angle) for angle in azimuth_elevation(posterior.mode))
+        return f"{where(azimuth, elevation)}, 90 % within {math.degrees(posterior.cone(0.9)):.0f}°"
+
+    def _repr_html_(self) -> str:
+        """A small picture, for notebooks."""
+        from eagor.thumbnail import belief_html
+
+        return belief_html(self)
 
     @property
     def posterior(self) -> Posterior:
@@ -174,6 +193,9 @@ class Belief(Reading):
         if size < 4 or math.isqrt(size) ** 2 != size:
             raise EagorError(f"coefficients have shape {tuple(self.coefficients.shape)}; wanted (..., (degree + 1)^2)")
         object.__setattr__(self, "coefficients", private(self.coefficients))
+
+    def __repr__(self) -> str:
+        return f"Belief(degree {self.degree}, {self._told()})"
 
     @classmethod
     def _of(cls, coefficients: Array) -> Belief:

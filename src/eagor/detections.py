@@ -67,12 +67,25 @@ def bump(directions: np.ndarray, centre: np.ndarray, spread: np.ndarray) -> np.n
 def mask_moments(mask: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     """Mean direction ``(3,)`` of a mask's solid angle and its covariance ``(2, 2)`` about it in the tangent plane."""
     points, areas = grid.directions[mask], grid.weights[mask]
-    middle = areas @ points
-    length = float(np.linalg.norm(middle))
-    if length < 1e-9 * areas.sum():
+    if float(np.linalg.norm(areas @ points)) < 1e-9 * areas.sum():
         raise ResponseError("a mask spans the whole sphere, so it names no direction; wanted the pixels of one thing")
+    return moments_of(points, areas)
+
+
+ANYWHERE = 1e4  # standard deviation (radians) of what is all around, and names no direction
+
+
+def moments_of(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean direction ``(3,)`` of weighed directions ``(n, 3)``, and their covariance ``(2, 2)`` about it.
+
+    What is spread evenly all around has no mean direction, and a covariance without bounds.
+    """
+    middle = weights @ points
+    length = float(np.linalg.norm(middle))
+    if length < 1e-9 * weights.sum():
+        return np.array([1.0, 0.0, 0.0]), ANYWHERE**2 * np.eye(2)
     offsets = _tangent(points, middle / length)
-    return middle / length, np.einsum("i,ik,il->kl", areas, offsets, offsets) / areas.sum()
+    return middle / length, np.einsum("i,ik,il->kl", weights, offsets, offsets) / weights.sum()
 
 
 def widened(mask: np.ndarray, grid: Grid, spread: float) -> np.ndarray:

@@ -12,6 +12,7 @@ import numpy as np
 from eagor._arrays import to_numpy
 from eagor._checks import above, require, whole, within
 from eagor._lazy import lazy
+from eagor._reprs import changed, where
 from eagor.calibration import Calibration
 from eagor.detector import DetectorModel, Rates
 from eagor.grids import ErpGrid, Grid, PatchGrid
@@ -77,6 +78,9 @@ class TrackerConfig:
         }
         require(self, fields)
 
+    def __repr__(self) -> str:
+        return changed(self)
+
     @classmethod
     def paper(cls) -> TrackerConfig:
         """The published recursion: degree 7, log(l + 1e-3) scaled to the frame's maximum, spherical mean."""
@@ -108,7 +112,7 @@ class Mode:
     weight: float
 
     def __repr__(self) -> str:
-        return f"Mode({_angles(self.azimuth, self.elevation)}, weight {self.weight:.2f})"
+        return f"Mode({where(self.azimuth, self.elevation)}, weight {self.weight:.2f})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,12 +160,12 @@ class Estimate:
     rates: Rates | None = None
 
     def __repr__(self) -> str:
-        if self.direction is None:
-            return f"Estimate(t={self.stamp:g} s, direction not known, presence {self.presence:.2f}, {self.status})"
-        return (
-            f"Estimate(t={self.stamp:g} s, {_angles(self.azimuth, self.elevation)}, 90 % within "
-            f"{math.degrees(self.credible_angle):.0f}°, presence {self.presence:.2f}, {self.status})"
-        )
+        presence = f"presence {self.presence:.2f}, {self.status}"
+        if self.azimuth is None or self.elevation is None:
+            return f"Estimate(t={self.stamp:g} s, direction not known, {presence})"
+        cone = f"90 % within {math.degrees(self.credible_angle):.0f}°"
+        held = ", held" if self.held else ""
+        return f"Estimate(t={self.stamp:g} s, {where(self.azimuth, self.elevation)}, {cone}, {presence}{held})"
 
     @property
     def posterior(self) -> Reading:
@@ -305,9 +309,3 @@ class Estimate:
 def _mode(direction: np.ndarray, weight: float) -> Mode:
     azimuth, elevation = azimuth_elevation(direction)
     return Mode(direction, float(azimuth), float(elevation), float(weight))
-
-
-def _angles(azimuth: float | None, elevation: float | None) -> str:
-    assert azimuth is not None and elevation is not None
-    side = "left" if azimuth >= 0 else "right"
-    return f"{abs(math.degrees(azimuth)):.0f}° {side}, {math.degrees(elevation):+.0f}° up"

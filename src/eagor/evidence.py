@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eagor._arrays import Array, frozen, matched, namespace, to_numpy
+from eagor._reprs import changed
 from eagor.averaging import averaged
 from eagor.calibration import Calibration
 from eagor.coverage import Region, confine, region, taper
@@ -54,6 +55,24 @@ class Evidence:
     source: Mapping[str, object] | None = None
     coverage: np.ndarray | None = field(default=None, repr=False)  # (H, W) in [0, 1]; None: the whole grid
     detections: Detections | None = None  # the set, where the evidence is that of a `DetectorModel`
+
+    def __repr__(self) -> str:
+        rows, columns = self.grid.shape
+        what = f"{rows} x {columns} responses"
+        if self.detections is not None:
+            count = len(self.detections)
+            what = f"{count or 'no'} detection{'' if count == 1 else 's'}"
+        elif len(self.log_ratio.shape) > 2:
+            what = f"batch {tuple(self.log_ratio.shape[:-2])} of {what}"
+        stamp = "no stamp" if self.stamp is None else f"t={self.stamp:g} s"
+        read = self.calibration if self.detections is None else self.detections.model
+        return f"Evidence({stamp}, {what} on {type(self.grid).__name__}, read by {changed(read)})"
+
+    def _repr_html_(self) -> str:
+        """A small picture, for notebooks."""
+        from eagor.thumbnail import evidence_html
+
+        return evidence_html(self)
 
     @classmethod
     def from_detections(cls, detections: Detections, grid: Grid, stamp: float | None = None) -> Evidence:

@@ -18,6 +18,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from eagor._reprs import changed
 from eagor.errors import GridError
 from eagor.sphere import azimuth_elevation, check_rotation, direction
 
@@ -195,6 +196,8 @@ class PerspectiveGrid:
     hfov: float
     body_R_view: np.ndarray = field(default_factory=lambda: np.eye(3))
 
+    __repr__ = changed
+
     def __post_init__(self) -> None:
         _check_size(self.height, self.width)
         if not 0 < self.hfov < math.pi:
@@ -270,6 +273,8 @@ class FisheyeGrid:
     size: int
     fov: float
     body_R_view: np.ndarray = field(default_factory=lambda: np.eye(3))
+
+    __repr__ = changed
 
     def __post_init__(self) -> None:
         if self.size < 1 or not 0 < self.fov <= 2 * math.pi:

@@ -9,9 +9,11 @@ from functools import cached_property
 
 import numpy as np
 
+from eagor._reprs import where
 from eagor.basins import basins
 from eagor.grids import ErpGrid, ErpWindow
 from eagor.peaks import neighbours, peak_on_grid, refine
+from eagor.sphere import azimuth_elevation
 
 CELLS_PER_SIGMA = 3.0  # grid spacing against the width of the sharpest peak: integrals converge long before that
 CELLS_FOR_REGIONS = 8.0  # ... but the border of a region of 90 % is only as sharp as the cells that it cuts
@@ -55,6 +57,11 @@ class CredibleRegion:
     angle: float
     mode: np.ndarray
     log_density: Callable[[np.ndarray], np.ndarray]
+
+    def __repr__(self) -> str:
+        mode = where(*(float(angle) for angle in azimuth_elevation(self.mode)))
+        size = f"{self.area:.3g} sr, within {math.degrees(self.angle):.0f}° of {mode}"
+        return f"CredibleRegion({100 * self.mass:g} %, {size})"
 
     def contains(self, directions: np.ndarray) -> np.ndarray:
         """Which of the directions ``(..., 3)`` lie in the region, bool ``(...)``."""

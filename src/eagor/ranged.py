@@ -148,6 +148,10 @@ class RangedBelief(Reading):
         """
         return replace(self, shells=self.shells + akin(log_ratios, self.shells))
 
+    def __repr__(self) -> str:
+        ranges = f"{len(self.ranges)} ranges {self.ranges[0]:.3g} to {self.ranges[-1]:.3g} m"
+        return f"RangedBelief(degree {self.degree}, {ranges}, {self._told()})"
+
     @property
     def agreed(self) -> Array:
         """What is said of directions whatever the range ``(..., size)``: the mean of the shells."""

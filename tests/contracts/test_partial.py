@@ -5,10 +5,13 @@ import math
 import numpy as np
 import pytest
 
+from eagor.calibration import Calibration
 from eagor.errors import ImageError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.harmonics import RealHarmonics
 from eagor.perception import load
+from eagor.perception.colour import ColourPerception
 from eagor.perception.partial import coverage, look_at_view, pasted
 from eagor.sphere import azimuth_elevation, direction, world_R_body
 from eagor.worlds.panorama import view
@@ -41,7 +44,7 @@ def test_a_picture_is_put_where_it_was_taken():
 def test_evidence_is_where_the_thing_is_and_nowhere_beyond_the_view(pitch):
     grid = PerspectiveGrid(180, 320, HFOV, world_R_body(0.0, -pitch))
     picture = view(red_spot(0.2, pitch - 0.1), grid)
-    found = look_at_view(load("colour"), picture, pitch, HFOV, "red", stamp=3.0)
+    found = look_at_view(Painted(Calibration()), picture, pitch, HFOV, "red", stamp=3.0)
     assert found.stamp == 3.0
     shown = coverage(*found.grid.shape, 180, 320, HFOV, pitch)
     log_ratio = np.asarray(found.log_ratio)
@@ -49,6 +52,43 @@ def test_evidence_is_where_the_thing_is_and_nowhere_beyond_the_view(pitch):
     assert (log_ratio[shown > 0.5] != 0).mean() > 0.99
     peak = found.grid.directions[np.unravel_index(log_ratio.argmax(), log_ratio.shape)]
     assert peak @ direction(0.2, pitch - 0.1) > math.cos(math.radians(8))
+
+
+class Painted:
+    """Colour as a perception that knows nothing of views."""
+
+    def __init__(self, calibration=None):
+        self.colour = ColourPerception(calibration=calibration)
+
+    def __call__(self, panorama, query, *, stamp=None):
+        return self.colour(panorama, query, stamp=stamp)
+
+
+@pytest.mark.parametrize("perception", [ColourPerception(), Painted()], ids=["views", "panoramas"])
+@pytest.mark.parametrize("pitch", [-0.5, 0.0, 1.0])
+def test_detections_in_a_view_say_nothing_beyond_it(perception, pitch):
+    grid = PerspectiveGrid(180, 320, HFOV, world_R_body(0.0, -pitch))
+    picture = view(red_spot(0.2, pitch - 0.1), grid)
+    found = look_at_view(perception, picture, pitch, HFOV, "red", stamp=3.0)
+    assert found.stamp == 3.0
+    assert len(found.detections) == 1
+    assert isinstance(found.grid, PerspectiveGrid)
+    assert found.detections.directions[0] @ direction(0.2, pitch - 0.1) > math.cos(math.radians(1))
+    cells = ErpGrid(60, 120)
+    assert (np.asarray(found.detections.share(cells.directions)) == grid.project(cells.directions)[2]).all()
+    off = cells.directions @ grid.body_R_view[:, 0] < math.cos(math.radians(55 + 30))
+    field = RealHarmonics(15).synthesise(found.coefficients(15), cells)
+    assert np.abs(field[off]).max() < 0.1  # of the 4 nats in the view: what a field of degree 15 leaks
+    nothing = look_at_view(perception, np.full_like(picture, 128), pitch, HFOV, "red", stamp=3.0)
+    assert len(nothing.detections) == 0
+
+
+def test_what_fills_a_panorama_around_a_picture_is_no_detection():
+    """The rest is painted with the picture's mean colour, which may be the one that is asked for."""
+    picture = np.full((90, 160, 3), (220, 30, 30), dtype=np.uint8)
+    picture[:40] = (200, 25, 25)
+    found = look_at_view(ColourPerception(), picture, 0.0, HFOV, "red")
+    assert (found.detections.directions[:, 0] > 0.5).all()
 
 
 def test_a_perception_that_takes_pictures_is_given_the_picture():

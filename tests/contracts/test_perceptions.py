@@ -4,7 +4,6 @@ import contextlib
 import io
 import json
 import math
-from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from hypothesis import strategies as st
 from eagor import plugins
 from eagor.calibration import Calibration
 from eagor.cli import main
+from eagor.detector import DetectorModel
 from eagor.errors import EagorError, FormatError, ImageError, QueryError, ResponseError, TimeError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
@@ -67,7 +67,9 @@ def replay_file(tmp_path):
 
 @pytest.mark.parametrize("query", ["red", "the light blue ball", "dark grey", "white"])
 def test_colour_keeps_the_contract(query):
-    check_perception(ColourPerception(), painted_room(64, 128), query, roll=37)
+    # Detections are drawn on cells of two degrees: a roll by whole cells.
+    check_perception(ColourPerception(), painted_room(90, 180), query, roll=37)
+    check_perception(ColourPerception(calibration=Calibration()), painted_room(64, 128), query, roll=37)
 
 
 @pytest.mark.parametrize("shape", [(600, 1200), (300, 512), (3, 5), (1, 1)])
@@ -77,8 +79,9 @@ def test_colour_keeps_the_contract_at_any_size(shape):
 
 
 def test_colour_averages_large_panoramas_and_rolls_with_them():
-    check_perception(ColourPerception(rows=32), painted_room(128, 256), "red", roll=4 * 13)
-    assert ColourPerception(rows=32)(painted_room(128, 256), "red").grid == PatchGrid(32, 64)
+    mapped = ColourPerception(rows=32, calibration=Calibration())
+    check_perception(mapped, painted_room(128, 256), "red", roll=4 * 13)
+    assert mapped(painted_room(128, 256), "red").grid == PatchGrid(32, 64)
 
 
 @pytest.mark.parametrize("stamp", [1.0, 2.0, 3.0, 4.0])
@@ -298,9 +301,11 @@ def test_single_pixels_do_not_count_but_small_things_do():
 
 
 def test_nothing_of_the_colour_is_a_look_that_saw_nothing():
-    evidence = ColourPerception(calibration=Calibration(0.1, 0.05))(np.full((8, 16, 3), 180, np.uint8), "red", stamp=2)
-    assert np.asarray(evidence.response).max() == pytest.approx(0, abs=1e-6)
-    assert evidence.stamp == 2
+    for perception in (ColourPerception(calibration=Calibration(0.1, 0.05)), ColourPerception()):
+        evidence = perception(np.full((8, 16, 3), 180, np.uint8), "red", stamp=2)
+        assert np.asarray(evidence.response).max() == pytest.approx(0, abs=1e-6)
+        assert np.asarray(evidence.log_ratio).max() < 0
+        assert evidence.stamp == 2
 
 
 @pytest.mark.parametrize("query", ["", "the chair", "redwood", "rot", None, 7])
@@ -331,6 +336,64 @@ def test_every_colour_word_is_understood():
 def test_a_panorama_of_another_kind_is_an_image_error(panorama):
     with pytest.raises(ImageError, match="panorama"):
         ColourPerception()(panorama, "red")
+
+
+def disc(azimuth, elevation, radius, colour, panorama=None, rows=180):
+    """A panorama with a disc of a colour in it; angles in degrees."""
+    grid = ErpGrid(rows, 2 * rows)
+    image = np.full((rows, 2 * rows, 3), 128, dtype=np.uint8) if panorama is None else panorama
+    centre = direction(math.radians(azimuth), math.radians(elevation))
+    image[angular_distance(grid.directions, centre) < math.radians(radius)] = colour
+    return image
+
+
+RED = (220, 20, 20)
+
+
+@pytest.mark.parametrize("azimuth", [20, 180, -179])
+@pytest.mark.parametrize("elevation", [0, -40, 86, 90])
+def test_each_patch_of_a_colour_is_one_detection(azimuth, elevation):
+    """Where it is, also across the seam and over a pole; as wide as it is."""
+    image = disc(azimuth, elevation, 8, RED, disc(azimuth + 120, -20, 4, RED))
+    found = ColourPerception()(image, "red").detections
+    assert len(found) == 2
+    order = np.argsort(-found.directions @ direction(math.radians(azimuth), math.radians(elevation)))
+    for index, where, radius in ((order[0], (azimuth, elevation), 8), (order[1], (azimuth + 120, -20), 4)):
+        wanted = direction(*np.radians(where))
+        assert math.degrees(float(angular_distance(found.directions[index], wanted))) < 0.5
+        spread = np.degrees(1 / np.linalg.norm(found.axes[index], axis=-1))
+        assert spread == pytest.approx(math.hypot(radius / 2, 5), rel=0.05)  # a disc has half its radius
+    assert found.scores.min() > 0.9
+
+
+def test_a_wall_of_a_colour_points_nowhere_in_particular():
+    image = np.full((180, 360, 3), 128, dtype=np.uint8)
+    image[50:130, 60:200] = RED
+    tracker = DirectionTracker()
+    tracker.observe(ColourPerception()(image, "red", stamp=0.0))
+    estimate = tracker.estimate(0.0)
+    assert estimate.presence > 0.5
+    assert estimate.credible_angle > math.radians(60)
+    ball = DirectionTracker()
+    ball.observe(ColourPerception()(disc(20, 10, 4, RED), "red", stamp=0.0))
+    assert ball.estimate(0.0).within(math.radians(15)) > 0.5 > estimate.within(math.radians(15))
+
+
+def test_a_colour_that_is_everywhere_names_no_direction():
+    tracker = DirectionTracker()
+    tracker.observe(ColourPerception()(np.full((90, 180, 3), RED, dtype=np.uint8), "red", stamp=0.0))
+    assert tracker.estimate(0.0).presence > 0.5
+    assert tracker.estimate(0.0).direction is None
+
+
+def test_patches_that_are_too_small_for_the_picture_are_no_detections():
+    image = np.full((64, 128, 3), 180, dtype=np.uint8)
+    image[32, 20:22] = RED  # two pixels; in a finer picture of the same room they would be many
+    image[0, 60] = RED  # one at a pole, where columns are narrow
+    assert len(ColourPerception()(image, "red").detections) == 0
+    image[32:34, 20:22] = RED
+    assert len(ColourPerception()(image, "red").detections) == 1
+    assert len(ColourPerception()(np.kron(image, np.ones((4, 4, 1), np.uint8)), "red").detections) == 1
 
 
 @pytest.mark.skipif(not LYTHWOOD.exists(), reason="the shared photographs are not here")
@@ -375,22 +438,45 @@ def test_green_armchairs_in_the_lounge_photograph():
 # --- replay ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_replay_is_read_as_a_detector_that_nobody_calibrated(replay_file):
-    """A look is believed sooner than by default, and one that repeats it adds less."""
-    assert ReplayPerception(replay_file)(None, "the chair", stamp=1.0).calibration == Calibration.detector()
-    own = Calibration(temperature=2.0)
-    assert ReplayPerception(replay_file, own)(None, "the chair", stamp=1.0).calibration == own
+def test_boxes_and_points_of_a_replay_are_detections_unless_a_calibration_is_given(replay_file):
+    model = DetectorModel(0.8, 0.3)
+    for stamp, count in ((1.0, 1), (2.0, 1), (4.0, 0)):
+        plain = ReplayPerception(replay_file)(None, "the chair", stamp=stamp)
+        assert len(plain.detections) == count
+        assert plain.detections.model == DetectorModel()
+        told = ReplayPerception(replay_file, detector=model)(None, "the chair", stamp=stamp)
+        assert told.detections.model == model
+        own = Calibration(temperature=2.0)
+        mapped = ReplayPerception(replay_file, own)(None, "the chair", stamp=stamp)
+        assert mapped.detections is None
+        assert mapped.calibration == own
+    assert ReplayPerception(replay_file)(None, "chair", stamp=3.0).detections is None
+
+
+def test_a_point_is_spread_as_its_line_says_or_as_the_detector_does():
+    points = [{"azimuth_deg": 0, "elevation_deg": 0, "spread_deg": 12}, {"azimuth_deg": 90, "elevation_deg": 0}]
+    record = parse_record(json.dumps({"stamp": 1, "points": points}))
+
+    def spreads(model):
+        axes = record.evidence("x", detector=model).detections.axes
+        return np.degrees(1 / np.linalg.norm(axes, axis=-1))[:, 0]
+
+    assert spreads(None) == pytest.approx([12, 5])
+    assert spreads(DetectorModel(spread=math.radians(3))) == pytest.approx([12, 3])
+
+
+def test_looks_that_agree_are_believed_and_a_box_that_repeats_itself_less():
     boxes, grid = [[500, 250, 524, 270]], ErpGrid(512, 1024)
 
-    def presence(calibration, looks):
+    def presence(repeats, looks):
         tracker = DirectionTracker()
         for step in range(looks):
-            tracker.observe(Evidence.from_boxes(boxes, grid, [0.9], calibration, stamp=0.5 * step))
+            model = DetectorModel(repeats=repeats)
+            tracker.observe(Evidence.from_boxes(boxes, grid, [0.9], detector=model, stamp=0.5 * step))
         return tracker.estimate(0.5 * looks).presence
 
-    detector, plain = Calibration.detector(), Calibration()
-    assert presence(detector, 3) > 0.5 > presence(plain, 3)
-    assert presence(replace(detector, persistence=0.0), 3) > presence(detector, 3)
+    assert 0.5 < presence(0.0, 1) < presence(0.5, 3) < presence(0.0, 3)
+    assert presence(0.0, 3) > 0.95
 
 
 def test_records_are_sorted_and_the_nearest_answers(replay_file):
@@ -482,6 +568,14 @@ def test_views_of_one_moment_are_told_apart(tmp_path):
     assert len(replay.near("x", 5.01)) == 4
     with pytest.raises(FormatError, match=r"4 records.*near\(query, stamp\)"):
         replay(None, "x", stamp=5.0)
+    for index, later in enumerate((0.0, 1e-9, 2e-9, -1e-9)):  # clocks are not exact
+        path.write_text("" if index == 0 else path.read_text())
+        with path.open("a") as file:
+            write_record(file, 5.0 + later, points=[])
+    assert len(ReplayPerception(path).near("x", 5.01)) == 4
+    with path.open("a") as file:
+        write_record(file, 5.01, points=[])
+    assert len(ReplayPerception(path).near("x", 5.01)) == 1
 
 
 def line(**changes) -> str:
@@ -594,7 +688,7 @@ def test_writing_checks_first():
         write_record(file, 1.0, points=[{"azimuth_deg": object()}])
     assert file.getvalue() == ""
     write_record(file, np.float64(1), query="chair", points=[{"azimuth_deg": np.float32(10), "elevation_deg": 0}])
-    assert parse_record(file.getvalue()).values == pytest.approx(np.radians([[10, 0, 5]]))
+    assert parse_record(file.getvalue()).values == pytest.approx(np.radians([[10, 0, np.nan]]), nan_ok=True)
 
 
 SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)

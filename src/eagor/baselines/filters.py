@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from eagor._arrays import to_numpy
 from eagor._checks import above, require, within
+from eagor._reprs import changed
 from eagor.baselines import maps
 from eagor.baselines.maps import GRID
 from eagor.belief import Belief
@@ -30,6 +31,8 @@ class GridFilter:
     """
 
     values: np.ndarray = field(default_factory=lambda: np.zeros(GRID.shape))
+
+    __repr__ = changed
 
     def predict(self, new_R_old: np.ndarray, translation: ArrayLike | None = None) -> GridFilter:
         turn = check_rotation(new_R_old)
@@ -53,6 +56,8 @@ class Published:
     """EAGOR as published: degree 7, log(l + 1e-3) of the response over its maximum, mean direction of the log field."""
 
     belief: Belief = field(default_factory=lambda: Belief.uniform(7))
+
+    __repr__ = changed
 
     def predict(self, new_R_old: np.ndarray, translation: ArrayLike | None = None) -> Published:
         return Published(self.belief.predict(new_R_old))
@@ -83,6 +88,8 @@ class VonMisesFisherFilter:
     eta: np.ndarray = field(default_factory=lambda: np.zeros(3))
     calibration: Calibration = field(default_factory=lambda: Calibration(floor=0.4, neutral=0.05, temperature=8.0))
     noise: float = math.radians(10)
+
+    __repr__ = changed
 
     def __post_init__(self) -> None:
         require(self, {"noise": (within(self.noise, 0), "radians per look, from 0 on")})
@@ -124,6 +131,8 @@ class HistogramFilter:
     calibration: Calibration = field(default_factory=lambda: Calibration(floor=0.4, neutral=0.05, temperature=8.0))
     diffusion: float = 0.0
     mixing: float = 0.02
+
+    __repr__ = changed
 
     def __post_init__(self) -> None:
         wanted = {
@@ -170,6 +179,8 @@ class ParticleFilter:
     roughening: float = math.radians(2)
     reborn: float = 0.05
     kernel: float = math.radians(4)
+
+    __repr__ = changed
 
     def __post_init__(self) -> None:
         wanted = {

@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from eagor._reprs import changed
 from eagor.baselines.maps import seen_response
 from eagor.evidence import SILENT, Evidence
 from eagor.grids import Grid
@@ -22,6 +23,8 @@ class _PerFrame:
     """
 
     last: np.ndarray = field(default_factory=lambda: np.array(FORWARD))
+
+    __repr__ = changed
 
     def predict(self, new_R_old: np.ndarray, translation: ArrayLike | None = None) -> Self:
         check_rotation(new_R_old)

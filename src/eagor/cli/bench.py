@@ -17,7 +17,7 @@ SEED = 2000
 PERCEPTION = "scout"
 # Options that only benchmarks with published data have, and those that only simulated tasks have.
 PUBLISHED_ONLY = ("data", "agent", "model", "scoring", "labels", "limit", "shard")
-SIMULATED_ONLY = ("methods", "episodes", "ablations", "walking", "latency", "world", "rows")
+SIMULATED_ONLY = ("methods", "episodes", "ablations", "walking", "latency", "world", "rows", "detector")
 
 
 def bench(options: Bench) -> int:
@@ -36,10 +36,9 @@ def bench(options: Bench) -> int:
 
 def run(options: BenchRun) -> int:
     """``eagor bench run``."""
-    from eagor.cli.looking import check_looks, checked_rows
+    from eagor.cli.looking import calibrated, check_looks, checked_rows
     from eagor.evaluation import bench, ledger, tables
     from eagor.perception import short_name
-    from eagor.perception.calibrated import read_calibrated
     from eagor.tasks.methods import default_methods
     from eagor.tasks.rules import Disturbances
 
@@ -63,7 +62,7 @@ def run(options: BenchRun) -> int:
         world=options.world,
         rows=options.rows,
         disturbances=disturbances,
-        calibrated=read_calibrated(options.calibration) if options.calibration else None,
+        calibrated=calibrated(perception, options.calibration, options.detector, options.force),
         settings=pairs_of(options.set),
     )
     out = options.out or Path("runs") / f"{options.task}-{short_name(perception)}-{seed}"

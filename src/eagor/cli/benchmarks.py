@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ def bench(action: Any) -> int:
 
 def run(options: BenchRun) -> int:
     """``eagor bench run`` of a benchmark."""
+    from eagor.cli.looking import calibrated
     from eagor.evaluation import benchmarks, ledger, scores
     from eagor.perception import short_name
     from eagor.tasks import benchmark, task
@@ -41,11 +43,6 @@ def run(options: BenchRun) -> int:
     check_options(options, "a benchmark with published data", SIMULATED_ONLY)
     if options.data is None:
         raise terminal.UsageError(f"{options.task} needs its published files; name their folder with --data")
-    calibrated = None
-    if options.calibration:
-        from eagor.perception.calibrated import read_calibrated
-
-        calibrated = read_calibrated(options.calibration).as_json()
     wanted = benchmarks.BenchmarkRun(
         task=options.task,
         data=options.data,
@@ -54,11 +51,14 @@ def run(options: BenchRun) -> int:
         model=options.model,
         seed=options.seed or 0,
         options=_options(options),
-        calibrated=calibrated,
         limit=options.limit,
         shard=_shard(options.shard),
     )
     settings = wanted.settings()
+    if options.calibration:
+        found = calibrated(str(settings.get("perception")), options.calibration, None, options.force)
+        wanted = replace(wanted, calibrated=found.as_json() if found else None)
+        settings = wanted.settings()
     who = settings.get("perception") or (settings.get("model") or "").partition("@")[0]
     parts = [options.task, settings["agent"], short_name(who) if who else "", str(wanted.seed)]
     out = options.out or Path("runs") / "-".join(part for part in parts if part)

@@ -68,8 +68,7 @@ def _strip(search: Search, place: Place) -> Image:
         panels.append(
             {
                 "panorama": seen.rgb,
-                "belief": estimate.reading.direction_belief().predict(estimate.world_R_body.T),
-                "estimate": estimate,
+                "belief": estimate,
                 "modes": (),
                 "truth": true,
                 "title": f"step {index}  {what}: {estimate.status}, off by {off:.0f}°, {range_m:.1f} m away",

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from eagor.belief import Belief
 from eagor.cli.locate import as_angles, degrees, mode_as_json
 from eagor.cli.looking import ShapeError, is_input_fault, is_whole, look_if_recorded, read_frame
 from eagor.cli.poses import Step
@@ -28,18 +27,17 @@ RIVALS = tuple(name for name in NAMES if name != "eagor")  # in the order of the
 class Result:
     """What one frame came to.
 
-    `problem` says why it could not be looked at, if so; `looks` is how many pieces of evidence it gave; `others` are
-    the rivals' directions ``(3,)`` by name.
+    `problem` says why it could not be looked at, if so; `evidence` is what it gave, several where there are views;
+    `others` are the rivals' directions ``(3,)`` by name, None for one that has none yet.
     """
 
     image: Path
     stamp: float
     estimate: Estimate
-    belief: Belief
     panorama: np.ndarray | None
-    looks: int
+    evidence: tuple[Evidence, ...]
     problem: str | None
-    others: dict[str, np.ndarray] = field(default_factory=dict)
+    others: dict[str, np.ndarray | None] = field(default_factory=dict)
 
     @property
     def distance(self) -> float | None:
@@ -59,13 +57,14 @@ class Result:
             "stamp": self.stamp,
             "azimuth_deg": degrees(e.azimuth),
             "elevation_deg": degrees(e.elevation),
-            "credible_angle_deg": degrees(e.credible_angle),
+            "credible_angle_deg": None if e.direction is None else degrees(e.credible_angle),
             "presence": round(e.presence, 6),
             "distance_m": None if distance is None else round(distance, 4),
             "distance_spread": None if spread is None else round(spread, 4),
             "status": e.status,
-            "modes": [mode_as_json(m.direction, m.weight) for m in e.modes],
-            "looks": self.looks,
+            "held": e.held,
+            "modes": [mode_as_json(mode) for mode in e.modes],
+            "looks": len(self.evidence),
         }
         if self.problem is not None:
             entry["problem"] = self.problem
@@ -99,7 +98,8 @@ def follow(
         if step.image is None:
             continue
         stamp, now = step.pose.stamp, step.pose.stamp
-        panorama, looks, problem = None, (), None
+        panorama, problem = None, None
+        looks: tuple[Evidence, ...] = ()
         try:
             panorama = read_frame(step.image, force, warn=not warned)
             warned = warned or not is_whole(panorama)
@@ -120,9 +120,8 @@ def follow(
             image=step.image,
             stamp=stamp,
             estimate=tracker.estimate(now),
-            belief=tracker.belief(now),
             panorama=panorama,
-            looks=len(looks),
+            evidence=looks,
             problem=problem,
             others={name: method.direction() for name, method in rivals.items()},
         )

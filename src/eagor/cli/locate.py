@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from eagor.belief import Belief
 from eagor.cli import terminal
 from eagor.cli.looking import (
     check_not_read,
@@ -21,10 +20,11 @@ from eagor.cli.looking import (
     make_perception,
     read_frame,
     tracker_config,
+    warn_of_detector,
 )
 from eagor.cli.options import Locate
-from eagor.cli.words import STATUS, in_words, signed
-from eagor.estimate import Estimate
+from eagor.cli.words import STATUS, answer_in_words, in_words, signed
+from eagor.estimate import Estimate, Mode
 from eagor.evidence import Evidence
 from eagor.perception import short_name
 from eagor.sphere import azimuth_elevation
@@ -39,7 +39,7 @@ def locate(options: Locate) -> int:
     if options.modes < 1:
         raise terminal.UsageError(f"--modes {options.modes}; wanted 1 or more")
     check_not_read(options.picture, "--picture", [options.panorama])
-    config = tracker_config(options.degree, options.calibration)
+    config = tracker_config(options.degree, options.perception, options.calibration, options.detector, options.force)
     if options.picture is not None:
         checked_picture(options.picture)
     perception = make_perception(options.perception)
@@ -47,36 +47,33 @@ def locate(options: Locate) -> int:
     panorama = read_frame(options.panorama, options.force)
     tracker = DirectionTracker(config)
     looks = look(perception, panorama, query, stamp)
+    warn_of_detector(options.detector, looks)
     for evidence in looks:
         tracker.observe(evidence)
     now = max(float(evidence.stamp or 0.0) for evidence in looks)
-    estimate, belief = tracker.estimate(now), tracker.belief(now)
-    modes = _modes(belief, options.modes)
+    estimate = tracker.estimate(now)
     if options.picture is not None:
-        _draw(options, options.picture, panorama, belief, estimate, [d for d, _ in modes])
+        _draw(options, options.picture, panorama, estimate)
     if options.json:
-        terminal.emit(_as_json(options, estimate, modes) | _sources(looks))
+        terminal.emit(_as_json(options, estimate) | _sources(looks))
     else:
-        _print(options, estimate, modes)
+        _print(options, estimate)
     return terminal.OK
 
 
-def _modes(belief: Belief, count: int) -> list[tuple[np.ndarray, float]]:
-    directions, weights = belief.modes(count)
-    return [(d, float(w)) for d, w in zip(directions, weights, strict=True)]
-
-
-def _as_json(options: Locate, estimate: Estimate, modes: list[tuple[np.ndarray, float]]) -> dict[str, Any]:
+def _as_json(options: Locate, estimate: Estimate) -> dict[str, Any]:
+    known = estimate.direction is not None
     return {
         "query": options.query,
         "perception": options.perception,
         "azimuth_deg": degrees(estimate.azimuth),
         "elevation_deg": degrees(estimate.elevation),
-        "credible_angle_deg": degrees(estimate.credible_angle),
+        "credible_angle_deg": degrees(estimate.credible_angle) if known else None,
         "presence": round(estimate.presence, 6),
-        f"within_{NEAR}_deg": round(estimate.within(math.radians(NEAR)), 6),
+        f"within_{NEAR}_deg": round(estimate.within(math.radians(NEAR)), 6) if known else None,
         "status": estimate.status,
-        "modes": [mode_as_json(direction, weight) for direction, weight in modes],
+        "held": estimate.held,
+        "modes": [mode_as_json(mode) for mode in estimate.modes[: options.modes]],
     }
 
 
@@ -86,45 +83,58 @@ def _sources(looks: Sequence[Evidence]) -> dict[str, Any]:
     return {} if source is None else {"source": dict(source)}
 
 
-def mode_as_json(direction: np.ndarray, weight: float) -> dict[str, float]:
-    """One mode for ``--json``."""
-    return as_angles(direction) | {"weight": round(weight, 6)}
+def mode_as_json(mode: Mode) -> dict[str, float | None]:
+    """One candidate for ``--json``."""
+    return as_angles(mode.direction) | {"weight": round(mode.weight, 6)}
 
 
-def as_angles(direction: np.ndarray) -> dict[str, float]:
-    """A direction ``(3,)`` for ``--json``."""
-    azimuth, elevation = azimuth_elevation(direction)
-    return {"azimuth_deg": degrees(float(azimuth)), "elevation_deg": degrees(float(elevation))}
+def as_angles(direction: np.ndarray | None) -> dict[str, float | None]:
+    """A direction ``(3,)`` for ``--json``; null where there is none."""
+    azimuth, elevation = (None, None) if direction is None else map(float, azimuth_elevation(direction))
+    return {"azimuth_deg": degrees(azimuth), "elevation_deg": degrees(elevation)}
 
 
-def degrees(angle: float) -> float:
+def degrees(angle: float | None) -> float | None:
     """An angle (radians) for ``--json``."""
-    return round(math.degrees(angle), 4)
+    return None if angle is None else round(math.degrees(angle), 4)
 
 
-def _print(options: Locate, estimate: Estimate, modes: list[tuple[np.ndarray, float]]) -> None:
+def _print(options: Locate, estimate: Estimate) -> None:
     print(f"{options.query}, in {options.panorama.name}, as {short_name(options.perception)} sees it")
     print(f"  status          {estimate.status}: {STATUS[estimate.status]}")
-    print(f"  direction       {in_words(estimate.azimuth, estimate.elevation)}")
+    print(f"  direction       {answer_in_words(estimate)}")
+    if estimate.direction is not None:
+        _print_answer(estimate)
+    print(f"  presence        {100 * estimate.presence:.0f} %")
+    if estimate.direction is not None:
+        near = f"{100 * estimate.within(math.radians(NEAR)):.0f} %"
+        print(f"  how sure        {near} (that it is here, and within {NEAR} degrees of that direction)")
+        _print_modes(estimate, options.modes)
+
+
+def _print_answer(estimate: Estimate) -> None:
+    if estimate.held:
+        print("  held            an older answer, although another candidate is likelier now")
     print(f"  azimuth         {signed(estimate.azimuth)} deg (positive to the left)")
     print(f"  elevation       {signed(estimate.elevation)} deg")
     cone = f"{math.degrees(estimate.credible_angle):.1f} deg"
     print(f"  credible angle  {cone} (a cone about it that holds 90 %; looks that agree narrow it)")
-    print(f"  presence        {100 * estimate.presence:.0f} %")
-    near = f"{100 * estimate.within(math.radians(NEAR)):.0f} %"
-    print(f"  how sure        {near} (that it is here, and within {NEAR} degrees of that direction)")
-    print("  modes           azimuth elevation  weight (a share of what stands out)")
-    for direction, weight in modes:
-        azimuth, elevation = (float(a) for a in azimuth_elevation(direction))
-        words = in_words(azimuth, elevation)
-        print(f"                  {signed(azimuth):>7} {signed(elevation):>9} {100 * weight:5.0f} %  {words}")
 
 
-def _draw(
-    options: Locate, path: Path, panorama: np.ndarray, belief: Belief, estimate: Estimate, modes: list[np.ndarray]
-) -> None:
+def _print_modes(estimate: Estimate, count: int) -> None:
+    """The candidates, and what is left to everything else."""
+    shown = estimate.modes[:count]
+    print("  candidates      azimuth elevation  weight (probability that it is thereabouts, if it is here)")
+    for mode in shown:
+        angles, words = f"{signed(mode.azimuth):>7} {signed(mode.elevation):>9}", in_words(mode.azimuth, mode.elevation)
+        print(f"                  {angles} {100 * mode.weight:5.0f} %  {words}")
+    elsewhere = max(0.0, 1 - sum(mode.weight for mode in shown))
+    print(f"                  {'':17} {100 * elsewhere:5.0f} %  elsewhere")
+
+
+def _draw(options: Locate, path: Path, panorama: np.ndarray, estimate: Estimate) -> None:
     from eagor.drawing import draw_belief
 
-    title = f"“{options.query}”: {in_words(estimate.azimuth, estimate.elevation)} ({estimate.status})"
-    picture = draw_belief(panorama, belief, estimate, modes=modes, title=title)
-    keep_picture(picture, path)
+    title = f"“{options.query}”: {answer_in_words(estimate)} ({estimate.status})"
+    modes = [mode.direction for mode in estimate.modes[: options.modes]]
+    keep_picture(draw_belief(panorama, estimate, modes=modes, title=title), path)

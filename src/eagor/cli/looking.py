@@ -7,6 +7,7 @@ import os
 import re
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,12 @@ from PIL import Image
 
 from eagor._files import written
 from eagor.cli.terminal import UsageError, warning
+from eagor.detector import parse_model
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
 from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
 from eagor.perception import Perception, load, short_name
-from eagor.perception.calibrated import read_calibrated
+from eagor.perception.calibrated import Calibrated, read_calibrated
 from eagor.perception.replay import ReplayPerception
 from eagor.worlds.panorama import read_panorama
 
@@ -111,10 +113,41 @@ def make_perception(spec: str) -> Perception:
     return load(spec)
 
 
-def tracker_config(degree: int, calibration: Path | None) -> TrackerConfig:
-    """The tracker's configuration for ``--degree`` and ``--calibration``."""
+def tracker_config(
+    degree: int, perception: str, calibration: Path | None = None, detector: str | None = None, force: bool = False
+) -> TrackerConfig:
+    """The tracker's configuration for ``--degree``, and for `calibrated`."""
     config = TrackerConfig(degree=checked_degree(degree))
-    return config if calibration is None else read_calibrated(calibration).config(config)
+    found = calibrated(perception, calibration, detector, force)
+    return config if found is None else found.config(config)
+
+
+def calibrated(perception: str, calibration: Path | None, detector: str | None, force: bool) -> Calibrated | None:
+    """What ``--calibration`` and ``--detector`` say of `perception`; None where neither is given.
+
+    Raises `UsageError` for a calibration of another perception, unless `force`d.
+    """
+    found = None if calibration is None else read_calibrated(calibration)
+    if found is not None and not found.fits(perception):
+        if not force:
+            raise UsageError(
+                f"--calibration {calibration} was fitted for the perception {found.perception!r}, and {perception!r} "
+                "looks; wanted one that was fitted for it (eagor calibrate), none, or --force"
+            )
+        warning(f"{calibration} was fitted for {found.perception!r}, not for {perception!r}")
+    if detector is None:
+        return found
+    try:
+        model = parse_model(detector, found.detector if found else None)
+    except EagorError as error:
+        raise UsageError(f"--detector {detector}: {error}") from error
+    return replace(found or Calibrated(perception, None), detector=model)
+
+
+def warn_of_detector(detector: str | None, looks: Sequence[Evidence]) -> None:
+    """Say so where ``--detector`` has nothing to tell, since these looks are response maps."""
+    if detector is not None and looks and all(evidence.detections is None for evidence in looks):
+        warning(f"--detector {detector} is for detections, and this perception gives response maps: it has no effect")
 
 
 def find_frames(places: Sequence[Path]) -> tuple[Path, ...]:
@@ -178,7 +211,9 @@ def first_stamp(perception: Perception, query: str) -> float:
 def look(perception: Perception, panorama: np.ndarray, query: str, stamp: float) -> tuple[Evidence, ...]:
     """What `perception` sees: one evidence, or one per view where a replay has several views of one moment."""
     if isinstance(perception, ReplayPerception):
-        return tuple(r.evidence(query, perception.calibration) for r in perception.near(query, stamp))
+        return tuple(
+            r.evidence(query, perception.calibration, perception.detector) for r in perception.near(query, stamp)
+        )
     return (perception(panorama, query, stamp=stamp),)
 
 

@@ -40,9 +40,23 @@ Labels = Annotated[
 ]
 
 
-Force = Annotated[
-    bool, _bare(help="Take pictures that are not 2:1 as they are: all columns for 360 degrees, all rows for 180.")
+Detector = Annotated[
+    str | None,
+    _bare(
+        "pd=P,clutter=N,spread=DEG",
+        "How the detector errs, for perceptions that detect: probability that it finds what is in view, false alarms "
+        "per look, spread in degrees; also repeats=SHARE of mistakes that the next look repeats. What is left out, or "
+        "?, is learnt (default: pd and clutter are).",
+    ),
 ]
+Force = Annotated[
+    bool,
+    _bare(
+        help="Take pictures that are not 2:1 as they are (all columns for 360 degrees, all rows for 180), and a "
+        "calibration that was fitted for another perception."
+    ),
+]
+ForceCalibration = Annotated[bool, _bare(help="Take a calibration that was fitted for another perception.")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,6 +97,7 @@ class Locate(Common):
     """Degree of the spherical harmonics, 1 to 63; resolution is about 180 / N degrees."""
     calibration: Annotated[Path | None, _bare("FILE.json")] = None
     """How responses are read, from `eagor calibrate`."""
+    detector: Detector = None
     stamp: Annotated[float | None, _bare("SECONDS")] = None
     """Which record of a replay to take (default: the first for this query)."""
     picture: Annotated[Path | None, _bare("FILE.png")] = None
@@ -109,6 +124,12 @@ class Track(Common):
     """Height of the floor in the poses' world, metres, where it is known: things stand on it, which tells distances."""
     calibration: Annotated[Path | None, _bare("FILE.json")] = None
     """How responses are read and forgotten, from `eagor calibrate`."""
+    detector: Detector = None
+    drift: Annotated[float, arg(metavar="DEG_PER_S")] = 0.0
+    (
+        "How far the heading of the poses wanders off, degrees: so much in the first second, and growing with the root "
+        "of the time."
+    )
     compare: Flag = False
     """Run the baselines on the same evidence, side by side."""
     degree: Whole = 15
@@ -211,6 +232,8 @@ class BenchRun(Common):
     rows: Rows = None
     calibration: Annotated[Path | None, _bare("FILE.json")] = None
     """How our tracker reads and forgets, from `eagor calibrate`."""
+    detector: Detector = None
+    force: ForceCalibration = False
     retry_failed: Flag = False
     """Try episodes again that failed before."""
 

@@ -16,6 +16,8 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from eagor._files import Lines
 from eagor.cli import terminal
 from eagor.cli.following import RIVALS, Result, follow, make_rivals
@@ -28,16 +30,19 @@ from eagor.cli.looking import (
     keep_picture,
     make_perception,
     tracker_config,
+    warn_of_detector,
 )
 from eagor.cli.options import Track
 from eagor.cli.poses import Step, pair, read_poses
-from eagor.cli.words import signed
+from eagor.cli.words import answer_in_words, signed
 from eagor.sphere import azimuth_elevation
 
 COLUMNS = (
     "frame", "stamp", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "distance_m", "distance_spread",
-    "status",
+    "status", "held",
 )  # fmt: skip
+MOST_DRIFT = 90  # degrees
+STATUS_WIDTH = len("ambiguous, held")
 WIDTH = 2 + max(len("-180.0/-90.0"), *map(len, RIVALS))  # of a rival's column
 
 
@@ -51,7 +56,8 @@ def track(options: Track) -> int:
     check_not_read(options.picture, "--picture", places)
     images = find_frames(places)
     steps = pair(read_poses(options.poses), images, options.poses)
-    config = replace(tracker_config(options.degree, options.calibration), floor=_checked_floor(options.floor, steps))
+    config = tracker_config(options.degree, options.perception, options.calibration, options.detector, options.force)
+    config = replace(config, floor=_checked_floor(options.floor, steps), drift=_checked_drift(options.drift))
     perception = make_perception(options.perception)
     rivals = make_rivals(options.perception) if options.compare else {}
     entries, bad, looked = [], 0, 0
@@ -62,10 +68,12 @@ def track(options: Track) -> int:
         for number, result in enumerate(follow(steps, perception, query, config, rivals, options.force)):
             if number == 0 and not options.json:
                 print(_header(options.compare), flush=True)
+            if result.evidence and not looked:
+                warn_of_detector(options.detector, result.evidence)
             if result.problem is not None:
                 terminal.warning(f"{result.image.name} is left out: {result.problem}")
                 bad += 1
-            looked += result.looks
+            looked += len(result.evidence)
             if write is not None:
                 write(result)
             if draw is not None:
@@ -93,19 +101,36 @@ def track(options: Track) -> int:
 def _header(compare: bool) -> str:
     others = "".join(f"{name:>{WIDTH}}" for name in RIVALS) if compare else ""
     angles = "   (degrees; azimuth/elevation)" if compare else ""
-    return f"     stamp  azimuth  elevation  cone 90%  distance  give or take  modes  status    {others}{angles}"
+    ours = f"     stamp  azimuth  elevation  cone 90%  distance  give or take  modes  {'status':{STATUS_WIDTH}}"
+    return f"{ours}{others}{angles}".rstrip()
 
 
 def _line(result: Result) -> str:
     e, distance, spread = result.estimate, result.distance, result.distance_spread
     far = "-" if distance is None else f"{distance:.2f} m"
+    cone = "-" if e.direction is None else signed(e.credible_angle)[1:]
+    status = f"{e.status}, held" if e.held else e.status
     give_or_take = "-" if spread is None else f"{100 * math.expm1(spread):.0f} %"
-    line = f"{result.stamp:10.3f} {signed(e.azimuth):>8} {signed(e.elevation):>10} {signed(e.credible_angle)[1:]:>9}"
-    line += f" {far:>9} {give_or_take:>13} {len(e.modes):>6}  {e.status:10}"
+    line = f"{result.stamp:10.3f} {signed(e.azimuth):>8} {signed(e.elevation):>10} {cone:>9}"
+    line += f" {far:>9} {give_or_take:>13} {len(e.modes):>6}  {status:{STATUS_WIDTH}}"
     for direction in result.others.values():
-        azimuth, elevation = azimuth_elevation(direction)
-        line += f"{signed(float(azimuth)) + '/' + signed(float(elevation)):>{WIDTH}}"
+        line += f"{_pair(direction):>{WIDTH}}"
     return line.rstrip()
+
+
+def _pair(direction: np.ndarray | None) -> str:
+    """A rival's direction ``(3,)``: azimuth/elevation."""
+    if direction is None:
+        return "-"
+    azimuth, elevation = azimuth_elevation(direction)
+    return f"{signed(float(azimuth))}/{signed(float(elevation))}"
+
+
+def _checked_drift(drift: float) -> float:
+    """The drift of ``--drift`` in radians."""
+    if not 0 <= drift <= MOST_DRIFT:
+        raise terminal.UsageError(f"--drift {drift:g}; wanted degrees from 0 to {MOST_DRIFT}")
+    return math.radians(drift)
 
 
 def _checked_floor(floor: float | None, steps: Sequence[Step]) -> float | None:
@@ -156,9 +181,11 @@ def _painter(folder: Path, query: str) -> Callable[[int, Result], None]:
     def draw(number: int, result: Result) -> None:
         if result.panorama is None:
             return
-        title = f"“{query}” at {result.stamp:.2f} s ({result.estimate.status})"
+        estimate = result.estimate
+        held = ", held" if estimate.held else ""
+        title = f"“{query}” at {result.stamp:.2f} s: {answer_in_words(estimate)} ({estimate.status}{held})"
         shown = {name: result.others[name] for name in ("centroid", "eagor_paper") if name in result.others}
-        picture = draw_belief(result.panorama, result.belief, result.estimate, others=shown, title=title)
+        picture = draw_belief(result.panorama, estimate, others=shown, title=title)
         keep_picture(picture, folder / f"{number:04d}.png")
 
     return draw

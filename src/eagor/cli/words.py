@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from eagor.estimate import Estimate
 
 STATUS = {
-    "searching": "nothing stands out yet",
-    "tracking": "one direction stands out",
-    "ambiguous": "several directions fit",
-    "stale": "nothing seen for a while",
+    "searching": "it may not be here, or lie anywhere",
+    "tracking": "more likely than not it is here, within 15 degrees of the answer",
+    "ambiguous": "it is likely here, and several directions fit",
+    "stale": "there was an answer, and nothing has been looked at for a while",
 }
 
 
@@ -36,6 +40,13 @@ def in_words(azimuth: float, elevation: float) -> str:
     return f"{level}, {abs(height)} degrees {'up' if height > 0 else 'down'}"
 
 
-def signed(angle: float) -> str:
-    """An angle (radians) in degrees with its sign and one decimal: "+62.9"."""
-    return f"{math.degrees(angle):+.1f}"
+def answer_in_words(estimate: Estimate) -> str:
+    """Where the answer of an estimate lies, as `in_words`; "not known" while nothing is."""
+    if estimate.azimuth is None or estimate.elevation is None:
+        return "not known"
+    return in_words(estimate.azimuth, estimate.elevation)
+
+
+def signed(angle: float | None) -> str:
+    """An angle (radians) in degrees with its sign and one decimal: "+62.9"; "-" for one that is not known."""
+    return "-" if angle is None else f"{math.degrees(angle):+.1f}"

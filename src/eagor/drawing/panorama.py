@@ -1,4 +1,7 @@
-"""A belief over a panorama: heat, the border of its 90 % region, and where everybody points."""
+"""A belief over a panorama: heat, the border of its 90 % region, and where everybody points.
+
+What is drawn of an `Estimate` is the estimate: its density, its region, its answer and its candidates.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from eagor.drawing.sheet import INK, figure, image, plain
 from eagor.estimate import Estimate
 from eagor.grids import PatchGrid
 from eagor.sphere import azimuth_elevation, unit
+from eagor.thumbnail import undrawn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,38 +26,43 @@ if TYPE_CHECKING:
 OURS, TRUTH = "#00e5ff", "#39ff6a"
 # Markers and colours that stay apart in grey and for the colour-blind; the first ones go to the methods named first.
 OTHERS = (("s", "#ffb000"), ("D", "#ff5fa8"), ("^", "#b197ff"), ("v", "#ff7043"), ("P", "#9ccc65"), ("X", "#90a4ae"))
-HEAT_ROWS = 180
+ROWS, MOST_ROWS = 360, 720  # of the heat: as many as a small region needs
+CELLS = 40  # that a region should consist of, or its border would be a few straight lines
+MASS = 0.9
+FLAT = 1e-6  # a density that varies by less than this share of its mean knows nothing
 
 
 def draw_belief(
     panorama: np.ndarray,
-    belief: Reading,
-    estimate: Estimate | np.ndarray | None = None,
+    belief: Estimate | Reading,
     truth: np.ndarray | None = None,
-    others: Mapping[str, np.ndarray] | None = None,
+    others: Mapping[str, np.ndarray | None] | None = None,
     modes: Sequence[np.ndarray] | None = None,
     title: str = "",
     width: int = 1200,
 ) -> Image:
     """`belief` as heat over `panorama` ``(H, W, 3)``, with the border of its 90 % region.
 
+    Where that region is larger than half of the sphere, or ripples alone would decide where its border runs, it is not
+    drawn, and the legend says so. Where nothing is known, nothing is drawn.
+
     Args:
         panorama: what the camera saw, uint8, in the body frame of the belief.
-        belief: one belief, no batch.
-        estimate: the answer, as an `Estimate` or a direction ``(3,)``; an arrow shows the way from forward to it.
+        belief: an `Estimate`, drawn with its answer, an arrow from forward to it, and its candidates; or a belief (one,
+            no batch), of which there is no answer.
         truth: the true direction ``(3,)``, where known.
-        others: other methods' directions by name.
-        modes: directions of candidates; default: those of `estimate`.
+        others: other methods' directions by name; None for one that has none.
+        modes: directions of candidates; default: those of the estimate.
         title: a line above the picture.
         width: of the picture in pixels.
     """
     sheet = figure(width, round(width * 0.595))
     axes = sheet.add_axes((0.055, 0.145, 0.92, 0.775))
-    paint_belief(axes, panorama, belief, estimate, truth, others, modes)
+    paint_belief(axes, panorama, belief, truth, others, modes)
     axes.set_xlabel("azimuth in degrees, positive to the left", color=INK)
     axes.set_ylabel("elevation", color=INK)
     sheet.text(0.055, 0.945, title, fontsize=13, color=INK, weight="bold")
-    _legend(sheet, axes)
+    _legend(sheet, [axes])
     return image(sheet)
 
 
@@ -65,7 +74,7 @@ def draw_strip(panels: Sequence[Mapping[str, Any]], columns: int = 2, width: int
     high = wide / 2
     total = rows * (head + high + foot) + legend
     sheet = figure(width, round(total))
-    axes = None
+    drawn = []
     for index, panel in enumerate(panels):
         row, column = divmod(index, columns)
         x, y = left + column * (wide + gap), total - (row + 1) * (head + high) - row * foot
@@ -75,18 +84,17 @@ def draw_strip(panels: Sequence[Mapping[str, Any]], columns: int = 2, width: int
         axes.set_xticks(range(180, -181, -90), _degrees(range(180, -181, -90)))
         if column:
             axes.set_yticklabels([])
-    if axes is not None:
-        _legend(sheet, axes)
+        drawn.append(axes)
+    _legend(sheet, drawn)
     return image(sheet)
 
 
 def paint_belief(
     axes: Axes,
     panorama: np.ndarray,
-    belief: Reading,
-    estimate: Estimate | np.ndarray | None = None,
+    belief: Estimate | Reading,
     truth: np.ndarray | None = None,
-    others: Mapping[str, np.ndarray] | None = None,
+    others: Mapping[str, np.ndarray | None] | None = None,
     modes: Sequence[np.ndarray] | None = None,
 ) -> None:
     """What `draw_belief` draws, into `axes`."""
@@ -100,50 +108,71 @@ def paint_belief(
     for at in (-90, 0, 90):
         axes.axvline(at, color="white", alpha=0.22, linewidth=0.8, zorder=1)
     axes.axhline(0, color="white", alpha=0.22, linewidth=0.8, zorder=1)
-    _heat(axes, belief)
-    found = estimate.direction if isinstance(estimate, Estimate) else estimate
-    if found is not None:
-        if modes is None:
-            modes = [mode.direction for mode in estimate.modes] if isinstance(estimate, Estimate) else []
-        _arrow(axes, found)
-    for index, mode in enumerate(modes or ()):
+    answer = belief.direction if isinstance(belief, Estimate) else None
+    if isinstance(belief, Estimate) and answer is None:
+        axes.plot([], [], linestyle="none", label="direction not known")
+    else:
+        _heat(axes, belief)
+    if answer is not None:
+        _arrow(axes, answer)
+    if modes is None:
+        modes = [mode.direction for mode in belief.modes] if isinstance(belief, Estimate) else []
+    for index, mode in enumerate(modes):
         _mark(axes, mode, "o", "white", 15, "candidate directions" if index == 0 else None, hollow=True, width=1.8)
     for index, (name, where) in enumerate((others or {}).items()):
         marker, colour = OTHERS[index % len(OTHERS)]
-        _mark(axes, where, marker, colour, 8.5, name)
+        if where is not None:
+            _mark(axes, where, marker, colour, 8.5, name)
     if truth is not None:
         _mark(axes, truth, "o", TRUTH, 21, "truth", hollow=True, width=2.6)
-    if found is not None:
-        _mark(axes, found, "o", OURS, 8.5, "estimate")
+    if isinstance(belief, Estimate) and answer is not None:
+        _mark(axes, answer, "o", OURS, 8.5, "estimate (an older one, held)" if belief.held else "estimate")
 
 
-def _heat(axes: Axes, belief: Reading) -> None:
+def _heat(axes: Axes, belief: Estimate | Reading) -> None:
     """The density as heat, and the border of its 90 % region; nothing where the belief knows nothing."""
     from matplotlib import colormaps
 
-    grid = PatchGrid(HEAT_ROWS, 2 * HEAT_ROWS)
+    border, area = _region(belief)
+    grid = _cells(area)
     log_density = np.asarray(belief.log_density(grid.directions))
-    times = np.exp(np.minimum(log_density + math.log(4 * math.pi), 50.0))  # how many times likelier than by chance
+    times = 4 * math.pi * np.exp(log_density)  # how many times likelier than by chance
     most = float(times.max())
-    contrast = 1 - 1 / max(most, 1.0)  # 0 for a uniform belief, 1 for a sharp one
-    if contrast < 0.1:
+    if most - float(times.min()) < FLAT:
         return
+    contrast = 1 - 1 / most  # 0 for a uniform belief, 1 for a sharp one
     share = np.sqrt(np.clip((times - 1) / (most - 1), 0, 1))
     rgba = colormaps["inferno"](0.35 + 0.6 * share)
     rgba[..., 3] = 0.85 * contrast * np.clip(1.3 * share, 0, 1)
     axes.imshow(rgba, extent=(180, -180, -90, 90), aspect="auto", interpolation="bilinear", zorder=2)
+    if why := undrawn(log_density, grid.weights, border, area):
+        axes.plot([], [], linestyle="none", label=f"{100 * MASS:.0f} % region: {why}, not drawn")
+        return
     # A few columns more on either side, so that a border that crosses the seam runs on into the frame.
     more = 8
     azimuth = np.degrees(math.pi - 2 * math.pi * (np.arange(-more, grid.width + more) + 0.5) / grid.width)
     elevation = np.degrees(grid.latitudes)
     padded = np.concatenate([log_density[:, -more:], log_density, log_density[:, :more]], axis=1)
-    region = belief.credible_region(0.9)
-    vague = region.area > math.pi / 2  # an eighth of the sphere: its border follows ripples, and is drawn faintly
-    lines = (("white", 0.8),) if vague else (("black", 3.4), ("white", 1.6))
-    style = {"levels": [region.threshold], "linestyles": "solid", "alpha": 0.45 if vague else 1.0, "zorder": 3}
-    for colour, width in lines:
-        axes.contour(azimuth, elevation, padded, colors=colour, linewidths=width, **style)
-    axes.plot([], [], color="white", linewidth=1.6, label="90 % region")
+    for colour, width in (("black", 3.4), ("white", 1.6)):
+        axes.contour(
+            azimuth, elevation, padded, levels=[border], colors=colour, linewidths=width, linestyles="solid", zorder=3
+        )
+    axes.plot([], [], color="white", linewidth=1.6, label=f"{100 * MASS:.0f} % region")
+
+
+def _region(belief: Estimate | Reading) -> tuple[float, float]:
+    """The log density (per steradian) at the border of the 90 % region, and its solid angle."""
+    if isinstance(belief, Estimate):
+        return belief.region(MASS)
+    found = belief.credible_region(MASS)
+    return found.threshold, found.area
+
+
+def _cells(area: float) -> PatchGrid:
+    """Cells for the heat, fine enough for a region of this solid angle."""
+    rows = math.ceil(math.sqrt(CELLS * 2 * math.pi / max(area, 1e-9)))
+    rows = min(max(ROWS, 2 * math.ceil(rows / 2)), MOST_ROWS)
+    return PatchGrid(rows, 2 * rows)
 
 
 def _arrow(axes: Axes, where: np.ndarray) -> None:
@@ -196,14 +225,18 @@ def _mark(
         label = None
 
 
-def _legend(sheet: Figure, axes: Axes) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    if not handles:
+def _legend(sheet: Figure, drawn: Sequence[Axes]) -> None:
+    """What is drawn in any of these axes, once."""
+    found: dict[str, Any] = {}
+    for axes in drawn:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    if not found:
         return
-    order = sorted(range(len(labels)), key=lambda i: (labels[i] != "estimate", labels[i] != "truth"))
+    labels = sorted(found, key=lambda label: (not label.startswith("estimate"), label != "truth"))
     legend = sheet.legend(
-        [handles[i] for i in order],
-        [labels[i] for i in order],
+        [found[label] for label in labels],
+        labels,
         loc="lower center",
         ncols=len(labels),
         fontsize=10,

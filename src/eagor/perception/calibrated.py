@@ -1,4 +1,4 @@
-"""How to read a perception and how to forget what it saw: what ``eagor calibrate`` writes and other commands take."""
+"""How to read a perception and how its targets come and go: what ``eagor calibrate`` writes and others take."""
 
 from __future__ import annotations
 
@@ -11,34 +11,49 @@ from typing import Any
 from eagor._files import written
 from eagor._json import number, parsed, shown
 from eagor.calibration import Calibration
+from eagor.detector import DetectorModel, model_as_json
 from eagor.errors import EagorError
 from eagor.estimate import TrackerConfig
+from eagor.perception import short_name
 
 READING = ("floor", "neutral", "temperature", "persistence", "spread")  # fields of `Calibration`
-FORGETTING = ("keep_per_second", "wander", "restless", "surest", "settle")  # fields of `TrackerConfig`, SI, nats
+FORGETTING = ("start", "stop", "jump", "birth", "death")  # fields of `MotionModel`: rates per second
 
 
 @dataclass(frozen=True)
 class Calibrated:
-    """A calibration, and the fields of `TrackerConfig` that were fitted with it.
+    """How one perception is read, and what was fitted with it.
 
-    `found_by`: apartments, trials and scores, for people.
+    `perception`: whose it is, as `eagor.perception.load` reads it. `calibration`: of its response maps, `detector`: of
+    its detections; None: as the perception reads them itself. `forgetting`: rates of `MotionModel`. `found_by`:
+    apartments, trials and scores, for people.
     """
 
     perception: str
-    calibration: Calibration
-    forgetting: dict[str, float]
+    calibration: Calibration | None
+    forgetting: dict[str, float] = field(default_factory=dict)
     found_by: dict[str, Any] = field(default_factory=dict)
+    detector: DetectorModel | None = None
 
     def config(self, base: TrackerConfig | None = None) -> TrackerConfig:
         """`base` (default: the default tracker) with what was fitted."""
-        return replace(base or TrackerConfig(), calibration=self.calibration, **self.forgetting)
+        base = base or TrackerConfig()
+        read = {"calibration": self.calibration, "detector": self.detector}
+        told = {name: value for name, value in read.items() if value is not None}
+        return replace(base, **told, motion=replace(base.motion, **self.forgetting))  # type: ignore[arg-type]
+
+    def fits(self, perception: str) -> bool:
+        """Whether it is of this perception; options and files of records aside."""
+        return short_name(self.perception) == short_name(perception)
 
     def as_json(self) -> dict[str, Any]:
         """As it is stored."""
-        reading = {key: value for key, value in asdict(self.calibration).items() if key in READING}
-        parts = {"calibration": reading, "forgetting": self.forgetting, "found_by": self.found_by}
-        return {"perception": self.perception, **parts}
+        parts: dict[str, Any] = {"perception": self.perception}
+        if self.calibration is not None:
+            parts["calibration"] = {key: value for key, value in asdict(self.calibration).items() if key in READING}
+        if self.detector is not None:
+            parts["detector"] = model_as_json(self.detector)
+        return parts | {"forgetting": self.forgetting, "found_by": self.found_by}
 
     def write(self, file: Path) -> None:
         """Store it as JSON. Raises `StorageError` if the disk does not take it."""
@@ -51,17 +66,33 @@ def calibration_of(values: Mapping[str, float]) -> Calibration:
     return Calibration(floor, neutral, temperature, persistence, spread)
 
 
+def detector_of(values: Mapping[str, Any]) -> DetectorModel:
+    """The detector's model that `model_as_json` gave. Raises `EagorError` for anything else."""
+    known = model_as_json(DetectorModel())
+    _only(values, known)
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        if key == "score_ratios":
+            found[key] = value and tuple((number(score), number(ratio)) for score, ratio in value)
+        else:
+            found[key] = None if value is None else number(value)
+    return DetectorModel(**found)
+
+
 def from_json(stored: Any, source: str) -> Calibrated:
     """The calibration in what `as_json` gave; `source` is for errors. Raises `EagorError` for anything else."""
     try:
-        reading, forgetting = (
-            {key: number(value) for key, value in stored[part].items()} for part in ("calibration", "forgetting")
-        )
-        unknown = sorted((reading.keys() - {*READING}) | (forgetting.keys() - {*FORGETTING}))
-        if unknown:
-            raise EagorError(f"sets {shown(', '.join(unknown))}; known are {', '.join((*READING, *FORGETTING))}")
-        found_by = {**stored.get("found_by", {})}
-        found = Calibrated(str(stored["perception"]), calibration_of(reading), forgetting, found_by)
+        forgetting = {key: number(value) for key, value in stored["forgetting"].items()}
+        _only(forgetting, FORGETTING)
+        reading, model = stored.get("calibration"), stored.get("detector")
+        if reading is None and model is None:
+            raise EagorError("has neither a calibration nor a detector")
+        calibration = None
+        if reading is not None:
+            _only(reading, READING)
+            calibration = calibration_of({key: number(value) for key, value in reading.items()})
+        detector = None if model is None else detector_of(model)
+        found = Calibrated(str(stored["perception"]), calibration, forgetting, {**stored.get("found_by", {})}, detector)
         found.config()  # complains about numbers that are out of range
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, EagorError):
@@ -70,6 +101,12 @@ def from_json(stored: Any, source: str) -> Calibrated:
             f"{source} is no calibration ({type(error).__name__}: {error}); wanted what `eagor calibrate` writes"
         ) from error
     return found
+
+
+def _only(values: Mapping[str, Any], known: Any) -> None:
+    """Raise `EagorError` if there is a name that is not `known`."""
+    if unknown := sorted(values.keys() - {*known}):
+        raise EagorError(f"sets {shown(', '.join(unknown))}; known are {', '.join(known)}")
 
 
 def read_calibrated(file: Path) -> Calibrated:

@@ -18,9 +18,11 @@ import numpy as np
 from eagor._checks import require, whole
 from eagor._srgb import to_linear
 from eagor.calibration import Calibration
+from eagor.detector import DetectorModel, View
 from eagor.errors import ImageError, QueryError
 from eagor.evidence import Evidence
-from eagor.grids import PatchGrid
+from eagor.grids import Grid, PatchGrid, PerspectiveGrid
+from eagor.perception.blobs import blobs, spread_evidence
 
 # A fuzzy interval: 0 up to the first number, 1 from the second to the third, 0 from the fourth on.
 Interval = tuple[float, float, float, float]
@@ -38,6 +40,10 @@ class Colour:
     hue: Interval | None
     saturation: Interval
     lightness: Interval
+
+
+LEVEL = 0.5  # likeness from which on a cell belongs to a patch
+LEAST = 1.5  # cells of the largest kind that a patch weighs: two cells in a row weigh 1, which may be noise, a thing 4
 
 
 def _above(low: float, high: float) -> Interval:
@@ -78,17 +84,22 @@ _SHADES = {"dark": "dark", "deep": "dark", "light": "light", "pale": "light"}
 class ColourPerception:
     """Finds the first colour that the query names: "red", "the dark green chair", "a light blue ball".
 
+    Each connected patch of the colour is a detection: in the mean direction of its solid angle, as wide as the patch is
+    (so that a wall points nowhere in particular), its score the mean likeness.
+
     Attributes:
-        calibration: how responses become evidence; a colour that is somewhere goes on being there, so that of a
-            detector which nobody has calibrated.
+        calibration: None for detections. With one, the map of likeness is read as a response map instead.
         rows: the panorama is averaged (in linear light) down to at most this many rows and twice as many columns
             before it is judged. A thing needs two cells each way to count in full; single cells do not count.
+        detector: how the patches err (default: half of the mistakes repeat, since what has the colour goes on having
+            it).
 
     Raises `EagorError` for less than one row.
     """
 
-    calibration: Calibration | None = field(default_factory=Calibration.detector)
+    calibration: Calibration | None = None
     rows: int = 256
+    detector: DetectorModel = field(default_factory=lambda: DetectorModel(repeats=0.5))
 
     def __post_init__(self) -> None:
         require(self, {"rows": (whole(self.rows, 1), "a whole number, 1 or more")})
@@ -99,12 +110,32 @@ class ColourPerception:
         Raises `QueryError` if the query names no known colour, `ImageError` if the panorama is not such an array.
         """
         response = self.respond(panorama, query)
-        return Evidence.from_response(response, PatchGrid(*response.shape), calibration=self.calibration, stamp=stamp)
+        grid = PatchGrid(*response.shape)
+        return self._evidence(response, grid, grid, stamp)
+
+    def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
+        """Evidence for what `query` names in one ordinary picture ``(h, w, 3)``, whose pixels `grid` describes.
+
+        Errors as for a call.
+        """
+        colour = parse_colour(query)
+        times = max(grid.height / self.rows, grid.width / (2 * self.rows), 1.0)  # finer in both directions alike
+        linear = _reduced(image, max(1, round(grid.height / times)), max(1, round(grid.width / times)))
+        response = _without_specks(_likeness(*_lightness_chroma_hue(linear), colour), around=False)
+        return self._evidence(response, replace(grid, height=response.shape[0], width=response.shape[1]), grid, stamp)
+
+    def _evidence(
+        self, response: np.ndarray, cells: PatchGrid | PerspectiveGrid, seen: Grid, stamp: float | None
+    ) -> Evidence:
+        if self.calibration is not None:
+            return Evidence.from_response(response, cells, calibration=self.calibration, stamp=stamp)
+        least = LEAST * float(cells.weights.max())
+        return spread_evidence(blobs(response, cells, LEVEL, least), self.detector, View(seen), stamp)
 
     def respond(self, panorama: np.ndarray, query: str) -> np.ndarray:
         """How much each cell has the colour of `query`, in [0, 1], at most ``(rows, 2 * rows)``."""
         colour = parse_colour(query)
-        linear = _reduced(panorama, self.rows)
+        linear = _reduced(panorama, self.rows, 2 * self.rows)
         return _without_specks(_likeness(*_lightness_chroma_hue(linear), colour))
 
 
@@ -134,8 +165,8 @@ def _shaded(colour: Colour, shade: str) -> Colour:
     return colour
 
 
-def _reduced(panorama: np.ndarray, rows: int) -> np.ndarray:
-    """The panorama in linear light, averaged over blocks to at most ``(rows, 2 * rows, 3)``, float32."""
+def _reduced(panorama: np.ndarray, rows: int, columns: int) -> np.ndarray:
+    """The picture in linear light, averaged over blocks to at most ``(rows, columns, 3)``, float32."""
     image = np.asarray(panorama)
     if image.ndim != 3 or image.shape[-1] != 3 or image.size == 0:
         raise ImageError(
@@ -151,7 +182,7 @@ def _reduced(panorama: np.ndarray, rows: int) -> np.ndarray:
     height, width = image.shape[:2]
     # Cells end at the pixel border that is nearest: at the one before, all would look half a pixel up and to the left.
     tops = np.rint(np.linspace(0, height, min(height, rows) + 1)).astype(int)
-    lefts = np.rint(np.linspace(0, width, min(width, 2 * rows) + 1)).astype(int)
+    lefts = np.rint(np.linspace(0, width, min(width, columns) + 1)).astype(int)
     strips = [decode(image[top:end]).mean(axis=0) for top, end in pairwise(tops)]
     sums = np.add.reduceat(np.stack(strips), lefts[:-1], axis=1)
     return sums / np.diff(lefts)[:, None].astype(np.float32)
@@ -201,8 +232,12 @@ def _ramp(values: np.ndarray, low: float, high: float) -> np.ndarray:
     return t * t * (3 - 2 * t)
 
 
-def _without_specks(likeness: np.ndarray) -> np.ndarray:
-    """`likeness`, less what stands alone: each cell counts as far as its 3 x 3 neighbourhood agrees."""
-    across = (np.roll(likeness, 1, axis=1) + 2 * likeness + np.roll(likeness, -1, axis=1)) / 4
+def _without_specks(likeness: np.ndarray, around: bool = True) -> np.ndarray:
+    """`likeness`, less what stands alone: each cell counts as far as its 3 x 3 neighbourhood agrees.
+
+    `around`: the last column is next to the first.
+    """
+    wide = np.pad(likeness, ((0, 0), (1, 1)), mode="wrap" if around else "edge")
+    across = (wide[:, :-2] + 2 * likeness + wide[:, 2:]) / 4
     padded = np.concatenate([across[:1], across, across[-1:]])
     return likeness * _ramp((padded[:-2] + 2 * padded[1:-1] + padded[2:]) / 4, 0.25, 0.5)

@@ -13,6 +13,8 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from eagor.detections import canvas_of
+from eagor.detector import View
 from eagor.errors import ImageError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
@@ -66,11 +68,23 @@ def look_at_view(
             f"the perception {type(perception).__name__} answers a panorama on a {type(found.grid).__name__}; wanted "
             "cells of the panorama, or a method view that takes pictures"
         )
+    if found.detections is not None:
+        return _in_view(found, grid)
     cells = _kept(found.grid)
     covered = coverage(*cells.shape, height, width, hfov, pitch)
     seen = Evidence.from_response(found.response, cells, found.calibration, stamp, coverage=covered >= BORDER)
     source: dict[str, Any] = {"source": getattr(found, "source", None)}  # what the perception tells of itself
     return replace(seen, **source) if source["source"] else seen
+
+
+def _in_view(found: Evidence, grid: PerspectiveGrid) -> Evidence:
+    """Those of the detections that lie in the picture that `grid` describes, which is all that was looked at."""
+    detections = found.detections
+    assert detections is not None
+    inside = grid.project(detections.directions)[2]
+    parts = {key: getattr(detections, key)[inside] for key in ("directions", "axes", "ratios", "clutter", "scores")}
+    seen = replace(detections, views=(View(grid),), **parts)
+    return replace(Evidence.from_detections(seen, canvas_of(grid), found.stamp), source=found.source)
 
 
 def pasted(picture: np.ndarray, grid: PerspectiveGrid, rows: int) -> np.ndarray:

@@ -16,13 +16,13 @@ import numpy as np
 from eagor._json import parsed
 from eagor._json import shown as _short
 from eagor.calibration import Calibration
+from eagor.detector import DetectorModel
 from eagor.errors import EagorError, FormatError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
 from eagor.sphere import direction, world_R_body
 
 KINDS = ("boxes", "points", "response")
-DEFAULT_SPREAD_DEG = 5.0
 _LARGEST = 65536  # pixels along one side; more is a mistake
 _LONGEST = 32  # a view this many times longer than wide is a mistake too
 
@@ -36,7 +36,8 @@ class Record:
         query: what was looked for, None for any query.
         kind: "boxes", "points" or "response".
         grid: of the image, or of the response; None for points anywhere.
-        values: boxes ``(n, 4)`` in pixels; points ``(n, 3)``: azimuth, elevation, spread in radians; or the response.
+        values: boxes ``(n, 4)`` in pixels; points ``(n, 3)``: azimuth, elevation, spread in radians (NaN where the line
+            has none); or the response.
         scores: ``(n,)`` in [0, 1]; empty for a response.
         labels: ``(n,)`` text or None; empty for a response.
     """
@@ -53,17 +54,25 @@ class Record:
         """Whether this line holds for `query` (letter case and spaces aside)."""
         return self.query is None or _words(self.query) == _words(query)
 
-    def evidence(self, query: str, calibration: Calibration | None = None) -> Evidence:
-        """The evidence for `query`: on a line without a query of its own, what has an unfitting label is left out."""
+    def evidence(
+        self, query: str, calibration: Calibration | None = None, detector: DetectorModel | None = None
+    ) -> Evidence:
+        """The evidence for `query`: on a line without a query of its own, what has an unfitting label is left out.
+
+        Boxes and points are detections of `detector` (default: `DetectorModel()`); with a `calibration` they are read
+        as a response map instead. A point that has a spread of its own is spread so.
+        """
         if self.kind == "response" and self.grid is not None:
             return Evidence.from_response(self.values, self.grid, calibration=calibration, stamp=self.stamp)
         wanted = set(_words(query))
         keep = [self.query is not None or label is None or wanted.issuperset(_words(label)) for label in self.labels]
         values, scores = self.values[keep], self.scores[keep]
         if self.kind == "boxes" and self.grid is not None:
-            return Evidence.from_boxes(values, self.grid, scores, calibration=calibration, stamp=self.stamp)
-        points, concentration = direction(values[:, 0], values[:, 1]), values[:, 2] ** -2.0
-        return Evidence.from_points(points, concentration, scores, self.grid, calibration, self.stamp)
+            return Evidence.from_boxes(values, self.grid, scores, calibration, self.stamp, detector=detector)
+        spread = (detector or DetectorModel()).spread
+        concentration = np.where(np.isnan(values[:, 2]), spread, values[:, 2]) ** -2.0
+        points = direction(values[:, 0], values[:, 1])
+        return Evidence.from_points(points, concentration, scores, self.grid, calibration, self.stamp, detector)
 
 
 def read_records(path: str | os.PathLike[str]) -> tuple[Record, ...]:
@@ -179,9 +188,10 @@ def _box(box: Any, height: int, width: int, panorama: bool) -> list[float]:
 
 
 def _point(item: dict) -> tuple[float, float, float]:
-    """Azimuth, elevation and spread, degrees."""
+    """Azimuth, elevation and spread (NaN for none), degrees."""
     azimuth, elevation = _number(item, "azimuth_deg", -360, 360), _number(item, "elevation_deg", -90, 90)
-    return azimuth, elevation, _number(item, "spread_deg", 0.1, 180, default=DEFAULT_SPREAD_DEG)
+    spread = math.nan if item.get("spread_deg") is None else _number(item, "spread_deg", 0.1, 180)
+    return azimuth, elevation, spread
 
 
 def _response(response: Any) -> tuple[int, int, np.ndarray]:

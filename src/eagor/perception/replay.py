@@ -14,7 +14,8 @@ and exactly one of:
 - ``boxes``: ``[{"box": [x0, y0, x1, y1], "score": 0.9, "label": "chair"}, ...]``, pixels from the upper left corner of
   the image. In an equirectangular image x0 > x1 or x1 > width means across the seam. ``[]``: looked and saw nothing.
 - ``points``: ``[{"azimuth_deg": 30, "elevation_deg": -5, "spread_deg": 4, "score": 0.9, "label": "chair"}, ...]`` in
-  the body frame (azimuth positive to the left); `spread_deg` is the standard deviation about the point, default 5.
+  the body frame (azimuth positive to the left); `spread_deg` is the standard deviation about the point (default: the
+  detector's, 5).
 - ``response``: ``{"rows": 18, "cols": 36, "values": [...]}``, row by row from the upper left, over the whole image; in
   a perspective image the cells are square.
 
@@ -36,9 +37,11 @@ import numpy as np
 
 from eagor._checks import within
 from eagor.calibration import Calibration
+from eagor.detector import DetectorModel
 from eagor.errors import EagorError, FormatError, QueryError, TimeError
 from eagor.evidence import Evidence
 from eagor.perception.records import Record, parse_record, read_records, write_record
+from eagor.tracker import SAME_MOMENT
 
 __all__ = ["Record", "ReplayPerception", "parse_record", "read_records", "write_record"]
 
@@ -48,8 +51,10 @@ class ReplayPerception:
 
     Args:
         path: the JSONL file (format: this module's text).
-        calibration: how responses become evidence; by default that of a detector which nobody has calibrated.
+        calibration: how responses become evidence (default: `Calibration()`); where one is given, boxes and points are
+            read as a response map, too.
         tolerance: seconds by which a record may be away from the time that is asked for.
+        detector: how the detector errs that wrote boxes and points (default: `DetectorModel()`).
 
     Attributes:
         records: all `Record` objects by rising stamp.
@@ -58,17 +63,21 @@ class ReplayPerception:
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], calibration: Calibration | None = None, tolerance: float = 0.05
+        self,
+        path: str | os.PathLike[str],
+        calibration: Calibration | None = None,
+        tolerance: float = 0.05,
+        detector: DetectorModel | None = None,
     ) -> None:
         self.records = read_records(path)
-        self.calibration = calibration or Calibration.detector()
+        self.calibration, self.detector = calibration, detector
         if not within(tolerance, 0):
             raise TimeError(f"tolerance = {tolerance!r}; wanted seconds, 0 or more")
         self.tolerance = float(tolerance)
         self._name = os.fspath(path)
 
     def near(self, query: str, stamp: float | None) -> tuple[Record, ...]:
-        """The records for `query` at the time nearest to `stamp`: more than one where several views share a stamp.
+        """The records for `query` at the time nearest to `stamp`: several where views were taken at one moment.
 
         Raises `QueryError` if no record is for `query`, `TimeError` if none is within the tolerance.
         """
@@ -82,7 +91,7 @@ class ReplayPerception:
         if not found:
             raise self._nothing(query, stamp)
         nearest = min(found, key=lambda r: abs(r.stamp - stamp)).stamp
-        return tuple(r for r in found if r.stamp == nearest)
+        return tuple(r for r in found if abs(r.stamp - nearest) <= SAME_MOMENT)
 
     def _nothing(self, query: str, stamp: float) -> EagorError:
         """Why there is no record for `query` at `stamp`."""
@@ -99,8 +108,8 @@ class ReplayPerception:
     def __call__(self, panorama: np.ndarray | None, query: str, *, stamp: float | None = None) -> Evidence:
         """The evidence recorded nearest to `stamp`, with the record's own stamp; `panorama` is not looked at.
 
-        Raises `QueryError` and `TimeError` as `near` does, and `FormatError` where several records share the stamp
-        (views of one moment): update the belief with each of ``near(query, stamp)`` instead.
+        Raises `QueryError` and `TimeError` as `near` does, and `FormatError` where several records are of that moment
+        (views): update the belief with each of ``near(query, stamp)`` instead.
         """
         record, *others = self.near(query, stamp)
         if others:
@@ -108,4 +117,4 @@ class ReplayPerception:
                 f"{self._name} has {1 + len(others)} records for {query!r} at stamp {record.stamp:.6f}; wanted one. "
                 "If they are views of one moment, use each of near(query, stamp)"
             )
-        return record.evidence(query, self.calibration)
+        return record.evidence(query, self.calibration, self.detector)

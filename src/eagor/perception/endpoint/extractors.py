@@ -1,4 +1,4 @@
-"""What is asked about a panorama, and how the answers become a response.
+"""What is asked about a panorama, and how the answers become a response, or a set of detections.
 
 Each extractor is a plan: the pictures and questions of one look at a panorama, and what the answers, in the order of
 the questions, amount to.
@@ -15,8 +15,9 @@ import numpy as np
 from eagor.detections import WHOLE_SPHERE, canvas_of
 from eagor.grids import Grid, PerspectiveGrid
 from eagor.perception.endpoint.messages import Answer, Picture, Question
-from eagor.perception.vlm.boxes import parse_boxes
+from eagor.perception.vlm.boxes import Box, parse_boxes
 from eagor.perception.vlm.drawing import drawn
+from eagor.perception.vlm.found import Thing, things
 from eagor.perception.vlm.presence import parse_presence
 from eagor.perception.vlm.prompts import ask_boxes, ask_presence, boxes_schema
 from eagor.perception.vlm.seam import merged
@@ -36,11 +37,34 @@ class Manner:
 
 
 @dataclass(frozen=True)
+class Boxed:
+    """Boxes in a picture with the geometry of `image`, rolled by the fraction `roll`; drawn on `canvas`."""
+
+    boxes: list[Box]
+    image: Grid
+    canvas: Grid
+    roll: float
+
+    @property
+    def things(self) -> list[Thing]:
+        """What they mean."""
+        return things(self.boxes, self.image, self.roll)
+
+    @property
+    def response(self) -> np.ndarray:
+        """On the canvas."""
+        return drawn(self.boxes, self.image, self.canvas, roll=self.roll)
+
+
+Reading = Boxed | np.ndarray  # of one answer: boxes, or a response on the cells that the picture stands for
+
+
+@dataclass(frozen=True)
 class Item:
-    """One question and how its answer is read: into a response on the cells that the picture stands for."""
+    """One question and how its answer is read."""
 
     question: Question
-    read: Callable[[Answer], np.ndarray]
+    read: Callable[[Answer], Reading]
 
 
 @dataclass(frozen=True)
@@ -51,7 +75,7 @@ class Plan:
     """
 
     items: tuple[Item, ...]
-    combine: Callable[[Sequence[np.ndarray]], tuple[np.ndarray, np.ndarray]]
+    combine: Callable[[Sequence[Reading]], tuple[np.ndarray, np.ndarray]]
     size: tuple[int, int]  # (height, width) of the pictures
     pictures: int
 
@@ -70,8 +94,8 @@ def boxes_plan(
         for query in queries:
             items.append(_boxes_item(picture, query, style, GRID, GRID, manner.max_tokens, roll / size[1]))
 
-    def combine(read: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        looks = [np.stack(read[start : start + len(queries)]) for start in range(0, len(read), len(queries))]
+    def combine(read: Sequence[Reading]) -> tuple[np.ndarray, np.ndarray]:
+        looks = _stacked(read, len(queries))
         response = looks[0] if len(looks) == 1 else merged(looks[0], looks[1], shift / size[1])
         return response, np.ones(GRID.shape)
 
@@ -98,10 +122,8 @@ def views_plan(
                 question = Question(picture, ask_presence(query), manner.max_tokens, alternatives=True)
                 items.append(Item(question, _presence))
 
-    def combine(read: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        count = len(queries)
-        responses = [np.stack(read[start : start + count]) for start in range(0, len(read), count)]
-        return lift(responses, views, GRID, margin)
+    def combine(read: Sequence[Reading]) -> tuple[np.ndarray, np.ndarray]:
+        return lift(_stacked(read, len(queries)), views, GRID, margin)
 
     return Plan(tuple(items), combine, views[0].shape, len(views))
 
@@ -124,8 +146,9 @@ def view_plan(
     else:
         item = Item(Question(picture, ask_presence(query), manner.max_tokens, alternatives=True), _presence)
 
-    def combine(read: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        return np.broadcast_to(read[0], (1, *cells.shape)).astype(np.float32), filled(cells.shape, size, inner)
+    def combine(read: Sequence[Reading]) -> tuple[np.ndarray, np.ndarray]:
+        (response,) = _stacked(read, 1)
+        return np.broadcast_to(response, (1, *cells.shape)).astype(np.float32), filled(cells.shape, size, inner)
 
     return Plan((item,), combine, size, 1), cells
 
@@ -141,11 +164,17 @@ def _boxes_item(
 ) -> Item:
     text, schema = ask_boxes(query, style.frame, style.order), boxes_schema(style.frame, style.order)
 
-    def read(answer: Answer) -> np.ndarray:
+    def read(answer: Answer) -> Boxed:
         found = parse_boxes(answer.text, style.frame, picture.size, style.order, answer.tokens)
-        return drawn(found, image, canvas, roll=roll)
+        return Boxed(found, image, canvas, roll)
 
     return Item(Question(picture, text, max_tokens, schema), read)
+
+
+def _stacked(read: Sequence[Reading], count: int) -> list[np.ndarray]:
+    """The responses of each picture ``(Q, h, w)`` to `count` queries."""
+    drawn = [one.response if isinstance(one, Boxed) else one for one in read]
+    return [np.stack(drawn[start : start + count]) for start in range(0, len(drawn), count)]
 
 
 def _presence(answer: Answer) -> np.ndarray:

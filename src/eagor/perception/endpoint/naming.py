@@ -49,7 +49,7 @@ def place_of(text: str) -> tuple[str, tuple[str, ...]]:
 def _read_option(name: str, value: str, known: dict[str, Any]) -> Any:
     """An option as written in the text, in the type of its default."""
     default = known.get(name)
-    if name in ("servers", "calibration", "model"):
+    if name in ("servers", "calibration", "detector", "model"):
         raise EagorError(f"{name} cannot be set after the ?; the model and the addresses stand before it")
     try:
         if isinstance(default, bool):

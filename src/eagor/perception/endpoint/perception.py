@@ -14,13 +14,15 @@ import numpy as np
 
 from eagor._checks import above, require, whole, within
 from eagor.calibration import Calibration
+from eagor.detector import DetectorModel
 from eagor.errors import AnswerError, EagorError
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
-from eagor.perception.endpoint.extractors import GRID, Manner, Plan, boxes_plan, view_plan, views_plan
+from eagor.perception.endpoint.extractors import GRID, Boxed, Manner, Plan, boxes_plan, view_plan, views_plan
 from eagor.perception.endpoint.messages import Answer
 from eagor.perception.endpoint.servers import DEFAULT_SERVER, Servers, check_asking, connected, unconnected
 from eagor.perception.vlm.boxes import Frame, Order
+from eagor.perception.vlm.found import Thing, detected, united
 from eagor.perception.vlm.prompts import phrase
 from eagor.perception.vlm.sizes import checked_picture, exact_size
 from eagor.perception.vlm.styles import Style, style_of
@@ -31,11 +33,15 @@ _SECOND_TRY = 0.5  # temperature when an answer could not be read: at 0 it would
 
 @dataclass(frozen=True)
 class Look:
-    """What came of one look: responses ``(Q, h, w)``, coverage ``(h, w)``, and what produced them."""
+    """What came of one look: responses ``(Q, h, w)``, coverage ``(h, w)``, and what produced them.
+
+    `things`: what the boxes of all pictures mean, one list for each query; None where no boxes were asked for.
+    """
 
     responses: np.ndarray
     coverage: np.ndarray
     source: dict[str, object]
+    things: tuple[list[Thing], ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -64,7 +70,9 @@ class EndpointPerception:
         retries: more tries of a request that failed for a reason that may pass.
         backoff: seconds before the first of them; doubled for each further one.
         key: the name of the environment variable that holds the server's key, if it wants one.
-        calibration: how responses become evidence; None for the default of `Evidence`.
+        calibration: how responses become evidence; None for the default of `Evidence`. With one, boxes are read as a
+            response map, too.
+        detector: how the boxes err; None for `DetectorModel()`.
 
     Raises `EagorError` for values that make no sense.
     """
@@ -89,6 +97,7 @@ class EndpointPerception:
     backoff: float = 0.5
     key: str = ""
     calibration: Calibration | None = None
+    detector: DetectorModel | None = None
 
     def __post_init__(self) -> None:
         for name, choices in _CHOICES.items():
@@ -116,6 +125,8 @@ class EndpointPerception:
         `ServerError` if the server cannot be reached or refuses, `AnswerError` if its answer is empty or unreadable.
         """
         look = self.look(panorama, [query])
+        if look.things is not None and self.calibration is None:
+            return detected(look.things[0], self.detector, self.grid, stamp, look.coverage, look.source)
         return Evidence.from_response(
             look.responses[0], self.grid, self.calibration, stamp, coverage=look.coverage, source=look.source
         )
@@ -136,7 +147,7 @@ class EndpointPerception:
             return Look(np.zeros((0, *GRID.shape), np.float32), np.ones(GRID.shape), {})
         model = self._servers.model()
         plan = self._plan(image, words, model)
-        return self._look(plan, model, started)
+        return self._look(plan, len(words), model, started)
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for what `query` names in one ordinary picture ``(h, w, 3)`` uint8, whose pixels `grid` describes.
@@ -151,12 +162,15 @@ class EndpointPerception:
         aspect = grid.width / grid.height if style.aspect == 2.0 else style.aspect
         size = exact_size(style.cell, self.pixels or style.pixels, aspect)
         plan, cells = view_plan(image, grid, words, style, size, boxes, self._manner)
-        look = self._look(plan, model, started)
+        look = self._look(plan, 1, model, started)
         coverage = None if (look.coverage >= 1).all() else look.coverage
         source = {**look.source, "extractor": "boxes" if boxes else "presence"}
+        if look.things is not None and self.calibration is None:
+            inside = [thing for thing in look.things[0] if grid.project(thing.direction)[2]]
+            return detected(inside, self.detector, grid, stamp, source=source)
         return Evidence.from_response(look.responses[0], cells, self.calibration, stamp, coverage, source)
 
-    def _look(self, plan: Plan, model: str, started: float) -> Look:
+    def _look(self, plan: Plan, queries: int, model: str, started: float) -> Look:
         """Ask what is planned, once more where an answer cannot be read."""
         answers = self._servers.ask([item.question for item in plan.items])
         readings, again = [], []
@@ -170,7 +184,11 @@ class EndpointPerception:
         self._warn_if_shrunk(plan, model, answers)
         responses, coverage = plan.combine(readings)
         elapsed = 1000 * (time.perf_counter() - started)
-        return Look(responses, coverage, self._source(plan, model, [*answers, *again], elapsed))
+        source = self._source(plan, model, [*answers, *again], elapsed)
+        if not all(isinstance(one, Boxed) for one in readings):
+            return Look(responses, coverage, source)
+        found = [united(one.things for one in readings[query::queries]) for query in range(queries)]
+        return Look(responses, coverage, source, tuple(found))
 
     def check(self) -> None:
         """One look at a grey picture, before a long run: is there a server, and does it know model, key and pictures?

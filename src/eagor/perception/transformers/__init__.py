@@ -8,17 +8,21 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from eagor.calibration import Calibration
+from eagor.detections import WHOLE_SPHERE
+from eagor.detector import DetectorModel
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
+from eagor.perception.vlm.boxes import Box
 from eagor.perception.vlm.families import Extractor, Family, chosen, family_of
+from eagor.perception.vlm.found import Thing, detected, things, united
 from eagor.perception.vlm.prompts import phrase
 
 if TYPE_CHECKING:
@@ -46,6 +50,8 @@ class Looker(Protocol):
         self, images: Sequence[np.ndarray], grids: Sequence[Grid], queries: Sequence[str], extractor: Extractor
     ) -> tuple[np.ndarray, Any]: ...
 
+    def boxes(self, images: Sequence[np.ndarray], queries: Sequence[str]) -> tuple[list[list[list[Box]]], Any]: ...
+
 
 class TransformersPerception:
     """Finds what a query names in panoramas, with a model that runs here.
@@ -63,7 +69,9 @@ class TransformersPerception:
             the default of every family that does not want views.
         layers: layers that relative attention reads, ``"20,21,22"`` or numbers; None for the family's depth.
         presence: multiply attention by the probability that the model answers yes when asked if the thing is there.
-        calibration: how responses become evidence.
+        calibration: how responses become evidence; None for the default of `Evidence`. With one, boxes are read as a
+            response map, too.
+        detector: how boxes err, where the extractor is ``boxes``; None for `DetectorModel()`.
         revision: of a hub checkpoint.
         device: ``cpu``, ``cuda``, ``cuda:1``, ``mps``, or ``auto`` (spread over all GPUs by accelerate); None: CUDA
             where there is any.
@@ -92,10 +100,11 @@ class TransformersPerception:
         max_tokens: int = 512,
         batch: int = 8,
         threshold: float | None = None,
+        detector: DetectorModel | None = None,
     ) -> None:
         from eagor.perception.transformers.loading import counted, load_model, switched
 
-        self.calibration = calibration
+        self.calibration, self.detector = calibration, detector
         self.seam = switched("seam", seam)
         if isinstance(model, str):
             model = load_model(
@@ -138,14 +147,17 @@ class TransformersPerception:
         `Evidence.source` tells model, revision, extractor, pixels, token counts and milliseconds. Raises `QueryError`
         if there are no words, `ImageError` for another image, `AnswerError` if the model's boxes cannot be read.
         """
-        response, coverage, source = self._respond(panorama, [query])
+        if self.calibration is None and self._each == "boxes":
+            found, source = self._asked(panorama, [query], self._things)
+            return detected(found, self.detector, WHOLE_SPHERE, stamp, source=source)
+        (response, coverage), source = self._asked(panorama, [query], self._responses)
         whole = None if coverage is None or bool((coverage >= _WHOLE).all()) else coverage
         grid = PatchGrid(*response.shape[-2:])
         return Evidence.from_response(response[0], grid, self.calibration, stamp, coverage=whole, source=source)
 
     def respond(self, panorama: np.ndarray, queries: Sequence[str]) -> np.ndarray:
         """Responses ``(Q, h, w)`` float32 in [0, 1] to several queries; each image is run through the model once."""
-        return self._respond(panorama, list(queries))[0]
+        return self._asked(panorama, list(queries), self._responses)[0][0]
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for what `query` names in one ordinary picture ``(h, w, 3)`` uint8, whose pixels `grid` describes.
@@ -157,17 +169,22 @@ class TransformersPerception:
 
         began = time.perf_counter()
         phrase(query)
-        extractor = self.per_view if self.extractor == "views" else self.extractor
+        extractor = self._each
         aspect = grid.width / grid.height
         size, shape = self.looker.size(aspect), self.looker.cells(aspect, extractor)
         if size[0] * shape[1] != size[1] * shape[0]:  # a model of one square size: its cells are square in a square
             size, shape = self.looker.size(1.0), self.looker.cells(1.0, extractor)
         picture, posed, inner = framed(image, grid, size)
         cells = replace(posed, height=shape[0], width=shape[1])
+        source: dict[str, object] = {**self._known(), "extractor": extractor, "pixels": list(size)}
+        if self.calibration is None and extractor == "boxes":
+            boxes, cost = self.looker.boxes([picture], [query])
+            source |= {**cost.as_source(), "milliseconds": 1000 * (time.perf_counter() - began)}
+            inside = [thing for thing in things(boxes[0][0], posed) if grid.project(thing.direction)[2]]
+            return detected(inside, self.detector, grid, stamp, source=source)
         found, cost = self.looker.look([picture], [cells], [query], extractor)
         coverage = None if inner == size else filled(shape, size, inner)
-        source = {**self._known(), "extractor": extractor, "pixels": list(size), **cost.as_source()}
-        source["milliseconds"] = 1000 * (time.perf_counter() - began)
+        source |= {**cost.as_source(), "milliseconds": 1000 * (time.perf_counter() - began)}
         return Evidence.from_response(found[0, 0], cells, self.calibration, stamp, coverage=coverage, source=source)
 
     def find_heads(self, examples: Iterable[Labelled], take: int = 3) -> Heads:
@@ -191,41 +208,72 @@ class TransformersPerception:
         kept = [look for look in looks if not any(look is other for other in held_out)]
         return judged(fit_heads(kept, model.name, model.model.config.model_type, take), held_out)
 
-    def _respond(
-        self, panorama: np.ndarray, queries: list[str]
-    ) -> tuple[np.ndarray, np.ndarray | None, dict[str, object]]:
-        """Responses, coverage (None: the whole sphere) and what they cost."""
+    @property
+    def _each(self) -> Extractor:
+        """What is done with each picture."""
+        return self.per_view if self.extractor == "views" else self.extractor
+
+    def _asked(
+        self, panorama: np.ndarray, queries: list[str], look: Callable[..., Any]
+    ) -> tuple[Any, dict[str, object]]:
+        """What `look` finds, and what produced it."""
         from eagor.perception.vlm.sizes import checked_picture
 
         began = time.perf_counter()
         for query in queries:
             phrase(query)  # said before anything is run
-        image = checked_picture(panorama)
-        look = self._views if self.extractor == "views" else self._whole
-        response, coverage, source = look(image, queries)
+        found, source = look(checked_picture(panorama), queries)
         source = {**self._known(), "extractor": self.extractor, **source}
         source["milliseconds"] = 1000 * (time.perf_counter() - began)
-        return response, coverage, source
+        return found, source
 
     def _known(self) -> dict[str, object]:
         return {"model": self.looker.name, "revision": self.looker.revision, "family": self.family.name}
 
-    def _whole(self, image: np.ndarray, queries: list[str]) -> tuple[np.ndarray, None, dict[str, object]]:
-        from eagor.perception.vlm.seam import merged
+    def _responses(
+        self, image: np.ndarray, queries: list[str]
+    ) -> tuple[tuple[np.ndarray, np.ndarray | None], dict[str, object]]:
+        """Responses with their coverage (None: the whole sphere), and what they cost."""
+        return self._views(image, queries) if self.extractor == "views" else self._whole(image, queries)
+
+    def _things(self, image: np.ndarray, queries: list[str]) -> tuple[list[Thing], dict[str, object]]:
+        """What the boxes for one query mean, and what they cost."""
+        if self.extractor == "views":
+            from eagor.perception.vlm.views import cut
+
+            shown = [(view, 0.0) for view in self._cut()]
+            pictures, size = [cut(image, view) for view, _ in shown], self.looker.size(1.0)
+            told: dict[str, object] = {"pixels": list(size), "per_view": self.per_view}
+        else:
+            pictures, size, grid, shift = self._rolled(image)
+            shown = [(grid, 0.0), (grid, shift / grid.width)][: len(pictures)]
+            told = {"pixels": list(size)}
+        boxes, cost = self.looker.boxes(pictures, queries)
+        found = [things(ones[0], grid, roll) for ones, (grid, roll) in zip(boxes, shown, strict=True)]
+        return united(found), {**told, **cost.as_source()}
+
+    def _rolled(self, image: np.ndarray) -> tuple[list[np.ndarray], tuple[int, int], PatchGrid, int]:
+        """The panorama as the model sees it (with `seam` also rolled by half), its size, its cells, and the roll."""
         from eagor.perception.vlm.sizes import resized
 
         aspect = image.shape[1] / image.shape[0]
-        size, extractor = self.looker.size(aspect), self.extractor
-        grid = PatchGrid(*self.looker.cells(aspect, extractor))
+        size = self.looker.size(aspect)
+        grid = PatchGrid(*self.looker.cells(aspect, self.extractor))
         picture, shift = resized(image, size, wrap=True), grid.width // 2
-        looks = [picture]
-        if self.seam:  # both looks in one batch: writing takes hardly longer for two than for one
-            looks.append(np.roll(picture, shift * (size[1] // grid.width), axis=1))
-        found, cost = self.looker.look(looks, [grid] * len(looks), queries, extractor)
+        if not self.seam:
+            return [picture], size, grid, shift
+        # Both looks in one batch: writing takes hardly longer for two than for one.
+        return [picture, np.roll(picture, shift * (size[1] // grid.width), axis=1)], size, grid, shift
+
+    def _whole(self, image: np.ndarray, queries: list[str]) -> tuple[tuple[np.ndarray, None], dict[str, object]]:
+        from eagor.perception.vlm.seam import merged
+
+        looks, size, grid, shift = self._rolled(image)
+        found, cost = self.looker.look(looks, [grid] * len(looks), queries, self.extractor)
         response = found[0]
         if self.seam:
             response = merged(found[0], np.roll(found[1], -shift, axis=-1), shift / grid.width)
-        return response, None, {"pixels": list(size), **cost.as_source()}
+        return (response, None), {"pixels": list(size), **cost.as_source()}
 
     def _cut(self) -> tuple[PerspectiveGrid, ...]:
         """The views that are cut out of a panorama."""
@@ -233,7 +281,7 @@ class TransformersPerception:
 
         return tangent_views(min(self.looker.size(1.0)), _VIEW_FIELD)
 
-    def _views(self, image: np.ndarray, queries: list[str]) -> tuple[np.ndarray, np.ndarray, dict[str, object]]:
+    def _views(self, image: np.ndarray, queries: list[str]) -> tuple[tuple[np.ndarray, np.ndarray], dict[str, object]]:
         from eagor.perception.vlm.views import cut, lift
 
         height, width = self.looker.size(1.0)
@@ -244,4 +292,4 @@ class TransformersPerception:
         # Cells as fine as in the middle of a view.
         lines = max(12, min(90, round(math.pi * grids[0].focal)))
         response, coverage = lift(list(found), views, PatchGrid(lines, 2 * lines))
-        return response, coverage, {"pixels": [height, width], "per_view": self.per_view, **cost.as_source()}
+        return (response, coverage), {"pixels": [height, width], "per_view": self.per_view, **cost.as_source()}

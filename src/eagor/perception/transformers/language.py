@@ -124,6 +124,23 @@ class LanguageModel:
                 found[part] = self._look(images[part], grids[part], queries, extractor, account)
         return found, account
 
+    @torch.inference_mode()
+    def boxes(self, images: Sequence[np.ndarray], queries: Sequence[str]) -> tuple[list[list[list[Box]]], Account]:
+        """The boxes that the model writes per image and query, of images that all have the size that `size` gives."""
+        account = Account()
+        found: list[list[list[Box]]] = [[] for _ in images]
+        with self.lock:
+            for part in chunks(len(images), self.batch) if queries else ():
+                planned = self.plan(images[0].shape[1] / images[0].shape[0])
+                prefix = self.share(images[part], planned, account)
+                for query in queries:
+                    running = prefix.continued()
+                    suffix = self._suffix(self.ask_boxes(query), planned, prefix, account)
+                    logits, _ = running.ask(suffix, ())
+                    for row, ones in zip(found[part], self._boxes(running, logits, planned, account), strict=True):
+                        row.append(ones)
+        return found, account
+
     def _look(
         self,
         images: Sequence[np.ndarray],

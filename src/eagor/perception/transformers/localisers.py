@@ -94,21 +94,31 @@ class Localiser:
         self, images: Sequence[np.ndarray], grids: Sequence[Grid], queries: Sequence[str], extractor: Extractor
     ) -> tuple[np.ndarray, Account]:
         """Responses ``(B, Q, h, w)`` float32 in [0, 1] of images that all have the size that `size` gives."""
-        account = Account(images=len(images))
         found = np.zeros((len(images), len(queries), *grids[0].shape), dtype=np.float32)
         words = [phrase(query) for query in queries]
-        if not words:
+        if self.family.name != "clipseg":
+            boxes, account = self.boxes(images, queries)
+            for row, grid in enumerate(grids):
+                for column, ones in enumerate(boxes[row]):
+                    found[row, column] = drawn(ones, grid, grid)
             return found, account
+        account = Account(images=len(images))
+        with self.lock:
+            for part in chunks(len(images), self.batch) if words else ():
+                found[part] = _masks(self, self._pixels(images[part]), words, account)
+        return found, account
+
+    @torch.inference_mode()
+    def boxes(self, images: Sequence[np.ndarray], queries: Sequence[str]) -> tuple[list[list[list[Box]]], Account]:
+        """Boxes per image and query, of images that all have the size that `size` gives."""
+        account, found = Account(images=len(images)), []
+        words = [phrase(query) for query in queries]
+        if not words:
+            return [[] for _ in images], account
         with self.lock:
             for part in chunks(len(images), self.batch):
                 pixels = self._pixels(images[part])
-                if self.family.name == "clipseg":
-                    found[part] = _masks(self, pixels, words, account)
-                    continue
-                boxes = _DETECTORS[self.family.name](self, pixels, words, images[0].shape[:2], account)
-                for row, grid in zip(range(part.start, part.stop), grids[part], strict=True):
-                    for column, ones in enumerate(boxes[row - part.start]):
-                        found[row, column] = drawn(ones, grid, grid)
+                found += _DETECTORS[self.family.name](self, pixels, words, images[0].shape[:2], account)
         return found, account
 
     @property

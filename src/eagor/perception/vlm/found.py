@@ -1,0 +1,93 @@
+"""Boxes as one set of detections: those of one picture, or of several pictures of one moment that overlap."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eagor.detections import ANYWHERE, moments
+from eagor.detector import DetectorModel, View
+from eagor.errors import ResponseError
+from eagor.evidence import Evidence
+from eagor.grids import Grid, PerspectiveGrid
+from eagor.perception.blobs import spread_evidence
+from eagor.perception.vlm.boxes import Box
+from eagor.sphere import angular_distance
+
+SAME = math.radians(5)  # boxes of one thing in two pictures lie no further apart than this, and than the thing reaches
+REACH = math.sqrt(3)  # half of a box over its standard deviation
+WHOLE = 0.95  # coverage from which on a direction counts as seen
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """What a box means: its mean direction ``(3,)``, covariance ``(2, 2)`` about it (radians^2), and score.
+
+    `depth`: how far from the border of its picture, where things are cut; larger is deeper.
+    """
+
+    direction: np.ndarray
+    covariance: np.ndarray
+    score: float
+    depth: float
+
+    @property
+    def size(self) -> float:
+        """Standard deviation, radians."""
+        return math.sqrt(float(np.trace(self.covariance)) / 2)
+
+    def is_same(self, other: Thing) -> bool:
+        """Whether two boxes of different pictures are likely of one thing, in one of them perhaps cut."""
+        small, large = sorted((self.size, other.size))
+        if large > 3 * small + SAME:
+            return False
+        return float(angular_distance(self.direction, other.direction)) < math.hypot(SAME, REACH * large)
+
+
+def things(boxes: Sequence[Box], image: Grid, roll: float = 0.0) -> list[Thing]:
+    """What boxes in a picture with the geometry of `image` mean, in the body frame.
+
+    A whole panorama is any grid of the whole sphere (its size does not matter). `roll`: the fraction of its width by
+    which it was rolled to the right before it was looked at.
+    """
+    height, width = image.shape
+    found = []
+    for box in boxes:
+        corners = [(box.x0 - roll) * width, box.y0 * height, (box.x1 - roll) * width, box.y1 * height]
+        try:
+            centre, spread = moments(np.array(corners), image)
+        except ResponseError:  # all around: a `Box` has some area
+            centre, spread = np.array([1.0, 0.0, 0.0]), ANYWHERE**2 * np.eye(2)
+        if isinstance(image, PerspectiveGrid):
+            depth = float(centre @ image.body_R_view[:, 0])
+        else:
+            depth = 1 - abs(box.x0 + box.x1 - 1)
+        found.append(Thing(centre, spread, box.score, depth))
+    return found
+
+
+def united(pictures: Iterable[Sequence[Thing]]) -> list[Thing]:
+    """What several pictures show, each thing once: as the picture has it in which it lies deepest."""
+    marked = [(thing, index) for index, found in enumerate(pictures) for thing in found]
+    kept: list[tuple[Thing, int]] = []
+    for thing, index in sorted(marked, key=lambda pair: -pair[0].depth):
+        if not any(index != other and thing.is_same(earlier) for earlier, other in kept):
+            kept.append((thing, index))
+    return [thing for thing, _ in kept]
+
+
+def detected(
+    found: Sequence[Thing],
+    model: DetectorModel | None,
+    grid: Grid,
+    stamp: float | None,
+    coverage: np.ndarray | None = None,
+    source: Mapping[str, object] | None = None,
+) -> Evidence:
+    """The evidence of things found in what `grid` covers, as far as `coverage` ``(H, W)`` says (None: all of it)."""
+    seen = None if coverage is None or bool((coverage >= WHOLE).all()) else coverage
+    parts = [(thing.direction, thing.covariance, thing.score) for thing in found]
+    return replace(spread_evidence(parts, model, View(grid, seen), stamp), source=source)

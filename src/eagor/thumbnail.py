@@ -1,0 +1,148 @@
+"""Small pictures for notebooks: a belief, an estimate or a look as HTML, with its text below.
+
+The whole sphere as an equirectangular map in the body frame: forward in the middle, left to the left.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eagor.grids import PatchGrid
+
+if TYPE_CHECKING:
+    from eagor.belief import Reading
+    from eagor.estimate import Estimate
+    from eagor.evidence import Evidence
+
+GRID = PatchGrid(120, 240)
+HALF = 2 * math.pi  # steradians: the border of a larger region says nothing, and none is drawn
+NEAR, ALIKE = 0.1, math.pi / 2  # nats, steradians: where so much lies so near to the border's level, ripples decide it
+MOST = 5.0  # nats: the least range of the colours of evidence, so that a look that says little looks pale
+# From nothing to the likeliest; against, nothing, for; what was not looked at.
+HEAT = np.array([(22, 18, 40), (101, 21, 110), (212, 72, 66), (252, 165, 10), (252, 255, 164)], dtype=float)
+SIGNED = np.array([(33, 102, 172), (146, 197, 222), (247, 247, 247), (244, 165, 130), (178, 24, 43)], dtype=float)
+UNSEEN, LINES, BORDER, ANSWER = (120, 120, 120), (110, 110, 120), (255, 255, 255), (0, 229, 255)
+
+
+def estimate_html(estimate: Estimate) -> str:
+    """An estimate: its density, the border of its 90 % region, its candidates (rings) and its answer (dot)."""
+    if estimate.direction is None:
+        return _html(_blank(), repr(estimate))
+    border, area = estimate.region(0.9)
+    picture = _density(np.asarray(estimate.log_density(GRID.directions)), border, area)
+    for mode in estimate.modes:
+        _ring(picture, mode.direction, 6.5, 5.0, BORDER)
+    _ring(picture, estimate.direction, 3.0, 0.0, ANSWER)
+    return _html(picture, repr(estimate))
+
+
+def belief_html(belief: Reading) -> str:
+    """A belief: its density, and the border of its 90 % region; only the text of a batch, and of what is not finite."""
+    if belief.batch_shape or not np.isfinite(belief.posterior.coarse).all():
+        return f"<pre>{html.escape(repr(belief))}</pre>"
+    region = belief.credible_region(0.9)
+    picture = _density(np.asarray(belief.log_density(GRID.directions)), region.threshold, region.area)
+    return _html(picture, repr(belief))
+
+
+def evidence_html(evidence: Evidence) -> str:
+    """A look (of a batch the first): red where it speaks for the target, blue where against, grey where not seen."""
+    found = evidence.detections
+    if found is not None:
+        values = np.log(found.ratio(GRID.directions))
+        seen = np.broadcast_to(np.asarray(found.share(GRID.directions)) > 0, values.shape)
+    else:
+        values, seen = _mapped(evidence)
+    most = max(float(np.abs(values[seen]).max(initial=0.0)), MOST)
+    picture = _coloured((values / most + 1) / 2, SIGNED)
+    picture[~seen] = UNSEEN
+    return _html(_ruled(picture), repr(evidence))
+
+
+def undrawn(log_density: np.ndarray, weights: np.ndarray, border: float, area: float) -> str:
+    """Why a region of this `area` (steradians) is not drawn; empty if it is.
+
+    `log_density` on cells of solid angles `weights`; `border`: the level at the border.
+    """
+    if area > HALF:
+        return "over half of the sphere"
+    near = np.abs(log_density - border) < NEAR
+    return "its border runs where all is alike" if float(weights[near].sum()) > ALIKE else ""
+
+
+def _mapped(evidence: Evidence) -> tuple[np.ndarray, np.ndarray]:
+    """The log ratios of a response map on `GRID`, and where it was looked at."""
+    from eagor._arrays import to_numpy
+
+    map_ = np.asarray(to_numpy(evidence.log_ratio), dtype=float)
+    map_ = map_.reshape(-1, *map_.shape[-2:])[0]
+    x, y, seen = evidence.grid.project(GRID.directions)
+    height, width = map_.shape
+    column = np.where(seen, x, 0.0).astype(int) % width
+    row = np.clip(np.where(seen, y, 0.0).astype(int), 0, height - 1)
+    if evidence.coverage is not None:
+        seen = seen & (evidence.coverage[row, column] > 0)
+    return np.where(seen, map_[row, column], 0.0), seen
+
+
+def _density(log_density: np.ndarray, border: float, area: float) -> np.ndarray:
+    times = 4 * math.pi * np.exp(log_density)
+    most = float(times.max())
+    if most - float(times.min()) < 1e-6:
+        return _blank()
+    picture = _ruled(_coloured((1 - 1 / most) * np.sqrt(np.clip((times - 1) / (most - 1), 0, 1)), HEAT))
+    if not undrawn(log_density, GRID.weights, border, area):
+        inside = log_density >= border
+        inner = inside & np.roll(inside, 1, 1) & np.roll(inside, -1, 1)
+        inner[1:] &= inside[:-1]
+        inner[:-1] &= inside[1:]
+        picture[inside & ~inner] = BORDER
+    return picture
+
+
+def _blank() -> np.ndarray:
+    return _ruled(_coloured(np.zeros(GRID.shape), HEAT))
+
+
+def _coloured(share: np.ndarray, colours: np.ndarray) -> np.ndarray:
+    """Values in [0, 1] ``(H, W)`` as colours ``(H, W, 3)``."""
+    at = np.clip(share, 0, 1) * (len(colours) - 1)
+    return np.stack([np.interp(at, np.arange(len(colours)), channel) for channel in colours.T], axis=-1)
+
+
+def _ruled(picture: np.ndarray) -> np.ndarray:
+    """With lines at the horizon, to both sides and ahead."""
+    height, width = picture.shape[:2]
+    picture[height // 2] = 0.7 * picture[height // 2] + 0.3 * np.array(LINES)
+    for column in (width // 4, width // 2, 3 * width // 4):
+        picture[:, column] = 0.7 * picture[:, column] + 0.3 * np.array(LINES)
+    return picture
+
+
+def _ring(picture: np.ndarray, direction: np.ndarray, outer: float, inner: float, colour: Any) -> None:
+    """Cells whose distance (cells) from a direction lies between two radii."""
+    x, y, _ = GRID.project(direction)
+    rows, columns = np.arange(GRID.height)[:, None] + 0.5, np.arange(GRID.width) + 0.5
+    across = (columns - float(x) + GRID.width / 2) % GRID.width - GRID.width / 2
+    distance = np.hypot(across, rows - float(y))
+    picture[(distance <= outer) & (distance >= inner)] = colour
+
+
+def _html(picture: np.ndarray, text: str) -> str:
+    from PIL import Image
+
+    image = Image.fromarray(np.rint(picture).astype(np.uint8)).quantize(64, dither=Image.Dither.NONE)
+    buffer = io.BytesIO()
+    image.save(buffer, format="PNG", optimize=True)
+    data, told = base64.b64encode(buffer.getvalue()).decode("ascii"), html.escape(text)
+    return (
+        f'<figure style="margin:0"><img src="data:image/png;base64,{data}" alt="{told}" '
+        f'style="width:{2 * GRID.width}px;max-width:100%;image-rendering:pixelated">'
+        f'<figcaption style="font-size:0.85em">{told}</figcaption></figure>'
+    )
