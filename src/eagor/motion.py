@@ -160,15 +160,12 @@ class Cases:
             return self if standing is self.standing else replace(self, standing=standing)
         if drift > 0:
             standing = _drifted(standing, drift, elapsed)
-        born, died, begun, stopped, jumped = (
-            -math.expm1(-rate * elapsed) for rate in (motion.birth, motion.death, motion.start, motion.stop, motion.jump)
-        )
+        born, died = _switched(motion.birth, motion.death, elapsed), _switched(motion.death, motion.birth, elapsed)
+        begun, stopped = _switched(motion.start, motion.stop, elapsed), _switched(motion.stop, motion.start, elapsed)
         absent, stood, roamed = float(self.weights[0]), float(self.weights[1]), self.weights[2:]
         count = len(roamed)
         if count == 0:
             begun = 0.0
-        else:
-            stopped = stopped if motion.stop else 0.0
         moving = motion.moving
         # What flows into each case, and with which density.
         new_stand, from_roam = absent * born * (1 - moving), roamed * ((1 - died) * stopped)
@@ -182,8 +179,6 @@ class Cases:
             standing = self._restarted(standing, new_stand, from_roam)
         if count:
             self._roam(wanderers, weights, elapsed, motion, drift, absent * born * moving / count, stood * (1 - died) * begun / count)
-            if jumped or stopped or died:
-                weights[2:] += 0.0
         weights /= weights.sum()
         return Cases(weights, standing, wanderers, self.bias, self.sharpening)
 
@@ -192,7 +187,8 @@ class Cases:
         newborn: float, started: float,
     ) -> None:  # fmt: skip
         """Write the wanderers' densities and weights after `elapsed` seconds."""
-        died, stopped, jumped = (-math.expm1(-rate * elapsed) for rate in (motion.death, motion.stop, motion.jump))
+        died, stopped = _switched(motion.death, motion.birth, elapsed), _switched(motion.stop, motion.start, elapsed)
+        jumped = -math.expm1(-motion.jump * elapsed)
         grid = self.grid
         basis = RealHarmonics(grid.height // 2 - 1)  # a density is narrower than its logarithm: all that the grid holds
         stands = None
@@ -276,6 +272,12 @@ class Cases:
                 found = look.world.scaled(scale).densities(directions)
                 expected[index] = float((mass * share) @ found.sum(axis=-1)) * look.world.area
         return look.rates.noted(len(look.world)).learnt(self.presence, covered, expected)
+
+
+def _switched(rate: float, back: float, elapsed: float) -> float:
+    """The probability of being on the other side after `elapsed` seconds, of two that change at these rates."""
+    both = rate + back
+    return 0.0 if both == 0 else -math.expm1(-both * elapsed) * rate / both
 
 
 def _with_bias(field: SphereField, bias: float) -> SphereField:
