@@ -100,7 +100,7 @@ DETECTIONS: dict[str, Reading] = {
     "detections pd=0.5 clutter=0.5": detections(detector=DetectorModel(0.5, 0.5)),
     "detections pd=0.5 clutter=0.5 repeats=0.75": detections(detector=DetectorModel(0.5, 0.5, repeats=0.75)),
     "detections as a map": detections(calibration=Calibration()),
-    "detections as a map, Calibration.detector()": detections(calibration=Calibration.detector()),
+    "detections as a map temperature=6 persistence=0.5": detections(calibration=Calibration(0.4, 0.05, 6.0, 0.5)),
 }
 READINGS: dict[str, Reading] = {
     **DETECTIONS,

@@ -67,15 +67,6 @@ class Calibration:
         xp = namespace(response)
         return self.temperature * xp.log((response + self.floor) / (self.neutral + self.floor))
 
-    @classmethod
-    def detector(cls) -> Calibration:
-        """What to begin with for a detector that is followed over time, and that nobody has calibrated.
-
-        Its mistakes stay: it goes on taking the same thing for another. So one look counts for more than by default,
-        and of those that repeat it half does (docs/estimator.md has the comparison).
-        """
-        return cls(temperature=6.0, persistence=0.5)
-
     @property
     def empty(self) -> float:
         """r where we looked and saw nothing: the lowest value there is."""

@@ -34,7 +34,7 @@ from eagor.ranged import RangedBelief
 from eagor.reading import Reading
 from eagor.standing import Standing
 
-_UNHEARD = 1e-7  # of the belief: a cell that holds less tells nothing of the detector
+_UNHEARD = 1e-5  # of the belief: a cell that holds less tells nothing of the detector
 _FAINTEST = 1e-12  # of a mean density: what lies lower is the ringing of a cut series
 
 
@@ -51,8 +51,8 @@ class MotionModel:
     """
 
     wander: tuple[float, ...] = (math.radians(2.5), math.radians(10))
-    start: float = 0.005
-    stop: float = 0.01
+    start: float = 0.01
+    stop: float = 0.02
     jump: float = 0.03
     birth: float = 0.0005
     death: float = 0.0005
@@ -134,12 +134,12 @@ class Cases:
             return replace(
                 stands,
                 values=stands.values + level,
-                patches=tuple(replace(patch, values=patch.values + level) for patch in stands.patches),
+                patches=tuple(patch.like(patch.values + level) for patch in stands.patches),
             )
         roams = np.log(np.maximum(np.tensordot(shares[1:], self.wanderers, axes=1), 1e-300))
         elsewhere = SphereField(self.grid, roams)
         patches = tuple(
-            replace(patch, values=np.logaddexp(patch.values + level, elsewhere(patch.directions)))
+            patch.like(np.logaddexp(patch.values + level, elsewhere.smooth(patch.directions, 1)))
             for patch in stands.patches
         )
         return SphereField(self.grid, np.logaddexp(stands.values + level, roams), patches)
@@ -234,7 +234,9 @@ class Cases:
         learnt = rates
         if sight.detections is not None:
             learnt = self._learnt(sight, look)
-        standing = standing.opened(look).plus(look).focused()
+        # Where the body has moved, its windows were drawn for this place just now.
+        fresh = since is not None and bool(since.any())
+        standing = standing.opened(look).plus(look).focused(fresh)
         gains = np.zeros(len(self.weights))
         gains[1] = standing.log_mean - before
         wanderers = self.wanderers
@@ -253,8 +255,10 @@ class Cases:
     def _learnt(self, sight: Sight, look: Look) -> Rates:
         """What the look tells of the detector."""
         assert look.rates is not None and look.world is not None
-        values, weights, directions = self.field.nodes()
-        mass = np.exp(np.minimum(values - self.field.log_mean(), 700.0)) * weights / (4 * math.pi)
+        if not len(look.world) and look.rates.weights.size == 1:
+            return look.rates
+        values, weights, directions = self.field.nodes
+        mass = np.exp(np.minimum(values - self.field.log_mean, 700.0)) * weights / (4 * math.pi)
         counts = mass > _UNHEARD
         mass, directions = mass[counts], directions[counts]
         mass = mass / mass.sum()
@@ -284,8 +288,8 @@ def _with_bias(field: SphereField, bias: float) -> SphereField:
         directions = wide.directions
         outside = ~patch.places(directions)[1]
         around = np.full(wide.values.shape, -np.inf)
-        around[outside] = SphereField(field.grid, field.values)(directions[outside])
-        patches.append(replace(wide, values=np.logaddexp(wide.values, around)))
+        around[outside] = SphereField(field.grid, field.values).smooth(directions[outside], 1)
+        patches.append(wide.like(np.logaddexp(wide.values, around)))
     return replace(field, patches=tuple(patches))
 
 

@@ -43,8 +43,8 @@ def estimate_html(estimate: Estimate) -> str:
 
 
 def belief_html(belief: Reading) -> str:
-    """A belief (one, no batch): its density, and the border of its 90 % region."""
-    if belief.batch_shape:
+    """A belief: its density, and the border of its 90 % region; only the text of a batch, and of what is not finite."""
+    if belief.batch_shape or not np.isfinite(belief.posterior.coarse).all():
         return f"<pre>{html.escape(repr(belief))}</pre>"
     region = belief.credible_region(0.9)
     picture = _density(np.asarray(belief.log_density(GRID.directions)), region.threshold, region.area)

@@ -16,15 +16,17 @@ from contract_server import FAULTS, ContractServer, Reply, Request, reddish, wai
 from served_model import IMAGE_TOKENS, served, write_model
 
 from eagor.calibration import Calibration
+from eagor.detector import DetectorModel
 from eagor.errors import AnswerError, EagorError, ImageError, QueryError, ServerError
 from eagor.evidence import Evidence
-from eagor.grids import ErpGrid
+from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.perception import check_perception, load
 from eagor.perception.endpoint import EndpointPerception, from_text
 from eagor.perception.endpoint.chat import ServedChat, chat_from_text
 from eagor.perception.endpoint.faults import retry_after
 from eagor.perception.vlm.talk import IMAGE, Message
-from eagor.sphere import angular_distance, direction
+from eagor.sphere import angular_distance, direction, world_R_body
+from eagor.worlds.panorama import view
 
 openai = pytest.importorskip("openai")
 
@@ -153,6 +155,44 @@ def test_boxes_point_where_the_thing_is(server, family, azimuth):
     assert error_deg(evidence, azimuth, 15) < 1.5
     assert np.asarray(evidence.response).max() > 0.8
     assert evidence.stamp == 2.5
+
+
+@pytest.mark.parametrize("azimuth", [-180, -91, -90, 0, 90, 177])
+@pytest.mark.parametrize("options", [{}, {"extractor": "views", "per_view": "boxes"}], ids=["looks", "views"])
+def test_boxes_are_detections_and_a_thing_in_several_pictures_is_one(server, azimuth, options):
+    perception = asking(server, **{"extractor": "boxes", "pixels": 392 * 784} | options)
+    evidence = perception(ball(azimuth, 15, 8), "red ball", stamp=2.5)
+    found = evidence.detections
+    assert len(found) == 1
+    assert found.model == DetectorModel()
+    truth = direction(math.radians(azimuth), math.radians(15))
+    assert math.degrees(float(angular_distance(found.directions[0], truth))) < 1
+    assert found.views == ()
+    assert evidence.source["pictures"] > 1
+    told = asking(server, extractor="boxes", detector=DetectorModel(0.8))(ball(azimuth, 15), "red ball")
+    assert told.detections.model.detection_probability == 0.8
+    mapped = asking(server, extractor="boxes", calibration=Calibration())(ball(azimuth, 15), "red ball")
+    assert mapped.detections is None
+    assert len(perception(np.full((64, 128, 3), 150, np.uint8), "red ball").detections) == 0
+
+
+def test_boxes_of_views_that_stop_short_of_the_poles_say_nothing_there(server):
+    options = {"per_view": "boxes", "pixels": 112 * 112, "hfov_deg": 80, "reach_deg": 25}
+    found = asking(server, extractor="views", **options)(ball(0, 0, 8), "red ball")
+    assert len(found.detections) == 1
+    poles = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    assert (np.asarray(found.detections.share(poles)) == 0).all()
+    assert (np.asarray(found.detections.share(direction(np.arange(6.0), np.zeros(6)))) > 0.9).all()
+
+
+def test_a_box_in_an_ordinary_picture_is_a_detection_in_that_view(server):
+    grid = PerspectiveGrid(180, 320, math.radians(100), world_R_body(0.5, -0.2))
+    picture = view(ball(40, 20, 6), grid)
+    found = asking(server, extractor="boxes").view(picture, grid, "red ball", stamp=1.0).detections
+    assert len(found) == 1
+    truth = direction(math.radians(40), math.radians(20))
+    assert math.degrees(float(angular_distance(found.directions[0], truth))) < 1.5
+    assert float(found.share(np.array([[-1.0, 0.0, 0.0]]))[0]) == 0
 
 
 @pytest.mark.parametrize("elevation", [-80, -20, 40])
@@ -421,8 +461,11 @@ def test_a_body_that_is_no_completion(server, body, says, monkeypatch):
 
 def test_a_box_of_the_whole_panorama_is_no_error(server):
     server.answer = lambda request: '[{"bbox_2d": [0, 0, 392, 196]}]'
-    response = np.asarray(asking(server)(ball(0, 0), "red ball").response)
+    evidence = asking(server)(ball(0, 0), "red ball")
+    response = np.asarray(evidence.response)
     assert response.min() == response.max() > 0.9
+    assert len(evidence.detections) == 1, "both looks say the same"
+    assert np.ptp(evidence.log_ratio) < 1e-6
 
 
 def test_no_server_at_all():
@@ -582,6 +625,7 @@ def test_names_of_all_kinds(text, model, servers):
         ("m@http://a?pixels=many", {}, "pixels=many.*wanted a int"),
         ("m@http://a?seam=perhaps", {}, "seam=perhaps.*bool"),
         ("m@http://a?servers=b", {}, "servers cannot be set"),
+        ("m@http://a?detector=pd", {}, "detector cannot be set"),
         ("m@http://a?pixels=1&pixels=1", {}, "pixels comes twice"),
         ("m@http://a?extractor=attention", {}, "extractor is 'attention'; wanted nothing, boxes, views"),
         ("m@http://a?frame=metres", {}, "frame is 'metres'"),

@@ -15,6 +15,12 @@ def test_every_public_name_is_there_and_says_what_it_is(name):
     assert isinstance(value, str) or (value.__doc__ or "").strip()
 
 
+def test_the_model_of_a_detector_and_of_motion_are_public():
+    assert {"DetectorModel", "MotionModel"} <= set(eagor.__all__)
+    assert not hasattr(eagor.Calibration, "detector")
+    assert not hasattr(eagor.DirectionTracker, "belief")
+
+
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="Beleif"):
         _ = eagor.Beleif

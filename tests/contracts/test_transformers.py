@@ -22,12 +22,14 @@ from eagor.errors import AnswerError, EagorError, ImageError, QueryError
 from eagor.grids import PatchGrid
 from eagor.perception import check_perception, load, parse_options
 from eagor.perception.transformers import TransformersPerception, family_of, inputs, prefix
+from eagor.perception.transformers.account import Account
 from eagor.perception.transformers.attention import densities, relative, saturated
 from eagor.perception.transformers.capture import Capture, capturing, full_layers
 from eagor.perception.transformers.chat import conversation
 from eagor.perception.transformers.heads import Heads, elbow, fit_heads, read_heads, spatial_entropy
 from eagor.perception.transformers.layout import Block, Layout
 from eagor.perception.transformers.prefix import Decoded, Running
+from eagor.perception.vlm.boxes import Box
 from eagor.perception.vlm.families import FAMILIES
 from eagor.perception.vlm.labelled import Labelled
 from eagor.perception.vlm.sizes import resized
@@ -604,6 +606,9 @@ def test_boxes_lead_to_their_directions(random_models, monkeypatch, family, extr
     perception = perception_of(language, extractor, per_view="boxes")
     for azimuth, elevation in [(1.0, 0.1), (-2.0, -0.3)]:
         evidence = perception(vlm_models.marked(azimuth, elevation, 0.2, seed=96), "red thing")
+        assert (evidence.detections is None) == (extractor == "both")
+        if evidence.detections is not None:
+            assert len(evidence.detections) == 1
         response = np.asarray(evidence.response)
         peak = evidence.grid.directions[np.unravel_index(response.argmax(), response.shape)]
         assert math.degrees(float(angular_distance(peak, direction(azimuth, elevation)))) < 7
@@ -825,6 +830,30 @@ def test_planted_detections_come_back_at_their_directions(localisers, monkeypatc
         wanted = direction(math.pi - 2 * math.pi * x, math.pi / 2 - math.pi * y)
         assert math.degrees(float(angular_distance(mean, wanted))) < 3
         assert response.max() > 0.9
+
+
+@pytest.mark.parametrize("family", [one for one in LOCALISERS if one != "clipseg"])
+def test_boxes_of_localisers_are_detections_and_both_looks_are_one(localisers, monkeypatch, family):
+    perception = localisers(family, "boxes")
+    width = perception.looker.size(2.0)[1]
+    forward = perception.looker.look  # the map is not asked for
+    monkeypatch.setattr(perception.looker, "look", lambda *_: pytest.fail("drew a map"))
+    with monkeypatch.context() as patch:
+        boxes = [
+            [[Box(0.30, 0.4, 0.38, 0.5, "", 0.8), Box(0.7, 0.5, 0.71, 0.55, "", 0.5)]],
+            [[Box(0.80, 0.4, 0.88, 0.5, "", 0.6)]],
+        ]
+        patch.setattr(perception.looker, "boxes", lambda images, queries: (boxes, Account(images=len(images))))
+        evidence = perception(noise(96), "red chair", stamp=4.0)
+    found = evidence.detections
+    assert evidence.stamp == 4.0
+    assert len(found) == 2
+    # The first is nearer to the middle in the rolled picture's own frame or in the straight one: one of both is kept.
+    wanted = direction(math.pi - 2 * math.pi * 0.34, math.pi / 2 - math.pi * 0.45)
+    assert np.degrees(angular_distance(found.directions, wanted)).min() < 360 / width + 1
+    monkeypatch.setattr(perception.looker, "look", forward)
+    monkeypatch.setattr(perception, "calibration", Calibration())
+    assert perception(noise(96), "red chair").detections is None
 
 
 def test_scores_below_the_threshold_are_dropped(localisers, monkeypatch):

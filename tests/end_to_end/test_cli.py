@@ -218,7 +218,7 @@ def test_locate_as_json(room):
     found = answer("locate", room, "the red ball")
     assert set(found) == {
         "query", "perception", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "within_15_deg",
-        "status", "modes",
+        "status", "held", "modes",
     }  # fmt: skip
     assert error_deg(found, RED_BALL) < 3
     assert found["azimuth_deg"] < -10  # it is to the right
@@ -226,6 +226,99 @@ def test_locate_as_json(room):
     assert 0 < found["credible_angle_deg"] <= 180
     assert set(found["modes"][0]) == {"azimuth_deg", "elevation_deg", "weight"}
     assert error_deg(answer("locate", room, "blue")["modes"][0], bearing(Room().balls[1], EYE, np.eye(3))[0]) < 3
+
+
+def test_the_answer_is_the_first_of_its_candidates_and_their_weights_are_probabilities(room, tmp_path):
+    path = tmp_path / "looks.jsonl"
+    with path.open("w") as file:
+        points = [{"azimuth_deg": azimuth, "elevation_deg": -10, "score": 0.9} for azimuth in (-150, 20, 100)]
+        write_record(file, 1.0, query="chair", points=points)
+    found = answer("locate", room, "chair", "--perception", f"replay:{path}", "--modes", "5")
+    first = found["modes"][0]
+    assert not found["held"]
+    assert (first["azimuth_deg"], first["elevation_deg"]) == (found["azimuth_deg"], found["elevation_deg"])
+    weights = [mode["weight"] for mode in found["modes"]]
+    assert weights == sorted(weights, reverse=True)
+    assert sum(weights) <= 1 + 1e-5
+    words = eagor("locate", room, "chair", "--perception", f"replay:{path}", "--modes", "2").stdout
+    shares = [int(share) for share in re.findall(r"(\d+) %  ", words.partition("candidates")[2])]
+    assert len(shares) == 3
+    assert sum(shares) == pytest.approx(100, abs=2)
+    assert "elsewhere" in words
+
+
+def test_what_is_not_known_is_null_in_json_and_said_in_words(tmp_path):
+    path, picture = tmp_path / "grey.png", tmp_path / "where.png"
+    Image.fromarray(np.full((96, 192, 3), 128, dtype=np.uint8)).save(path)
+    found = answer("locate", path, "the red ball")
+    for key in ("azimuth_deg", "elevation_deg", "credible_angle_deg", "within_15_deg"):
+        assert found[key] is None
+    assert found["modes"] == []
+    assert 0 < found["presence"] < 0.5
+    assert found["status"] == "searching"
+    words = eagor("locate", path, "the red ball", "--picture", picture).stdout
+    assert "direction       not known" in words
+    assert "candidates" not in words
+    assert picture_width(picture) == 1200
+
+
+def test_a_detector_is_described_in_one_line(room, tmp_path):
+    path = tmp_path / "looks.jsonl"
+    with path.open("w") as file:
+        write_record(file, 1.0, query="chair", points=[{"azimuth_deg": 40, "elevation_deg": 10, "score": 1.0}])
+    words = ("locate", room, "chair", "--perception", f"replay:{path}")
+    good = answer(*words, "--detector", "pd=0.7,clutter=0.2,spread=5")
+    assert good["presence"] == pytest.approx(0.79, abs=0.01)  # METHOD: whatever the spread
+    assert answer(*words, "--detector", "pd=0.7,clutter=0.2")["presence"] == pytest.approx(0.79, abs=0.01)
+    poor = answer(*words, "--detector", "pd=0.3,clutter=3,spread=5")
+    assert poor["presence"] < 0.5
+    assert poor["credible_angle_deg"] > good["credible_angle_deg"]
+    assert answer(*words, "--detector", "pd=?,spread=5") == answer(*words)
+    for text, says in (
+        ("pd=0.7,kappa=3", "'kappa=3'"),
+        ("pd=7", "a probability above 0 and below 1"),
+        ("spread=0.2 rad", "is no number"),
+        ("pd=0.5,pd=0.6", "once"),
+    ):
+        line = refused(*words, "--detector", text)
+        assert line.startswith(f"eagor: error: --detector {text}")
+        assert says in line
+    poses = tmp_path / "poses.csv"
+    poses.write_text("stamp,yaw_deg,pitch_deg,roll_deg\n0,0,0,0\n")
+    assert "--detector pd:" in refused("track", room, "chair", "--poses", poses, "--detector", "pd")
+
+
+def test_a_detector_of_a_perception_that_detects_nothing_has_no_effect_and_says_so(room, tmp_path):
+    path = tmp_path / "looks.jsonl"
+    with path.open("w") as file:
+        write_record(file, 1.0, query="chair", response=np.eye(18, 36))
+    done = eagor("locate", room, "chair", "--perception", f"replay:{path}", "--detector", "pd=0.5")
+    assert done.returncode == 0
+    assert "response maps" in done.stderr
+    assert eagor("locate", room, "red", "--detector", "pd=0.5").stderr == ""
+
+
+def test_views_of_one_moment_are_one_look_whatever_their_order(room, tmp_path):
+    views = [{"projection": "perspective", "width": 64, "height": 64, "hfov_deg": 90, "yaw_left_deg": yaw}
+             for yaw in (0, 90, 180, 270)]  # fmt: skip
+    found = []
+    for name, order in (("forth", (0, 1, 2, 3)), ("back", (3, 1, 2, 0))):
+        path = tmp_path / f"{name}.jsonl"
+        with path.open("w") as file:
+            for place, index in enumerate(order):  # clocks are not exact
+                boxes = [{"box": [30, 30, 36, 36], "score": 0.8}] if index in (1, 2) else []
+                write_record(file, 5.0 + 1e-9 * place, query="chair", image=views[index], boxes=boxes)
+        found.append(answer("locate", room, "chair", "--perception", f"replay:{path}"))
+    for entry in found:
+        entry.pop("perception")
+    assert found[0]["presence"] == pytest.approx(found[1]["presence"], abs=1e-6)
+    places = direction(np.array([math.pi / 2, math.pi]), np.zeros(2))
+    for entry in found:  # the others are where nobody looked: above and below
+        two = entry["modes"][:2]
+        assert sorted(min(range(2), key=lambda k: error_deg(mode, places[k])) for mode in two) == [0, 1]
+        assert max(min(error_deg(mode, place) for place in places) for mode in two) < 3
+    weights = [[mode["weight"] for mode in entry["modes"]] for entry in found]
+    assert weights[0] == pytest.approx(weights[1], abs=1e-4)
 
 
 def test_locate_in_words_and_with_a_picture(room, tmp_path):
@@ -377,6 +470,39 @@ def test_track_prints_one_line_per_frame(series, tmp_path):
     assert len(list(pictures.iterdir())) == 2
     head = eagor(*words[:6], "--compare").stdout.splitlines()[0]
     assert {"grid_filter", "particle_filter"} <= set(head.split())
+
+
+def test_track_says_what_is_not_known_and_what_is_held(three, tmp_path):
+    images, write = three
+    looks, out = tmp_path / "looks.jsonl", tmp_path / "out.csv"
+    with looks.open("w") as file:
+        write_record(file, 0.0, query="chair", points=[])
+        for stamp in (1.0, 2.0):
+            write_record(file, stamp, query="chair", points=[{"azimuth_deg": 40, "elevation_deg": 10}])
+    words = ("track", images, "chair", "--poses", write(GOOD), "--perception", f"replay:{looks}")
+    done = eagor(*words, "--compare", "--out", out)
+    assert re.match(r" +0\.000 +- +- +- +- +- +0  searching", done.stdout.splitlines()[1])
+    rows = list(csv.DictReader(io.StringIO(out.read_text())))
+    assert [row["azimuth_deg"] == "" for row in rows] == [True, False, False]
+    assert [row["held"] for row in rows] == ["False"] * 3
+    frames = answer(*words)["frames"]
+    assert frames[0]["azimuth_deg"] is None
+    assert frames[0]["credible_angle_deg"] is None
+    assert [frame["held"] for frame in frames] == [False] * 3
+    assert frames[-1]["status"] == "tracking"
+
+
+def test_odometry_that_drifts_makes_the_belief_wider(three, tmp_path):
+    images, write = three
+    looks = tmp_path / "looks.jsonl"
+    with looks.open("w") as file:
+        for stamp in (0.0, 1.0):
+            write_record(file, stamp, points=[{"azimuth_deg": 40, "elevation_deg": 10}])
+    words = ("track", images, "chair", "--poses", write(GOOD), "--perception", f"replay:{looks}")
+    still, drifting = (answer(*words, *more)["frames"][-1] for more in ((), ("--drift", "10")))
+    assert drifting["credible_angle_deg"] > still["credible_angle_deg"]
+    assert "--drift -1; wanted degrees from 0 to 90" in refused(*words, "--drift", "-1")
+    assert "--drift nan" in refused(*words, "--drift", "nan")
 
 
 def test_a_known_floor_changes_distances_and_has_to_be_below(three):
@@ -573,13 +699,19 @@ def test_a_calibration_is_fitted_written_and_taken(room, tmp_path):
     words = ("calibrate", "--perception", "truth", "--episodes", "8", "--trials", "2", "--out", out)
     found = answer(*words)
     assert {"floor", "neutral", "temperature", "persistence", "spread"} == set(found["calibration"])
-    assert {"keep_per_second", "wander", "restless", "surest", "settle"} == set(found["forgetting"])
+    assert {"start", "stop", "jump", "birth", "death"} == set(found["forgetting"])
     assert len(found["found_by"]["apartments"]) == 2
     assert json.loads(out.read_text())["calibration"] == found["calibration"]
     run = ("bench", "run", "tracking", "--perception", "truth", "--episodes", "1", "--seed", "1", "--methods", "eagor")
     assert answer(*run, "--calibration", out, "--out", tmp_path / "run")["episodes"] == 1
     assert json.loads((tmp_path / "run" / "run.json").read_text())["calibrated"]["forgetting"] == found["forgetting"]
-    assert answer("locate", room, "red ball", "--calibration", out)["modes"]
+    line = refused("locate", room, "red ball", "--calibration", out)
+    for text in (f"--calibration {out}", "'truth'", "'colour'", "--force"):
+        assert text in line
+    forced = eagor("locate", room, "red ball", "--calibration", out, "--force", "--json")
+    assert json.loads(forced.stdout)["modes"]
+    assert "was fitted for 'truth'" in forced.stderr
+    assert "--force" in refused("bench", "run", "tracking", "--perception", "scout", "--calibration", out)
     assert "results" in refused("calibrate", "--perception", "truth", "--seed", "2000")
     assert "by hand" in refused("calibrate", "--perception", "replay:detections.jsonl")
     assert "rendered" in refused("bench", "run", "tracking", "--perception", "replay:detections.jsonl")

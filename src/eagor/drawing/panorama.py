@@ -154,7 +154,9 @@ def _heat(axes: Axes, belief: Estimate | Reading) -> None:
     elevation = np.degrees(grid.latitudes)
     padded = np.concatenate([log_density[:, -more:], log_density, log_density[:, :more]], axis=1)
     for colour, width in (("black", 3.4), ("white", 1.6)):
-        axes.contour(azimuth, elevation, padded, levels=[border], colors=colour, linewidths=width, zorder=3)
+        axes.contour(
+            azimuth, elevation, padded, levels=[border], colors=colour, linewidths=width, linestyles="solid", zorder=3
+        )
     axes.plot([], [], color="white", linewidth=1.6, label=f"{100 * MASS:.0f} % region")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +17,9 @@ def blobs(response: np.ndarray, grid: Grid, level: float, least: float) -> list[
     """The connected parts of a map ``(H, W)`` that reach `level`: mean direction, covariance and mean response of each.
 
     Cells that touch at a corner are connected; a panorama goes on across its seam, and its first and last rows each
-    meet in a pole. Parts of less than `least` steradians, times the response, are left out. The covariance ``(2, 2)`` (radians^2) is that of
-    the part's solid angle about its mean direction; a part all around has none to speak of, and is as wide as can be.
+    meet in a pole. Parts of less than `least` steradians, times the response, are left out. The covariance ``(2, 2)``
+    (radians^2) is that of the part's solid angle about its mean direction; a part all around has none to speak of, and
+    is as wide as can be.
     """
     labels, count = _labelled(response >= level, isinstance(grid, ErpGrid | PatchGrid))
     where = np.flatnonzero(labels)
@@ -54,17 +56,18 @@ def _labelled(inside: np.ndarray, around: bool) -> tuple[np.ndarray, int]:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    found: Any = label(inside, structure=np.ones((3, 3), dtype=int))
-    labels, count = found
+    counted: Any = label(inside, structure=np.ones((3, 3), dtype=int))
+    labels, count = counted
     if not around or count < 2:
         return labels, count
     left, right = labels[:, 0], labels[:, -1]
     pairs = [(left, right), (left[1:], right[:-1]), (left[:-1], right[1:])]
     pairs += [(row[:-1], row[1:]) for row in (_present(labels[0]), _present(labels[-1]))]
-    one, other = (np.concatenate(side) for side in zip(*pairs, strict=True))
+    one, other = np.concatenate([pair[0] for pair in pairs]), np.concatenate([pair[1] for pair in pairs])
     touching = (one > 0) & (other > 0)
     graph = coo_array((np.ones(int(touching.sum())), (one[touching], other[touching])), shape=(count + 1, count + 1))
-    found, parts = connected_components(graph, directed=False)
+    parts = connected_components(graph, directed=False)[1]
+    found = int(parts.max()) + 1
     # The background is a part of its own, and has to stay 0.
     return np.where(labels > 0, ((parts - parts[0]) % found)[labels], 0), found - 1
 

@@ -17,7 +17,8 @@ from eagor.perception.blobs import spread_evidence
 from eagor.perception.vlm.boxes import Box
 from eagor.sphere import angular_distance
 
-SAME = math.radians(5)  # of two pictures: boxes of one thing lie no further apart than this, and than the thing is wide
+SAME = math.radians(5)  # boxes of one thing in two pictures lie no further apart than this, and than the thing reaches
+REACH = math.sqrt(3)  # half of a box over its standard deviation
 WHOLE = 0.95  # coverage from which on a direction counts as seen
 
 
@@ -43,7 +44,7 @@ class Thing:
         small, large = sorted((self.size, other.size))
         if large > 3 * small + SAME:
             return False
-        return float(angular_distance(self.direction, other.direction)) < math.hypot(SAME, large)
+        return float(angular_distance(self.direction, other.direction)) < math.hypot(SAME, REACH * large)
 
 
 def things(boxes: Sequence[Box], image: Grid, roll: float = 0.0) -> list[Thing]:

@@ -1,0 +1,110 @@
+"""Boxes of several pictures as one set of detections."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from eagor.detector import DetectorModel
+from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
+from eagor.perception.blobs import blobs
+from eagor.perception.vlm.boxes import Box
+from eagor.perception.vlm.found import detected, things, united
+from eagor.sphere import angular_distance, direction, world_R_body
+
+WHOLE = PatchGrid(18, 36)
+
+
+def box(azimuth, elevation, width=8, height=8, score=0.8):
+    """A box in a panorama; degrees."""
+    x, y = (180 - azimuth) / 360, (90 - elevation) / 180
+    return Box(x - width / 720, y - height / 360, x + width / 720, y + height / 360, "", score)
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.25, 0.5])
+def test_a_box_means_its_middle_whatever_the_roll(roll):
+    seen = box(30, -10)
+    rolled = Box((seen.x0 + roll) % 1, seen.y0, (seen.x0 + roll) % 1 + seen.x1 - seen.x0, seen.y1)
+    (thing,) = things([rolled], WHOLE, roll)
+    assert math.degrees(float(angular_distance(thing.direction, direction(*np.radians((30, -10)))))) < 0.2
+    assert thing.size == pytest.approx(math.radians(8 / math.sqrt(12)), rel=0.02)
+
+
+def test_a_thing_in_two_looks_counts_once_as_the_deeper_one_has_it():
+    straight = things([box(80, 0, score=0.5), box(-150, 20)], WHOLE)
+    rolled = things([Box(0.75 + 0.02, 0.48, 0.75 + 0.05, 0.52, "", 0.9)], WHOLE, 0.5)  # 81 degrees, off the middle
+    for pictures in itertools.permutations((straight, rolled)):
+        found = united(pictures)
+        assert len(found) == 2
+        assert sorted(thing.score for thing in found) == [0.5, 0.8]
+
+
+def test_two_things_in_one_picture_are_two():
+    assert len(united([things([box(10, 0), box(14, 0)], WHOLE)])) == 2
+    assert len(united([things([box(10, 0), box(40, 0)], WHOLE), things([box(12, 0)], WHOLE)])) == 2
+
+
+def test_a_thing_that_the_seam_cuts_is_one():
+    halves = things([Box(0.0, 0.4, 0.06, 0.5), Box(0.94, 0.4, 1.0, 0.5)], WHOLE)
+    middle = things([Box(0.44, 0.4, 0.56, 0.5)], WHOLE, 0.5)
+    (thing,) = united([halves, middle])
+    assert thing.direction[0] < -0.9
+    assert abs(thing.direction[1]) < 0.01
+
+
+def test_a_box_all_around_names_no_direction_and_hides_no_thing():
+    around = things([Box(0.0, 0.0, 1.0, 1.0, "", 0.7)], WHOLE)
+    evidence = detected(around, None, WHOLE, 1.0)
+    assert np.ptp(evidence.log_ratio) < 1e-6
+    assert len(united([around, things([box(3, 0)], WHOLE)])) == 2
+    assert len(united([around, around])) == 1
+
+
+def test_evidence_of_things_keeps_what_is_told():
+    view = PerspectiveGrid(60, 80, 1.2, world_R_body(0.4))
+    evidence = detected(things([Box(0.4, 0.4, 0.6, 0.6)], view), DetectorModel(0.9), view, 3.0, source={"model": "m"})
+    assert evidence.source == {"model": "m"}
+    assert evidence.stamp == 3.0
+    assert evidence.detections.model.detection_probability == 0.9
+    assert evidence.detections.directions[0] @ direction(0.4, 0.0) > math.cos(1e-3)
+    assert not evidence.detections.share(np.array([[-1.0, 0.0, 0.0]]))[0]
+
+
+# --- blobs -----------------------------------------------------------------------------------------------------------
+
+
+def test_parts_go_on_across_the_seam_and_over_the_poles():
+    grid = ErpGrid(36, 72)
+    response = np.zeros(grid.shape)
+    response[17:19, [0, 1, 70, 71]] = 1.0  # across the seam
+    response[0, :] = 1.0  # around a pole
+    response[35, [3, 30]] = 1.0  # two cells that meet in the other
+    response[10, 20], response[11, 21] = 0.6, 0.6  # at a corner
+    found = blobs(response, grid, 0.5, 0.0)
+    assert len(found) == 4
+    middles = np.array([centre for centre, _, _ in found])
+    assert (middles[:, 0] < -0.99).any()
+    assert (middles[:, 2] > 0.999).any()
+    assert (middles[:, 2] < -0.99).any()
+    assert sorted(round(score, 3) for _, _, score in found) == [0.6, 1.0, 1.0, 1.0]
+
+
+def test_a_view_does_not_go_on_across_its_border():
+    grid = PerspectiveGrid(20, 30, 1.0)
+    response = np.zeros(grid.shape)
+    response[5, [0, 29]] = 1.0
+    assert len(blobs(response, grid, 0.5, 0.0)) == 2
+    assert blobs(np.zeros(grid.shape), grid, 0.5, 0.0) == []
+    assert blobs(response, grid, 0.5, 1.0) == []
+
+
+def test_a_part_is_as_wide_as_it_is():
+    grid = ErpGrid(180, 360)
+    disc = (grid.directions @ direction(1.0, 0.5) > math.cos(math.radians(20))).astype(float)
+    ((centre, spread, score),) = blobs(disc, grid, 0.5, 0.0)
+    assert centre @ direction(1.0, 0.5) > math.cos(math.radians(0.3))
+    assert np.degrees(np.sqrt(np.diag(spread))) == pytest.approx([10, 10], rel=0.03)
+    assert score == 1.0
+    ((_, spread, _),) = blobs(np.ones(grid.shape), grid, 0.5, 0.0)
+    assert spread[0, 0] > 1e6

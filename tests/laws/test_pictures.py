@@ -1,0 +1,212 @@
+"""Pictures and texts of what is believed show that, and nothing else."""
+
+import base64
+import io
+import math
+import re
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+import eagor
+from eagor.drawing import draw_belief, draw_strip, panorama
+from eagor.estimate import TrackerConfig
+from eagor.evidence import Evidence
+from eagor.grids import PatchGrid, PerspectiveGrid
+from eagor.sphere import angular_distance, direction, world_R_body
+from eagor.tracker import DirectionTracker
+
+PANORAMA = np.full((32, 64, 3), 90, dtype=np.uint8)
+AHEAD = ((40, 10),)
+
+
+def followed(*looks, model=None, pose=None):
+    """The estimate after looks, each a list of places (azimuth, elevation in degrees, world axes)."""
+    tracker = DirectionTracker()
+    turned = np.eye(3) if pose is None else pose
+    tracker.rotate(0.0, turned)
+    for step, places in enumerate(looks):
+        points = np.reshape([direction(*np.radians(place)) @ turned for place in places], (-1, 3))
+        tracker.observe(Evidence.from_points(points, detector=model, stamp=0.5 * step))
+    return tracker.estimate(0.5 * max(len(looks) - 1, 0))
+
+
+def painted(belief, **how):
+    """The axes on which a belief is painted."""
+    axes = Figure(figsize=(12, 6)).add_axes((0, 0, 1, 1))
+    panorama.paint_belief(axes, PANORAMA, belief, **how)
+    return axes
+
+
+def heat(axes):
+    """The strength of the heat ``(H, W)``; None where none is drawn."""
+    images = axes.get_images()
+    return None if len(images) < 2 else np.asarray(images[1].get_array())[..., 3]
+
+
+def labels(axes):
+    return axes.get_legend_handles_labels()[1]
+
+
+@pytest.mark.parametrize("pose", [np.eye(3), world_R_body(2.0, 0.3, -0.4)], ids=["upright", "turned"])
+def test_the_heat_is_strongest_where_the_answer_is(pose):
+    estimate = followed(AHEAD, AHEAD, AHEAD, ((-100, -30),), AHEAD, pose=pose)
+    axes = painted(estimate)
+    strength = heat(axes)
+    hottest = PatchGrid(*strength.shape).directions[strength == strength.max()]
+    assert np.degrees(angular_distance(hottest, estimate.direction)).max() < 5
+    assert np.degrees(angular_distance(hottest, estimate.direction)).min() < 0.5
+    assert {"estimate", "90 % region", "candidate directions"} <= set(labels(axes))
+
+
+def test_the_border_is_that_of_the_region_of_the_estimate():
+    estimate = followed(*[AHEAD] * 4)
+    border, area = estimate.region(0.9)
+    contours = [found for found in painted(estimate).collections if hasattr(found, "levels")]
+    assert [list(found.levels) for found in contours] == [[border], [border]]
+    points = np.concatenate([path.vertices for path in contours[0].get_paths()])
+    places = direction(np.radians(points[:, 0]), np.radians(points[:, 1]))
+    assert np.abs(estimate.log_density(places) - border).max() < 0.3
+    cells = PatchGrid(360, 720)
+    assert float(cells.weights[estimate.log_density(cells.directions) >= border].sum()) == pytest.approx(area, rel=0.1)
+
+
+def test_a_region_over_half_of_the_sphere_is_not_drawn_and_the_legend_says_so():
+    estimate = followed(AHEAD, model=eagor.DetectorModel(0.3, 5.0))
+    assert estimate.region(0.9)[1] > 2 * math.pi
+    axes = painted(estimate)
+    assert not [found for found in axes.collections if hasattr(found, "levels")]
+    assert "90 % region: over half of the sphere, not drawn" in labels(axes)
+    assert heat(axes) is not None
+
+
+def test_a_border_that_only_ripples_decide_is_not_drawn():
+    """One look: 85 % lie about it, and the rest of the 90 % are anywhere, where all directions are alike."""
+    estimate = followed(AHEAD, model=eagor.DetectorModel(0.7, 0.35))
+    assert estimate.region(0.9)[1] < 2 * math.pi
+    axes = painted(estimate)
+    assert not [found for found in axes.collections if hasattr(found, "levels")]
+    assert "90 % region: its border runs where all is alike, not drawn" in labels(axes)
+
+
+@pytest.mark.parametrize("looks", [(), ((),)], ids=["no look", "an empty look"])
+def test_nothing_known_is_no_arrow_and_no_heat(looks):
+    estimate = followed(*looks)
+    assert estimate.direction is None
+    axes = painted(estimate)
+    assert heat(axes) is None
+    assert labels(axes) == ["direction not known"]
+    assert not axes.texts
+    assert draw_belief(PANORAMA, estimate, title="nothing").size == (1200, 714)
+
+
+def test_an_answer_that_is_held_is_called_so(monkeypatch):
+    estimate = followed(AHEAD, AHEAD)
+    assert "estimate" in labels(painted(estimate))
+    monkeypatch.setattr(type(estimate), "held", True)
+    assert "estimate (an older one, held)" in labels(painted(estimate))
+    assert repr(estimate).endswith(", held)")
+
+
+def test_others_truth_and_beliefs_are_drawn_too():
+    estimate, belief = followed(AHEAD, AHEAD), eagor.Belief.uniform(15)
+    ahead = np.array([1.0, 0.0, 0.0])
+    axes = painted(estimate, truth=ahead, others={"centroid": ahead, "silent": None}, modes=())
+    assert {"truth", "centroid"} <= set(labels(axes))
+    assert not {"silent", "candidate directions"} & set(labels(axes))
+    assert heat(painted(belief)) is None
+    sharp = belief.update(Evidence.from_points([[0.0, 1.0, 0.0]]))
+    assert heat(painted(sharp)) is not None
+    assert "estimate" not in labels(painted(sharp))
+    strip = draw_strip([{"panorama": PANORAMA, "belief": one, "title": "x"} for one in (estimate, sharp, belief)])
+    assert strip.size[0] == 1400
+
+
+# --- texts and thumbnails --------------------------------------------------------------------------------------------
+
+
+def things():
+    rng = np.random.default_rng(0)
+    look = Evidence.from_points([[0.0, 1.0, 0.0]], stamp=1.0)
+    view = PerspectiveGrid(60, 80, 1.5)
+    yield "belief", eagor.Belief.uniform(15)
+    yield "sharp", eagor.Belief.uniform(15).update(look)
+    yield "batch", eagor.Belief.uniform(15, (4, 2))
+    yield "ranged", eagor.RangedBelief.uniform(15, eagor.log_ranges()).update(look)
+    yield "detections", look
+    yield "map", Evidence.from_response(rng.random((180, 360)), PatchGrid(180, 360))
+    yield "maps", Evidence.from_response(rng.random((3, 18, 36)), PatchGrid(18, 36))
+    yield "view", Evidence.from_points([[1.0, 0.0, 0.0]], grid=view)
+    covered = np.ones((60, 80), dtype=bool)
+    covered[:20] = False
+    yield "part", Evidence.from_response(rng.random((60, 80)), view, coverage=covered)
+    yield "estimate", followed(AHEAD, AHEAD, ((-100, -30),))
+    yield "not known", followed()
+    yield "broken", eagor.Belief(np.full(16, np.nan))
+
+
+def plain():
+    rng = np.random.default_rng(0)
+    for made in (eagor.Centroid(), eagor.CircularCentroid(), eagor.GridFilter(), eagor.HistogramFilter(),
+                 eagor.ParticleFilter.uniform(2000, rng), eagor.Published(), eagor.VonMisesFisherFilter()):  # fmt: skip
+        yield type(made).__name__, made
+        yield f"{type(made).__name__} used", made.update(Evidence.from_points([[0.0, 1.0, 0.0]]))
+    yield "config", TrackerConfig()
+    yield "paper", TrackerConfig.paper()
+    yield "told", TrackerConfig(floor=0.0, detector=eagor.DetectorModel(0.7, 0.2), ranges=tuple(range(1, 31)))
+    yield "calibration", eagor.Calibration()
+    yield "detector", eagor.DetectorModel(clutter=np.ones((64, 128)))
+    yield "motion", eagor.MotionModel()
+    yield "tracker", DirectionTracker()
+    yield "mode", followed(AHEAD, AHEAD).modes[0]
+    yield "region", eagor.Belief.uniform(7).credible_region(0.9)
+    for grid in (eagor.ErpGrid(8, 16), PatchGrid(8, 16), PerspectiveGrid(8, 8, 1.0, world_R_body(0.3))):
+        yield type(grid).__name__, grid
+    yield "FisheyeGrid", eagor.FisheyeGrid(8, 1.0, world_R_body(0.3))
+    yield "harmonics", eagor.RealHarmonics(15)
+
+
+@pytest.mark.parametrize(("name", "made"), [*things(), *plain()], ids=lambda one: one if isinstance(one, str) else "")
+def test_texts_are_a_line_or_two(name, made):
+    text = repr(made)
+    assert text.startswith(type(made).__name__)
+    assert len(text) < 300
+    assert text.count("\n") < 2
+
+
+def test_texts_say_what_is_not_the_default():
+    assert repr(TrackerConfig()) == "TrackerConfig()"
+    assert repr(TrackerConfig(degree=31, floor=0.5)) == "TrackerConfig(degree=31, floor=0.5)"
+    assert "ranges=(1, 2, ..., 30)" in repr(TrackerConfig(ranges=tuple(range(1, 31))))
+    assert repr(eagor.Belief.uniform(7)) == "Belief(degree 7, nothing known)"
+    estimate = followed(AHEAD, AHEAD)
+    assert "40° left, +10° up" in repr(estimate)
+    assert repr(followed(())).startswith("Estimate(t=0 s, direction not known, presence 0.")
+
+
+@pytest.mark.parametrize(("name", "made"), [*things()], ids=lambda one: one if isinstance(one, str) else "")
+def test_pictures_in_notebooks_are_small_and_can_be_read(name, made):
+    page = made._repr_html_()
+    assert len(page) < 30_000
+    assert re.sub(r"[<>&'\"]", "", repr(made)[:20]) in page
+    data = re.search(r"data:image/png;base64,([^\"]+)", page)
+    if data is None:
+        assert name in ("batch", "broken")
+        return
+    with Image.open(io.BytesIO(base64.b64decode(data[1]))) as image:
+        assert image.size == (240, 120)
+
+
+def test_what_was_not_looked_at_is_grey_and_what_speaks_for_it_red():
+    from eagor import thumbnail
+
+    look = dict(things())["view"]
+    data = re.search(r"base64,([^\"]+)", thumbnail.evidence_html(look))
+    with Image.open(io.BytesIO(base64.b64decode(data[1]))) as image:
+        shown = np.asarray(image.convert("RGB")).astype(int)
+    assert np.abs(shown[60, 10] - np.array(thumbnail.UNSEEN)).max() < 8
+    red, green, blue = shown[58, 118]  # beside the lines
+    assert red > green + 60
+    assert red > blue + 60
