@@ -183,7 +183,7 @@ def looks(rng, target, pd, alarms, count, spread_deg, how):
         yield pose, found, Evidence.from_points(found, detector=how, stamp=float(stamp))
 
 
-@pytest.mark.parametrize(("config", "most"), [({"motion": STILL}, 0.05), ({}, 0.1)])
+@pytest.mark.parametrize(("config", "most"), [({"motion": STILL}, 0.05), ({}, 0.25)])
 def test_independent_looks_give_what_a_grid_filter_gives(config, most):
     """Bayes' rule on a grid of 1 degree with the exact likelihood, against the tracker, nats at the truth."""
     grid, behind = ErpGrid(180, 360), []

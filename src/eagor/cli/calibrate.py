@@ -117,7 +117,8 @@ def _counted(examples: Iterator[Labelled], advance: Callable[[], None]) -> Itera
 
 
 def _print(best: Calibrated, out: Path) -> None:
-    reading = best.as_json()["calibration"]
+    stored = best.as_json()
+    reading = stored.get("detector") or stored["calibration"]
     print(f"{best.perception}: " + ", ".join(f"{name} {value}" for name, value in reading.items()))
     print("  " + ", ".join(f"{name} {value}" for name, value in best.forgetting.items()))
     print(f"On the other half of the apartments ({len(best.found_by['judged by'])}), means with 95 % intervals:")

@@ -7,7 +7,8 @@ belief gave to the true direction, and the log of the probability that it gave t
 
 A perception gives response maps, which a `Calibration` reads, or detections, which a `DetectorModel` reads: `READING`
 and `DETECTING` are the numbers of each, `MOVING` those of `MotionModel`. What can be counted on the recordings is
-counted (`counted`): there the search begins, and how scores are read is left at that.
+counted (`counted`): how scores are read, where the search for the spread begins, and the rates, which are stated or
+learnt with the belief, whichever scores better.
 
 `eagor.evaluation.fitting` searches for the settings with the best score.
 """
@@ -83,8 +84,7 @@ READING = (  # of `Calibration`
     Parameter("spread", math.radians(2), math.radians(12), or_none=True),
 )
 DETECTING = (  # of `DetectorModel`
-    Parameter("detection_probability", 0.02, 0.95, flipped=True),
-    Parameter("false_alarms_per_look", 0.003, 20.0),
+    Parameter("stated", 0.1, 10.0),  # above 1: both rates as they were counted; below: learnt with the belief
     Parameter("spread", math.radians(0.5), math.radians(20)),
     Parameter("repeats", 0.05, 1.0, flipped=True),
 )
@@ -133,7 +133,7 @@ def counted(recordings: Sequence[Recording]) -> DetectorModel | None:
         model,
         detection_probability=short((found + 0.5) / (visible + 1)),
         false_alarms_per_look=short((len(false) + 0.5) / (len(looks) + 1)),
-        spread=short(min(max(spread, DETECTING[2].low), DETECTING[2].high)),
+        spread=short(min(max(spread, DETECTING[1].low), DETECTING[1].high)),
         score_ratios=score_ratios(np.array(right), np.array(false)),
     )
 

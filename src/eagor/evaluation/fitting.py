@@ -45,6 +45,7 @@ DRAWS = 16  # settings in a round,
 ELITE = 4  # of which so many are kept
 SPREAD = 0.25  # standard deviation of the first round, of the range of each parameter,
 LEAST = 0.03  # ... and the smallest of any round
+LEARNT = 0.4  # of `stated`: the search begins with rates that are learnt
 
 Map = Callable[[Callable[[Any], Any], Sequence[Any]], Any]
 
@@ -105,12 +106,12 @@ class _Space:
         return cls(perception, (READING if found is None else DETECTING) + MOVING, found)
 
     def start(self, recordings: Sequence[Recording]) -> np.ndarray:
-        """Where the search begins ``(parameters,)``: how looks are read now, or as counted, and targets move."""
+        """Where the search begins ``(parameters,)``: how looks are read and targets move now; spreads as counted."""
         read: Calibration | DetectorModel | None = self.counted
         if read is None:
             seen = (moment.evidence for recording in recordings for moment in recording.moments)
             read = next(evidence.calibration for evidence in seen if evidence is not None)
-        values = {**vars(read), **motion_values(BASE.motion)}
+        values = {"stated": LEARNT, **vars(read), **motion_values(BASE.motion)}
         return np.array([parameter.place(values[parameter.name]) for parameter in self.parameters])
 
     def at(self, places: np.ndarray, found_by: dict[str, Any] | None = None) -> Calibrated:
@@ -120,7 +121,10 @@ class _Space:
         forgetting = {"wander": (moving.pop("slow"), moving.pop("fast")), **moving}
         if self.counted is None:
             return Calibrated(self.perception, calibration_of(values), forgetting, found_by or {})
-        return Calibrated(self.perception, None, forgetting, found_by or {}, replace(self.counted, **values))
+        model = self.counted
+        if values.pop("stated") < 1:
+            model = replace(model, detection_probability=None, false_alarms_per_look=None)
+        return Calibrated(self.perception, None, forgetting, found_by or {}, replace(model, **values))
 
 
 def _rounds(
