@@ -14,10 +14,11 @@ from eagor._checks import above, require, whole, within
 from eagor._lazy import lazy
 from eagor._reprs import changed, where
 from eagor.calibration import Calibration
+from eagor.cases import Cases
 from eagor.detector import DetectorModel, Rates
 from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.harmonics import RealHarmonics
-from eagor.motion import Cases, MotionModel
+from eagor.motion import MotionModel
 from eagor.ranged import log_ranges
 from eagor.reading import Reading
 from eagor.sphere import azimuth_elevation, check_directions
@@ -126,8 +127,8 @@ class Answer:
 def chosen(reading: Reading, before: Answer | None, repeats: float = 0.0) -> Answer | None:
     """The answer: the heaviest mode, or the one `before` while no other holds 1 / (1 - repeats) times as much.
 
-    `repeats`: share of a look's mistakes that the next one repeats. Independent looks give the heaviest mode; where one
-    mistake may make another mode heavier for many looks on end, an answer that jumps to and fro is of no use to anybody.
+    `repeats`: share of a look's mistakes that the next one repeats. Independent looks give the heaviest mode. Where one
+    mistake may make another mode heavier for many looks on end, an answer that jumps to and fro is of no use.
     """
     if float(np.ptp(reading.field.values)) < FLAT and not reading.field.patches:
         return None

@@ -23,8 +23,9 @@ from eagor._reprs import changed
 from eagor.averaging import averaged
 from eagor.calibration import Calibration
 from eagor.coverage import Region, confine, region, taper
+from eagor.detection_set import Detections, View, anisotropic, isotropic, resolved
 from eagor.detections import MIN_SPREAD, WHOLE_SPHERE, bump, canvas_of, mask_moments, moments, widened
-from eagor.detector import DetectorModel, Detections, View, anisotropic, isotropic, resolved
+from eagor.detector import DetectorModel
 from eagor.errors import ResponseError, TimeError
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics

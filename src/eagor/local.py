@@ -12,11 +12,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-
 import numpy as np
 
 from eagor._lazy import lazy
-
 from eagor.field import Patch, plane_directions, plane_weights
 from eagor.sphere import cross
 
@@ -126,7 +124,9 @@ class Window:
             logs = None
         else:
             values = self.values if prior is None else self.values + prior
-            joint = np.exp(np.minimum(values[:, peak] - marginal.max(), 0.0)) * self.shares[:, None] * self.weights[peak]
+            joint = (
+                np.exp(np.minimum(values[:, peak] - marginal.max(), 0.0)) * self.shares[:, None] * self.weights[peak]
+            )
             by_range = np.log(np.maximum(joint.sum(axis=1), 1e-300) / self.shares)
             kept = np.flatnonzero(by_range > by_range.max() - FAINT)
             span = slice(max(kept[0] - 1, 0), min(kept[-1] + 2, len(by_range)))
@@ -159,9 +159,7 @@ class Window:
         frame = np.array([middle, across, cross(middle, across)])
         return frame, np.minimum(REACH * sigma, WIDEST), logs
 
-    def _drawn(
-        self, wanted: tuple[np.ndarray, np.ndarray, np.ndarray | None], step: np.ndarray | None
-    ) -> Window:
+    def _drawn(self, wanted: tuple[np.ndarray, np.ndarray, np.ndarray | None], step: np.ndarray | None) -> Window:
         """The same field on another grid."""
         from scipy.ndimage import map_coordinates
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-
 import numpy as np
 
-from eagor._lazy import lazy
-
 from eagor._arrays import to_numpy
-from eagor.detector import Detections, Rates, resolved
+from eagor._lazy import lazy
+from eagor.detection_set import Detections, resolved
+from eagor.detector import Rates
 from eagor.evidence import Evidence
 from eagor.field import SphereField
 from eagor.harmonics import RealHarmonics

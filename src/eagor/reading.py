@@ -167,7 +167,7 @@ class Reading:
         return np.array([self.top_of(of_part == index) for index in range(kept)]), masses[:kept]
 
     def first(self, angle: float) -> tuple[np.ndarray, float]:
-        """The heaviest mode and its mass; where the cone of `angle` about the peak holds most, it need not be looked for."""
+        """The heaviest mode and its mass; if the cone of `angle` about the peak holds most, none is searched for."""
         held = self.around(self.peak, angle)
         if held > 0.5:
             return self.peak, held

@@ -1,7 +1,8 @@
 """A target that stands still: what every look from everywhere says of where it may stand.
 
-In axes that do not turn, such a target has one place, and looks add. A field over the whole sphere, with shells of range
-where the body's positions are known, is searched for peaks; a `Window` about each holds what the field is too coarse for.
+In axes that do not turn, such a target has one place, and looks add. A field over the whole sphere, with shells of
+range where the body's positions are known, is searched for peaks; a `Window` about each holds what the field is too
+coarse for.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from functools import lru_cache
 import numpy as np
 
 from eagor._lazy import lazy
-
 from eagor.belief import Belief
 from eagor.field import SphereField
 from eagor.harmonics import RealHarmonics
@@ -45,6 +45,11 @@ class Standing:
         if ranges is None:
             return cls(Belief.uniform(degree))
         return cls(_with_prior(RangedBelief.uniform(degree, ranges), height), (), height)
+
+    def blank(self) -> Standing:
+        """A belief of the same kind that knows nothing."""
+        ranges = self.coarse.ranges if isinstance(self.coarse, RangedBelief) else None
+        return Standing.uniform(self.degree, ranges, self.height)
 
     @property
     def degree(self) -> int:
@@ -192,7 +197,7 @@ class Standing:
 
     def _with_window(self, centre: np.ndarray, width: float) -> Standing:
         """With a window about `centre` ``(3,)`` for a peak of this `width` (radians), drawn from the coarse field."""
-        from eagor.detector import tangent_frame
+        from eagor.detection_set import tangent_frame
 
         frame = np.concatenate([centre[None], tangent_frame(centre)])
         half = np.full(2, min(math.tan(min(REACH * width, 1.0)), WIDEST))
