@@ -426,11 +426,11 @@ BROKEN_PERCEPTIONS = {
         "wanted the grid that the response was computed on",
     ),
     "beyond 1": (
-        lambda p, q, *, stamp=None: evidence(stamp, log_ratio=4 * np.ones(GRID.shape), peak=2.0),
+        lambda p, q, *, stamp=None: evidence(stamp, drawn=4 * np.ones(GRID.shape), peak=2.0),
         r"wanted \[0, 1\]",
     ),
     "infinite": (
-        lambda p, q, *, stamp=None: evidence(stamp, log_ratio=np.full(GRID.shape, np.inf)),
+        lambda p, q, *, stamp=None: evidence(stamp, drawn=np.full(GRID.shape, np.inf)),
         "not finite; wanted finite log ratios",
     ),
     "grids in turn": (
