@@ -54,7 +54,7 @@ class TrackerConfig:
     decode: Literal["mode", "mean"] = "mode"
     calibration: Calibration | None = None
     detector: DetectorModel | None = None
-    ranges: Sequence[float] | None = field(default_factory=lambda: tuple(log_ranges(count=20).tolist()))
+    ranges: Sequence[float] | None = field(default_factory=lambda: tuple(log_ranges(count=14).tolist()))
     floor: float | None = None
     motion: MotionModel = field(default_factory=MotionModel)
     drift: float = 0.0
@@ -134,9 +134,9 @@ def chosen(reading: Reading, before: Answer | None, repeats: float = 0.0) -> Ans
     first, _ = reading.first(SAME)
     if before is None or first @ before.direction > math.cos(SAME):
         return Answer(first)
-    near = reading.parts[2] @ before.direction > math.cos(SAME)
-    if float(reading.mass[near].sum()) < reading.within(SAME, first) * (1 - repeats):
+    if reading.around(before.direction, SAME) < reading.around(first, SAME) * (1 - repeats):
         return Answer(first)
+    near = reading.parts[2] @ before.direction > math.cos(SAME)
     kept = reading.top_of(near)
     # Where the belief still rises at the border of the cone there is no peak left to hold to.
     return Answer(kept, True) if kept @ before.direction > math.cos(0.9 * SAME) else Answer(first)

@@ -20,8 +20,8 @@ from eagor._lazy import lazy
 from eagor.field import Patch, plane_directions, plane_weights
 from eagor.sphere import cross
 
-NODES = 13  # along each side
-RANGES = 16  # of the window, where distances are believed in
+NODES = 11  # along each side
+RANGES = 12  # of the window, where distances are believed in
 REACH = 5.0  # standard deviations from the middle to a border
 WIDEST = math.tan(math.radians(60))
 DEEP = 4.5  # nats below the peak: what lies above, and hangs together with it, is the peak
@@ -64,7 +64,11 @@ class Window:
 
     def plus(self, log_ratios: np.ndarray) -> Window:
         """With log ratios ``(n, n)`` added to all ranges, or ``(K, n, n)``."""
-        return replace(self, values=self.values + log_ratios)
+        found = replace(self, values=self.values + log_ratios)
+        for name in ("directions", "weights"):  # the nodes stay where they are
+            if name in self.__dict__:
+                found.__dict__[name] = self.__dict__[name]
+        return found
 
     def marginal(self, prior: np.ndarray | None = None) -> np.ndarray:
         """log of the mean likelihood over the ranges ``(n, n)``; `prior` ``(K, n, n)``: log ratios to count besides."""
@@ -76,7 +80,9 @@ class Window:
 
     def patch(self, prior: np.ndarray | None = None) -> Patch:
         """The window as a part of a field over directions."""
-        return Patch(self.frame, self.half, self.marginal(prior))
+        found = Patch(self.frame, self.half, self.marginal(prior))
+        found.__dict__["directions"], found.__dict__["weights"] = self.directions, self.weights
+        return found
 
     def points(self) -> np.ndarray:
         """The nodes ``(K, n, n, 3)``, metres."""
@@ -164,7 +170,7 @@ class Window:
         directions = new.directions
         if logs is None:
             places = self._places(directions)
-            values = map_coordinates(self.values[0], places, order=3, mode="nearest")[None]
+            values = map_coordinates(self.values[0], places, order=3, mode="mirror")[None]
             return replace(new, values=values)
         points = np.exp(logs)[:, None, None, None] * directions
         if step is not None:
@@ -174,7 +180,7 @@ class Window:
         first, spacing = self.logs[0], self.logs[1] - self.logs[0]  # type: ignore[index]
         depth = (np.log(np.maximum(distances, 1e-9)) - first) / spacing
         coordinates = np.concatenate([np.clip(depth, 0, RANGES - 1)[None], places])
-        return replace(new, values=map_coordinates(self.values, coordinates, order=3, mode="nearest"))
+        return replace(new, values=map_coordinates(self.values, coordinates, order=3, mode="mirror"))
 
     def _places(self, points: np.ndarray) -> np.ndarray:
         """Indices ``(2, ...)`` of points ``(..., 3)``, held at the borders."""

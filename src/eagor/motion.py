@@ -34,7 +34,7 @@ from eagor.ranged import RangedBelief
 from eagor.reading import Reading
 from eagor.standing import Standing
 
-_UNHEARD = 1e-7  # of the belief: a cell that holds less tells nothing of the detector
+_UNHEARD = 1e-5  # of the belief: a cell that holds less tells nothing of the detector
 _FAINTEST = 1e-12  # of a mean density: what lies lower is the ringing of a cut series
 
 
@@ -51,9 +51,9 @@ class MotionModel:
     """
 
     wander: tuple[float, ...] = (math.radians(2.5), math.radians(10))
-    start: float = 0.002
+    start: float = 0.01
     stop: float = 0.02
-    jump: float = 0.02
+    jump: float = 0.03
     birth: float = 0.0005
     death: float = 0.0005
 
@@ -134,12 +134,12 @@ class Cases:
             return replace(
                 stands,
                 values=stands.values + level,
-                patches=tuple(replace(patch, values=patch.values + level) for patch in stands.patches),
+                patches=tuple(patch.like(patch.values + level) for patch in stands.patches),
             )
         roams = np.log(np.maximum(np.tensordot(shares[1:], self.wanderers, axes=1), 1e-300))
         elsewhere = SphereField(self.grid, roams)
         patches = tuple(
-            replace(patch, values=np.logaddexp(patch.values + level, elsewhere(patch.directions)))
+            patch.like(np.logaddexp(patch.values + level, elsewhere.smooth(patch.directions, 1)))
             for patch in stands.patches
         )
         return SphereField(self.grid, np.logaddexp(stands.values + level, roams), patches)
@@ -160,15 +160,12 @@ class Cases:
             return self if standing is self.standing else replace(self, standing=standing)
         if drift > 0:
             standing = _drifted(standing, drift, elapsed)
-        born, died, begun, stopped, jumped = (
-            -math.expm1(-rate * elapsed) for rate in (motion.birth, motion.death, motion.start, motion.stop, motion.jump)
-        )
+        born, died = _switched(motion.birth, motion.death, elapsed), _switched(motion.death, motion.birth, elapsed)
+        begun, stopped = _switched(motion.start, motion.stop, elapsed), _switched(motion.stop, motion.start, elapsed)
         absent, stood, roamed = float(self.weights[0]), float(self.weights[1]), self.weights[2:]
         count = len(roamed)
         if count == 0:
             begun = 0.0
-        else:
-            stopped = stopped if motion.stop else 0.0
         moving = motion.moving
         # What flows into each case, and with which density.
         new_stand, from_roam = absent * born * (1 - moving), roamed * ((1 - died) * stopped)
@@ -182,8 +179,6 @@ class Cases:
             standing = self._restarted(standing, new_stand, from_roam)
         if count:
             self._roam(wanderers, weights, elapsed, motion, drift, absent * born * moving / count, stood * (1 - died) * begun / count)
-            if jumped or stopped or died:
-                weights[2:] += 0.0
         weights /= weights.sum()
         return Cases(weights, standing, wanderers, self.bias, self.sharpening)
 
@@ -192,8 +187,10 @@ class Cases:
         newborn: float, started: float,
     ) -> None:  # fmt: skip
         """Write the wanderers' densities and weights after `elapsed` seconds."""
-        died, stopped, jumped = (-math.expm1(-rate * elapsed) for rate in (motion.death, motion.stop, motion.jump))
-        basis, grid = RealHarmonics(self.standing.degree), self.grid
+        died, stopped = _switched(motion.death, motion.birth, elapsed), _switched(motion.stop, motion.start, elapsed)
+        jumped = -math.expm1(-motion.jump * elapsed)
+        grid = self.grid
+        basis = RealHarmonics(grid.height // 2 - 1)  # a density is narrower than its logarithm: all that the grid holds
         stands = None
         if started > 0:
             field = self.standing.field
@@ -237,7 +234,9 @@ class Cases:
         learnt = rates
         if sight.detections is not None:
             learnt = self._learnt(sight, look)
-        standing = standing.opened(look).plus(look).focused()
+        # Where the body has moved, its windows were drawn for this place just now.
+        fresh = since is not None and bool(since.any())
+        standing = standing.opened(look).plus(look).focused(fresh)
         gains = np.zeros(len(self.weights))
         gains[1] = standing.log_mean - before
         wanderers = self.wanderers
@@ -256,8 +255,10 @@ class Cases:
     def _learnt(self, sight: Sight, look: Look) -> Rates:
         """What the look tells of the detector."""
         assert look.rates is not None and look.world is not None
-        values, weights, directions = self.field.nodes()
-        mass = np.exp(np.minimum(values - self.field.log_mean(), 700.0)) * weights / (4 * math.pi)
+        if not len(look.world) and look.rates.weights.size == 1:
+            return look.rates
+        values, weights, directions = self.field.nodes
+        mass = np.exp(np.minimum(values - self.field.log_mean, 700.0)) * weights / (4 * math.pi)
         counts = mass > _UNHEARD
         mass, directions = mass[counts], directions[counts]
         mass = mass / mass.sum()
@@ -273,6 +274,12 @@ class Cases:
         return look.rates.noted(len(look.world)).learnt(self.presence, covered, expected)
 
 
+def _switched(rate: float, back: float, elapsed: float) -> float:
+    """The probability of being on the other side after `elapsed` seconds, of two that change at these rates."""
+    both = rate + back
+    return 0.0 if both == 0 else -math.expm1(-both * elapsed) * rate / both
+
+
 def _with_bias(field: SphereField, bias: float) -> SphereField:
     """A field whose patches are blurred; where they grow over the grid, what that says is kept."""
     patches = []
@@ -281,8 +288,8 @@ def _with_bias(field: SphereField, bias: float) -> SphereField:
         directions = wide.directions
         outside = ~patch.places(directions)[1]
         around = np.full(wide.values.shape, -np.inf)
-        around[outside] = SphereField(field.grid, field.values)(directions[outside])
-        patches.append(replace(wide, values=np.logaddexp(wide.values, around)))
+        around[outside] = SphereField(field.grid, field.values).smooth(directions[outside], 1)
+        patches.append(wide.like(np.logaddexp(wide.values, around)))
     return replace(field, patches=tuple(patches))
 
 

@@ -31,7 +31,7 @@ class Reading:
         field, grid = self.field, self.field.grid
         free = field.outside
         values, weights, directions = field.values[free], grid.weights[free], grid.directions[free]
-        mass = np.exp(values - field.log_mean()) * weights / (4 * math.pi)
+        mass = np.exp(values - field.log_mean) * weights / (4 * math.pi)
         heavy = mass > HEAVY
         found = [(values[~heavy], weights[~heavy], directions[~heavy])]
         if heavy.any():
@@ -97,9 +97,22 @@ class Reading:
         return self.log_total - float(self.mass @ self.parts[0])
 
     @lazy
+    def _nodes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Masses ``(n,)`` and directions ``(n, 3)`` of cells and nodes: fewer than the `parts`."""
+        values, weights, directions = self.field.nodes
+        mass = np.exp(values - values.max()) * weights
+        return mass / mass.sum(), directions
+
+    @lazy
     def peak(self) -> np.ndarray:
         """The direction of the highest density ``(3,)``."""
-        return self.top_of(np.ones(len(self.parts[0]), dtype=bool))
+        values, _, directions = self.field.nodes
+        return self._refined(directions[int(values.argmax())])
+
+    def around(self, direction: np.ndarray, angle: float) -> float:
+        """About the probability of the cone of half-angle `angle` about a direction: `within` from fewer cells."""
+        mass, directions = self._nodes
+        return float(mass[directions @ direction > math.cos(angle)].sum())
 
     def top_of(self, chosen: np.ndarray) -> np.ndarray:
         """The direction ``(3,)`` of the highest of the `chosen` parts ``(n,)``, refined."""
@@ -155,7 +168,7 @@ class Reading:
 
     def first(self, angle: float) -> tuple[np.ndarray, float]:
         """The heaviest mode and its mass; where the cone of `angle` about the peak holds most, it need not be looked for."""
-        held = self.within(angle, self.peak)
+        held = self.around(self.peak, angle)
         if held > 0.5:
             return self.peak, held
         directions, masses = self.modes(1, 1.0)

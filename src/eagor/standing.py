@@ -20,7 +20,6 @@ from eagor.harmonics import RealHarmonics
 from eagor.local import NODES, RANGES, REACH, WIDEST, Window
 from eagor.looks import Look
 from eagor.peaks import decoding_grid, neighbours, refine
-from eagor.posterior import typical
 from eagor.ranged import NEAR, RangedBelief, height_level, height_prior, likely_height, mean_range, range_spread
 
 MOST = 4  # windows
@@ -65,7 +64,7 @@ class Standing:
     @lazy
     def log_mean(self) -> float:
         """log of the mean likelihood ratio over all directions and ranges."""
-        return self.field.log_mean()
+        return self.field.log_mean
 
     def moved(self, step: np.ndarray, height: float | None = None) -> Standing:
         """After the body has moved by `step` ``(3,)`` metres, in the axes of the world."""
@@ -93,7 +92,7 @@ class Standing:
             for window, patch in zip(self.windows, self.field.patches, strict=True):
                 found = share * look.at(window.directions, spacing(window))
                 windows.append(window.plus(found))
-                patches.append(replace(patch, values=patch.values + found))
+                patches.append(patch.like(patch.values + found))
             found = Standing(self.coarse.plus(share * look.coefficients), tuple(windows), self.height)
             # What is said of all ranges alike adds as much to the field over directions.
             field = SphereField(self.field.grid, self.field.values + share * look.values, tuple(patches))
@@ -114,47 +113,13 @@ class Standing:
         windows = tuple(replace(window, values=window.values * factor) for window in self.windows)
         return Standing(self.coarse.forget(factor), windows, self.height)
 
-    def capped(self, most: float, newest: Look) -> Standing:
-        """With its highest peak at most `most` nats above a typical direction (the median over the sphere).
-
-        Only what the looks say of directions is scaled down. What tells the ranges apart stays: a detector repeats its
-        mistakes, but where lines of sight from several places cross is geometry.
-        """
-        values = self.field.values
-        best = max([float(values.max()), *(float(patch.values.max()) for patch in self.field.patches)])
-        level = typical(values, self.field.grid.weights)
-        if best - level <= most:
-            return self
-        agreed, basis = self.coarse.agreed - newest.sight.repeats * newest.coefficients, RealHarmonics(self.degree)
-        said = basis.synthesise(agreed, self.field.grid)
-        top = self._top()
-        height = float(basis.synthesise(agreed, top[None])[0]) - typical(said, self.field.grid.weights)
-        less = min((best - level - most) / height, 1.0) if height > 0 else 0.0
-        if less <= 0:
-            return self
-        windows, patches = [], []
-        for window, patch in zip(self.windows, self.field.patches, strict=True):
-            said_there = less * basis.synthesise(agreed, window.directions)
-            windows.append(window.plus(-said_there))
-            patches.append(replace(patch, values=patch.values - said_there))
-        found = Standing(self.coarse.plus(-less * agreed), tuple(windows), self.height)
-        found.__dict__["field"] = SphereField(self.field.grid, values - less * said, tuple(patches))
-        return found
-
-    def _top(self) -> np.ndarray:
-        """The direction ``(3,)`` of the highest cell or node."""
-        tops = [(float(self.field.values.max()), self.field.grid.directions.reshape(-1, 3), self.field.values)]
-        tops += [(float(p.values.max()), p.directions.reshape(-1, 3), p.values) for p in self.field.patches]
-        _, directions, values = max(tops, key=lambda entry: entry[0])
-        return directions[int(values.argmax())]
-
     def opened(self, look: Look) -> Standing:
         """With windows where the detections of a look are, which is not yet added, if none is there."""
         found = self
         centres, widths = look.centres
         if not len(centres):
             return self
-        reached = self.field(centres) + look.at(centres, 0.0) - self.log_mean
+        reached = self.field.smooth(centres, 1) + look.at(centres, 0.0) - self.log_mean
         for centre, width, rise in zip(centres, widths, reached, strict=True):
             if width > WIDE or len(found.windows) >= 2 * MOST or math.exp(min(rise, 50.0)) * width**2 < LEAST:
                 continue
@@ -163,11 +128,11 @@ class Standing:
             found = found._with_window(centre, width)
         return found
 
-    def focused(self) -> Standing:
-        """With a window about each peak, as fine as the peak is now."""
+    def focused(self, fresh: bool = False) -> Standing:
+        """With a window about each peak, as fine as the peak is now; `fresh` windows are fine enough."""
         found = self
         windows = tuple(
-            window if window.peak_at_border(patch.values) else window.focused(self._prior(window))
+            window if fresh or window.peak_at_border(patch.values) else window.focused(self._prior(window))
             for window, patch in zip(self.windows, self.field.patches, strict=True)
         )
         if any(a is not b for a, b in zip(windows, self.windows, strict=True)):

@@ -177,7 +177,8 @@ class DirectionTracker:
                 moment.state = self._added(state, moment)
             state = moment.state
         assert state is not None
-        old = sum(m.firm and m.stamp < state.stamp - self.config.history for m in track.moments[:-1])
+        # One that still waits for its pose by now waits no longer: no memory is endless.
+        old = sum(moment.stamp < state.stamp - self.config.history for moment in track.moments[:-1])
         if old:
             track.base, track.trimmed = track.moments[old - 1].state, True
             del track.moments[:old]

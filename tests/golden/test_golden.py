@@ -31,15 +31,15 @@ def walk(config, steps=24):
 CASES = {
     "default": (
         TrackerConfig(),
-        {"angles": (175.2, 8.3), "error": 1.7, "status": "tracking", "presence": 1.0, "ratio": 0.931},
+        {"angles": (174.4, 8.7), "error": 1.2, "status": "tracking", "presence": 1.0, "ratio": 0.979},
     ),
     "turning only": (
         TrackerConfig(ranges=None),
-        {"angles": (176.4, 14.1), "error": 4.6, "status": "tracking", "presence": 1.0},
+        {"angles": (176.6, 14.1), "error": 4.7, "status": "tracking", "presence": 1.0},
     ),
     "published": (
         TrackerConfig.paper(),
-        {"angles": (114.5, 7.3), "error": 59.3, "status": "ambiguous", "presence": 0.0},
+        {"angles": (114.5, 7.3), "error": 59.3, "status": "searching", "presence": 0.0},
     ),
 }
 

@@ -1,6 +1,7 @@
 """Fitting by log score: it finds what it should, judges on apartments that it has not seen, and its file is checked."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -8,14 +9,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.calibration import Calibration
+from eagor.detector import DetectorModel
 from eagor.errors import EagorError
 from eagor.estimate import TrackerConfig
-from eagor.evaluation.calibration import PARAMETERS, Recorder, development_slots, score
+from eagor.evaluation.calibration import (
+    DETECTING,
+    MOVING,
+    READING,
+    Recorder,
+    counted,
+    development_slots,
+    motion_values,
+    score,
+    score_ratios,
+)
 from eagor.evaluation.fitting import fit
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid
+from eagor.motion import MotionModel
 from eagor.perception.calibrated import Calibrated, from_json, read_calibrated
-from eagor.sphere import direction, world_R_body
+from eagor.sphere import direction, unit, world_R_body
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.play import Moment, Recording
 
@@ -36,20 +49,52 @@ def recording(seed, steps=16, right=0.6):
         ]
         evidence = [Evidence.from_response(look.astype(np.float32), GRID, stamp=0.5 * k) for look in looks]
         moments.append(Moment(0.5 * k, world_R_body(0.1 * k), np.zeros(3), *evidence))
+    return episode_of(seed, moments, target)
+
+
+def episode_of(seed, moments, target):
+    steps = len(moments)
     directions = np.array([moment.world_R_body.T @ target for moment in moments])
     truth = {"present": [True] * steps, "visible": [True] * steps}
     episode = Episode(Slot("waypoint", "none", seed, 0, 0), "none", "", "chair", (0,), (0.0, 0.0), 0.0, 1.0)
     return Recording(episode, truth, tuple(moments), directions, np.zeros((0, 3, 3)), np.zeros((0, 3)))
 
 
-@pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda parameter: parameter.name)
+def detecting(seed, steps=24, pd=0.7, alarms=0.5, spread=0.105):
+    """A standing camera and a detector with these rates, whose scores tell right from false in part."""
+    rng, of_other = np.random.default_rng(seed), np.random.default_rng([seed, 1])
+    target, moments = direction(rng.uniform(-3, 3), rng.uniform(-0.4, 0.2)), []
+
+    def alarms_now(stream):
+        count = stream.poisson(alarms)
+        return list(unit(stream.normal(size=(count, 3)))), list(stream.beta(2, 4, count))
+
+    for k in range(steps):
+        turn = world_R_body(0.1 * k)
+        (seen, scores), (others, other_scores) = alarms_now(rng), alarms_now(of_other)
+        if rng.random() < pd:
+            seen.append(unit(turn.T @ target + spread * rng.normal(size=3)))
+            scores.append(rng.beta(4, 2))
+        looks = ((seen, scores), (others, other_scores))
+        evidence = [Evidence.from_points(np.array(at).reshape(-1, 3), None, s, stamp=0.5 * k) for at, s in looks]
+        moments.append(Moment(0.5 * k, turn, np.zeros(3), *evidence))
+    return episode_of(seed, moments, target)
+
+
+DEFAULTS = {
+    READING: vars(Calibration()),
+    DETECTING: {**vars(DetectorModel()), "detection_probability": 0.7, "false_alarms_per_look": 0.2},
+    MOVING: motion_values(MotionModel()),
+}
+
+
+@pytest.mark.parametrize("group", DEFAULTS, ids=["reading", "detecting", "moving"])
 @given(place=st.floats(0, 1))
-def test_every_parameter_has_its_place(parameter, place):
-    assert parameter.place(parameter.value(place)) == pytest.approx(place, abs=1e-9)
-    default = {**vars(TrackerConfig()), **vars(Calibration())}[parameter.name]
-    assert parameter.value(parameter.place(default)) == pytest.approx(default, abs=1e-9), (
-        "the search starts at the default"
-    )
+def test_every_parameter_has_its_place(group, place):
+    for parameter in group:
+        assert parameter.place(parameter.value(place)) == pytest.approx(place, abs=1e-9)
+        default = DEFAULTS[group][parameter.name]
+        assert parameter.value(parameter.place(default)) == pytest.approx(default, abs=1e-9), "where the search starts"
 
 
 def test_honest_beliefs_score_best():
@@ -67,13 +112,41 @@ def test_honest_beliefs_score_best():
 def test_the_fit_is_better_on_apartments_that_it_has_not_seen(monkeypatch):
     monkeypatch.setattr("eagor.evaluation.fitting.BASE", SMALL)
     rounds, trials = [], []
-    best = fit("a detector", [recording(s) for s in range(8)], 48, 1, lambda: trials.append(1), rounds.append)
-    assert len(trials) == 48
-    assert len(rounds) == 3
+    best = fit("a detector", [recording(s) for s in range(8)], 32, 1, lambda: trials.append(1), rounds.append)
+    assert len(trials) == 32
+    assert len(rounds) == 2
     before, after = best.found_by["before"], best.found_by["after"]
     assert after["log score"][0] > before["log score"][0]
     assert best.found_by["judged by"] == [1, 3, 5, 7]
     assert best.config().calibration == best.calibration
+
+
+def test_what_a_detector_does_is_counted():
+    model = counted([detecting(seed, steps=60) for seed in range(6)])
+    assert model.detection_probability == pytest.approx(0.7, abs=0.08)
+    assert model.false_alarms_per_look == pytest.approx(0.5, abs=0.12)
+    assert model.spread == pytest.approx(math.radians(6), rel=0.15)
+    ratios = [ratio for _, ratio in model.score_ratios]
+    assert ratios == sorted(ratios)
+    assert ratios[0] < 0.6 < 1.6 < ratios[-1]
+    assert counted([recording(0)]) is None, "response maps are not counted"
+
+
+def test_scores_tell_something_only_where_there_are_enough_of_both():
+    rng = np.random.default_rng(0)
+    assert score_ratios(rng.random(100), rng.random(5)) is None
+    assert score_ratios(np.full(100, 0.9), np.full(100, 0.9)) is None
+    assert max(abs(math.log(ratio)) for _, ratio in score_ratios(rng.random(4000), rng.random(4000))) < 0.15
+
+
+def test_a_detector_is_fitted_as_a_detector(monkeypatch):
+    monkeypatch.setattr("eagor.evaluation.fitting.BASE", SMALL)
+    best = fit("a detector", [detecting(seed) for seed in range(6)], 17, 1)
+    assert best.calibration is None
+    assert {"detector", "forgetting"} <= best.as_json().keys()
+    assert best.found_by["after"]["log score"][0] > best.found_by["before"]["log score"][0] - 0.1
+    assert 0.4 < best.detector.detection_probability < 0.95
+    assert best.config().detector == best.detector
 
 
 def test_one_apartment_cannot_judge_itself():
@@ -100,26 +173,35 @@ def test_a_recording_asks_for_what_is_there_and_for_what_is_not():
 
 
 def test_what_is_written_is_read_again(tmp_path):
-    made = Calibrated("scout", Calibration(0.1, 0.02, 1.5), {"keep_per_second": 0.95, "wander": 0.1}, {"trials": 3})
+    made = Calibrated("scout", Calibration(0.1, 0.02, 1.5), {"jump": 0.2, "wander": (0.1, 0.3)}, {"trials": 3})
     made.write(tmp_path / "new" / "file.json")
     found = read_calibrated(tmp_path / "new" / "file.json")
     assert found == made
     config = found.config(TrackerConfig(degree=7))
-    assert (config.degree, config.keep_per_second, config.calibration) == (7, 0.95, made.calibration)
+    assert (config.degree, config.motion.jump, config.calibration) == (7, 0.2, made.calibration)
+    assert config.motion.wander == (0.1, 0.3)
+    model = DetectorModel(0.6, None, 0.1, 0.3, ((0.2, 0.5), (0.8, 4.0)))
+    made = Calibrated("colour", None, {"start": 0.01}, {}, model)
+    made.write(tmp_path / "detector.json")
+    assert read_calibrated(tmp_path / "detector.json") == made
 
 
-READING = {"floor": 0.1, "neutral": 0.1, "temperature": 1, "persistence": 0.5, "spread": 0.1}
-GOOD = {"perception": "scout", "calibration": READING, "forgetting": {}}
+READ = {"floor": 0.1, "neutral": 0.1, "temperature": 1, "persistence": 0.5, "spread": 0.1}
+GOOD = {"perception": "scout", "calibration": READ, "forgetting": {}}
 
 
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
         ({"calibration": {"floor": 0.1}}, "no calibration"),
-        ({"calibration": READING | {"floor": -1}}, "floor"),
-        ({"calibration": READING | {"floor": "much"}}, "no calibration"),
-        ({"forgetting": {"keep": 0.9}}, "keep_per_second"),
-        ({"forgetting": {"keep_per_second": 7}}, "keep_per_second"),
+        ({"calibration": READ | {"floor": -1}}, "floor"),
+        ({"calibration": READ | {"floor": "much"}}, "no calibration"),
+        ({"forgetting": {"keep_per_second": 0.9}}, "sets 'keep_per_second'; known are wander, start"),
+        ({"forgetting": {"jump": -7}}, "jump"),
+        ({"forgetting": {"wander": [0.1, "x"]}}, "no calibration"),
+        ({"detector": {"spread": 9}}, "spread"),
+        ({"detector": {"recall": 0.9}}, "recall"),
+        ({"calibration": None}, "neither"),
         ({"forgetting": None}, "no calibration"),
     ],
 )

@@ -14,6 +14,7 @@ from eagor import coverage
 from eagor.averaging import averaged
 from eagor.belief import Belief
 from eagor.calibration import Calibration
+from eagor.detector import DetectorModel
 from eagor.errors import EagorError, ResponseError, TimeError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
@@ -73,11 +74,15 @@ def test_an_empty_look_is_good_input_negative_and_bounded(dtype):
     for grid in (PATCHES, PerspectiveGrid(12, 20, 1.5)):
         evidence = Evidence.from_response(np.zeros(grid.shape, dtype), grid)
         assert np.allclose(evidence.log_ratio, Calibration().empty)
-    assert np.allclose(field(Evidence.from_boxes([], ErpGrid(256, 512))), Calibration().empty, atol=1e-5)
-    assert np.allclose(field(Evidence.from_points(np.zeros((0, 3)), 10.0)), Calibration().empty, atol=1e-5)
-    assert np.allclose(
-        field(Evidence.from_mask(np.zeros((0, *PATCHES.shape)), PATCHES)), Calibration().empty, atol=1e-5
-    )
+    for how, empty in (
+        ({"calibration": Calibration()}, Calibration().empty),
+        ({"detector": DetectorModel(0.6, 0.2)}, math.log(0.4)),
+    ):
+        boxes = Evidence.from_boxes([], ErpGrid(256, 512), **how)
+        points = Evidence.from_points(np.zeros((0, 3)), 10.0, **how)
+        masks = Evidence.from_mask(np.zeros((0, *PATCHES.shape)), PATCHES, **how)
+        for evidence in (boxes, points, masks):
+            assert np.allclose(field(evidence), empty, atol=1e-5)
 
 
 VIEWS = [
@@ -318,7 +323,7 @@ def test_points_are_von_mises_fisher_bumps():
 def test_masks_take_the_best_score_where_they_overlap():
     masks = np.zeros((2, *PATCHES.shape), bool)
     masks[0, 3:6, 4:8] = masks[1, 5:8, 6:10] = True
-    evidence = Evidence.from_mask(masks, PATCHES, scores=[0.3, 0.9])
+    evidence = Evidence.from_mask(masks, PATCHES, [0.3, 0.9], Calibration())
     assert evidence.response[4, 5] == pytest.approx(0.3, abs=1e-6)
     assert evidence.response[5, 7] == pytest.approx(0.9, abs=1e-6)
     assert evidence.response[0, 0] == pytest.approx(0.0, abs=1e-6)
@@ -333,8 +338,11 @@ def test_a_small_mask_counts_like_a_small_box(grid, azimuth_deg):
     there = direction(math.radians(azimuth_deg), math.radians(-5))
     mask = grid.directions @ there > math.cos(math.radians(1.5))
     assert mask.any()
-    small, raw = (field(Evidence.from_mask(mask, grid, min_spread=spread)) for spread in (math.radians(4), 0.0))
-    point = field(Evidence.from_points(there, 1 / math.radians(4) ** 2, grid=grid))
+    small, raw = (
+        field(Evidence.from_mask(mask, grid, None, Calibration(), min_spread=spread))
+        for spread in (math.radians(4), 0.0)
+    )
+    point = field(Evidence.from_points(there, 1 / math.radians(4) ** 2, grid=grid, calibration=Calibration()))
     assert small.max() == pytest.approx(point.max(), rel=0.1)
     assert raw.max() < 0.4 < 1.2 < small.max()
     assert angular_distance(brightest(Evidence.from_mask(mask, grid)), there) < math.radians(3)
@@ -345,8 +353,36 @@ def test_a_mask_that_is_wide_enough_is_taken_at_its_word():
     wide = grid.directions @ direction(2.0, 0.3) > math.cos(math.radians(12))
     ring = wide & (grid.directions @ direction(2.0, 0.3) < math.cos(math.radians(9)))
     for mask in (wide, ring, np.ones(grid.shape, bool), np.zeros(grid.shape, bool)):
-        evidence = Evidence.from_mask(mask, grid, scores=[0.7])
+        evidence = Evidence.from_mask(mask, grid, [0.7], Calibration())
         assert np.array_equal(evidence.log_ratio, Evidence.from_response(mask * np.float32(0.7), grid).log_ratio)
+
+
+@pytest.mark.parametrize("grid", [ErpGrid(128, 256), PerspectiveGrid(96, 96, math.pi / 2)], ids=["sphere", "view"])
+@pytest.mark.parametrize("azimuth_deg", [20, -30])
+def test_boxes_and_masks_are_detections_in_the_middle_as_wide_as_they_are_and_as_the_detector_errs(grid, azimuth_deg):
+    there, model = direction(math.radians(azimuth_deg), math.radians(-5)), DetectorModel(0.7, 0.2, math.radians(3))
+    for radius in (1.5, 12.0):
+        mask = grid.directions @ there > math.cos(math.radians(radius))
+        rows, columns = np.nonzero(mask)
+        box = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+        for evidence in (
+            Evidence.from_mask(mask, grid, detector=model),
+            Evidence.from_boxes([box], grid, detector=model),
+        ):
+            (found,) = evidence.detections.directions
+            assert math.degrees(angular_distance(found, there)) < 1, "half a cell"
+            wide = np.degrees(1 / np.linalg.norm(evidence.detections.axes[0], axis=-1))
+            assert wide == pytest.approx(math.hypot(3, radius / 2), rel=0.2), "a quarter of a disc's radius squared"
+            assert math.degrees(angular_distance(brightest(evidence), there)) < 3
+
+
+def test_two_masks_are_two_detections_and_an_empty_one_is_none():
+    masks = np.zeros((3, *PATCHES.shape), bool)
+    masks[0, 3:6, 4:8] = masks[1, 8:10, 16:19] = True
+    evidence = Evidence.from_mask(masks, PATCHES, scores=[0.3, 0.9, 0.5])
+    assert evidence.detections.scores.tolist() == [0.3, 0.9]
+    assert evidence.detections.views == ()
+    assert evidence.detections.joined(evidence.detections).scores.tolist() == [0.3, 0.9, 0.3, 0.9]
 
 
 def test_the_left_of_the_picture_is_the_left_of_the_body():
@@ -518,7 +554,8 @@ def test_tables_of_another_shape_are_refused():
     assert np.array_equal(one.log_ratio, row.log_ratio), "one row is a table of one"
     with pytest.raises(ResponseError, match="threshold"):
         Evidence.from_mask(np.full(view.shape, 0.1), view)
-    assert Evidence.from_mask(np.ones(view.shape), view).response.min() == pytest.approx(1.0, abs=1e-5)
+    whole = Evidence.from_mask(np.ones(view.shape), view, calibration=Calibration())
+    assert whole.response.min() == pytest.approx(1.0, abs=1e-5)
 
 
 SPREAD = math.radians(4)

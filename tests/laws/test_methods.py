@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor import Calibration, Evidence, PatchGrid, angular_distance
+from eagor.detector import DetectorModel
 from eagor.errors import EagorError, TimeError
 from eagor.estimate import TrackerConfig
-from eagor.sphere import world_R_body
+from eagor.sphere import FORWARD, world_R_body
 from eagor.tasks.fitted import FITTED
 from eagor.tasks.methods import EVERY, NAMES, FilterMethod, TrackerMethod, make_method, tracker_config
 
@@ -83,9 +85,10 @@ def test_evidence_of_no_known_step_is_refused():
 
 
 def test_names_with_settings():
-    config = tracker_config(TrackerConfig(), {"degree": "7", "decode": "mean", "shells": "0", "keep": "0.5"})
-    assert (config.degree, config.decode, config.ranges, config.keep_per_second) == (7, "mean", None, 0.5)
-    assert config.calibration is None
+    config = tracker_config(TrackerConfig(), {"degree": "7", "decode": "mean", "shells": "0", "jump": "0.5"})
+    assert (config.degree, config.decode, config.ranges, config.motion.jump) == (7, "mean", None, 0.5)
+    assert (config.calibration, config.detector) == (None, None)
+    assert config.motion.wander == TrackerConfig().motion.wander
     read = tracker_config(TrackerConfig.paper(), {"floor": "0.2"}).calibration
     assert read is not None
     assert (read.floor, read.scale_to_max) == (0.2, False)
@@ -109,7 +112,12 @@ def test_names_with_settings():
         ("eagor:shells=-1", "shells = -1; wanted a whole number"),
         ("eagor:shells=inf", "shells = inf; wanted a whole number"),
         ("eagor:heights=2", "heights = 2; wanted a whole number from 0 to 1"),
-        ("eagor:doubt=3", r"'eagor:doubt=3': TrackerConfig: doubt = 3\.0; wanted a probability"),
+        ("eagor:death=-3", r"'eagor:death=-3': MotionModel: death = -3\.0; wanted a rate"),
+        ("eagor:wander=3+", "'eagor:wander=3\\+': a setting wants a number"),
+        ("eagor:wander=3+0", "MotionModel: wander = .*; wanted radians per root second above 0"),
+        ("eagor:pd=1.5", r"DetectorModel: detection_probability = 1\.5; wanted a probability"),
+        ("eagor:repeats=?", "a setting wants a number"),
+        ("eagor:keep=0.9", "no setting 'keep'"),
         ("vmf:noise=nan", "noise = nan"),
         ("vmf:degree=7", "no setting 'degree'; known for vmf: floor"),
         ("grid:floor=0.1", "known for grid: none"),
@@ -143,6 +151,28 @@ def test_every_fitted_setting_makes_a_method():
     for perception, lines in FITTED.items():
         for base in lines:
             assert make_method(base, np.random.default_rng(0), perception)
+
+
+def test_how_targets_move_is_set_in_degrees_and_rates():
+    config = make_method("eagor:wander=3+12,stop=0.1,drift=0.5", np.random.default_rng(0)).tracker.config
+    assert config.motion == replace(TrackerConfig().motion, wander=(math.radians(3), math.radians(12)), stop=0.1)
+    assert config.drift == pytest.approx(math.radians(0.5))
+    assert make_method("eagor:wander=0", np.random.default_rng(0)).tracker.config.motion.wander == ()
+
+
+def test_a_variant_varies_the_detector_of_the_perception():
+    own = DetectorModel(0.6, 0.3, math.radians(4), 0.2)
+    varied = make_method("eagor:pd=?,dspread=7,repeats=0", np.random.default_rng(0), detector=own)
+    assert varied.tracker.config.detector == DetectorModel(None, 0.3, math.radians(7), 0.0)
+    assert make_method("eagor:degree=7", np.random.default_rng(0), detector=own).tracker.config.detector is None
+
+
+def test_before_any_look_the_answer_is_forward():
+    for name in NAMES:
+        method = make_method(name, np.random.default_rng(0))
+        method.move(0.0, np.eye(3), np.array([0.0, 0.0, 1.0]))
+        if name != "particle_filter":  # which is somewhere from the start
+            assert np.array_equal(method.direction(), FORWARD)
 
 
 def test_a_variant_varies_the_calibration_of_the_perception():

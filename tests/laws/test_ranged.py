@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from strategies import rotations
 
 from eagor.belief import Belief
+from eagor.calibration import Calibration
 from eagor.errors import EagorError, PoseError, RotationError
 from eagor.evidence import Evidence
 from eagor.ranged import RangedBelief, height_prior, log_ranges
@@ -124,7 +125,9 @@ def test_the_distance_of_one_of_two_is_not_that_of_the_other():
     belief = RangedBelief.uniform(12, log_ranges(count=20))
     for _ in range(12):
         position = position + np.array([0.2, 0, 0])
-        look = Evidence.from_points([bearing(position, near), bearing(position, far)], 50.0, [0.9, 0.9])
+        look = Evidence.from_points(
+            [bearing(position, near), bearing(position, far)], 50.0, [0.9] * 2, calibration=Calibration()
+        )
         belief = belief.predict(np.eye(3), np.array([0.2, 0, 0])).update(look)
     for thing in (near, far):
         about, away = bearing(position, thing), np.linalg.norm(thing - position)
@@ -138,7 +141,7 @@ def test_the_distance_of_one_of_two_is_not_that_of_the_other():
 @given(rotations())
 @settings(max_examples=10)
 def test_a_prior_turns_with_the_body(R):
-    look = Evidence.from_points([direction(0.4, -0.2)], 100.0, [0.9])
+    look = Evidence.from_points([direction(0.4, -0.2)], 100.0, [0.9], calibration=Calibration())
     blank = RangedBelief.uniform(7)
     belief = RangedBelief(blank.shells, blank.ranges, height_prior(7, blank.ranges, 1.25)).update(look)
     turned = belief.predict(R)

@@ -613,7 +613,8 @@ def test_views_and_responses_must_fit():
 @settings(deadline=None)
 def test_boxes_are_drawn_as_evidence_draws_them(x, y, width, height, score):
     box = Box(x, y, x + width, y + height, "", score)
-    evidence = Evidence.from_boxes([[x * 100, y * 50, (x + width) * 100, (y + height) * 50]], ErpGrid(50, 100), [score])
+    pixels = [[x * 100, y * 50, (x + width) * 100, (y + height) * 50]]
+    evidence = Evidence.from_boxes(pixels, ErpGrid(50, 100), [score], Calibration())
     mine = drawn([box], PatchGrid(7, 9), evidence.grid)
     np.testing.assert_allclose(mine, np.asarray(evidence.response), atol=1e-4)
     assert mine.max() <= score + 1e-6

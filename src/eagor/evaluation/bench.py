@@ -150,7 +150,7 @@ def variants(task: str) -> tuple[str, ...]:
         "eagor:decode=mean",
         "eagor:shells=0",
         "eagor:wander=0",
-        "eagor:keep=1",
+        "eagor:jump=0",
         *(f"eagor:floor={floor}" for floor in (0.05, 0.4, 0.8)),
         *(f"eagor:temperature={beta}" for beta in (1, 3, 6)),
         *(f"eagor:neutral={neutral}" for neutral in (0.02, 0.05, 0.2)),

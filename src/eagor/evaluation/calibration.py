@@ -1,9 +1,13 @@
-"""Fitting how the responses of a perception are read, and how fast what was seen is forgotten, by log score.
+"""Fitting how the looks of a perception are read, and how its targets come to move, by log score.
 
-Episodes of Waypoint Following and `tracking` in development apartments are recorded once: poses, and responses to
-two queries, one for the target and one that nothing there answers. A trial reads them with other settings. Its score,
+Episodes of Waypoint Following and `tracking` in development apartments are recorded once: poses, and looks for two
+queries, one for the target and one that nothing there answers. A trial reads them with other settings. Its score,
 in nats, higher is better, has two parts, and only honest beliefs maximise them (Good, 1952): the log density that the
 belief gave to the true direction, and the log of the probability that it gave to the truth about presence.
+
+A perception gives response maps, which a `Calibration` reads, or detections, which a `DetectorModel` reads: `READING`
+and `DETECTING` are the numbers of each, `MOVING` those of `MotionModel`. What can be counted on the recordings is
+counted (`counted`): there the search begins, and how scores are read is left at that.
 
 `eagor.evaluation.fitting` searches for the settings with the best score.
 """
@@ -12,23 +16,26 @@ from __future__ import annotations
 
 import math
 import pickle
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from eagor._files import written
+from eagor.detector import DetectorModel
 from eagor.errors import EagorError, QueryError, WorldError
 from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
 from eagor.metrics import angular_error_deg
+from eagor.motion import MotionModel
 from eagor.perception import load, rows_of
+from eagor.sphere import FORWARD, angular_distance
 from eagor.tasks import task as tasks
 from eagor.tasks.episodes import Slot
 from eagor.tasks.eyes import is_privileged
 from eagor.tasks.places import APARTMENT, DEVELOPMENT, load_place
-from eagor.tasks.play import MASS, Player, Recording
+from eagor.tasks.play import MASS, Moment, Player, Recording
 from eagor.tasks.rules import Camera, Disturbances, as_dict
 from eagor.tasks.tracking import TrackingEpisode
 from eagor.tracker import DirectionTracker
@@ -38,6 +45,8 @@ TASKS = ("waypoint", "tracking")
 PER_PLACE = 2  # episodes of each task in an apartment: many apartments tell more than many episodes in one
 EVERY = 3  # steps between the readings that are scored: neighbours say nearly the same
 SMALLEST = 1e-9  # a probability of presence below it counts as this
+HIT = math.radians(20)  # a detection farther from the target is a false alarm
+CASES, SCORE_BINS = 20, 4  # right and false detections that a curve over scores asks for, and its places
 
 
 @dataclass(frozen=True)
@@ -66,18 +75,96 @@ class Parameter:
         return math.log(given / self.low) / math.log(self.high / self.low)
 
 
-PARAMETERS = (
+READING = (  # of `Calibration`
     Parameter("floor", 0.01, 1.0),
     Parameter("neutral", 0.003, 0.3),
     Parameter("temperature", 0.03, 30.0),
-    Parameter("keep_per_second", 0.002, 0.3, flipped=True),
-    Parameter("wander", math.radians(2), math.radians(25)),
-    Parameter("restless", 1e-4, 0.1),
-    Parameter("surest", 4.0, 60.0),
-    Parameter("settle", 0.2, 100.0),
     Parameter("persistence", 0.05, 1.0, flipped=True),
     Parameter("spread", math.radians(2), math.radians(12), or_none=True),
 )
+DETECTING = (  # of `DetectorModel`
+    Parameter("detection_probability", 0.02, 0.95, flipped=True),
+    Parameter("false_alarms_per_look", 0.003, 20.0),
+    Parameter("spread", math.radians(0.5), math.radians(20)),
+    Parameter("repeats", 0.05, 1.0, flipped=True),
+)
+MOVING = (  # of `MotionModel`; its `wander` is the slow and the fast kind
+    Parameter("slow", math.radians(0.5), math.radians(6)),
+    Parameter("fast", math.radians(6), math.radians(40)),
+    Parameter("start", 1e-4, 0.1),
+    Parameter("stop", 1e-3, 1.0),
+    Parameter("jump", 1e-4, 1.0),
+)
+
+
+def motion_values(motion: MotionModel) -> dict[str, float]:
+    """The numbers of `MOVING`, as a model has them; of more kinds of wandering the slowest and the fastest."""
+    wander = motion.wander or MotionModel().wander
+    rates = {name: getattr(motion, name) for name in ("start", "stop", "jump")}
+    return {"slow": min(wander), "fast": max(wander), **rates}
+
+
+def counted(recordings: Sequence[Recording]) -> DetectorModel | None:
+    """The detector's model with what can be counted on the recordings; None where they hold no detections.
+
+    A detection within `HIT` of the target is right, every other one false. How often right ones have a score, over how
+    often false ones have it, is the ratio by which that score counts.
+    """
+    looks = [
+        (moment.evidence.detections, direction, seen)
+        for recording in recordings
+        for moment, direction, seen in _timely(recording)
+        if moment.evidence is not None and moment.evidence.detections is not None
+    ]
+    if not looks:
+        return None
+    right, false, offsets, found, visible = [], [], [], 0, 0
+    for detections, direction, seen in looks:
+        assert detections is not None
+        apart = np.asarray(angular_distance(detections.directions, direction)).reshape(-1)
+        near = (apart < HIT) & seen
+        right.extend(detections.scores[near])
+        false.extend(detections.scores[~near])
+        offsets.extend(apart[near])
+        found, visible = found + int(near.any()), visible + int(seen)
+    model = looks[0][0].model  # type: ignore[union-attr]
+    spread = math.sqrt(float(np.mean(np.square(offsets))) / 2) if offsets else model.spread  # two axes
+    return replace(
+        model,
+        detection_probability=short((found + 0.5) / (visible + 1)),
+        false_alarms_per_look=short((len(false) + 0.5) / (len(looks) + 1)),
+        spread=short(min(max(spread, DETECTING[2].low), DETECTING[2].high)),
+        score_ratios=score_ratios(np.array(right), np.array(false)),
+    )
+
+
+def _timely(recording: Recording) -> list[tuple[Moment, np.ndarray, bool]]:
+    """Each moment with the true direction, and whether the target was in sight, at the capture of what arrived then."""
+    place = {moment.stamp: index for index, moment in enumerate(recording.moments)}
+    found = []
+    for moment in recording.moments:
+        stamp = moment.stamp if moment.evidence is None else moment.evidence.stamp
+        index = place.get(stamp, place[moment.stamp])  # type: ignore[arg-type]
+        found.append((moment, recording.directions[index], bool(recording.truth["visible"][index])))
+    return found
+
+
+def score_ratios(right: np.ndarray, false: np.ndarray) -> tuple[tuple[float, float], ...] | None:
+    """How much likelier each score is for right detections than for false ones, from bins with as many scores each.
+
+    None where there are fewer than `CASES` of either, or all scores are alike.
+    """
+    if min(len(right), len(false)) < CASES:
+        return None
+    both = np.concatenate([right, false])
+    edges = np.unique(np.quantile(both, np.linspace(0, 1, SCORE_BINS + 1)))
+    if len(edges) < 3:
+        return None
+    bins = [np.clip(np.searchsorted(edges, scores, side="right") - 1, 0, len(edges) - 2) for scores in (right, false)]
+    shares = [(np.bincount(at, minlength=len(edges) - 1) + 0.5) / (len(at) + 0.5 * (len(edges) - 1)) for at in bins]
+    of_both = np.concatenate(bins)
+    middles = [float(both[of_both == index].mean()) for index in range(len(edges) - 1)]
+    return tuple((short(at), short(float(ratio))) for at, ratio in zip(middles, shares[0] / shares[1], strict=True))
 
 
 def short(value: float) -> float:
@@ -203,8 +290,9 @@ def score(recording: Recording, config: TrackerConfig, regions: bool = False) ->
         if recording.truth["present"][index]:
             estimate, true = tracker.estimate(moment.stamp), recording.directions[index]
             presence[0].append(math.log(max(estimate.presence, SMALLEST)))
-            direction.append(float(estimate.reading.log_density(estimate.world_R_body @ true)))
-            error.append(float(angular_error_deg(estimate.direction, true)))
+            direction.append(float(estimate.log_density(true)))
+            said = FORWARD if estimate.direction is None else estimate.direction
+            error.append(float(angular_error_deg(np.array(said), true)))
             if regions:
                 inside.append(estimate.mass_above(true) < MASS)
     told = (np.array(presence[0]), np.array(presence[1] or [0.0]))

@@ -14,7 +14,7 @@ import pickle
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -22,10 +22,21 @@ from typing import Any
 import numpy as np
 
 from eagor._version import __version__
+from eagor.calibration import Calibration
+from eagor.detector import DetectorModel
 from eagor.errors import EagorError
-from eagor.estimate import TrackerConfig
-from eagor.evaluation.calibration import PARAMETERS, Score, score, short
-from eagor.perception.calibrated import FORGETTING, Calibrated, calibration_of
+from eagor.evaluation.calibration import (
+    DETECTING,
+    MOVING,
+    READING,
+    Parameter,
+    Score,
+    counted,
+    motion_values,
+    score,
+    short,
+)
+from eagor.perception.calibrated import Calibrated
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.methods import BASE
 from eagor.tasks.play import Recording
@@ -48,6 +59,8 @@ def fit(
 ) -> Calibrated:
     """The settings with the best log score on `recordings`, which should span several apartments.
 
+    Of a perception that gives detections, the model of the detector is counted first.
+
     Apartments are dealt into two halves in turn: one is searched on, the other judges. `on_trial` is called after each
     trial, `on_round` with the best so far. Raises `EagorError` if there are too few recordings for two halves.
     """
@@ -55,15 +68,16 @@ def fit(
     halves = [[r for r in recordings if seeds.index(r.episode.slot.seed) % 2 == half] for half in (0, 1)]
     if not all(halves):
         raise EagorError(f"{len(recordings)} episodes of {len(seeds)} apartment; calibrating needs at least two")
-    start = _settings_now(recordings)
+    space = _Space.of(perception, halves[0])
+    start = space.start(halves[0])
     with tempfile.TemporaryDirectory() as folder, _mapping(workers) as run:
         files = [Path(folder) / f"half-{half}" for half in (0, 1)]
         for file, half in zip(files, halves, strict=True):
             file.write_bytes(pickle.dumps(half))
         best = start
-        for best in _rounds(partial(_trial, files[0]), start, trials, run, on_trial):
-            on_round(_calibrated(perception, best, {}))
-        judged = [_judged(files[1], len(halves[1]), at, run) for at in (start, best)]
+        for best in _rounds(partial(_trial, space, files[0]), start, trials, run, on_trial):
+            on_round(space.at(best))
+        judged = [_judged(space, files[1], len(halves[1]), at, run) for at in (start, best)]
     found_by = {
         "apartments": seeds,
         "episodes": len(recordings),
@@ -73,20 +87,40 @@ def fit(
         "after": judged[1],
         "version": __version__,
     }
-    return _calibrated(perception, best, found_by)
+    return space.at(best, found_by)
 
 
-def _settings_now(recordings: Sequence[Recording]) -> np.ndarray:
-    """Where the search begins ``(parameters,)``: the default tracker, and how the perception reads its responses."""
-    seen = (moment.evidence for recording in recordings for moment in recording.moments)
-    reading = next(evidence.calibration for evidence in seen if evidence is not None)
-    values = {**asdict(TrackerConfig()), **asdict(reading)}
-    return np.array([parameter.place(values[parameter.name]) for parameter in PARAMETERS])
+@dataclass(frozen=True)
+class _Space:
+    """What is searched: the `parameters`, and the detector's model that was counted (None: response maps are read)."""
 
+    perception: str
+    parameters: tuple[Parameter, ...]
+    counted: DetectorModel | None
 
-def _calibrated(perception: str, places: np.ndarray, found_by: dict[str, Any]) -> Calibrated:
-    values = {p.name: short(p.value(float(place))) for p, place in zip(PARAMETERS, places, strict=True)}
-    return Calibrated(perception, calibration_of(values), {key: values[key] for key in FORGETTING}, found_by)
+    @classmethod
+    def of(cls, perception: str, recordings: Sequence[Recording]) -> _Space:
+        """The space of a perception that gave these recordings."""
+        found = counted(recordings)
+        return cls(perception, (READING if found is None else DETECTING) + MOVING, found)
+
+    def start(self, recordings: Sequence[Recording]) -> np.ndarray:
+        """Where the search begins ``(parameters,)``: how looks are read now, or as counted, and targets move."""
+        read: Calibration | DetectorModel | None = self.counted
+        if read is None:
+            seen = (moment.evidence for recording in recordings for moment in recording.moments)
+            read = next(evidence.calibration for evidence in seen if evidence is not None)
+        values = {**vars(read), **motion_values(BASE.motion)}
+        return np.array([parameter.place(values[parameter.name]) for parameter in self.parameters])
+
+    def at(self, places: np.ndarray, found_by: dict[str, Any] | None = None) -> Calibrated:
+        """The settings at `places` ``(parameters,)``."""
+        values = {p.name: short(p.value(float(place))) for p, place in zip(self.parameters, places, strict=True)}
+        moving = {parameter.name: values.pop(parameter.name) for parameter in MOVING}
+        forgetting = {"wander": (moving.pop("slow"), moving.pop("fast")), **moving}
+        if self.counted is None:
+            return Calibrated(self.perception, Calibration(**values), forgetting, found_by or {})
+        return Calibrated(self.perception, None, forgetting, found_by or {}, replace(self.counted, **values))
 
 
 def _rounds(
@@ -110,14 +144,14 @@ def _rounds(
         yield tried[0][1]
 
 
-def _trial(file: Path, places: np.ndarray) -> float:
-    config = _calibrated("", places, {}).config(BASE)
+def _trial(space: _Space, file: Path, places: np.ndarray) -> float:
+    config = space.at(places).config(BASE)
     return float(np.mean([score(recording, config).total for recording in _stored(file)]))
 
 
-def _judged(file: Path, count: int, places: np.ndarray, run: Map) -> dict[str, Any]:
+def _judged(space: _Space, file: Path, count: int, places: np.ndarray, run: Map) -> dict[str, Any]:
     """Scores on the other half of the apartments, with 95 % intervals over apartments."""
-    scores: list[Score] = list(run(partial(_one, file, places), list(range(count))))
+    scores: list[Score] = list(run(partial(_one, space, file, places), list(range(count))))
     groups = [found.seed for found in scores]
 
     def line(values: list[float]) -> list[float | None]:
@@ -136,8 +170,8 @@ def _judged(file: Path, count: int, places: np.ndarray, run: Map) -> dict[str, A
     }
 
 
-def _one(file: Path, places: np.ndarray, index: int) -> Score:
-    return score(_stored(file)[index], _calibrated("", places, {}).config(BASE), regions=True)
+def _one(space: _Space, file: Path, places: np.ndarray, index: int) -> Score:
+    return score(_stored(file)[index], space.at(places).config(BASE), regions=True)
 
 
 @lru_cache(maxsize=2)

@@ -22,10 +22,19 @@ KEYS = {
     "neutral": "calibration: neutral response",
     "temperature": "calibration: temperature",
     "shells": "range shells",
-    "keep": "how much is kept per second",
-    "diffusion": "diffusion",
+    "persistence": "calibration: persistence",
+    "spread": "calibration: spread",
+    "pd": "detector: probability of detection",
+    "clutter": "detector: false alarms per look",
+    "dspread": "detector: spread",
+    "repeats": "detector: share that repeats",
     "wander": "how far a target wanders, if it does",
-    "restless": "how often a target starts or stops",
+    "start": "how often a target starts to move",
+    "stop": "how often a target comes to stand",
+    "jump": "how often a target turns up elsewhere",
+    "birth": "how often a target appears",
+    "death": "how often a target disappears",
+    "drift": "drift of the odometry",
 }
 
 

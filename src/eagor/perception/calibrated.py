@@ -14,10 +14,11 @@ from eagor.calibration import Calibration
 from eagor.detector import DetectorModel, model_as_json
 from eagor.errors import EagorError
 from eagor.estimate import TrackerConfig
+from eagor.evidence import Evidence
 from eagor.perception import short_name
 
 READING = ("floor", "neutral", "temperature", "persistence", "spread")  # fields of `Calibration`
-FORGETTING = ("start", "stop", "jump", "birth", "death")  # fields of `MotionModel`: rates per second
+FORGETTING = ("wander", "start", "stop", "jump", "birth", "death")  # fields of `MotionModel`: radians, rates per second
 
 
 @dataclass(frozen=True)
@@ -25,13 +26,13 @@ class Calibrated:
     """How one perception is read, and what was fitted with it.
 
     `perception`: whose it is, as `eagor.perception.load` reads it. `calibration`: of its response maps, `detector`: of
-    its detections; None: as the perception reads them itself. `forgetting`: rates of `MotionModel`. `found_by`:
+    its detections; None: as the perception reads them itself. `forgetting`: fields of `MotionModel`. `found_by`:
     apartments, trials and scores, for people.
     """
 
     perception: str
     calibration: Calibration | None
-    forgetting: dict[str, float] = field(default_factory=dict)
+    forgetting: dict[str, float | tuple[float, ...]] = field(default_factory=dict)
     found_by: dict[str, Any] = field(default_factory=dict)
     detector: DetectorModel | None = None
 
@@ -40,7 +41,14 @@ class Calibrated:
         base = base or TrackerConfig()
         read = {"calibration": self.calibration, "detector": self.detector}
         told = {name: value for name, value in read.items() if value is not None}
-        return replace(base, **told, motion=replace(base.motion, **self.forgetting))  # type: ignore[arg-type]
+        motion = replace(base.motion, **self.forgetting)  # type: ignore[arg-type]
+        return replace(base, **told, motion=motion)  # type: ignore[arg-type]
+
+    def reread(self, evidence: Evidence) -> Evidence:
+        """A look read as this says, for who reads evidence without a tracker."""
+        if evidence.detections is not None and self.detector is not None:
+            return evidence.with_detector(self.detector)
+        return evidence if self.calibration is None else evidence.with_calibration(self.calibration)
 
     def fits(self, perception: str) -> bool:
         """Whether it is of this perception; options and files of records aside."""
@@ -82,8 +90,10 @@ def detector_of(values: Mapping[str, Any]) -> DetectorModel:
 def from_json(stored: Any, source: str) -> Calibrated:
     """The calibration in what `as_json` gave; `source` is for errors. Raises `EagorError` for anything else."""
     try:
-        forgetting = {key: number(value) for key, value in stored["forgetting"].items()}
-        _only(forgetting, FORGETTING)
+        _only(stored["forgetting"], FORGETTING)
+        forgetting = {
+            key: _rates(value) if key == "wander" else number(value) for key, value in stored["forgetting"].items()
+        }
         reading, model = stored.get("calibration"), stored.get("detector")
         if reading is None and model is None:
             raise EagorError("has neither a calibration nor a detector")
@@ -101,6 +111,12 @@ def from_json(stored: Any, source: str) -> Calibrated:
             f"{source} is no calibration ({type(error).__name__}: {error}); wanted what `eagor calibrate` writes"
         ) from error
     return found
+
+
+def _rates(value: Any) -> tuple[float, ...]:
+    """Numbers above 0 from a list of them, or from one; 0 stands for none."""
+    values = tuple(number(entry) for entry in (value if isinstance(value, list | tuple) else [value]))
+    return () if values == (0,) else values
 
 
 def _only(values: Mapping[str, Any], known: Any) -> None:

@@ -14,11 +14,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from eagor.calibration import Calibration
 from eagor.errors import AnswerError
 from eagor.evidence import Evidence
 from eagor.perception import Perception, load
-from eagor.perception.calibrated import from_json
+from eagor.perception.calibrated import Calibrated, from_json
 from eagor.queries import Named
 from eagor.tasks.chat import shared_chat
 
@@ -121,9 +120,9 @@ def release() -> None:
         torch.cuda.empty_cache()
 
 
-def recalibration(settings: Mapping[str, Any]) -> Calibration | None:
-    """How the settings of a run say that responses are to be read ("calibrated"); None: as the perception does."""
-    return from_json(settings["calibrated"], "the settings").calibration if settings.get("calibrated") else None
+def recalibration(settings: Mapping[str, Any]) -> Calibrated | None:
+    """How the settings of a run say that looks are to be read ("calibrated"); None: as the perception does."""
+    return from_json(settings["calibrated"], "the settings") if settings.get("calibrated") else None
 
 
 def is_privileged(perception: Any) -> bool:

@@ -26,11 +26,14 @@ from eagor.baselines import (
     VonMisesFisherFilter,
 )
 from eagor.calibration import Calibration
+from eagor.detector import DetectorModel
 from eagor.errors import EagorError, TimeError
 from eagor.estimate import Estimate, TrackerConfig
 from eagor.evidence import Evidence
+from eagor.motion import MotionModel
 from eagor.perception import is_model
 from eagor.ranged import log_ranges
+from eagor.sphere import FORWARD
 from eagor.tasks.fitted import fitted
 from eagor.tracker import DirectionTracker
 
@@ -48,7 +51,7 @@ DESCRIPTIONS = {
     "vmf": "von Mises-Fisher filter: one direction and one concentration",
     "grid_filter": "Bayes filter on a grid of probabilities",
     "particle_filter": f"particle filter, {PARTICLES} directions",
-    "eagor": "our tracker: belief over direction and distance, standing or wandering, degree 15, read at its mode",
+    "eagor": "our tracker: belief over direction and distance; absent, standing or wandering; the heaviest mode",
 }
 NAMES = tuple(DESCRIPTIONS)
 PLAIN = "plain"  # a model that is asked anew at each step, and nothing else: what vision-language models are without us
@@ -68,7 +71,7 @@ class Method(Protocol):
         ...
 
     def direction(self) -> np.ndarray:
-        """The estimate ``(3,)``, in the body frame of the last pose."""
+        """The estimate ``(3,)``, in the body frame of the last pose; forward while nothing is known."""
         ...
 
     def mass_above(self, direction: np.ndarray) -> float | None:
@@ -174,7 +177,8 @@ class TrackerMethod:
         return self._estimate
 
     def direction(self) -> np.ndarray:
-        return self.estimate.direction
+        found = self.estimate.direction
+        return np.array(FORWARD) if found is None else found
 
     def mass_above(self, direction: np.ndarray) -> float | None:
         return self.estimate.mass_above(direction)
@@ -194,12 +198,13 @@ def make_method(
     perception: str = "",
     calibration: Calibration | None = None,
     ours: TrackerConfig | None = None,
+    detector: DetectorModel | None = None,
 ) -> Method:
     """The method that `name` says; `rng` is for those that draw. Raises `EagorError` for a name that is none.
 
     `perception` (as `eagor.perception.load` reads it) tells which fitted settings a rival starts from
-    (`eagor.tasks.fitted`), and `calibration` how that perception reads its responses; our tracker and its variants
-    start from `ours` (default: the default tracker).
+    (`eagor.tasks.fitted`), `calibration` how that perception reads its response maps and `detector` its detections; our
+    tracker and its variants start from `ours` (default: the default tracker).
     """
     base, _, text = name.partition(":")
     if base not in EVERY:
@@ -211,7 +216,7 @@ def make_method(
         if base in _FILTERS:
             return _filter(base, settings, rng)
         config = TrackerConfig.paper() if base == "eagor_paper" else ours or TrackerConfig()
-        return TrackerMethod(DirectionTracker(tracker_config(config, settings, calibration)))
+        return TrackerMethod(DirectionTracker(tracker_config(config, settings, calibration, detector)))
     except KeyError as error:
         known = ", ".join(SETTINGS[base]) or "none"
         raise EagorError(f"method {name!r}: there is no setting {error}; known for {base}: {known}") from None
@@ -233,30 +238,27 @@ def _settings(name: str, text: str) -> dict[str, str]:
 
 def _numbers(settings: dict[str, str]) -> dict[str, float]:
     """Settings from text, angles in radians. Raises ValueError for what is no number."""
-    found = {key: math.radians(float(text)) if key in _ANGLES else float(text) for key, text in settings.items()}
-    if nan := [key for key, value in found.items() if math.isnan(value)]:
-        raise ValueError(f"{nan[0]} = nan")
+    return {key: _number(key, text) for key, text in settings.items()}
+
+
+def _number(key: str, text: str) -> float:
+    found = math.radians(float(text)) if key in _ANGLES else float(text)
+    if math.isnan(found):
+        raise ValueError(f"{key} = nan")
     return found
 
 
 _READING = ("floor", "neutral", "temperature")
 _REPEATING = (*_READING, "persistence", "spread")
-_OURS = (
-    "degree",
-    "decode",
-    *_REPEATING,
-    "keep",
-    "shells",
-    "diffusion",
-    "wander",
-    "restless",
-    "doubt",
-    "settle",
-    "heights",
-    "surest",
-    "switch",
-)
-_ANGLES = ("noise", "diffusion", "roughening", "kernel", "wander", "spread")  # typed in degrees
+_DETECTING = {  # of a detector's model, by their names here
+    "pd": "detection_probability",
+    "clutter": "false_alarms_per_look",
+    "dspread": "spread",
+    "repeats": "repeats",
+}
+_MOVING = ("start", "stop", "jump", "birth", "death")
+_OURS = ("degree", "decode", *_REPEATING, *_DETECTING, "shells", "heights", "wander", *_MOVING, "drift")
+_ANGLES = ("noise", "diffusion", "roughening", "kernel", "wander", "spread", "dspread", "drift")  # typed in degrees
 SETTINGS: dict[str, tuple[str, ...]] = {
     "plain": (),
     "centroid": (),
@@ -271,42 +273,55 @@ SETTINGS: dict[str, tuple[str, ...]] = {
 
 
 def tracker_config(
-    config: TrackerConfig, settings: dict[str, str], calibration: Calibration | None = None
+    config: TrackerConfig,
+    settings: dict[str, str],
+    calibration: Calibration | None = None,
+    detector: DetectorModel | None = None,
 ) -> TrackerConfig:
     """`config` with settings from text; raises KeyError for one that there is not, ValueError for what is no number.
 
-    degree, decode, keep (per second), shells (0: directions only), heights (0: it is not known where the floor is),
-    diffusion and wander (degrees per root second), restless (changes per second), doubt (a probability), settle
-    (seconds), surest and switch (nats), and floor, neutral, temperature, persistence and spread (degrees), which change
-    `calibration` where the config has none of its own.
+    - degree, decode; shells (0: directions only), heights (0: it is not known where the floor is);
+    - of how targets move: wander (degrees per root second; several kinds are joined by +, 0: none), and start, stop,
+      jump, birth, death (rates per second); drift (degrees per root second);
+    - of how response maps are read: floor, neutral, temperature, persistence, spread (degrees). They change
+      `calibration` where the config has none of its own;
+    - of how detections are read: pd, clutter (?: to be learnt), dspread (degrees) and repeats. They change `detector`
+      where the config has none of its own.
     """
     if unknown := [key for key in settings if key not in _OURS]:
         raise KeyError(unknown[0])
-    numbers = _numbers({key: value for key, value in settings.items() if key != "decode"})
     if settings.get("decode", "mode") not in ("mode", "mean"):
         raise EagorError(f"decode = {settings['decode']!r}; wanted mode or mean")
-    changes: dict[str, Any] = {}
+    learnt = [key for key in ("pd", "clutter") if settings.get(key) == "?"]
+    numbers = _numbers({key: text for key, text in settings.items() if key not in ("decode", "wander", *learnt)})
+    changes: dict[str, Any] = {"motion": _motion(config.motion, settings, numbers)}
+    if "drift" in numbers:
+        changes["drift"] = numbers["drift"]
     if "degree" in numbers:
         changes["degree"] = _whole("degree", numbers)
     if "decode" in settings:
         changes["decode"] = settings["decode"]
-    if "keep" in numbers:
-        changes["keep_per_second"] = numbers["keep"]
-    changes |= {key: numbers[key] for key in ("diffusion", "wander") if key in numbers}
-    changes |= {key: numbers[key] for key in ("restless", "doubt", "settle", "surest") if key in numbers}
-    if "switch" in numbers:
-        changes["switch_at"] = numbers["switch"]
     if "heights" in numbers:
         changes["floor"] = FLOOR if _whole("heights", numbers, 1) else None
     if "shells" in numbers:
         count = _whole("shells", numbers)
         changes["ranges"] = tuple(log_ranges(count=count).tolist()) if count else None
-    reading = {key: numbers[key] for key in _REPEATING if key in numbers}
-    if reading:
-        changes["calibration"] = replace(
-            config.calibration or calibration or Calibration(), scale_to_max=False, **reading
-        )
+    if reading := {key: numbers[key] for key in _REPEATING if key in numbers}:
+        read = config.calibration or calibration or Calibration()
+        changes["calibration"] = replace(read, scale_to_max=False, **reading)
+    detecting: dict[str, Any] = {name: numbers.get(key) for key, name in _DETECTING.items() if key in settings}
+    if detecting:
+        changes["detector"] = replace(config.detector or detector or DetectorModel(), **detecting)
     return replace(config, **changes)
+
+
+def _motion(motion: MotionModel, settings: dict[str, str], numbers: dict[str, float]) -> MotionModel:
+    """`motion` with the settings that are about it."""
+    found: dict[str, Any] = {key: numbers[key] for key in _MOVING if key in numbers}
+    if "wander" in settings:
+        angles = tuple(_number("wander", text) for text in settings["wander"].split("+"))
+        found["wander"] = () if angles == (0.0,) else angles
+    return replace(motion, **found)
 
 
 def _whole(key: str, numbers: dict[str, float], most: float = math.inf) -> int:

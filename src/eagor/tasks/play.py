@@ -111,8 +111,8 @@ class Player:
 
     def method(self, name: str, slot: Slot) -> Method:
         """A fresh method of this name, as it is for this perception."""
-        calibration = getattr(self.perception, "calibration", None)
-        return make_method(name, slot.rng("method"), self.config["perception"], calibration, self.ours)
+        calibration, detector = (getattr(self.perception, name_, None) for name_ in ("calibration", "detector"))
+        return make_method(name, slot.rng("method"), self.config["perception"], calibration, self.ours, detector)
 
     def _begin(self, episode: Episode) -> tuple[dict, dict, Eye]:
         observation, info = self.env.reset(options={"episode": episode})

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from eagor.conventions import direction_from_hstar
+from eagor.perception.calibrated import Calibrated
 from eagor.sphere import angular_distance
 from eagor.tasks.chat import Chat, shared_chat
 from eagor.tasks.eyes import recalibration
@@ -30,14 +31,14 @@ def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str,
     agent = settings["agent"]
     perception = open_perception(settings["perception"]) if agent in LOOKING else None
     chat = shared_chat(settings["model"]) if agent == "vlm" else None
-    calibration = recalibration(settings)
+    calibrated = recalibration(settings)
 
     def do(payload: Mapping[str, Any]) -> dict[str, Any]:
         episode = Episode.from_json(payload["episode"])
         eye = None
         if perception is not None:
             eye = open_eye(perception, episode, settings["seed"], settings["resolution"])
-            eye = _Recalibrated(eye, calibration) if calibration else eye
+            eye = _Recalibrated(eye, calibrated) if calibrated else eye
         player = open_agent(episode, settings, eye, chat)
         return play(episode, player, settings["scoring"], settings["turns"], payload.get("siblings", ()))
 
@@ -167,11 +168,11 @@ def errors(episode: Episode, answer: Mapping[str, Any] | None) -> dict[str, floa
 
 
 class _Recalibrated:
-    """An eye whose evidence is read with another calibration."""
+    """An eye whose evidence is read with another calibration or detector."""
 
-    def __init__(self, eye: Eye, calibration: Any) -> None:
-        self._eye, self._calibration = eye, calibration
+    def __init__(self, eye: Eye, calibrated: Calibrated) -> None:
+        self._eye, self._calibrated = eye, calibrated
 
     def look(self, view: View) -> Any:
         look = self._eye.look(view)
-        return replace(look, evidence=look.evidence.with_calibration(self._calibration))
+        return replace(look, evidence=self._calibrated.reread(look.evidence))

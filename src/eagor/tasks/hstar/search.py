@@ -18,6 +18,7 @@ from eagor._checks import above, require, whole, within
 from eagor.belief import Belief
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid
+from eagor.peaks import decoding_grid
 from eagor.tasks.hstar.camera import HFOV_DEG, View, inside, size_of
 from eagor.tasks.hstar.rules import PITCH_TOLERANCE, YAW_TOLERANCE
 
@@ -117,16 +118,25 @@ class Search:
         pitch = round(view.pitch)
         shown = np.maximum(self.shown, _rolled(_shares(pitch), view.yaw))
         stale = self.rules.repeats * np.maximum(self.stale, _rolled(_weights(pitch, self.rules.degree), view.yaw))
-        belief = self.belief.update(self._new_part(evidence, world_R_capture), world_R_capture)
-        return Search(self.kind, self.rules, belief, shown, stale)
+        return Search(self.kind, self.rules, self._with_new_part(evidence, world_R_capture), shown, stale)
 
-    def _new_part(self, evidence: Evidence, world_R_capture: np.ndarray) -> Evidence:
-        """The evidence, weakened where it was looked at a short while ago: errors of a model stay where they are."""
+    def _with_new_part(self, evidence: Evidence, world_R_capture: np.ndarray) -> Belief:
+        """With the evidence, weakened where it was looked at a short while ago: errors of a model stay where they are."""
         if not self.stale.any():
-            return evidence
-        x, y, _ = CELLS.project(evidence.grid.directions @ world_R_capture.T)
+            return self.belief.update(evidence, world_R_capture)
+        if evidence.detections is None:
+            new = self._new_at(evidence.grid.directions @ world_R_capture.T)
+            return self.belief.update(replace(evidence, drawn=evidence.log_ratio * new), world_R_capture)
+        basis, grid = self.belief.basis, decoding_grid(self.rules.degree)
+        said = basis.synthesise(evidence.coefficients(self.rules.degree), grid)
+        new = self._new_at(grid.directions @ world_R_capture.T)
+        return self.belief.plus(basis.rotate(basis.analyse(said * new, grid), world_R_capture))
+
+    def _new_at(self, directions: np.ndarray) -> np.ndarray:
+        """The share ``(...)`` of a look at directions ``(..., 3)`` of the world that repeats no other."""
+        x, y, _ = CELLS.project(directions)
         rows = np.clip(y.astype(np.intp), 0, CELLS.height - 1)
-        return replace(evidence, log_ratio=evidence.log_ratio * (1 - self.stale[rows, x.astype(np.intp) % CELLS.width]))
+        return 1 - self.stale[rows, x.astype(np.intp) % CELLS.width]
 
     @cached_property
     def probability(self) -> np.ndarray:

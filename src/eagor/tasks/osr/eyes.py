@@ -12,12 +12,12 @@ import numpy as np
 
 from eagor._arrays import to_numpy
 from eagor.belief import Belief
-from eagor.calibration import Calibration
 from eagor.detections import MIN_SPREAD
 from eagor.errors import FormatError, QueryError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid
 from eagor.perception import Perception
+from eagor.perception.calibrated import Calibrated
 from eagor.tasks.osr.dataset import Scene
 from eagor.tasks.osr.geometry import HANGING, FloorLine, Sighting
 from eagor.tasks.osr.truth import FILE, HEIGHT, read_room, sightings
@@ -73,14 +73,14 @@ class BeliefLooker:
 
     `degree` of the belief; `height` of the camera above the floor, metres; `depth`: take ranges (metres along the ray,
     an equirectangular array (H, W), 0 or infinite where nobody knows) from depth.npy in the scene's folder;
-    `calibration`: how responses are read, None for as the perception does.
+    `calibrated`: how looks are read, None for as the perception does.
     """
 
     perception: Perception
     degree: int = 15
     height: float = HEIGHT
     depth: bool = False
-    calibration: Calibration | None = None
+    calibrated: Calibrated | None = None
 
     def __call__(self, scene: Scene, names: Sequence[str]) -> Seen:
         from eagor.worlds.panorama import read_panorama
@@ -97,8 +97,8 @@ class BeliefLooker:
             except QueryError:
                 strange.append(name)
                 continue
-            if self.calibration is not None:
-                evidence = evidence.with_calibration(self.calibration)
+            if self.calibrated is not None:
+                evidence = self.calibrated.reread(evidence)
             found = sightings_in(evidence, name, self.degree)
             things += [each if ranges is None else replace(each, depth=depth_at(ranges, each)) for each in found]
         return Seen(tuple(things), None, self.height, tuple(strange))

@@ -66,8 +66,8 @@ def open_looker(perception: str, settings: Mapping[str, Any]) -> Looker:
         if how not in ("", "exact", "outline"):
             raise EagorError(f"perception {perception!r}; wanted truth, truth:exact or truth:outline for osr")
         return TruthLooker(exact=how != "outline")
-    depth, calibration = settings["range"] == "depth", recalibration(settings)
-    return BeliefLooker(shared(perception), settings["degree"], settings["camera_height"], depth, calibration)
+    depth, calibrated = settings["range"] == "depth", recalibration(settings)
+    return BeliefLooker(shared(perception), settings["degree"], settings["camera_height"], depth, calibrated)
 
 
 def judged(scene: Scene, question: Question, reply: Reply, settings: Mapping[str, Any]) -> dict[str, Any]:
