@@ -699,7 +699,7 @@ def test_a_calibration_is_fitted_written_and_taken(room, tmp_path):
     words = ("calibrate", "--perception", "truth", "--episodes", "8", "--trials", "2", "--out", out)
     found = answer(*words)
     assert {"floor", "neutral", "temperature", "persistence", "spread"} == set(found["calibration"])
-    assert {"start", "stop", "jump", "birth", "death"} == set(found["forgetting"])
+    assert {"wander", "start", "stop", "jump"} == set(found["forgetting"])
     assert len(found["found_by"]["apartments"]) == 2
     assert json.loads(out.read_text())["calibration"] == found["calibration"]
     run = ("bench", "run", "tracking", "--perception", "truth", "--episodes", "1", "--seed", "1", "--methods", "eagor")
