@@ -69,13 +69,12 @@ SPACES: dict[str, Callable[[Rng], Settings]] = {
     },
     "eagor": lambda rng: {
         **_reading(rng),
-        "keep": 1 - _log(rng, 0.01, 0.2),
-        "wander": _log(rng, 4, 20),
-        "restless": _log(rng, 0.0003, 0.03),
-        "doubt": _log(rng, 0.001, 0.1),
-        "settle": _log(rng, 0.2, 100),
-        "surest": _log(rng, 8, 60),
         "persistence": 1 - _log(rng, 0.05, 1),
+        "spread": float(rng.choice([0.0, _log(rng, 2, 12)])),
+        "wander": f"{_log(rng, 0.5, 6):.3g}+{_log(rng, 6, 40):.3g}",
+        "start": _log(rng, 1e-4, 0.1),
+        "stop": _log(rng, 1e-3, 1),
+        "jump": _log(rng, 1e-4, 1),
     },
 }
 
@@ -119,7 +118,10 @@ def trials(base: str, count: int, seed: int) -> Iterator[str]:
     yield base
     rng = np.random.default_rng([seed, 17])
     for _ in range(count - 1):
-        yield f"{base}:" + ",".join(f"{key}={value:.3g}" for key, value in SPACES[base](rng).items())
+        drawn = SPACES[base](rng).items()
+        yield f"{base}:" + ",".join(
+            f"{key}={value if isinstance(value, str) else f'{value:.3g}'}" for key, value in drawn
+        )
 
 
 def aim(scores: dict[str, list[tuple[int, dict[str, Any]]]]) -> float:

@@ -12,7 +12,8 @@ Along the routes of Waypoint Following, at each step, the tracker is asked for
 A direction counts as right within `RIGHT` degrees of a thing that answers the query. Printed, with 95 % intervals over
 apartments: how often the answer is right, how often each status is said, how often it is right when it is said, how
 many of the modes are things that answer and how many of those seen are among the modes. With --out the reliability of
-the modes is drawn: where the tracker gives a mode the weight w, a share w of such modes should be right.
+the modes is drawn: where the tracker gives a mode the weight w (the probability of its basin), a share w of such modes
+should be right.
 """
 
 from __future__ import annotations
@@ -124,7 +125,7 @@ def _answers(
                 kind=kind,
                 seen=int(seen.sum()),
                 in_sight=int(in_sight.sum()),
-                right=bool(near(estimate.direction).any()),
+                right=estimate.direction is not None and bool(near(estimate.direction).any()),
                 status=estimate.status,
                 presence=estimate.presence,
                 modes=tuple((mode.weight, bool(near(mode.direction).any())) for mode in estimate.modes),

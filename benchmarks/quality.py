@@ -297,7 +297,7 @@ def walk(seed: tuple[int, ...], steps: int = 30, step_m: float = 0.25, noise_deg
             points.append(_jittered(unit(offset), noise_deg, rng))
         if rng.random() < 0.2:
             points.append(unit(rng.normal(size=3)))
-        evidence.append(Evidence.from_points(np.reshape(points, (-1, 3)), kappa))
+        evidence.append(Evidence.from_points(np.reshape(points, (-1, 3)), kappa, calibration=Calibration()))
         turns.append(pose.T @ before)
         displacements.append(pose.T @ forward * step_m * (t > 0))
         truths.append(unit(offset))
@@ -543,11 +543,10 @@ def partial_views(seed: tuple[int, ...], looks: int = 6) -> tuple[list[tuple[np.
 
 
 def tune_calibration(episodes: int) -> None:
-    """Our calibration as a probability: log scores, coverage, presence, partial views; then the statuses."""
+    """Our calibration as a probability: log scores, coverage, presence, partial views."""
     base, present, absent = SEEDS["dev"], SCENARIOS[1], ABSENT
-    alike = replace(SCENARIOS[0], what="two things alike, always seen", distractor=0.8)
     standing = [(i, [episode(s, (base, i, n)) for n in range(episodes)]) for i, s in enumerate(SCENARIOS)]
-    others = [[episode(s, (base, 50 + k, n)) for n in range(episodes)] for k, s in enumerate((present, absent, alike))]
+    others = [[episode(s, (base, 50 + k, n)) for n in range(episodes)] for k, s in enumerate((present, absent))]
     views = [partial_views((base, 60, n)) for n in range(2 * episodes)]
     print(
         "\nCalibration of Belief (degree 15, nothing forgotten). Standing: log score, coverage of the 90 % region, and "
@@ -566,7 +565,7 @@ def tune_calibration(episodes: int) -> None:
         cover, still = np.mean([end[2] for end in ends]), np.mean([end[2] for end in ends if end[0] != 7])
         losses = []
         for steps in (1, 3, 10):
-            p, q = ([_first(run, steps, calibration).presence() for run in group] for group in others[:2])
+            p, q = ([_first(run, steps, calibration).presence() for run in group] for group in others)
             losses.append(
                 -(np.mean(np.log(np.clip(p, 1e-9, 1))) + np.mean(np.log(np.clip(1 - np.array(q), 1e-9, 1)))) / 2
             )
@@ -589,34 +588,12 @@ def tune_calibration(episodes: int) -> None:
     honest = [row for row in table if 0.85 <= row[2] <= 0.95]
     _, best, cover = max(honest or table, key=lambda row: row[0])
     print(f"  best total with a coverage of 0.85 to 0.95: {best} ({cover:.2f})")
-    tune_status(best, others)
 
 
 def _first(run: Episode, steps: int, calibration: Calibration) -> Belief:
     """The belief after the first `steps` frames."""
     part = replace(run, evidence=run.evidence[:steps], turns=run.turns[:steps])
     return follow(Ours(Belief.uniform(15), calibration), part).belief
-
-
-def tune_status(calibration: Calibration, groups: list[list[Episode]]) -> None:
-    """The thresholds of `TrackerConfig`: how often they are right on one target, on clutter, on two things alike."""
-    print("\nfound_at (nats): share of S2 found / of clutter alone not found, after 1, 3, 10 frames")
-    gains = {}
-    for steps in (1, 3, 10):
-        beliefs = [[_first(run, steps, calibration) for run in group] for group in groups]
-        for which in (0, 1):
-            gains[steps, which] = np.array(
-                [float(b.log_density(b.mode()[None])[0]) + math.log(4 * math.pi) for b in beliefs[which]]
-            )
-    for threshold in (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0):
-        cells = [
-            f"{np.mean(gains[t, 0] >= threshold):.2f} / {np.mean(gains[t, 1] < threshold):.2f}" for t in (1, 3, 10)
-        ]
-        print(f"  {threshold:3.1f}:  " + "    ".join(cells))
-    weights = [np.array([b.modes(5)[1].max() for b in beliefs[which]]) for which in (0, 2)]
-    print("ambiguous_below: share of S2 not ambiguous / of two alike ambiguous, after 10 frames")
-    for threshold in (0.5, 0.6, 0.65, 0.7, 0.8, 0.9, 0.95, 0.99):
-        print(f"  {threshold:4.2f}:  {np.mean(weights[0] >= threshold):.2f} / {np.mean(weights[1] < threshold):.2f}")
 
 
 def main() -> int:

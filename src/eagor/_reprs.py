@@ -11,15 +11,15 @@ import numpy as np
 _LONGEST = 6  # numbers in a row that are all shown
 
 
-def changed(owner: Any) -> str:
-    """The text of a dataclass, with those of its fields that are not what they are by default."""
+def changed(self: Any) -> str:
+    """`__repr__` of a dataclass, with those of its fields that are not what they are by default."""
     told = []
-    for field in fields(owner):
-        value = getattr(owner, field.name)
+    for field in fields(self):
+        value = getattr(self, field.name)
         default = field.default if field.default_factory is MISSING else field.default_factory()
         if field.repr and (default is MISSING or not _same(value, default)):
             told.append(f"{field.name}={_value(value)}")
-    return f"{type(owner).__name__}({', '.join(told)})"
+    return f"{type(self).__name__}({', '.join(told)})"
 
 
 def where(azimuth: float, elevation: float) -> str:

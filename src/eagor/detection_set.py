@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor._lazy import lazy
+from eagor.coverage import Region, confine, region, taper
 from eagor.detector import UNLIKELY, DetectorModel, Rates
-from eagor.grids import ErpGrid, FisheyeGrid, Grid, PerspectiveGrid
+from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
+from eagor.harmonics import RealHarmonics
 from eagor.peaks import decoding_grid
 from eagor.sphere import cross
 
@@ -106,20 +108,24 @@ class Detections:
             missed *= 1 - view.share(directions)
         return 1 - missed
 
-    def smooth_share(self, degree: int) -> np.ndarray | float:
-        """v on the decoding grid of this degree ``(H, W)``, fading to 0 within pi / (degree + 1) inside the border.
+    def coefficients(self, degree: int, rates: Rates | None = None) -> np.ndarray:
+        """log L in harmonics ``(size,)``, in the axes of the body: none narrower than the degree holds.
 
-        A field that is cut at a degree cannot end sharply: it would ring far into what nobody looked at.
+        What was not looked at gains nothing (`eagor.coverage`): v fades to 0 inside the border of what was.
         """
+        grid, basis = decoding_grid(degree), RealHarmonics(degree)
+        share, where = self.grid_share(degree)
+        found = basis.analyse(np.log(self.ratio(grid.directions, rates, share, resolved(degree))), grid)
+        return found if where is None else confine(degree, found, where)
+
+    def grid_share(self, degree: int) -> tuple[np.ndarray | float, Region | None]:
+        """v on the decoding grid of this degree ``(H, W)``, fading towards its border, and the region it covers."""
         if not self.views:
-            return 1.0
+            return 1.0, None
         grid = decoding_grid(degree)
         share = np.asarray(self.share(grid.directions))
-        unseen = share < 0.5
-        if not unseen.any():
-            return share
-        depth = border_distance(grid, unseen)
-        return share * np.sin(np.clip(depth * (degree + 1) / 2, 0, math.pi / 2)) ** 2
+        where = region(grid, share >= 0.5)
+        return (share, None) if where is None else (share * taper(degree, where, share), where)
 
     @lazy
     def area(self) -> float:
@@ -190,14 +196,6 @@ class Detections:
                     density = self.scaled(scale).at_least(least).densities(directions).sum(axis=-1)
                     found += share * (weight * rates.gain * self.area) * density
         return found
-
-
-def border_distance(grid: ErpGrid, unseen: np.ndarray) -> np.ndarray:
-    """Angle (radians, ``(H, W)``) from each cell to the nearest one that is `unseen`."""
-    from scipy.spatial import KDTree
-
-    chord = KDTree(grid.directions[unseen]).query(grid.directions)[0]
-    return 2 * np.arcsin(np.clip(chord / 2, 0, 1))
 
 
 def isotropic(directions: np.ndarray, spreads: np.ndarray) -> np.ndarray:

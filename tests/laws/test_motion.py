@@ -1,165 +1,204 @@
-"""A target that stands still or wanders: two hypotheses and their mixture."""
+"""Absent, standing or wandering: what there can be, weighed by what it foretold."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eagor.belief import Belief
+from eagor.detector import DetectorModel
+from eagor.errors import EagorError
 from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
-from eagor.motion import ANYWHERE, StillOrMoving, Wanderer
+from eagor.looks import Sight
+from eagor.motion import Cases, MotionModel
 from eagor.peaks import decoding_grid
-from eagor.ranged import RangedBelief, log_ranges
-from eagor.sphere import angular_distance, direction, rotation, unit
+from eagor.ranged import log_ranges
+from eagor.sphere import angular_distance, direction, unit
+from eagor.standing import Standing
 from eagor.tracker import DirectionTracker
 
 DEGREE = 11
 GRID = decoding_grid(DEGREE)
+MODEL = DetectorModel(0.7, 0.2, math.radians(8))
+STILL = MotionModel.still()
+ONE = MotionModel(wander=(0.2,), start=0.02, stop=0.02, jump=0.0, birth=0.0, death=0.0)
+RANGES = log_ranges(count=8)
 
 
-def look(towards, concentration=40.0, score=0.8, stamp=None):
-    return Evidence.from_points([unit(towards)], concentration, [score], stamp=stamp)
+def look(towards, stamp=None, model=MODEL):
+    points = np.zeros((0, 3)) if towards is None else [unit(towards)]
+    return Evidence.from_points(points, detector=model, stamp=stamp)
 
 
-def seen(*towards):
-    wanderer = Wanderer.uniform(DEGREE)
-    for where in towards:
-        wanderer = Wanderer(wanderer.spread, wanderer.looks + look(where).coefficients(DEGREE), wanderer.least)
-    return wanderer
+def seen(cases, towards):
+    sight = Sight.of([look(towards)], DEGREE, 0.0, np.eye(3), np.zeros(3))
+    return cases.updated(sight, None, None, None)[0]
 
 
-def density(field):
-    values = np.exp(field - field.max())
-    return values / np.sum(values * GRID.weights)
+def prior(motion=ONE, ranged=False):
+    return Cases.prior(motion, Standing.uniform(DEGREE, RANGES if ranged else None))
 
 
-def resultant(wanderer):
-    return np.einsum("ij,ijk->k", density(wanderer.field) * GRID.weights, GRID.directions)
+def passed(cases, elapsed, motion=ONE, drift=0.0, step=None):
+    return cases.after(elapsed, motion, drift, step, None)
+
+
+def resultant(density):
+    return np.einsum("ij,ijk->k", density * GRID.weights, GRID.directions) / (4 * math.pi)
+
+
+def told(motion, towards, steps, ranged=False, every=0.5):
+    cases = prior(motion, ranged)
+    for step in range(steps):
+        cases = seen(passed(cases, every, motion), towards(step))
+    return cases
+
+
+# --- how time passes --------------------------------------------------------------------------------------------------
 
 
 @given(st.floats(0.0, 2 * math.pi), st.floats(-1.4, 1.4), st.floats(0.1, 3.0), st.floats(0.02, 0.4))
 @settings(max_examples=20)
 def test_wandering_is_diffusion_of_the_density(azimuth, elevation, elapsed, wander):
     """The heat kernel shortens the mean resultant by exp(-sigma^2), and turns it nowhere."""
-    before = seen(direction(azimuth, elevation), direction(azimuth + 0.2, elevation))
-    after = before.after(elapsed, wander, keep=1.0)
-    kept = math.exp(-(wander**2) * elapsed) * math.exp(-ANYWHERE * elapsed)
-    moment = after.spread[[3, 1, 2]] * math.sqrt(4 * math.pi / 3)
-    assert np.allclose(moment, kept * resultant(before), atol=1e-6)
-    assert np.allclose(resultant(after), moment, atol=0.05)  # what rings below zero is cut off
-    assert after.evidence == before.evidence
+    motion = replace(ONE, wander=(wander,), start=0.0, stop=0.0)
+    before = seen(prior(motion), direction(azimuth, elevation))
+    after = passed(before, elapsed, motion)
+    moment = resultant(before.wanderers[0])
+    assert np.allclose(resultant(after.wanderers[0]), math.exp(-(wander**2) * elapsed) * moment, atol=2e-3)
 
 
-@given(st.floats(0.05, 2.0))
-def test_whoever_may_be_anywhere_stays_so(elapsed):
-    after = Wanderer.uniform(DEGREE).after(elapsed, 0.2, keep=0.9)
-    assert np.ptp(after.field) < 1e-9
+def test_what_jumps_may_be_anywhere():
+    motion = replace(ONE, wander=(0.02,), start=0.0, stop=0.0, jump=0.1)
+    before = seen(prior(motion), direction(0.5, 0.0))
+    after = passed(before, 7.0, motion)
+    kept = math.exp(-0.7)
+    assert np.allclose(resultant(after.wanderers[0]), kept * resultant(before.wanderers[0]), atol=5e-3)
+    assert after.wanderers[0].min() == pytest.approx(1 - kept + kept * before.wanderers[0].min(), abs=0.02)
+
+
+@given(st.floats(0.05, 20.0))
+def test_nothing_known_stays_so(elapsed):
+    after = passed(prior(MotionModel()), elapsed, MotionModel())
+    assert np.ptp(after.field.values) < 1e-9
+    assert after.presence == pytest.approx(0.5), "birth and death are in balance"
+    assert after.moving == pytest.approx(MotionModel().moving), "and so are start and stop"
 
 
 def test_time_may_pass_in_pieces():
-    once = seen(direction(0.4, 0.1)).after(1.0, 0.2, keep=0.9)
-    twice = seen(direction(0.4, 0.1)).after(0.4, 0.2, keep=0.9**0.4).after(0.6, 0.2, keep=0.9**0.6)
-    assert np.allclose(density(once.field), density(twice.field), atol=2e-3)
+    motion = MotionModel()
+    begun = seen(seen(prior(motion), direction(0.4, 0.1)), direction(0.4, 0.1))
+    once = passed(begun, 2.0, motion)
+    pieces = begun
+    for elapsed in (0.3, 0.9, 0.1, 0.7):
+        pieces = passed(pieces, elapsed, motion)
+    assert np.allclose(once.weights, pieces.weights, atol=2e-3)
+    where = GRID.directions.reshape(-1, 3)[::7]
+    assert np.allclose(np.exp(once.field(where)), np.exp(pieces.field(where)), rtol=0.2, atol=0.02)
 
 
-def test_no_density_is_negative_or_zero():
-    wanderer = seen(*[direction(0.4, 0.1)] * 12).after(0.1, 0.05, keep=1.0)
-    assert np.isfinite(wanderer.field).all()
-    assert density(wanderer.field).min() > 0
+def test_after_long_enough_all_is_as_at_the_start():
+    motion = MotionModel(birth=0.01, death=0.03)
+    cases = told(motion, lambda step: direction(0.4, 0.1), 6)
+    assert cases.presence > 0.95
+    waited = passed(cases, 1e5, motion)
+    assert waited.presence == pytest.approx(0.25, abs=1e-3)
+    assert waited.moving == pytest.approx(motion.moving, abs=1e-3)
+    assert passed(cases, 0.0, motion) is cases
 
 
-def filled(target, steps=6, ranged=True):
-    still = RangedBelief.uniform(DEGREE, log_ranges(count=8)) if ranged else Belief.uniform(DEGREE)
-    belief = StillOrMoving.uniform(still)
-    for step in range(steps):
-        found = look(target(step)).coefficients(DEGREE)
-        carried = belief.still.forget(0.95)
-        belief = belief.after(carried, 0.5, wander=0.2, restless=0.02, keep=0.95)
-        field = carried.shells if isinstance(carried, RangedBelief) else carried.coefficients
-        more = RangedBelief(field + found, carried.ranges) if ranged else Belief(field + found)
-        belief = belief.update(more, found)
-    return belief
+@given(
+    st.lists(st.tuples(st.floats(0, 2 * math.pi), st.floats(-1.5, 1.5), st.floats(0.0, 5.0)), min_size=1, max_size=8)
+)
+@settings(max_examples=15)
+def test_weights_and_densities_stay_probabilities(looks):
+    motion = MotionModel()
+    cases = prior(motion)
+    for azimuth, elevation, elapsed in looks:
+        towards = direction(azimuth, elevation) if elapsed < 4 else None
+        cases = seen(passed(cases, elapsed, motion), towards)
+        assert cases.weights.sum() == pytest.approx(1)
+        assert (cases.weights >= 0).all()
+        assert (cases.wanderers > 0).all()
+        means = np.einsum("mij,ij->m", cases.wanderers, GRID.weights) / (4 * math.pi)
+        assert np.allclose(means, 1)
 
 
-@pytest.mark.parametrize("ranged", [True, False])
-def test_the_belief_is_the_mixture_of_the_two(ranged):
-    belief = filled(lambda step: direction(0.1 * step, 0.0), ranged=ranged)
-    where = unit(np.random.default_rng(0).normal(size=(40, 3)))
-    q = belief.wanderer.evaluator()
-    total = np.log(np.sum(np.exp(q(GRID)) * GRID.weights))
-    expected = np.logaddexp(
-        math.log1p(-belief.moving) + belief.still.log_density(where), math.log(belief.moving) + q(where) - total
-    )
-    assert np.allclose(belief.log_density(where), expected, atol=5e-3)
-    assert abs(np.sum(np.exp(belief.log_density(GRID.directions)) * GRID.weights) - 1) < 5e-3
+# --- what a look says -------------------------------------------------------------------------------------------------
 
 
-def test_what_is_known_of_the_field_is_what_would_be_computed():
-    belief = filled(lambda step: direction(0.1 * step, 0.0))
-    assert belief.field_of_still is not None
-    assert np.allclose(belief.field_of_still, belief.still.posterior.coarse, atol=1e-6)
+@pytest.mark.parametrize("ranged", [False, True])
+def test_the_belief_is_the_mixture_of_the_cases(ranged):
+    cases = told(ONE, lambda step: direction(0.1 * step, 0.0), 6, ranged)
+    where = unit(np.random.default_rng(0).normal(size=(60, 3)))
+    shares = cases.weights[1:] / cases.weights[1:].sum()
+    stands = np.exp(cases.standing.field(where) - cases.standing.log_mean)
+    roams = np.exp(replace(cases.field, values=np.log(cases.wanderers[0]), patches=())(where))
+    expected = shares[0] * stands + shares[1] * roams
+    assert np.allclose(np.exp(cases.field(where)), expected, rtol=0.05, atol=0.01)
+    assert cases.field.log_mean() == pytest.approx(0, abs=0.02), "a density over a uniform one"
+
+
+def test_each_case_is_weighed_by_what_it_foretold():
+    """Bayes' rule: of two cases that foretold a detection with densities a and b, the odds change by their ratio."""
+    cases = passed(told(ONE, lambda step: direction(0.3, 0.0), 5), 0.5)
+    towards = direction(0.5, 0.1)
+    after = seen(cases, towards)
+    ratio = look(towards).detections.ratio(GRID.directions)
+    stood = np.exp(cases.standing.field(GRID) - cases.standing.log_mean)
+    means = [float(np.sum(ratio * case * GRID.weights)) / (4 * math.pi) for case in (stood, cases.wanderers[0])]
+    expected = cases.weights * np.array([1.0, *means])
+    assert np.allclose(after.weights, expected / expected.sum(), atol=0.03)
+
+
+def test_nothing_seen_speaks_against_presence_and_for_neither():
+    before = prior()
+    after = seen(before, None)
+    assert after.moving == pytest.approx(before.moving)
+    assert after.presence == pytest.approx(0.3 / 1.3)
 
 
 def test_a_standing_target_is_taken_for_one_and_a_wandering_one_for_one():
-    rng = np.random.default_rng(1)
+    rng, motion = np.random.default_rng(1), MotionModel()
     jitter = rng.normal(0, 0.1, (30, 2))
-    still = filled(lambda step: direction(*jitter[step]), steps=30)
-    roaming = filled(lambda step: direction(0.2 * step + jitter[step, 0], jitter[step, 1]), steps=30)
-    assert still.moving < 0.2
+    still = told(motion, lambda step: direction(*jitter[step]), 30)
+    roaming = told(motion, lambda step: direction(0.2 * step + jitter[step, 0], jitter[step, 1]), 30)
+    assert still.moving < 0.3
     assert roaming.moving > 0.8
-    assert still.presence() > 0.99
-    assert roaming.presence() > 0.99
+    assert still.presence > 0.99
+    assert roaming.presence > 0.99
 
 
-def test_a_place_is_forgotten_only_where_it_was_left_for_another():
-    """Both cases may agree on the place, whichever is the likelier: then nothing fades."""
-    here = filled(lambda step: direction(0.3, 0.0), steps=10)
-    there = filled(lambda step: direction(0.3 if step < 6 else 2.3, 0.0), steps=10)
-    assert here.moved < 0.1
-    assert here.fading(1.0, 0.8) > 0.9
-    assert there.moved > 0.2
-    assert there.fading(1.0, 0.8) == pytest.approx(math.exp(-there.moved / 0.8))
-    assert there.fading(0.4, 0.8) * there.fading(0.6, 0.8) == pytest.approx(there.fading(1.0, 0.8))
+def test_where_nothing_moves_there_is_only_standing():
+    cases = told(STILL, lambda step: direction(0.3, 0.0), 4)
+    assert cases.wanderers.shape[0] == 0
+    assert cases.moving == 0
+    assert len(cases.weights) == 2
+    plain = passed(cases, 100.0, STILL)
+    assert np.array_equal(plain.weights, cases.weights)
+    assert plain.standing is cases.standing
 
 
-def test_the_answer_is_that_of_the_likelier_case():
-    """A sharp peak in the less likely case does not outdo a blunt one in the other."""
-    belief = filled(lambda step: direction(0.3, 0.0), steps=10)
-    elsewhere = Wanderer.uniform(DEGREE).after(1.0, 0.2, keep=1.0)
-    elsewhere = Wanderer(elsewhere.spread, look(direction(-2.0, 0.0), 10.0).coefficients(DEGREE), elsewhere.least)
-    for moving, towards in ((0.4, direction(0.3, 0.0)), (0.6, direction(-2.0, 0.0))):
-        mixed = StillOrMoving(belief.still, elsewhere, moving)
-        assert angular_distance(mixed.likelier.mode, towards) < 0.1
-        assert angular_distance(mixed.posterior.mode, direction(0.3, 0.0)) < 0.1
-
-
-def test_nothing_seen_speaks_for_neither():
-    belief = StillOrMoving.uniform(Belief.uniform(DEGREE))
-    nothing = Evidence.from_points(np.zeros((0, 3)), 1.0).coefficients(DEGREE)
-    after = belief.update(Belief(belief.still.coefficients + nothing), nothing)
-    assert math.isclose(after.moving, 0.5, abs_tol=1e-9)
-    assert after.presence() < 0.5
-
-
-def test_where_looks_repeat_each_other_only_what_is_new_is_judged():
-    """Whether a thing moves: one that vanishes where it was seen on and on, and appears elsewhere, has moved."""
+def test_a_share_that_repeats_is_no_news_to_either_case():
+    """Whether a thing moves is judged by what is new in a look."""
     place, other = direction(0.5, 0.0), direction(-1.5, 0.0)
+    found = {}
+    for repeats in (0.0, 0.8):
+        for last in ("here", "there"):
+            tracker = DirectionTracker(TrackerConfig(ranges=None))
+            for t in range(10):
+                where = other if last == "there" and t >= 8 else place
+                tracker.observe(look(where, float(t), replace(MODEL, repeats=repeats)))
+            found[repeats, last] = tracker.estimate(9.0).moving
+    assert found[0.0, "here"] < found[0.0, "there"]
+    assert found[0.8, "here"] < found[0.8, "there"]
+    assert found[0.0, "here"] < found[0.8, "here"], "looks that repeat each other prove less that it stands there"
 
-    def told(persistence, last):
-        belief, newest = StillOrMoving.uniform(Belief.uniform(DEGREE)), None
-        for where in [place] * 8 + [last] * 2:
-            found = look(where).coefficients(DEGREE)
-            carried = belief.after(belief.still, 0.5, wander=0.2, restless=0.0, keep=1.0)
-            share = 1 - persistence
-            belief = carried.update(carried.still.plus(share * found), found, share, newest)
-            newest = persistence * found
-        return belief.moving
 
-    assert told(0.8, place) < 0.5 < told(0.8, other)
-    assert told(0.0, other) < told(0.8, other), "a row of looks that repeat each other proves less that it stands there"
+# --- following --------------------------------------------------------------------------------------------------------
 
 
 def follow(config, steps=60, speed=0.12):
@@ -168,32 +207,46 @@ def follow(config, steps=60, speed=0.12):
     for step in range(steps):
         stamp, true = 0.5 * step, direction(speed * step, -0.3)
         tracker.rotate(stamp, np.eye(3), np.zeros(3))
-        found = unit(true + 0.1 * rng.normal(size=3))
-        score = 0.0 if rng.random() < 0.3 else 0.8
-        tracker.observe(look(found, score=score, stamp=stamp))
-        errors.append(math.degrees(angular_distance(tracker.estimate(stamp).direction, true)))
+        found = unit(true + 0.1 * rng.normal(size=3)) if rng.random() > 0.3 else None
+        tracker.observe(look(found, stamp))
+        said = tracker.estimate(stamp).direction
+        errors.append(math.degrees(angular_distance(direction(0, 0) if said is None else said, true)))
     return np.array(errors[10:])
 
 
 def test_a_wanderer_is_followed_where_a_long_memory_lags_behind():
     both = follow(TrackerConfig(degree=DEGREE))
-    alone = follow(TrackerConfig(degree=DEGREE, wander=0.0))
-    assert both.mean() < 20
+    alone = follow(TrackerConfig(degree=DEGREE, motion=STILL))
+    assert both.mean() < 12
     assert both.mean() < alone.mean() - 5
 
 
-def test_late_evidence_finds_its_place():
-    stamps = [0.5 * k for k in range(8)]
-    on_time, late = DirectionTracker(TrackerConfig(degree=7)), DirectionTracker(TrackerConfig(degree=7))
-    looks = [look(direction(0.2 * k, 0.0), stamp=stamp) for k, stamp in enumerate(stamps)]
-    for tracker in (on_time, late):
-        for k, stamp in enumerate(stamps):
-            tracker.rotate(stamp, rotation((0, 0, 1), 0.3 * k), np.array([0.2 * k, 0.0, 1.2]))
-    for given_ in looks:
-        on_time.observe(given_)
-    for k in (0, 2, 1, 5, 3, 4, 7, 6):
-        late.observe(looks[k])
-    a, b = on_time.estimate(4.0), late.estimate(4.0)
-    assert np.allclose(a.direction, b.direction, atol=1e-12)
-    assert math.isclose(a.moving, b.moving, rel_tol=1e-9)
-    assert math.isclose(a.distance, b.distance, rel_tol=1e-9)
+def test_a_target_that_comes_to_stand_is_found_where_it_stands():
+    tracker = DirectionTracker(TrackerConfig(degree=DEGREE, ranges=None))
+    for t in range(60):
+        tracker.observe(look(direction(0.2 * min(t, 20), 0.0), float(t)))
+        if t == 20:
+            assert tracker.estimate(20.0).moving > 0.7
+    estimate = tracker.estimate(59.0)
+    assert estimate.moving < 0.3
+    assert math.degrees(angular_distance(estimate.direction, direction(4.0, 0.0))) < 1
+    assert math.degrees(estimate.credible_angle) < 10
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("wander", 0.1),
+        ("wander", (0.1, 0.0)),
+        ("wander", (4.0,)),
+        ("wander", ("fast",)),
+        ("start", -0.1),
+        ("stop", math.nan),
+        ("jump", math.inf),
+        ("birth", "often"),
+        ("death", 1e3),
+    ],
+)
+def test_a_motion_without_a_meaning_is_refused(name, value):
+    with pytest.raises(EagorError, match=f"MotionModel: {name} = .*; wanted"):
+        MotionModel(**{name: value})

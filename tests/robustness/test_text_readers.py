@@ -31,8 +31,9 @@ RECORDS = [
 ]
 CALIBRATION = {
     "perception": "scout",
-    "calibration": {"floor": 0.3, "neutral": 0.05, "temperature": 2.0, "persistence": 0.1},
-    "forgetting": {"keep_per_second": 0.9, "wander": 0.1, "restless": 0.2, "surest": 20.0},
+    "calibration": {"floor": 0.3, "neutral": 0.05, "temperature": 2.0, "persistence": 0.1, "spread": 0.05},
+    "detector": {"detection_probability": 0.7, "spread": 0.1, "score_ratios": [[0.2, 0.5], [0.9, 4.0]]},
+    "forgetting": {"wander": [0.1, 0.3], "start": 0.01, "stop": 0.2, "jump": 0.01},
     "found_by": {"judged by": [1]},
 }
 HEADS = {"model": "m", "model_type": "qwen2_5_vl", "heads": [[3, 1], [4, 0]], "saturation": 0.7, "found_by": {"of": 8}}
@@ -109,7 +110,7 @@ def test_calibrations(folder, blob):
     found = reads(lambda: read_calibrated(path), "calibration.json")
     if found is not None:
         assert isinstance(found, Calibrated)
-        assert all(math.isfinite(value) for value in found.forgetting.values())
+        assert all(np.isfinite(value).all() for value in found.forgetting.values())
         found.write(folder / "again.json")
         assert read_calibrated(folder / "again.json") == found
 

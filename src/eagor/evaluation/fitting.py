@@ -36,7 +36,7 @@ from eagor.evaluation.calibration import (
     score,
     short,
 )
-from eagor.perception.calibrated import Calibrated
+from eagor.perception.calibrated import Calibrated, calibration_of
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.methods import BASE
 from eagor.tasks.play import Recording
@@ -119,7 +119,7 @@ class _Space:
         moving = {parameter.name: values.pop(parameter.name) for parameter in MOVING}
         forgetting = {"wander": (moving.pop("slow"), moving.pop("fast")), **moving}
         if self.counted is None:
-            return Calibrated(self.perception, Calibration(**values), forgetting, found_by or {})
+            return Calibrated(self.perception, calibration_of(values), forgetting, found_by or {})
         return Calibrated(self.perception, None, forgetting, found_by or {}, replace(self.counted, **values))
 
 

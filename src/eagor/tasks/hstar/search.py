@@ -121,7 +121,7 @@ class Search:
         return Search(self.kind, self.rules, self._with_new_part(evidence, world_R_capture), shown, stale)
 
     def _with_new_part(self, evidence: Evidence, world_R_capture: np.ndarray) -> Belief:
-        """With the evidence, weakened where it was looked at a short while ago: a model's errors stay where they are."""
+        """The belief with a look, weakened where one was a short while ago: errors of a model stay where they are."""
         if not self.stale.any():
             return self.belief.update(evidence, world_R_capture)
         if evidence.detections is None:
