@@ -171,9 +171,8 @@ class Window:
 
         frame, half, logs = wanted
         new = Window(frame, half, np.zeros((1, NODES, NODES)), logs, self.limits)
-        if logs is None:
-            points = new.directions
-        else:
+        points, depth = new.directions, np.zeros(0)
+        if logs is not None:
             points = np.exp(logs)[:, None, None, None] * new.directions
             if step is not None:
                 points = points + step

@@ -25,7 +25,7 @@ class MotionModel:
     """
 
     wander: tuple[float, ...] = (math.radians(2.5), math.radians(10))
-    start: float = 0.01
+    start: float = 0.005
     stop: float = 0.02
     jump: float = 0.03
     birth: float = 0.0005

@@ -136,7 +136,7 @@ class Reading:
 
     @lazy
     def _basins(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of each basin, lightest last: its mass ``(b,)`` and top ``(b,)``, a part; and the basin ``(n,)`` of each part.
+        """Of each basin, lightest last: its mass and its top, a part, ``(b,)``; and the basin ``(n,)`` of each part.
 
         What climbs to a top and is further from it than `NEAR` is nowhere: a slope that goes all around is no place.
         """
@@ -169,7 +169,8 @@ class Reading:
         """Directions ``(m, 3)`` and masses ``(m,)`` of the basins that hold at least `least`, at most `count`.
 
         Each small cell climbs to its peak; a peak that stands less than `PROMINENCE` nats above the saddle to a higher
-        one belongs to it. A mode holds what climbs to it within `NEAR`. Heaviest first, and one at least; what their masses lack to 1 is elsewhere.
+        one belongs to it. A mode holds what climbs to it within `NEAR`. Heaviest first, and one at least; what their
+        masses lack to 1 is elsewhere.
         """
         masses, tops, _ = self._basins
         kept = max(1, min(count, int((masses >= least).sum())))
