@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar, overload
 Value = TypeVar("Value")
 
 
-class lazy(Generic[Value]):  # noqa: N801 (it is used as a decorator, like `property`)
+class lazy(Generic[Value]):
     """A property that replaces itself by its value."""
 
     def __init__(self, compute: Callable[[Any], Value]) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eagor.detector import tangent_frame
+from eagor.detection_set import tangent_frame
 from eagor.errors import ResponseError
 from eagor.grids import FisheyeGrid, Grid, PatchGrid, PerspectiveGrid
 

@@ -14,12 +14,13 @@ from eagor._checks import above, require, whole, within
 from eagor._lazy import lazy
 from eagor._reprs import changed, where
 from eagor.calibration import Calibration
+from eagor.cases import Cases
 from eagor.detector import DetectorModel, Rates
 from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.harmonics import RealHarmonics
-from eagor.motion import Cases, MotionModel
+from eagor.motion import MotionModel
 from eagor.ranged import log_ranges
-from eagor.reading import Reading
+from eagor.reading import NEAR, Reading
 from eagor.sphere import azimuth_elevation, check_directions
 
 Status = Literal["searching", "tracking", "ambiguous", "stale"]
@@ -27,7 +28,6 @@ SURE = math.radians(15)  # of the answer: what lies within is as good as found
 RIVAL = 0.2  # of the belief: a second mode that holds as much makes the answer ambiguous
 LEAST_MODE = 0.02  # of the belief: a mode that holds less is not listed
 MOST_MODES = 5
-SAME = math.radians(20)  # peaks nearer than this are of the same thing: near things move by parallax
 
 
 FLAT = 1e-6  # nats: a belief that varies by less knows of no direction
@@ -102,8 +102,8 @@ def _are_ranges(ranges: Sequence[float] | None) -> bool:
 class Mode:
     """A candidate: `direction` ``(3,)`` in the body frame, azimuth and elevation in radians.
 
-    `weight`: the probability of its basin, all directions from which one climbs to it. What the weights of all modes
-    lack to 1 is elsewhere.
+    `weight`: the probability of its basin, the directions within 20 degrees from which one climbs to it. What the
+    weights of all modes lack to 1 is elsewhere.
     """
 
     direction: np.ndarray
@@ -126,20 +126,20 @@ class Answer:
 def chosen(reading: Reading, before: Answer | None, repeats: float = 0.0) -> Answer | None:
     """The answer: the heaviest mode, or the one `before` while no other holds 1 / (1 - repeats) times as much.
 
-    `repeats`: share of a look's mistakes that the next one repeats. Independent looks give the heaviest mode; where one
-    mistake may make another mode heavier for many looks on end, an answer that jumps to and fro is of no use to anybody.
+    `repeats`: share of a look's mistakes that the next one repeats. Independent looks give the heaviest mode. Where one
+    mistake may make another mode heavier for many looks on end, an answer that jumps to and fro is of no use.
     """
     if float(np.ptp(reading.field.values)) < FLAT and not reading.field.patches:
         return None
-    first, _ = reading.first(SAME)
-    if before is None or first @ before.direction > math.cos(SAME):
+    first, _ = reading.first(NEAR)
+    if before is None or first @ before.direction > math.cos(NEAR):
         return Answer(first)
-    if reading.around(before.direction, SAME) < reading.around(first, SAME) * (1 - repeats):
+    if reading.around(before.direction, NEAR) < reading.around(first, NEAR) * (1 - repeats):
         return Answer(first)
-    near = reading.parts[2] @ before.direction > math.cos(SAME)
+    near = reading.parts[2] @ before.direction > math.cos(NEAR)
     kept = reading.top_of(near)
     # Where the belief still rises at the border of the cone there is no peak left to hold to.
-    return Answer(kept, True) if kept @ before.direction > math.cos(0.9 * SAME) else Answer(first)
+    return Answer(kept, True) if kept @ before.direction > math.cos(0.9 * NEAR) else Answer(first)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,12 +23,12 @@ from eagor._reprs import changed
 from eagor.averaging import averaged
 from eagor.calibration import Calibration
 from eagor.coverage import Region, confine, region, taper
+from eagor.detection_set import Detections, View, anisotropic, isotropic
 from eagor.detections import MIN_SPREAD, WHOLE_SPHERE, bump, canvas_of, mask_moments, moments, widened
-from eagor.detector import DetectorModel, Detections, View, anisotropic, isotropic, resolved
+from eagor.detector import DetectorModel
 from eagor.errors import ResponseError, TimeError
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
-from eagor.peaks import decoding_grid
 from eagor.sphere import unit
 
 SILENT = 1e-6  # a response below this is the rounding of zero, and must not be scaled up to a detection
@@ -243,10 +243,7 @@ class Evidence:
         """
         basis, grid = RealHarmonics(degree), self.grid
         if self.detections is not None:
-            grid = decoding_grid(degree)
-            smooth = self.detections.smooth_share(degree)
-            ratio = self.detections.ratio(grid.directions, share=smooth, least=resolved(degree))
-            return basis.analyse(np.log(ratio), grid)
+            return self.detections.coefficients(degree)
         values = self.log_ratio
         # What is planned for a view belongs to its lens: look ahead, and turn at the end.
         turn = np.asarray(grid.body_R_view) if isinstance(grid, PerspectiveGrid | FisheyeGrid) else None
@@ -291,7 +288,8 @@ class Evidence:
         """The same set of detections, read with another model. A response map is no such set, and stays as it is."""
         if self.detections is None or model == self.detections.model:
             return self
-        return Evidence.from_detections(self.detections.read(model), self.grid, self.stamp)
+        found = Evidence.from_detections(self.detections.read(model), self.grid, self.stamp)
+        return replace(found, source=self.source)
 
     @property
     def repeats(self) -> float:

@@ -16,14 +16,13 @@ from typing import Any
 import numpy as np
 
 from eagor._lazy import lazy
-
 from eagor.field import Patch, plane_directions, plane_weights
 from eagor.sphere import cross
 
 NODES = 11  # along each side
 RANGES = 12  # of the window, where distances are believed in
 REACH = 5.0  # standard deviations from the middle to a border
-WIDEST = math.tan(math.radians(60))
+WIDEST = math.tan(math.radians(25))  # beyond, its nodes would be further apart than the cells of the whole field
 DEEP = 4.5  # nats below the peak: what lies above, and hangs together with it, is the peak
 FAINT = 10.0  # nats below the likeliest range: what lies below is left out
 SLACK = 1.25  # a window that is larger than wanted by this factor is drawn anew
@@ -94,20 +93,23 @@ class Window:
         row, column = divmod(int(values.argmax()), values.shape[1])
         return min(row, column) < 2 or max(row, column) > values.shape[0] - 3
 
-    def moved(self, step: np.ndarray, prior: np.ndarray | None = None) -> Window:
-        """After the body has moved by `step` ``(3,)`` metres, in the axes of the window."""
+    def moved(self, step: np.ndarray, prior: np.ndarray | None = None) -> tuple[Window, np.ndarray | None]:
+        """After the body has moved by `step` ``(3,)`` metres, in the axes of the window.
+
+        With the nodes ``(K, n, n)`` that lie where the window did not reach: what is there is not known to it.
+        """
         if self.logs is None:
-            return self
+            return self, None
         return self._drawn(self._wanted(prior, step), step)
 
-    def focused(self, prior: np.ndarray | None = None) -> Window:
-        """As fine as the peak is now; itself where it is already."""
+    def focused(self, prior: np.ndarray | None = None) -> tuple[Window, np.ndarray | None]:
+        """As fine as the peak is now, or itself where it is already; the nodes beyond as for `moved`."""
         wanted = self._wanted(prior, None)
         frame, half, logs = wanted
         fits = (half * SLACK >= self.half).all() and (half <= self.half * 1.1).all()
         centred = frame[0] @ self.frame[0] > math.cos(0.25 * math.atan(float(self.half.min())))
         if fits and centred and (logs is None or self._spans(logs)):
-            return self
+            return self, None
         return self._drawn(wanted, None)
 
     def _spans(self, logs: np.ndarray) -> bool:
@@ -126,7 +128,9 @@ class Window:
             logs = None
         else:
             values = self.values if prior is None else self.values + prior
-            joint = np.exp(np.minimum(values[:, peak] - marginal.max(), 0.0)) * self.shares[:, None] * self.weights[peak]
+            joint = (
+                np.exp(np.minimum(values[:, peak] - marginal.max(), 0.0)) * self.shares[:, None] * self.weights[peak]
+            )
             by_range = np.log(np.maximum(joint.sum(axis=1), 1e-300) / self.shares)
             kept = np.flatnonzero(by_range > by_range.max() - FAINT)
             span = slice(max(kept[0] - 1, 0), min(kept[-1] + 2, len(by_range)))
@@ -161,33 +165,35 @@ class Window:
 
     def _drawn(
         self, wanted: tuple[np.ndarray, np.ndarray, np.ndarray | None], step: np.ndarray | None
-    ) -> Window:
-        """The same field on another grid."""
+    ) -> tuple[Window, np.ndarray | None]:
+        """The same field on another grid, and which of its nodes lie beyond this one."""
         from scipy.ndimage import map_coordinates
 
         frame, half, logs = wanted
         new = Window(frame, half, np.zeros((1, NODES, NODES)), logs, self.limits)
-        directions = new.directions
+        points, depth = new.directions, np.zeros(0)
+        if logs is not None:
+            points = np.exp(logs)[:, None, None, None] * new.directions
+            if step is not None:
+                points = points + step
+            distances = np.sqrt(np.einsum("...i,...i->...", points, points))
+            first, spacing = self.logs[0], self.logs[1] - self.logs[0]  # type: ignore[index]
+            depth = np.clip((np.log(np.maximum(distances, 1e-9)) - first) / spacing, 0, RANGES - 1)
+        places, beyond = self._places(points)
         if logs is None:
-            places = self._places(directions)
             values = map_coordinates(self.values[0], places, order=3, mode="mirror")[None]
-            return replace(new, values=values)
-        points = np.exp(logs)[:, None, None, None] * directions
-        if step is not None:
-            points = points + step
-        distances = np.sqrt(np.einsum("...i,...i->...", points, points))
-        places = self._places(points)
-        first, spacing = self.logs[0], self.logs[1] - self.logs[0]  # type: ignore[index]
-        depth = (np.log(np.maximum(distances, 1e-9)) - first) / spacing
-        coordinates = np.concatenate([np.clip(depth, 0, RANGES - 1)[None], places])
-        return replace(new, values=map_coordinates(self.values, coordinates, order=3, mode="mirror"))
+            beyond = beyond[None]
+        else:
+            values = map_coordinates(self.values, np.concatenate([depth[None], places]), order=3, mode="mirror")
+        return replace(new, values=values), beyond if beyond.any() else None
 
-    def _places(self, points: np.ndarray) -> np.ndarray:
-        """Indices ``(2, ...)`` of points ``(..., 3)``, held at the borders."""
+    def _places(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Indices ``(2, ...)`` of points ``(..., 3)``, held at the borders, and which lie beyond them."""
         ahead, u, v = np.moveaxis(points @ self.frame.T, -1, 0)
         safe = np.maximum(ahead, 1e-6)
         found = np.stack([u / (safe * self.half[0]), v / (safe * self.half[1])])
-        return (np.clip(found, -1, 1) + 1) * ((NODES - 1) / 2)
+        beyond = (np.abs(found) > 1.001).any(axis=0) | (ahead <= 0)
+        return (np.clip(found, -1, 1) + 1) * ((NODES - 1) / 2), beyond
 
 
 def _component(values: np.ndarray) -> np.ndarray:

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-
 import numpy as np
 
-from eagor._lazy import lazy
-
 from eagor._arrays import to_numpy
-from eagor.detector import Detections, Rates, resolved
+from eagor._lazy import lazy
+from eagor.detection_set import Detections, resolved
+from eagor.detector import Rates
 from eagor.evidence import Evidence
-from eagor.field import SphereField
 from eagor.harmonics import RealHarmonics
 from eagor.peaks import decoding_grid
 
@@ -52,17 +50,6 @@ class Sight:
         repeats, bias = max(look.repeats for look in looks), max(look.bias for look in looks)
         return cls(stamp, position, world_R_body, degree, joint, mapped, repeats, bias)
 
-    @lazy
-    def grid_share(self) -> np.ndarray | float:
-        """v on the decoding grid, in the axes of the world, as `Detections.smooth_share`."""
-        if self.detections is None or not self.detections.views:
-            return 1.0
-        share = self.detections.smooth_share(self.degree)
-        grid = decoding_grid(self.degree)
-        if not isinstance(share, np.ndarray):
-            return share
-        return np.clip(SphereField(grid, share)(grid.directions @ self.world_R_body), 0.0, 1.0)
-
     def read(self, rates: Rates | None) -> Look:
         """The look as log ratios; `rates` of the detector, from before this look."""
         grid, basis = decoding_grid(self.degree), RealHarmonics(self.degree)
@@ -73,9 +60,12 @@ class Sight:
             before = Rates.prior(self.detections.model, learns=True) if rates is None else rates
             given = before.given(len(self.detections))
             world = self.detections.turned(self.world_R_body)
-            found = np.log(world.ratio(grid.directions, given, self.grid_share, resolved(self.degree)))
-            values = values + found
-            found = basis.analyse(found, grid)
+            if self.detections.views:
+                found = basis.rotate(self.detections.coefficients(self.degree, given), self.world_R_body)
+                values = values + basis.synthesise(found, grid)
+            else:
+                drawn = np.log(world.ratio(grid.directions, given, 1.0, resolved(self.degree)))
+                values, found = values + drawn, basis.analyse(drawn, grid)
             coefficients = found if coefficients is None else coefficients + found
         assert coefficients is not None
         return Look(self, values, coefficients, world, given)

@@ -16,6 +16,7 @@ from eagor.sphere import unit
 PROMINENCE = 0.7  # nats: a peak counts as a mode if it stands out by a factor of two from the saddle around it
 FINER = 4  # times as many nodes along a side of a patch, or of a heavy cell, where masses are summed
 HEAVY = 0.002  # of the belief: a cell that holds more is cut into finer ones
+NEAR = math.radians(20)  # of a peak: what lies within is the same thing; near things move by parallax
 DEEP = 12.0  # nats below the highest peak: no valley deeper than this is told from another
 
 
@@ -134,8 +135,11 @@ class Reading:
         return found if near else direction
 
     @lazy
-    def _basins(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of each basin, lightest last: its mass ``(b,)``; and the basin ``(n,)`` of each part."""
+    def _basins(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of each basin, lightest last: its mass and its top, a part, ``(b,)``; and the basin ``(n,)`` of each part.
+
+        What climbs to a top and is further from it than `NEAR` is nowhere: a slope that goes all around is no place.
+        """
         values, _, directions = self.parts
         grid = self.field.grid
         x, y, _ = grid.project(directions)
@@ -150,24 +154,30 @@ class Reading:
         label = basins(tops.reshape(grid.shape), PROMINENCE).reshape(-1)
         _, inverse = np.unique(label, return_inverse=True)
         of_part = inverse[home]
-        masses = np.bincount(of_part, self.mass, minlength=int(inverse.max()) + 1)
+        count = int(inverse.max()) + 1
+        order = np.lexsort((values, of_part))  # by basin, the highest last
+        last = np.searchsorted(of_part[order], np.arange(count), side="right") - 1
+        top = order[np.maximum(last, 0)]
+        near = np.einsum("ij,ij->i", directions, directions[top[of_part]]) > math.cos(NEAR)
+        masses = np.bincount(of_part, self.mass * near, minlength=count)
         order = np.argsort(-masses, kind="stable")
         rank = np.empty_like(order)
-        rank[order] = np.arange(len(order))
-        return masses[order], rank[of_part]
+        rank[order] = np.arange(count)
+        return masses[order], top[order], rank[of_part]
 
     def modes(self, count: int, least: float) -> tuple[np.ndarray, np.ndarray]:
         """Directions ``(m, 3)`` and masses ``(m,)`` of the basins that hold at least `least`, at most `count`.
 
         Each small cell climbs to its peak; a peak that stands less than `PROMINENCE` nats above the saddle to a higher
-        one belongs to it. Heaviest first, and one at least; what their masses lack to 1 is elsewhere.
+        one belongs to it. A mode holds what climbs to it within `NEAR`. Heaviest first, and one at least; what their
+        masses lack to 1 is elsewhere.
         """
-        masses, of_part = self._basins
+        masses, tops, _ = self._basins
         kept = max(1, min(count, int((masses >= least).sum())))
-        return np.array([self.top_of(of_part == index) for index in range(kept)]), masses[:kept]
+        return np.array([self._refined(self.parts[2][top]) for top in tops[:kept]]), masses[:kept]
 
     def first(self, angle: float) -> tuple[np.ndarray, float]:
-        """The heaviest mode and its mass; where the cone of `angle` about the peak holds most, it need not be looked for."""
+        """The heaviest mode and its mass; if the cone of `angle` about the peak holds most, none is searched for."""
         held = self.around(self.peak, angle)
         if held > 0.5:
             return self.peak, held

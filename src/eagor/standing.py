@@ -1,7 +1,8 @@
 """A target that stands still: what every look from everywhere says of where it may stand.
 
-In axes that do not turn, such a target has one place, and looks add. A field over the whole sphere, with shells of range
-where the body's positions are known, is searched for peaks; a `Window` about each holds what the field is too coarse for.
+In axes that do not turn, such a target has one place, and looks add. A field over the whole sphere, with shells of
+range where the body's positions are known, is searched for peaks; a `Window` about each holds what the field is too
+coarse for.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from functools import lru_cache
 import numpy as np
 
 from eagor._lazy import lazy
-
 from eagor.belief import Belief
 from eagor.field import SphereField
 from eagor.harmonics import RealHarmonics
@@ -46,6 +46,11 @@ class Standing:
             return cls(Belief.uniform(degree))
         return cls(_with_prior(RangedBelief.uniform(degree, ranges), height), (), height)
 
+    def blank(self) -> Standing:
+        """A belief of the same kind that knows nothing."""
+        ranges = self.coarse.ranges if isinstance(self.coarse, RangedBelief) else None
+        return Standing.uniform(self.degree, ranges, self.height)
+
     @property
     def degree(self) -> int:
         """Of the harmonics of `coarse`."""
@@ -71,8 +76,8 @@ class Standing:
         if not isinstance(self.coarse, RangedBelief):
             return self
         coarse = _with_prior(self.coarse.predict(np.eye(3), step), height)
-        windows = tuple(window.moved(step, self._prior(window)) for window in self.windows)
-        return Standing(coarse, windows, height)
+        found = Standing(coarse, (), height)
+        return replace(found, windows=tuple(found._filled(*w.moved(step, self._prior(w))) for w in self.windows))
 
     def ranged(self, ranges: np.ndarray, height: float | None) -> Standing:
         """The same over direction and range, from now on: what is known so far holds for all ranges alike."""
@@ -132,7 +137,9 @@ class Standing:
         """With a window about each peak, as fine as the peak is now; `fresh` windows are fine enough."""
         found = self
         windows = tuple(
-            window if fresh or window.peak_at_border(patch.values) else window.focused(self._prior(window))
+            window
+            if fresh or window.peak_at_border(patch.values)
+            else self._filled(*window.focused(self._prior(window)))
             for window, patch in zip(self.windows, self.field.patches, strict=True)
         )
         if any(a is not b for a, b in zip(windows, self.windows, strict=True)):
@@ -192,25 +199,34 @@ class Standing:
 
     def _with_window(self, centre: np.ndarray, width: float) -> Standing:
         """With a window about `centre` ``(3,)`` for a peak of this `width` (radians), drawn from the coarse field."""
-        from eagor.detector import tangent_frame
+        from eagor.detection_set import tangent_frame
 
         frame = np.concatenate([centre[None], tangent_frame(centre)])
         half = np.full(2, min(math.tan(min(REACH * width, 1.0)), WIDEST))
         window = Window(frame, half, np.zeros((1, NODES, NODES)))
-        basis = RealHarmonics(self.degree)
         if isinstance(self.coarse, RangedBelief):
-            shells = basis.synthesise(self.coarse.shells, window.directions)
-            logs = np.log(self.coarse.ranges)
-            limits = float(logs[0]), float(logs[-1])
-            nodes = np.linspace(*limits, RANGES)
-            values = _between(shells, logs, nodes)
-            window = Window(frame, half, values, nodes, limits)
-        else:
-            window = replace(window, values=basis.synthesise(self.coarse.coefficients, window.directions)[None])
+            limits = math.log(self.coarse.ranges[0]), math.log(self.coarse.ranges[-1])
+            window = replace(window, logs=np.linspace(*limits, RANGES), limits=limits)
+        window = replace(window, values=self._coarse_at(window))
         found = Standing(self.coarse, (*self.windows, window), self.height)
         patch = window.patch(self._prior(window))
         found.__dict__["field"] = replace(self.field, patches=(*self.field.patches, patch))
         return found
+
+    def _coarse_at(self, window: Window) -> np.ndarray:
+        """The field of the whole sphere at the nodes of a window ``(K, n, n)``."""
+        basis = RealHarmonics(self.degree)
+        if not isinstance(self.coarse, RangedBelief):
+            return basis.synthesise(self.coarse.coefficients, window.directions)[None]
+        shells = basis.synthesise(self.coarse.shells, window.directions)
+        assert window.logs is not None
+        return _between(shells, np.log(self.coarse.ranges), window.logs)
+
+    def _filled(self, window: Window, beyond: np.ndarray | None) -> Window:
+        """A window with the nodes `beyond` what it held before taken from the field of the whole sphere."""
+        if beyond is None:
+            return window
+        return replace(window, values=np.where(beyond, self._coarse_at(window), window.values))
 
     def distance(self, about: np.ndarray) -> tuple[float, float] | None:
         """Mean distance (metres) and standard deviation of its logarithm near a direction; None without ranges."""

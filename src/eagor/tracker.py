@@ -14,12 +14,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from eagor.cases import Cases
 from eagor.detector import Rates
 from eagor.errors import EagorError, PoseError, TimeError
 from eagor.estimate import Answer, Estimate, TrackerConfig, chosen
 from eagor.evidence import Evidence
 from eagor.looks import Look, Sight
-from eagor.motion import Cases
 from eagor.poses import PoseHistory
 from eagor.ranged import RangedBelief
 from eagor.standing import Standing
@@ -103,8 +103,8 @@ class DirectionTracker:
         """Add evidence about `target`, placed by its time of capture; it may be late and out of order.
 
         Evidence of one moment (views of one panorama) is one look. A look that is newer than the last pose is placed by
-        that pose until one comes that covers it. Raises `TimeError` without a stamp, or if it is older than the history,
-        and `PoseError` if no pose of that time is known any more.
+        that pose until one comes that covers it. Raises `TimeError` without a stamp, or if it is older than the
+        history, and `PoseError` if no pose of that time is known any more.
         """
         if evidence.stamp is None:
             raise TimeError(

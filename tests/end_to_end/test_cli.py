@@ -654,7 +654,7 @@ def test_the_demo_leaves_a_report(tmp_path):
         assert metrics["success"] in (0, 1)
     page = Path(found["report"]).read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 3
-    assert "http" not in page
+    assert "http" not in re.sub(r"base64,[^\"]+", "", page)  # nothing is fetched
     for name in ("beliefs.png", "errors.png", "map.png"):
         assert picture_width(tmp_path / name) >= 1200
     assert "0 to 9999" in refused("demo", "--seed", "10000", "--out", tmp_path)
@@ -699,7 +699,7 @@ def test_a_calibration_is_fitted_written_and_taken(room, tmp_path):
     words = ("calibrate", "--perception", "truth", "--episodes", "8", "--trials", "2", "--out", out)
     found = answer(*words)
     assert {"floor", "neutral", "temperature", "persistence", "spread"} == set(found["calibration"])
-    assert {"start", "stop", "jump", "birth", "death"} == set(found["forgetting"])
+    assert {"wander", "start", "stop", "jump"} == set(found["forgetting"])
     assert len(found["found_by"]["apartments"]) == 2
     assert json.loads(out.read_text())["calibration"] == found["calibration"]
     run = ("bench", "run", "tracking", "--perception", "truth", "--episodes", "1", "--seed", "1", "--methods", "eagor")

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from strategies import directions, random_directions
 
 from eagor.belief import Belief
-from eagor.detector import DetectorModel, Rates, model_as_json, parse_model, resolved
+from eagor.detection_set import resolved
+from eagor.detector import DetectorModel, Rates, model_as_json, parse_model
 from eagor.errors import ResponseError
 from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence

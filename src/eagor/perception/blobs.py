@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from eagor.detection_set import Detections, View, anisotropic
 from eagor.detections import canvas_of, moments_of
-from eagor.detector import Detections, DetectorModel, View, anisotropic
+from eagor.detector import DetectorModel
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, Grid, PatchGrid
 

@@ -18,7 +18,8 @@ import numpy as np
 from eagor._checks import require, whole
 from eagor._srgb import to_linear
 from eagor.calibration import Calibration
-from eagor.detector import DetectorModel, View
+from eagor.detection_set import View
+from eagor.detector import DetectorModel
 from eagor.errors import ImageError, QueryError
 from eagor.evidence import Evidence
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid

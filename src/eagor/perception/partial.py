@@ -13,8 +13,8 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from eagor.detection_set import View
 from eagor.detections import canvas_of
-from eagor.detector import View
 from eagor.errors import ImageError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid

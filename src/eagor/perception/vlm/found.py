@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eagor.detection_set import View
 from eagor.detections import ANYWHERE, moments
-from eagor.detector import DetectorModel, View
+from eagor.detector import DetectorModel
 from eagor.errors import ResponseError
 from eagor.evidence import Evidence
 from eagor.grids import Grid, PerspectiveGrid

@@ -1,0 +1,260 @@
+"""Is it here, does it stand, or does it wander? One filter over all there can be.
+
+The target is not here, or it stands where it is, or it wanders by so many degrees per root second. Each case that has a
+target holds a belief over directions, and is weighed by how it foretold what was seen; a Markov chain leads from case
+to case (a Bernoulli filter over several models of motion: interacting multiple models, Blom and Bar-Shalom, IEEE
+Transactions on Automatic Control 33(8), 1988; Ristic et al., IEEE Transactions on Signal Processing 61(13), 2013).
+Presence is what the cases with a target weigh together.
+
+A wanderer is held as a density on a grid: there diffusion is exact and costs one product, since the heat kernel
+multiplies the coefficients of degree l by exp(-l (l + 1) sigma^2 / 2). A target that stands is held as the sum of all
+looks since it stands (`eagor.standing`), which a change of case cannot enter. So of the two ways to stand, since then
+or since now, the likelier one is kept.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eagor._lazy import lazy
+from eagor.detector import Rates
+from eagor.field import SphereField, blurred, sharpened
+from eagor.grids import ErpGrid
+from eagor.harmonics import RealHarmonics
+from eagor.local import REACH
+from eagor.looks import Look, Sight
+from eagor.motion import MotionModel
+from eagor.peaks import decoding_grid
+from eagor.reading import Reading
+from eagor.standing import Standing
+
+_UNHEARD = 1e-5  # of the belief: a cell that holds less tells nothing of the detector
+_FAINTEST = 1e-12  # of a mean density: what lies lower is the ringing of a cut series
+_LEAST_NEW = 1e-6  # of a mean density: where what comes to stand is no less likely
+_LARGEST = 700.0  # nats whose exponential is a number
+
+
+@dataclass(frozen=True, eq=False)
+class Cases:
+    """What there can be, with its probability: absent, standing, or wandering in one of several ways. World axes.
+
+    `weights` ``(2 + M,)`` sum to 1. `wanderers` ``(M, H, W)``: densities over a uniform one, on the decoding grid.
+    `bias`: radians by which all looks together may lie beside the thing: the part of their error that repeats.
+    `sharpening`: what the precision of peaks is read as, over what it was added up with (`Rates.sharpening`).
+    """
+
+    weights: np.ndarray
+    standing: Standing
+    wanderers: np.ndarray
+    bias: float = 0.0
+    sharpening: float = 1.0
+
+    @classmethod
+    def prior(cls, motion: MotionModel, standing: Standing, presence: float = 0.5) -> Cases:
+        """Before any look; `standing` is a belief that knows nothing."""
+        count, grid = len(motion.wander), decoding_grid(standing.degree)
+        moving = motion.moving
+        weights = np.array([1 - presence, presence * (1 - moving), *[presence * moving / max(count, 1)] * count])
+        return cls(weights, standing, np.ones((count, *grid.shape)))
+
+    @property
+    def grid(self) -> ErpGrid:
+        """Of the wanderers."""
+        return decoding_grid(self.standing.degree)
+
+    @property
+    def presence(self) -> float:
+        """Probability that the target is here."""
+        return float(1 - self.weights[0])
+
+    @property
+    def moving(self) -> float:
+        """Probability that it moves, if it is here."""
+        here = self.weights[1:].sum()
+        return float(self.weights[2:].sum() / here) if here > 0 else 0.0
+
+    @lazy
+    def field(self) -> SphereField:
+        """log of the density over a uniform one, given that the target is here: what answers are read from."""
+        shares = self.weights[1:] / max(float(self.weights[1:].sum()), 1e-300)
+        stands = self.standing.field
+        if abs(self.sharpening - 1) > 0.01:
+            stands = replace(stands, patches=tuple(sharpened(patch, self.sharpening) for patch in stands.patches))
+        if self.bias > 0:
+            stands = _with_bias(stands, self.bias)
+        level = math.log(max(float(shares[0]), 1e-300)) - self.standing.log_mean
+        if not len(self.wanderers):
+            return replace(
+                stands,
+                values=stands.values + level,
+                patches=tuple(patch.like(patch.values + level) for patch in stands.patches),
+            )
+        roams = np.log(np.maximum(np.tensordot(shares[1:], self.wanderers, axes=1), 1e-300))
+        elsewhere = SphereField(self.grid, roams)
+        patches = tuple(
+            patch.like(np.logaddexp(patch.values + level, elsewhere.smooth(patch.directions, 1)))
+            for patch in stands.patches
+        )
+        return SphereField(self.grid, np.logaddexp(stands.values + level, roams), patches)
+
+    @lazy
+    def reading(self) -> Reading:
+        """What can be read from `field`."""
+        return Reading(self.field)
+
+    def after(
+        self, elapsed: float, motion: MotionModel, drift: float, step: np.ndarray | None, height: float | None
+    ) -> Cases:
+        """After `elapsed` seconds, in which the body has moved by `step` ``(3,)`` metres; `drift`: of the odometry."""
+        standing = self.standing
+        if step is not None and step.any():
+            standing = standing.moved(step, height)
+        if elapsed <= 0:
+            return self if standing is self.standing else replace(self, standing=standing)
+        flows = self.weights[:, None] * motion.transitions(elapsed)
+        wanderers = self._roamed(flows, elapsed, motion, drift)
+        if drift > 0:
+            standing = _drifted(standing, drift, elapsed)
+        kept, newly = flows[1, 1], np.delete(flows[:, 1], 1)
+        if newly.sum() > kept:  # it stands since now
+            standing = self._restarted(standing, newly)
+        weights = flows.sum(axis=0)
+        return replace(self, weights=weights / weights.sum(), standing=standing, wanderers=wanderers)
+
+    def _roamed(self, flows: np.ndarray, elapsed: float, motion: MotionModel, drift: float) -> np.ndarray:
+        """The wanderers' densities after `elapsed` seconds, with what flows into each case from the others."""
+        grid = self.grid
+        basis = RealHarmonics(grid.height // 2 - 1)  # a density is narrower than its logarithm: all that the grid holds
+        jumped = -math.expm1(-motion.jump * elapsed)
+        stands = self._standing_density() if flows[1, 2:].any() else 0.0
+        found = np.empty_like(self.wanderers)
+        for index, rate in enumerate(motion.wander):
+            case, sigma = 2 + index, math.hypot(rate, drift) * math.sqrt(elapsed)
+            spread = basis.synthesise(basis.smooth(basis.analyse(self.wanderers[index], grid), sigma), grid)
+            roamed = (1 - jumped) * np.maximum(spread, _FAINTEST) + jumped
+            mixed = flows[case, case] * roamed + flows[1, case] * stands + flows[0, case]
+            found[index] = mixed / _mean(mixed, grid)
+        return found
+
+    def _standing_density(self) -> np.ndarray:
+        """The standing target's density over a uniform one, on the grid ``(H, W)``.
+
+        Where a patch lies its mass is kept: the cells are too wide to sample a sharp peak.
+        """
+        field, level = self.standing.field, self.standing.log_mean
+        found = np.exp(np.minimum(field.values - level, _LARGEST))
+        weights = field.grid.weights
+        for patch, shares in zip(field.patches, field.shares, strict=True):
+            inside = patch.places(field.grid.directions)[1]
+            mass = float(np.sum(np.exp(np.minimum(patch.values - level, _LARGEST)) * shares))
+            cells = float(np.sum(found[inside] * weights[inside]))
+            if cells > 0:
+                found[inside] *= mass / cells
+            elif not inside.any():  # a patch between the middles of the cells
+                found.flat[int((field.grid.directions @ patch.frame[0]).argmax())] += mass / weights.min()
+        return found
+
+    def _restarted(self, standing: Standing, newly: np.ndarray) -> Standing:
+        """A target that has come to stand just now, where it was wandering, or anywhere.
+
+        `newly`: what flows in from the absent target, and from each wanderer.
+        """
+        density = newly[0] + (np.tensordot(newly[1:], self.wanderers, axes=1) if len(newly) > 1 else 0.0)
+        density = np.broadcast_to(density, self.grid.shape)
+        field = np.log(np.maximum(density / _mean(density, self.grid), _LEAST_NEW))
+        blank = standing.blank()
+        return replace(blank, coarse=blank.coarse.plus(RealHarmonics(standing.degree).analyse(field, self.grid)))
+
+    def updated(
+        self, sight: Sight, rates: Rates | None, passing: Look | None, since: np.ndarray | None
+    ) -> tuple[Cases, Look, Rates | None]:
+        """With one more look.
+
+        `passing`: the look before it, of which this one repeats a share, taken before the body moved by `since`.
+        Returns the look as it was read, and what is known of the detector's rates after it.
+        """
+        standing, before = self.standing, self.standing.log_mean
+        repeated = 0.0
+        if passing is not None and passing.sight.repeats > 0:
+            repeated = passing.sight.repeats
+            standing = standing.plus(passing, -repeated, since)
+        look = sight.read(rates)
+        learnt = rates
+        if sight.detections is not None:
+            learnt = self._learnt(sight, look)
+        # Where the body has moved, its windows were drawn for this place just now.
+        fresh = since is not None and bool(since.any())
+        standing = standing.opened(look).plus(look).focused(fresh)
+        gains = np.zeros(len(self.weights))
+        gains[1] = standing.log_mean - before
+        wanderers = self.wanderers
+        if len(wanderers):
+            ratio = np.exp(look.values)
+            new = ratio if repeated == 0 else np.exp(look.values - repeated * passing.values)  # type: ignore[union-attr]
+            shares = self.grid.weights / (4 * math.pi)
+            gains[2:] = np.log(np.einsum("mij,ij->m", wanderers, new * shares))
+            wanderers = wanderers * ratio
+            wanderers /= np.einsum("mij,ij->m", wanderers, shares)[:, None, None]
+        log = np.log(np.maximum(self.weights, 1e-300)) + gains
+        weights = np.exp(log - log.max())
+        sharpening = 1.0 if learnt is None else learnt.sharpening
+        return Cases(weights / weights.sum(), standing, wanderers, sight.bias, sharpening), look, learnt
+
+    def _learnt(self, sight: Sight, look: Look) -> Rates:
+        """What the look tells of the detector."""
+        assert look.rates is not None
+        assert look.world is not None
+        if not len(look.world) and look.rates.weights.size == 1:
+            return look.rates
+        values, weights, directions = self.field.nodes
+        mass = np.exp(np.minimum(values - self.field.log_mean, _LARGEST)) * weights / (4 * math.pi)
+        counts = mass > _UNHEARD
+        mass, directions = mass[counts], directions[counts]
+        mass = mass / mass.sum()
+        share: np.ndarray | float = 1.0
+        if look.world.views:
+            share = look.world.share(directions @ sight.world_R_body)
+        covered = float(np.sum(mass * share))
+        expected = np.zeros(len(look.rates.scales))
+        if len(look.world):
+            for index, scale in enumerate(look.rates.scales.tolist()):
+                found = look.world.scaled(scale).densities(directions)
+                expected[index] = float((mass * share) @ found.sum(axis=-1)) * look.world.area
+        return look.rates.noted(len(look.world)).learnt(self.presence, covered, expected)
+
+
+def _mean(density: np.ndarray, grid: ErpGrid) -> float:
+    """Over the sphere."""
+    return float(np.sum(density * grid.weights)) / (4 * math.pi)
+
+
+def _with_bias(field: SphereField, bias: float) -> SphereField:
+    """A field whose patches are blurred; where they grow over the grid, what that says is kept."""
+    patches = []
+    for patch in field.patches:
+        wide = blurred(patch, bias, REACH)
+        directions = wide.directions
+        outside = ~patch.places(directions)[1]
+        around = np.full(wide.values.shape, -np.inf)
+        around[outside] = SphereField(field.grid, field.values).smooth(directions[outside], 1)
+        patches.append(wide.like(np.logaddexp(wide.values, around)))
+    return replace(field, patches=tuple(patches))
+
+
+def _drifted(standing: Standing, drift: float, elapsed: float) -> Standing:
+    """With the peaks wider by what odometry that drifts by `drift` radians a second adds in `elapsed` seconds.
+
+    Scaling a log-likelihood by s scales the variance of its peak by 1 / s: P + q = P / s.
+    """
+    patches = standing.field.patches
+    width = math.radians(8)
+    if patches:
+        best = max(patches, key=lambda patch: float(patch.values.max()))
+        shares = np.exp(best.values - best.values.max()) * best.weights
+        offsets = np.linspace(-1, 1, len(best.values))
+        u, v = (offsets * best.half[0])[:, None], (offsets * best.half[1])[None, :]
+        width = max(math.sqrt(float(np.sum(shares * (u * u + v * v)) / shares.sum() / 2)), 1e-3)
+    return standing.scaled(width**2 / (width**2 + drift**2 * elapsed))
