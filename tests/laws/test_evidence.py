@@ -345,7 +345,9 @@ def test_a_small_mask_counts_like_a_small_box(grid, azimuth_deg):
     point = field(Evidence.from_points(there, 1 / math.radians(4) ** 2, grid=grid, calibration=Calibration()))
     assert small.max() == pytest.approx(point.max(), rel=0.1)
     assert raw.max() < 0.4 < 1.2 < small.max()
-    assert angular_distance(brightest(Evidence.from_mask(mask, grid)), there) < math.radians(3)
+    assert angular_distance(brightest(Evidence.from_mask(mask, grid, calibration=Calibration())), there) < math.radians(
+        3
+    )
 
 
 def test_a_mask_that_is_wide_enough_is_taken_at_its_word():
@@ -373,7 +375,8 @@ def test_boxes_and_masks_are_detections_in_the_middle_as_wide_as_they_are_and_as
             assert math.degrees(angular_distance(found, there)) < 1, "half a cell"
             wide = np.degrees(1 / np.linalg.norm(evidence.detections.axes[0], axis=-1))
             assert wide == pytest.approx(math.hypot(3, radius / 2), rel=0.2), "a quarter of a disc's radius squared"
-            assert math.degrees(angular_distance(brightest(evidence), there)) < 3
+            # Cut at degree 15 and tapered at the border of a view, it is drawn towards the middle there.
+            assert math.degrees(angular_distance(brightest(evidence), there)) < (3 if isinstance(grid, ErpGrid) else 4)
 
 
 def test_two_masks_are_two_detections_and_an_empty_one_is_none():

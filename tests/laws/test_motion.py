@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from eagor.cases import Cases
 from eagor.detector import DetectorModel
 from eagor.errors import EagorError
 from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
 from eagor.looks import Sight
-from eagor.motion import Cases, MotionModel
+from eagor.motion import MotionModel
 from eagor.peaks import decoding_grid
 from eagor.ranged import log_ranges
 from eagor.sphere import angular_distance, direction, unit
@@ -132,7 +133,7 @@ def test_weights_and_densities_stay_probabilities(looks):
 
 @pytest.mark.parametrize("ranged", [False, True])
 def test_the_belief_is_the_mixture_of_the_cases(ranged):
-    cases = told(ONE, lambda step: direction(0.1 * step, 0.0), 6, ranged)
+    cases = replace(told(ONE, lambda step: direction(0.1 * step, 0.0), 6, ranged), sharpening=1.0)
     where = unit(np.random.default_rng(0).normal(size=(60, 3)))
     shares = cases.weights[1:] / cases.weights[1:].sum()
     stands = np.exp(cases.standing.field(where) - cases.standing.log_mean)

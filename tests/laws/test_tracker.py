@@ -12,10 +12,11 @@ from eagor.belief import Belief
 from eagor.calibration import Calibration
 from eagor.detector import DetectorModel
 from eagor.errors import EagorError, PoseError, RotationError, TimeError
-from eagor.estimate import RIVAL, SAME, SURE, Answer, TrackerConfig, chosen
+from eagor.estimate import RIVAL, SURE, Answer, TrackerConfig, chosen
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.motion import MotionModel
+from eagor.reading import NEAR
 from eagor.sphere import angular_distance, direction, rotation, unit, world_R_body
 from eagor.tracker import DirectionTracker
 
@@ -415,14 +416,14 @@ def test_modes_are_sorted_by_mass_and_the_first_is_the_answer_unless_one_is_held
     elsewhere = 1 - weights.sum()
     assert -1e-9 <= elsewhere < 1
     gap = degrees(estimate.modes[0].direction, estimate.direction)
-    assert (gap < math.degrees(SAME)) != estimate.held
+    assert (gap < math.degrees(NEAR)) != estimate.held
     if not estimate.held:
-        assert gap < 1 or estimate.within(SAME) / estimate.presence > 0.5
+        assert gap < 1 or estimate.within(NEAR) / estimate.presence > 0.5
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_the_weight_of_a_mode_is_the_mass_around_it(seed):
-    """Of two well separated peaks the cones about them hold what their basins do, but for the floor."""
+    """Of two well separated peaks the cones about them hold what their basins do."""
     rng = np.random.default_rng(seed)
     places, tracker = [FORWARD, direction(2.0, 0.3)], DirectionTracker(TrackerConfig(**FLAT))
     for t in range(3):
@@ -431,8 +432,8 @@ def test_the_weight_of_a_mode_is_the_mass_around_it(seed):
     estimate = tracker.estimate(2.0)
     for mode in estimate.modes:
         if mode.weight > 0.2:
-            inside = estimate.posterior.within(math.radians(40), estimate.world_R_body @ mode.direction)
-            assert inside == pytest.approx(mode.weight, abs=0.06)
+            inside = estimate.posterior.within(NEAR, estimate.world_R_body @ mode.direction)
+            assert inside == pytest.approx(mode.weight, abs=0.03)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -572,7 +573,7 @@ def test_independent_looks_are_answered_by_the_heaviest_mode():
     for seed in range(6):
         reading = seeded(seed).posterior
         before = Answer(SOME[seed])
-        assert degrees(chosen(reading, before).direction, reading.first(SAME)[0]) < 0.01
+        assert degrees(chosen(reading, before).direction, reading.first(NEAR)[0]) < 0.01
         assert not chosen(reading, None, 0.9).held
 
 
