@@ -132,7 +132,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "detections": tuple(DETECTIONS),
     "range": (
         f"{OURS}:shells=0",
-        *(f"{OURS}:shells={count}" for count in (14, 30)),
+        *(f"{OURS}:shells={count}" for count in (20, 30)),
         f"{OURS}:heights=0",
         TOLD,
     ),
