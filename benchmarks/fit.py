@@ -135,6 +135,8 @@ def _mean(rows: list[tuple[int, dict[str, Any]]], column: str) -> tuple[float, f
     if not there:
         return math.nan, math.nan, math.nan
     seeds, values = zip(*there, strict=True)
+    if len(set(seeds)) < 2:
+        return float(np.mean(values)), math.nan, math.nan
     interval = bootstrap_interval(values, np.random.default_rng(0), groups=seeds)
     return float(np.mean(values)), interval.low, interval.high
 
