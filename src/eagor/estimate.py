@@ -283,7 +283,7 @@ class Estimate:
         - "searching": the target is more likely not here, or too little is known of where it is;
         - "tracking": it is here and within 15 degrees of the answer with a probability of at least 0.5, and no other
           mode holds a fifth of the belief;
-        - "ambiguous": it is more likely here, and several modes hold a fifth or more each;
+        - "ambiguous": it is more likely here, and several modes hold a fifth or more each, or half of it together;
         - "stale": there was an answer, and no evidence for longer than `TrackerConfig.stale_after`.
         """
         if self.direction is None:
@@ -297,7 +297,10 @@ class Estimate:
         rivals = sum(mode.weight >= RIVAL for mode in self.modes)
         if rivals > 1:
             return "ambiguous"
-        return "tracking" if self.within(SURE) >= 0.5 else "searching"
+        if self.within(SURE) >= 0.5:
+            return "tracking"
+        told = sum(mode.weight for mode in self.modes)
+        return "ambiguous" if len(self.modes) > 1 and told >= 0.5 else "searching"
 
     def _repr_html_(self) -> str:
         """A small picture, for notebooks."""

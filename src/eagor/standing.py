@@ -15,6 +15,7 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.belief import Belief
+from eagor.detection_set import resolved, tangent_frame
 from eagor.field import SphereField
 from eagor.harmonics import RealHarmonics
 from eagor.local import NODES, RANGES, REACH, WIDEST, Window
@@ -25,6 +26,7 @@ from eagor.ranged import NEAR, RangedBelief, height_level, height_prior, likely_
 MOST = 4  # windows
 WORTH = 0.02  # of the belief: a peak that holds less gets no window,
 LEAST = 0.002  # ... and a window that holds less is closed
+FINER = 0.8  # of the narrowest detection that a degree holds: so much narrower ones a window holds
 WIDE = math.radians(14)  # a peak wider than this is well held by the field itself
 
 
@@ -95,7 +97,7 @@ class Standing:
         if since is None or not since.any() or not isinstance(self.coarse, RangedBelief):
             windows, patches = [], []
             for window, patch in zip(self.windows, self.field.patches, strict=True):
-                found = share * look.at(window.directions, spacing(window))
+                found = share * look.at(window.directions, least_width(window, self.degree))
                 windows.append(window.plus(found))
                 patches.append(patch.like(patch.values + found))
             found = Standing(self.coarse.plus(share * look.coefficients), tuple(windows), self.height)
@@ -110,7 +112,7 @@ class Standing:
         for window in self.windows:
             points = window.points() + since
             points /= np.sqrt(np.einsum("...i,...i->...", points, points))[..., None]
-            windows.append(window.plus(share * look.at(points, spacing(window))))
+            windows.append(window.plus(share * look.at(points, least_width(window, self.degree))))
         return Standing(self.coarse.plus(carried), tuple(windows), self.height)
 
     def scaled(self, factor: float) -> Standing:
@@ -124,6 +126,7 @@ class Standing:
         centres, widths = look.centres
         if not len(centres):
             return self
+        widths = np.maximum(widths, FINER * resolved(self.degree))
         reached = self.field.smooth(centres, 1) + look.at(centres, 0.0) - self.log_mean
         for centre, width, rise in zip(centres, widths, reached, strict=True):
             if width > WIDE or len(found.windows) >= 2 * MOST or math.exp(min(rise, 50.0)) * width**2 < LEAST:
@@ -199,8 +202,6 @@ class Standing:
 
     def _with_window(self, centre: np.ndarray, width: float) -> Standing:
         """With a window about `centre` ``(3,)`` for a peak of this `width` (radians), drawn from the coarse field."""
-        from eagor.detection_set import tangent_frame
-
         frame = np.concatenate([centre[None], tangent_frame(centre)])
         half = np.full(2, min(math.tan(min(REACH * width, 1.0)), WIDEST))
         window = Window(frame, half, np.zeros((1, NODES, NODES)))
@@ -254,9 +255,14 @@ class Standing:
         return np.log(likely_height(self.height + rise)) - level
 
 
-def spacing(window: Window) -> float:
-    """Radians between two nodes of a window, the closer way."""
-    return 0.8 * math.atan(2 * float(window.half.min()) / (NODES - 1))
+def least_width(window: Window, degree: int) -> float:
+    """Radians: the narrowest detection that a window and the field around it hold together.
+
+    Narrower than its nodes are apart it would be lost between them. And where the window ends the field goes on, in
+    which each detection is as wide as a degree holds: a window that is much finer would count the skirts twice.
+    """
+    apart = 0.8 * math.atan(2 * float(window.half.min()) / (NODES - 1))
+    return max(apart, FINER * resolved(degree))
 
 
 def _between(shells: np.ndarray, logs: np.ndarray, nodes: np.ndarray) -> np.ndarray:
