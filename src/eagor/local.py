@@ -128,9 +128,7 @@ class Window:
             logs = None
         else:
             values = self.values if prior is None else self.values + prior
-            joint = (
-                np.exp(np.minimum(values[:, peak] - marginal.max(), 0.0)) * self.shares[:, None] * self.weights[peak]
-            )
+            joint = np.exp(values[:, peak] - values.max()) * self.shares[:, None] * self.weights[peak]
             by_range = np.log(np.maximum(joint.sum(axis=1), 1e-300) / self.shares)
             kept = np.flatnonzero(by_range > by_range.max() - FAINT)
             span = slice(max(kept[0] - 1, 0), min(kept[-1] + 2, len(by_range)))
