@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -14,8 +15,8 @@ MARGIN = 4  # cells beyond the border of the grid that interpolation needs
 
 
 @dataclass(frozen=True, eq=False)
-class Patch:
-    """Values ``(n, n)`` over the plane that touches the sphere in the direction ``frame[0]`` (gnomonic projection).
+class Nodes:
+    """Values ``(..., n, n)`` on the plane that touches the sphere in the direction ``frame[0]`` (gnomonic projection).
 
     `frame` ``(3, 3)``: that direction and the axes u, v of the plane, as rows. `half` ``(2,)``: how far the nodes reach
     to both sides, in units of the plane (tangents of angles).
@@ -25,13 +26,28 @@ class Patch:
     half: np.ndarray
     values: np.ndarray
 
-    def like(self, values: np.ndarray) -> Patch:
+    def like(self, values: np.ndarray) -> Self:
         """The same nodes with other values; what is known of the nodes is kept."""
         found = replace(self, values=values)
         for name in ("directions", "weights"):
             if name in self.__dict__:
                 found.__dict__[name] = self.__dict__[name]
         return found
+
+    @lazy
+    def directions(self) -> np.ndarray:
+        """Unit vectors ``(n, n, 3)`` of the nodes."""
+        return plane_directions(self.values.shape[-1], self.frame, self.half)
+
+    @lazy
+    def weights(self) -> np.ndarray:
+        """Solid angles ``(n, n)`` of the nodes."""
+        return plane_weights(self.values.shape[-1], self.half)
+
+
+@dataclass(frozen=True, eq=False)
+class Patch(Nodes):
+    """A part of a field on the sphere: values ``(n, n)``."""
 
     def places(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coordinates ``(2, ...)`` in units of `half`, -1 to 1, of directions ``(..., 3)``, and which lie inside."""
@@ -51,16 +67,6 @@ class Patch:
     def least_ahead(self) -> float:
         """The cosine of the angle from the middle to a corner."""
         return 1 / math.sqrt(1 + float(self.half @ self.half)) - 1e-12
-
-    @lazy
-    def directions(self) -> np.ndarray:
-        """Unit vectors ``(n, n, 3)`` of the nodes."""
-        return plane_directions(self.values.shape[-1], self.frame, self.half)
-
-    @lazy
-    def weights(self) -> np.ndarray:
-        """Solid angles ``(n, n)`` of the nodes."""
-        return plane_weights(self.values.shape[-1], self.half)
 
 
 def sharpened(patch: Patch, factor: float) -> Patch:

@@ -10,13 +10,12 @@ logarithm of a likelihood is smooth there, and a cubic spline carries it from on
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from eagor._lazy import lazy
-from eagor.field import Patch, plane_directions, plane_weights
+from eagor.field import Nodes, Patch
 from eagor.sphere import cross
 
 NODES = 11  # along each side
@@ -29,28 +28,15 @@ SLACK = 1.25  # a window that is larger than wanted by this factor is drawn anew
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class Window(Nodes):
     """Log-likelihood ratios ``(K, n, n)`` about one peak, in axes that do not turn, about the place of the body.
 
-    `frame`, `half`: as for `eagor.field.Patch`. `logs` ``(K,)``: logarithms of the ranges, evenly spaced; None where
+    `frame`, `half`: as for `eagor.field.Nodes`. `logs` ``(K,)``: logarithms of the ranges, evenly spaced; None where
     only directions are believed in (K = 1). `limits`: the least and the greatest logarithm of a range there is.
     """
 
-    frame: np.ndarray
-    half: np.ndarray
-    values: np.ndarray
     logs: np.ndarray | None = None
     limits: tuple[float, float] = (0.0, 1.0)
-
-    @lazy
-    def directions(self) -> np.ndarray:
-        """Unit vectors ``(n, n, 3)`` of the rays."""
-        return plane_directions(self.values.shape[-1], self.frame, self.half)
-
-    @lazy
-    def weights(self) -> np.ndarray:
-        """Solid angles ``(n, n)`` of the rays."""
-        return plane_weights(self.values.shape[-1], self.half)
 
     @property
     def shares(self) -> np.ndarray:
@@ -63,11 +49,7 @@ class Window:
 
     def plus(self, log_ratios: np.ndarray) -> Window:
         """With log ratios ``(n, n)`` added to all ranges, or ``(K, n, n)``."""
-        found = replace(self, values=self.values + log_ratios)
-        for name in ("directions", "weights"):  # the nodes stay where they are
-            if name in self.__dict__:
-                found.__dict__[name] = self.__dict__[name]
-        return found
+        return self.like(self.values + log_ratios)
 
     def marginal(self, prior: np.ndarray | None = None) -> np.ndarray:
         """log of the mean likelihood over the ranges ``(n, n)``; `prior` ``(K, n, n)``: log ratios to count besides."""
@@ -183,7 +165,7 @@ class Window:
             beyond = beyond[None]
         else:
             values = map_coordinates(self.values, np.concatenate([depth[None], places]), order=3, mode="mirror")
-        return replace(new, values=values), beyond if beyond.any() else None
+        return new.like(values), beyond if beyond.any() else None
 
     def _places(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Indices ``(2, ...)`` of points ``(..., 3)``, held at the borders, and which lie beyond them."""

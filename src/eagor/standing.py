@@ -117,7 +117,7 @@ class Standing:
 
     def scaled(self, factor: float) -> Standing:
         """With all log ratios scaled by `factor` in [0, 1]: the covariance of each peak grows by 1 / factor."""
-        windows = tuple(replace(window, values=window.values * factor) for window in self.windows)
+        windows = tuple(window.like(window.values * factor) for window in self.windows)
         return Standing(self.coarse.forget(factor), windows, self.height)
 
     def opened(self, look: Look) -> Standing:
@@ -208,7 +208,7 @@ class Standing:
         if isinstance(self.coarse, RangedBelief):
             limits = math.log(self.coarse.ranges[0]), math.log(self.coarse.ranges[-1])
             window = replace(window, logs=np.linspace(*limits, RANGES), limits=limits)
-        window = replace(window, values=self._coarse_at(window))
+        window = window.like(self._coarse_at(window))
         found = Standing(self.coarse, (*self.windows, window), self.height)
         patch = window.patch(self._prior(window))
         found.__dict__["field"] = replace(self.field, patches=(*self.field.patches, patch))
@@ -227,7 +227,7 @@ class Standing:
         """A window with the nodes `beyond` what it held before taken from the field of the whole sphere."""
         if beyond is None:
             return window
-        return replace(window, values=np.where(beyond, self._coarse_at(window), window.values))
+        return window.like(np.where(beyond, self._coarse_at(window), window.values))
 
     def distance(self, about: np.ndarray) -> tuple[float, float] | None:
         """Mean distance (metres) and standard deviation of its logarithm near a direction; None without ranges."""
