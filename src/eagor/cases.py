@@ -1,6 +1,7 @@
 """Is it here, does it stand, or does it wander? One filter over all there can be.
 
-The target is not here, or it stands where it is, or it wanders by so many degrees per root second. Each case that has a
+The target is not here, or it stands where it is, or it wanders by so many degrees per root second, or it turns at a
+steady rate (`eagor.turning`). Each case that has a
 target holds a belief over directions, and is weighed by how it foretold what was seen; a Markov chain leads from case
 to case (a Bernoulli filter over several models of motion: interacting multiple models, Blom and Bar-Shalom, IEEE
 Transactions on Automatic Control 33(8), 1988; Ristic et al., IEEE Transactions on Signal Processing 61(13), 2013).
@@ -21,7 +22,7 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.detector import Rates
-from eagor.field import SphereField, blurred, sharpened
+from eagor.field import Patch, SphereField, blurred, sharpened
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.local import REACH
@@ -30,18 +31,21 @@ from eagor.motion import MotionModel
 from eagor.peaks import decoding_grid
 from eagor.reading import Reading
 from eagor.standing import Standing
+from eagor.turning import Turning
 
 _UNHEARD = 1e-5  # of the belief: a cell that holds less tells nothing of the detector
 _FAINTEST = 1e-12  # of a mean density: what lies lower is the ringing of a cut series
 _LEAST_NEW = 1e-6  # of a mean density: where what comes to stand is no less likely
+_UNLIKELY = 0.05  # a turning target is less likely than this: it is drawn where it would stand
 _LARGEST = 700.0  # nats whose exponential is a number
 
 
 @dataclass(frozen=True, eq=False)
 class Cases:
-    """What there can be, with its probability: absent, standing, or wandering in one of several ways. World axes.
+    """What there can be, with its probability: absent, standing, wandering in one of several ways, turning. World axes.
 
-    `weights` ``(2 + M,)`` sum to 1. `wanderers` ``(M, H, W)``: densities over a uniform one, on the decoding grid.
+    `weights` ``(2 + M,)`` or, with `turning`, ``(3 + M,)`` sum to 1. `wanderers` ``(M, H, W)``: densities over a
+    uniform one, on the decoding grid.
     `bias`: radians by which all looks together may lie beside the thing: the part of their error that repeats.
     `sharpening`: what the precision of peaks is read as, over what it was added up with (`Rates.sharpening`).
     """
@@ -49,16 +53,17 @@ class Cases:
     weights: np.ndarray
     standing: Standing
     wanderers: np.ndarray
+    turning: Turning | None = None
     bias: float = 0.0
     sharpening: float = 1.0
 
     @classmethod
     def prior(cls, motion: MotionModel, standing: Standing, presence: float = 0.5) -> Cases:
         """Before any look; `standing` is a belief that knows nothing."""
-        count, grid = len(motion.wander), decoding_grid(standing.degree)
-        moving = motion.moving
-        weights = np.array([1 - presence, presence * (1 - moving), *[presence * moving / max(count, 1)] * count])
-        return cls(weights, standing, np.ones((count, *grid.shape)))
+        moving, grid = motion.moving, decoding_grid(standing.degree)
+        weights = np.array([1 - presence, presence * (1 - moving), *(presence * moving * motion.kinds)])
+        turning = Turning.prior(motion.turn) if motion.turn else None
+        return cls(weights, standing, np.ones((len(motion.wander), *grid.shape)), turning)
 
     @property
     def grid(self) -> ErpGrid:
@@ -85,20 +90,34 @@ class Cases:
             stands = replace(stands, patches=tuple(sharpened(patch, self.sharpening) for patch in stands.patches))
         if self.bias > 0:
             stands = _with_bias(stands, self.bias)
-        level = math.log(max(float(shares[0]), 1e-300)) - self.standing.log_mean
-        if not len(self.wanderers):
-            return replace(
-                stands,
-                values=stands.values + level,
-                patches=tuple(patch.like(patch.values + level) for patch in stands.patches),
-            )
-        roams = np.log(np.maximum(np.tensordot(shares[1:], self.wanderers, axes=1), 1e-300))
-        elsewhere = SphereField(self.grid, roams)
-        patches = tuple(
-            patch.like(np.logaddexp(patch.values + level, elsewhere.smooth(patch.directions, 1)))
-            for patch in stands.patches
+        turns = float(shares[-1]) if self.turning is not None else 0.0
+        stays = float(shares[0])
+        if turns < _UNLIKELY:
+            stays, turns = stays + turns, 0.0
+        level = math.log(max(stays, 1e-300)) - self.standing.log_mean
+        stands = replace(
+            stands,
+            values=stands.values + level,
+            patches=tuple(patch.like(patch.values + level) for patch in stands.patches),
         )
-        return SphereField(self.grid, np.logaddexp(stands.values + level, roams), patches)
+        if not len(self.wanderers) and not turns:
+            return stands
+        wandering = np.tensordot(shares[1 : 1 + len(self.wanderers)], self.wanderers, axes=1)
+        elsewhere = SphereField(self.grid, np.log(np.maximum(wandering, 1e-300)))
+        turning = self.turning if turns > 0 else None
+        fine = stands.patches
+        if turning is not None:
+            narrow = 2 * math.pi / self.grid.height
+            new = [patch for patch in turning.patches(narrow, 0.02 / turns) if not _is_covered(patch, stands)]
+            fine += tuple(patch.like(stands.smooth(patch.directions)) for patch in new)
+        patches = []
+        for patch in fine:
+            moving = np.exp(elsewhere.smooth(patch.directions, 1))
+            if turning is not None:
+                moving = moving + turns * turning.density(patch.directions)
+            patches.append(patch.like(np.logaddexp(patch.values, np.log(moving))))
+        moving = wandering + turns * (1.0 if turning is None else turning.density(self.grid.directions))
+        return SphereField(self.grid, np.logaddexp(stands.values, np.log(np.maximum(moving, 1e-300))), tuple(patches))
 
     @lazy
     def reading(self) -> Reading:
@@ -116,13 +135,14 @@ class Cases:
             return self if standing is self.standing else replace(self, standing=standing)
         flows = self.weights[:, None] * motion.transitions(elapsed)
         wanderers = self._roamed(flows, elapsed, motion, drift)
+        turning = self._turned(flows, elapsed, motion, drift)
         if drift > 0:
             standing = _drifted(standing, drift, elapsed)
         kept, newly = flows[1, 1], np.delete(flows[:, 1], 1)
         if newly.sum() > kept:  # it stands since now
             standing = self._restarted(standing, newly)
         weights = flows.sum(axis=0)
-        return replace(self, weights=weights / weights.sum(), standing=standing, wanderers=wanderers)
+        return replace(self, weights=weights / weights.sum(), standing=standing, wanderers=wanderers, turning=turning)
 
     def _roamed(self, flows: np.ndarray, elapsed: float, motion: MotionModel, drift: float) -> np.ndarray:
         """The wanderers' densities after `elapsed` seconds, with what flows into each case from the others."""
@@ -138,6 +158,24 @@ class Cases:
             mixed = flows[case, case] * roamed + flows[1, case] * stands + flows[0, case]
             found[index] = mixed / _mean(mixed, grid)
         return found
+
+    def _turned(self, flows: np.ndarray, elapsed: float, motion: MotionModel, drift: float) -> Turning | None:
+        """What turns, after `elapsed` seconds, with what begins to."""
+        if self.turning is None:
+            return None
+        turned = self.turning.after(elapsed, -math.expm1(-motion.jump * elapsed), drift)
+        inflow = flows[:2, -1]
+        total = float(inflow.sum() + flows[-1, -1])
+        if total <= 0:
+            return turned
+        patches = self.standing.field.patches
+        masses = self.standing.masses()
+        widths = np.array([patch.half / REACH for patch in patches]).reshape(-1, 2)
+        across = np.array([patch.frame[1:] for patch in patches]).reshape(-1, 2, 3) * widths[..., None]
+        covariances = np.einsum("nai,naj->nij", across, across)
+        tops = np.array([patch.directions.reshape(-1, 3)[int(patch.values.argmax())] for patch in patches])
+        begun = float(inflow[1] / max(inflow.sum(), 1e-300))
+        return turned.mixed(float(inflow.sum()) / total, tops.reshape(-1, 3), begun * masses, covariances)
 
     def _standing_density(self) -> np.ndarray:
         """The standing target's density over a uniform one, on the grid ``(H, W)``.
@@ -162,7 +200,10 @@ class Cases:
 
         `newly`: what flows in from the absent target, and from each wanderer.
         """
-        density = newly[0] + (np.tensordot(newly[1:], self.wanderers, axes=1) if len(newly) > 1 else 0.0)
+        count = len(self.wanderers)
+        density = newly[0] + np.tensordot(newly[1 : 1 + count], self.wanderers, axes=1)
+        if self.turning is not None and newly[-1] > 0:
+            density = density + newly[-1] * self.turning.density(self.grid.directions)
         density = np.broadcast_to(density, self.grid.shape)
         field = np.log(np.maximum(density / _mean(density, self.grid), _LEAST_NEW))
         blank = standing.blank()
@@ -195,13 +236,16 @@ class Cases:
             ratio = np.exp(look.values)
             new = ratio if repeated == 0 else np.exp(look.values - repeated * passing.values)  # type: ignore[union-attr]
             shares = self.grid.weights / (4 * math.pi)
-            gains[2:] = np.log(np.einsum("mij,ij->m", wanderers, new * shares))
+            gains[2 : 2 + len(wanderers)] = np.log(np.einsum("mij,ij->m", wanderers, new * shares))
             wanderers = wanderers * ratio
             wanderers /= np.einsum("mij,ij->m", wanderers, shares)[:, None, None]
+        turning = self.turning
+        if turning is not None:
+            turning, gains[-1] = turning.updated(look, passing, repeated)
         log = np.log(np.maximum(self.weights, 1e-300)) + gains
         weights = np.exp(log - log.max())
         sharpening = 1.0 if learnt is None else learnt.sharpening
-        return Cases(weights / weights.sum(), standing, wanderers, sight.bias, sharpening), look, learnt
+        return Cases(weights / weights.sum(), standing, wanderers, turning, sight.bias, sharpening), look, learnt
 
     def _learnt(self, sight: Sight, look: Look) -> Rates:
         """What the look tells of the detector."""
@@ -224,6 +268,11 @@ class Cases:
                 found = look.world.scaled(scale).densities(directions)
                 expected[index] = float((mass * share) @ found.sum(axis=-1)) * look.world.area
         return look.rates.noted(len(look.world)).learnt(self.presence, covered, expected)
+
+
+def _is_covered(patch: Patch, field: SphereField) -> bool:
+    """Whether the middle of a patch lies in one of the field's."""
+    return any(other.places(patch.frame[0])[1] for other in field.patches)
 
 
 def _mean(density: np.ndarray, grid: ErpGrid) -> float:

@@ -152,28 +152,15 @@ class Detections:
 
     def densities(self, directions: np.ndarray) -> np.ndarray:
         """s_i g(z_i | w) over the relative clutter ``(..., n)`` at directions w ``(..., 3)``, per steradian."""
-        return self.bumps(directions) * (self.ratios / self.clutter * self._norms)
+        return self.bumps(directions) * (self.ratios / self.clutter * bump_norms(self.axes))
 
     def scaled(self, scale: float) -> Detections:
         """Each one as many times as wide."""
         return self if scale == 1 else replace(self, axes=self.axes / scale)
 
     def bumps(self, directions: np.ndarray) -> np.ndarray:
-        """g over its maximum ``(..., n)``: Gaussian in Lambert's equal-area plane about z_i.
-
-        Where both axes are alike that is the von Mises-Fisher distribution.
-        """
-        ahead = directions @ self.directions.T
-        along = directions @ self.axes.reshape(-1, 3).T
-        along = (along * along).reshape(*ahead.shape, 2).sum(axis=-1)
-        exponent = along / np.maximum(1 + ahead, 1e-9)
-        return np.exp(-exponent)
-
-    @property
-    def _norms(self) -> np.ndarray:
-        """1 over the integral ``(n,)`` of each Gaussian; the plane ends at the antipode, a distance of 2."""
-        product = np.linalg.norm(self.axes, axis=-1).prod(axis=-1)
-        return product / (2 * math.pi * -np.expm1(-2 * product))
+        """g over its maximum ``(..., n)`` at directions ``(..., 3)``."""
+        return bumps(directions, self.directions, self.axes)
 
     def ratio(
         self,
@@ -198,9 +185,27 @@ class Detections:
         return found
 
 
+def bumps(where: np.ndarray, centres: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Gaussians ``(..., n)``, 1 at their `centres` ``(n, 3)``, in Lambert's equal-area plane about each.
+
+    `axes` ``(n, 2, 3)``: as for `Detections`. Where both are alike that is the von Mises-Fisher distribution.
+    """
+    ahead = where @ centres.T
+    along = where @ axes.reshape(-1, 3).T
+    along *= along
+    along = along[..., 0::2] + along[..., 1::2]
+    return np.exp(-along / np.maximum(1 + ahead, 1e-9))
+
+
+def bump_norms(axes: np.ndarray) -> np.ndarray:
+    """1 over the integral ``(n,)`` of each of these `bumps`; the plane ends at the antipode, a distance of 2."""
+    product = np.linalg.norm(axes, axis=-1).prod(axis=-1)
+    return product / (2 * math.pi * -np.expm1(-2 * product))
+
+
 def isotropic(directions: np.ndarray, spreads: np.ndarray) -> np.ndarray:
     """The axes ``(n, 2, 3)`` of detections as wide in all directions: standard deviations `spreads` ``(n,)``."""
-    frames = np.array([tangent_frame(direction) for direction in directions]).reshape(-1, 2, 3)
+    frames = tangent_frames(directions)
     return frames / np.reshape(spreads, (-1, 1, 1))
 
 
@@ -209,13 +214,23 @@ def anisotropic(directions: np.ndarray, covariances: np.ndarray) -> np.ndarray:
     if not len(directions):
         return np.zeros((0, 2, 3))
     variances, turns = np.linalg.eigh(covariances)
-    frames = np.stack([tangent_frame(direction) for direction in directions])
+    frames = tangent_frames(directions)
     return np.einsum("nij,nik->njk", turns, frames) / np.sqrt(variances)[..., None]
 
 
 def resolved(degree: int) -> float:
     """Radians: the narrowest detection that a field of this degree holds."""
     return RESOLVED / (degree + 1)
+
+
+def tangent_frames(directions: np.ndarray) -> np.ndarray:
+    """Two unit vectors ``(n, 2, 3)`` across each of the directions ``(n, 3)`` and each other."""
+    x, y, z = directions.T
+    level = np.abs(z) < 0.9
+    zero = np.zeros_like(x)
+    first = np.array([np.where(level, -y, zero), np.where(level, x, -z), np.where(level, zero, y)]).T
+    first /= np.sqrt(np.einsum("ni,ni->n", first, first))[:, None]
+    return np.stack([first, np.cross(directions, first)], axis=1)
 
 
 def tangent_frame(direction: np.ndarray) -> np.ndarray:

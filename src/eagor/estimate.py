@@ -259,7 +259,7 @@ class Estimate:
     @property
     def moving(self) -> float | None:
         """Probability that the target moves, if it is here; None where that is not asked."""
-        return self.cases.moving if self.config.motion.wander else None
+        return self.cases.moving if len(self.config.motion.kinds) else None
 
     @property
     def distance(self) -> float | None:

@@ -12,8 +12,11 @@ from eagor._lazy import lazy
 from eagor.detection_set import Detections, resolved
 from eagor.detector import Rates
 from eagor.evidence import Evidence
+from eagor.field import SphereField
 from eagor.harmonics import RealHarmonics
-from eagor.peaks import decoding_grid
+from eagor.peaks import decoding_grid, neighbours, refine
+
+SIGHTINGS = 4  # of a response map
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +75,29 @@ class Sight:
 
 
 @dataclass(frozen=True, eq=False)
+class Sightings:
+    """A likelihood ratio as a sum: what holds where nothing was seen, and a Gaussian about each thing that was.
+
+    `directions` ``(n, 3)``; `amplitudes` ``(n,)``: their integrals over the sphere; `covariances` ``(n, 3, 3)``.
+    `beside`: the rest.
+    """
+
+    directions: np.ndarray
+    amplitudes: np.ndarray
+    covariances: np.ndarray
+    beside: SphereField
+
+    def missed(self, where: np.ndarray) -> np.ndarray:
+        """The ratio ``(n,)`` at directions ``(n, 3)`` if none of them is the thing."""
+        return self.beside.smooth(where, 1) if len(where) else np.zeros(0)
+
+    @lazy
+    def mean_missed(self) -> float:
+        """Its mean over the sphere."""
+        return float(np.sum(self.beside.values * self.beside.grid.weights)) / (4 * np.pi)
+
+
+@dataclass(frozen=True, eq=False)
 class Look:
     """Log ratios of a `Sight`: `values` ``(H, W)`` on the decoding grid and `coefficients` ``(size,)``, world axes."""
 
@@ -89,6 +115,41 @@ class Look:
         order = np.argsort(-self.world.ratios, kind="stable")[:8]
         widths = 1 / np.linalg.norm(self.world.axes[order], axis=-1).min(axis=-1)
         return self.world.directions[order], widths
+
+    @lazy
+    def sightings(self) -> Sightings:
+        """The look as a sum of Gaussians: its detections, or the peaks of its response map."""
+        grid = decoding_grid(self.sight.degree)
+        if self.world is None or self.rates is None:
+            return self._peaks()
+        share = self.world.share(grid.directions @ self.sight.world_R_body) if self.world.views else 1.0
+        beside = np.broadcast_to(1 - np.asarray(share) * self.rates.recall, grid.shape)
+        amplitudes = self.rates.gain * self.world.area * self.world.ratios / self.world.clutter
+        inverse = np.sum(self.world.axes**2, axis=-1)[..., None]
+        deviations = self.world.axes / inverse / np.sqrt(self.rates.precision)
+        covariances = np.einsum("nai,naj->nij", deviations, deviations)
+        return Sightings(self.world.directions, amplitudes, covariances, SphereField(grid, beside))
+
+    def _peaks(self) -> Sightings:
+        """Of the response map: where it says that the thing is there rather than not."""
+        grid = decoding_grid(self.sight.degree)
+        left, flat = self.values.reshape(-1).copy(), self.values.reshape(-1)
+        found: list[tuple[np.ndarray, float, float]] = []
+        while len(found) < SIGHTINGS and left[best := int(left.argmax())] > 0:
+            centre, width = refine(grid, flat, best)
+            if flat[neighbours(grid, best)].max() <= flat[best] and np.isfinite(width):
+                found.append((centre, min(width, 1.0), float(np.expm1(min(flat[best], 50.0)))))
+            near = grid.directions.reshape(-1, 3) @ centre > np.cos(
+                min(max(2 * width, resolved(self.sight.degree)), 1.0)
+            )
+            left[near] = -np.inf
+            left[best] = -np.inf
+        directions = np.array([centre for centre, _, _ in found]).reshape(-1, 3)
+        widths = np.array([width for _, width, _ in found])
+        heights = np.array([height for _, _, height in found])
+        across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+        beside = SphereField(grid, np.exp(np.minimum(self.values, 0.0)))
+        return Sightings(directions, heights * 2 * np.pi * widths**2, across * (widths**2)[:, None, None], beside)
 
     def at(self, directions: np.ndarray, least: float) -> np.ndarray:
         """Log ratios ``(...)`` at directions ``(..., 3)``, nothing narrower than `least` radians."""

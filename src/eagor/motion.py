@@ -18,6 +18,8 @@ class MotionModel:
 
     - `wander`: radians per root second, one number for each kind of moving target that is reckoned with; empty: every
       target stands still.
+    - `turn`: radians per second, one number for each kind of target that goes around at a steady rate: the standard
+      deviation of each part of its angular velocity. A drifting heading makes all that stands turn so.
     - `start`: rate at which a standing target begins to move.
     - `stop`: rate at which a moving one comes to stand.
     - `jump`: rate at which a moving one turns up anywhere else (carried off, or lost from sight and seen again).
@@ -25,6 +27,7 @@ class MotionModel:
     """
 
     wander: tuple[float, ...] = (math.radians(2.5), math.radians(10))
+    turn: tuple[float, ...] = (math.radians(1.5), math.radians(8))
     start: float = 0.005
     stop: float = 0.02
     jump: float = 0.03
@@ -33,35 +36,43 @@ class MotionModel:
 
     def __post_init__(self) -> None:
         rates = {name: (within(getattr(self, name), 0, 100), "a rate per second, from 0 on") for name in _RATES}
-        angles = isinstance(self.wander, tuple | list) and all(
-            within(angle, 0, math.pi) and angle > 0 for angle in self.wander
-        )
-        require(self, rates | {"wander": (angles, "radians per root second above 0, in a tuple")})
-        object.__setattr__(self, "wander", tuple(float(angle) for angle in self.wander))
+        kinds = {
+            "wander": (_are_angles(self.wander), "radians per root second above 0, in a tuple"),
+            "turn": (_are_angles(self.turn), "radians per second above 0, in a tuple"),
+        }
+        require(self, rates | kinds)
+        for name in kinds:
+            object.__setattr__(self, name, tuple(float(angle) for angle in getattr(self, name)))
 
     @classmethod
     def still(cls) -> MotionModel:
         """Targets that are there or not, and never move."""
-        return cls(wander=(), start=0.0, stop=0.0, jump=0.0, birth=0.0, death=0.0)
+        return cls(wander=(), turn=(), start=0.0, stop=0.0, jump=0.0, birth=0.0, death=0.0)
+
+    @property
+    def kinds(self) -> np.ndarray:
+        """How moving targets fall on the kinds: each of `wander`, then all of `turn` as one."""
+        count = len(self.wander) + len(self.turn)
+        return np.array([1.0] * len(self.wander) + [len(self.turn)] * bool(self.turn)) / max(count, 1)
 
     @property
     def moving(self) -> float:
         """The share of targets that move: where `start` and `stop` are in balance."""
-        if not self.wander:
+        if not len(self.kinds):
             return 0.0
         return self.start / (self.start + self.stop) if self.start + self.stop > 0 else 0.0
 
     def transitions(self, elapsed: float) -> np.ndarray:
         """Probabilities ``(2 + M, 2 + M)`` of going from case to case in `elapsed` seconds.
 
-        The cases: absent, standing, and each kind of wanderer, which do not turn into one another.
+        The cases: absent, standing, and each of the `kinds` of moving targets, which do not turn into one another.
         """
-        count = len(self.wander)
+        kinds = self.kinds
+        count = len(kinds)
         born, died = _switched(self.birth, self.death, elapsed), _switched(self.death, self.birth, elapsed)
         begun, stopped = _switched(self.start, self.stop, elapsed), _switched(self.stop, self.start, elapsed)
         if count == 0:
             begun = 0.0
-        kinds = np.full(count, 1 / max(count, 1))
         found = np.zeros((2 + count, 2 + count))
         found[0] = [1 - born, born * (1 - self.moving), *(born * self.moving * kinds)]
         found[1] = [died, (1 - died) * (1 - begun), *((1 - died) * begun * kinds)]
@@ -74,3 +85,7 @@ def _switched(rate: float, back: float, elapsed: float) -> float:
     """The probability of being on the other side after `elapsed` seconds, of two that change at these rates."""
     both = rate + back
     return 0.0 if both == 0 else -math.expm1(-both * elapsed) * rate / both
+
+
+def _are_angles(found: object) -> bool:
+    return isinstance(found, tuple | list) and all(within(angle, 0, math.pi) and angle > 0 for angle in found)

@@ -153,7 +153,7 @@ class Standing:
             )
             found.__dict__["field"] = replace(self.field, patches=patches)
         found = found._searched()
-        masses = found._masses()
+        masses = found.masses()
         alone = found._with_own_peaks()
         keep = [i for i in np.argsort(-masses, kind="stable") if masses[i] > LEAST and i in alone][:MOST]
         return found if len(keep) == len(found.windows) else found._kept(sorted(int(i) for i in keep))
@@ -174,7 +174,7 @@ class Standing:
                 tops.append(top)
         return {*found}
 
-    def _masses(self) -> np.ndarray:
+    def masses(self) -> np.ndarray:
         """The share of the belief in each window."""
         pairs = zip(self.field.patches, self.field.shares, strict=True)
         found = [np.sum(np.exp(patch.values - self.log_mean) * share) for patch, share in pairs]

@@ -29,6 +29,7 @@ KEYS = {
     "dspread": "detector: spread",
     "repeats": "detector: share that repeats",
     "wander": "how far a target wanders, if it does",
+    "turn": "how fast a target turns, if it does",
     "start": "how often a target starts to move",
     "stop": "how often a target comes to stand",
     "jump": "how often a target turns up elsewhere",

@@ -51,7 +51,7 @@ DESCRIPTIONS = {
     "vmf": "von Mises-Fisher filter: one direction and one concentration",
     "grid_filter": "Bayes filter on a grid of probabilities",
     "particle_filter": f"particle filter, {PARTICLES} directions",
-    "eagor": "our tracker: belief over direction and distance; absent, standing or wandering; the heaviest mode",
+    "eagor": "our tracker: belief over direction and distance; absent, standing, wandering or turning; the heaviest mode",
 }
 NAMES = tuple(DESCRIPTIONS)
 PLAIN = "plain"  # a model that is asked anew at each step, and nothing else: what vision-language models are without us
@@ -256,9 +256,10 @@ _DETECTING = {  # of a detector's model, by their names here
     "dspread": "spread",
     "repeats": "repeats",
 }
+_KINDS = ("wander", "turn")  # of moving targets
 _MOVING = ("start", "stop", "jump", "birth", "death")
-_OURS = ("degree", "decode", *_REPEATING, *_DETECTING, "shells", "heights", "wander", *_MOVING, "drift")
-_ANGLES = ("noise", "diffusion", "roughening", "kernel", "wander", "spread", "dspread", "drift")  # typed in degrees
+_OURS = ("degree", "decode", *_REPEATING, *_DETECTING, "shells", "heights", *_KINDS, *_MOVING, "drift")
+_ANGLES = ("noise", "diffusion", "roughening", "kernel", *_KINDS, "spread", "dspread", "drift")  # typed in degrees
 SETTINGS: dict[str, tuple[str, ...]] = {
     "plain": (),
     "centroid": (),
@@ -281,8 +282,8 @@ def tracker_config(
     """`config` with settings from text; raises KeyError for one that there is not, ValueError for what is no number.
 
     - degree, decode; shells (0: directions only), heights (0: it is not known where the floor is);
-    - of how targets move: wander (degrees per root second; several kinds are joined by +, 0: none), and start, stop,
-      jump, birth, death (rates per second); drift (degrees per root second);
+    - of how targets move: wander (degrees per root second) and turn (degrees per second; several kinds are joined
+      by +, 0: none), and start, stop, jump, birth, death (rates per second); drift (degrees per root second);
     - of how response maps are read: floor, neutral, temperature, persistence, spread (degrees). They change
       `calibration` where the config has none of its own;
     - of how detections are read: pd, clutter (?: to be learnt), dspread (degrees) and repeats. They change `detector`
@@ -293,7 +294,7 @@ def tracker_config(
     if settings.get("decode", "mode") not in ("mode", "mean"):
         raise EagorError(f"decode = {settings['decode']!r}; wanted mode or mean")
     learnt = [key for key in ("pd", "clutter") if settings.get(key) == "?"]
-    numbers = _numbers({key: text for key, text in settings.items() if key not in ("decode", "wander", *learnt)})
+    numbers = _numbers({key: text for key, text in settings.items() if key not in ("decode", *_KINDS, *learnt)})
     changes: dict[str, Any] = {"motion": _motion(config.motion, settings, numbers)}
     if "drift" in numbers:
         changes["drift"] = numbers["drift"]
@@ -318,9 +319,9 @@ def tracker_config(
 def _motion(motion: MotionModel, settings: dict[str, str], numbers: dict[str, float]) -> MotionModel:
     """`motion` with the settings that are about it."""
     found: dict[str, Any] = {key: numbers[key] for key in _MOVING if key in numbers}
-    if "wander" in settings:
-        angles = tuple(_number("wander", text) for text in settings["wander"].split("+"))
-        found["wander"] = () if angles == (0.0,) else angles
+    for kind in (kind for kind in _KINDS if kind in settings):
+        angles = tuple(_number(kind, text) for text in settings[kind].split("+"))
+        found[kind] = () if angles == (0.0,) else angles
     return replace(motion, **found)
 
 

@@ -1,0 +1,247 @@
+"""A target that goes around: where it is and how fast it turns, as a mixture of Gaussians.
+
+Its state is a direction and an angular velocity (a constant-turn model, here on the sphere): what walks past, what
+circles, and all that stands while the heading of the odometry drifts. Each detection may be the target, so each makes
+a Kalman update of each component, and the likeliest are kept (a Bernoulli Gaussian-mixture filter; Ristic et al., IEEE
+Transactions on Signal Processing 61(13), 2013; the mixture: Vo and Ma, ibid. 54(11), 2006).
+
+The error of a component is a small rotation phi and an error of the angular velocity, in axes that do not turn: the
+direction is exp(phi) d, and after t seconds phi becomes R phi + t (error of the velocity) with R = exp(velocity t).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eagor._lazy import lazy
+from eagor.detection_set import anisotropic, bump_norms, tangent_frames
+from eagor.field import Patch, SphereField
+from eagor.looks import Look
+from eagor.peaks import decoding_grid
+
+MOST = 24  # components
+FAINT = 1e-4  # of the heaviest: a component that weighs less is dropped
+STEADY = 0.03  # per root second: by how much of itself a turn changes
+BENDS, BEND_SHARES, BEND_VARIANCE = (-1.1, 0.0, 1.1), (0.3, 0.4, 0.3), 0.27
+FAR = 5.5  # standard deviations: beyond, a Gaussian is left out
+WIDEST = math.radians(50)  # a Gaussian on a plane says nothing of wider ones
+ALIKE = 0.05  # of the variance: components nearer than this are drawn as one
+LIGHT = 1e-2  # of the weight: what holds less is not drawn
+FINE = 2  # patches
+NODES, REACH = 11, 4.0  # of a patch about a component
+
+
+@dataclass(frozen=True, eq=False)
+class Turning:
+    """What is known of a target that turns; axes of the world.
+
+    `rates` ``(K,)``: radians per second, the standard deviations of each part of the angular velocity that are reckoned
+    with. `unseen`: the share that no detection has told of: it may be anywhere. The others: `weights` ``(N,)``,
+    `directions` ``(N, 3)``, angular velocities `turns` ``(N, 3)`` and `covariances` ``(N, 6, 6)`` of both. `unseen` and
+    the weights sum to 1.
+    """
+
+    rates: tuple[float, ...]
+    unseen: float
+    weights: np.ndarray
+    directions: np.ndarray
+    turns: np.ndarray
+    covariances: np.ndarray
+
+    @classmethod
+    def prior(cls, rates: tuple[float, ...]) -> Turning:
+        """Before any look."""
+        return cls(rates, 1.0, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 6, 6)))
+
+    def after(self, elapsed: float, jumped: float, drift: float) -> Turning:
+        """After `elapsed` seconds in which a share `jumped` has turned up anywhere; `drift`: of the odometry."""
+        from scipy.spatial.transform import Rotation
+
+        kept = replace(self, unseen=self.unseen * (1 - jumped) + jumped, weights=self.weights * (1 - jumped))
+        if not len(self.weights):
+            return kept
+        turned = Rotation.from_rotvec(self.turns * elapsed).as_matrix()
+        step = np.zeros((len(self.weights), 6, 6))
+        step[:, :3, :3] = turned
+        step[:, :3, 3:] = elapsed * np.eye(3) + 0.5 * elapsed**2 * _crosses(self.turns)  # of first order in the turn
+        step[:, 3:, 3:] = np.eye(3)
+        covariances = step @ self.covariances @ np.swapaxes(step, 1, 2)
+        speed = np.sum(self.turns**2, axis=1) + min(self.rates) ** 2
+        covariances[:, 3:, 3:] += (STEADY**2 * elapsed * speed)[:, None, None] * np.eye(3)
+        covariances[:, :3, :3] += drift**2 * elapsed * np.eye(3)
+        wide = WIDEST**2 / np.maximum(np.linalg.eigvalsh(covariances[:, :3, :3])[:, -1], WIDEST**2)
+        scale = np.sqrt(wide)[:, None, None]
+        covariances[:, :3, :] *= scale
+        covariances[:, :, :3] *= scale
+        directions = np.einsum("nij,nj->ni", turned, self.directions)
+        return replace(kept, directions=directions, covariances=covariances)
+
+    def mixed(self, share: float, directions: np.ndarray, shares: np.ndarray, covariances: np.ndarray) -> Turning:
+        """With a `share` of targets that begin to turn now, and were in places with covariances ``(n, 3, 3)``.
+
+        `shares` ``(n,)``: how they fall on these places ``(n, 3)``; what these lack to 1 may be anywhere.
+        """
+        born = self._born(share * shares, directions, covariances)
+        unseen = (1 - share) * self.unseen + share * (1 - float(shares.sum()))
+        old = replace(self, weights=self.weights * (1 - share))
+        return _joined(old, born, unseen=unseen)
+
+    def updated(self, look: Look, passing: Look | None = None, repeated: float = 0.0) -> tuple[Turning, float]:
+        """With one more look, and the log of how likely it was against "not here".
+
+        `repeated`: share of `passing`, the look before it, that it repeats.
+        """
+        sightings = look.sightings
+        missed = sightings.missed(self.directions)
+        peaks, amplitudes, spreads = sightings.directions, sightings.amplitudes, sightings.covariances
+        found = replace(self, weights=self.weights * missed)
+        born = self._born(self.unseen * amplitudes / (4 * math.pi), peaks, spreads)
+        unseen = self.unseen * sightings.mean_missed
+        parts = [found, born]
+        if len(self.weights) and len(peaks):
+            parts.append(self._detected(peaks, amplitudes, spreads))
+        total = unseen + sum(float(part.weights.sum()) for part in parts)
+        joined = _joined(*parts, unseen=unseen)
+        gain = math.log(total)
+        if passing is not None and repeated > 0 and len(joined.weights):
+            before = SphereField(decoding_grid(look.sight.degree), passing.values)
+            gain -= repeated * float(joined.weights @ before.smooth(joined.directions, 1))
+        return joined, gain
+
+    def _born(self, weights: np.ndarray, directions: np.ndarray, covariances: np.ndarray) -> Turning:
+        """Components of which only the place is known."""
+        joint = np.zeros((len(directions), 6, 6))
+        joint[:, :3, :3] = covariances
+        along = directions[:, :, None] * directions[:, None, :]
+        parts = []
+        for rate in self.rates:
+            # How its path bends shows late, and then no Gaussian holds it: the bend is split in three from the start.
+            joint[:, 3:, 3:] = rate**2 * (np.eye(3) - (1 - BEND_VARIANCE) * along)
+            for bend, share in zip(BENDS, BEND_SHARES, strict=True):
+                parts.append((weights * (share / len(self.rates)), directions, bend * rate * directions, joint.copy()))
+        found = (np.concatenate(column) for column in zip(*parts, strict=True))
+        names = ("weights", "directions", "turns", "covariances")
+        return replace(self, **dict(zip(names, found, strict=True)))
+
+    def _detected(self, peaks: np.ndarray, amplitudes: np.ndarray, spreads: np.ndarray) -> Turning:
+        """Each component, taken to be the cause of each detection: a Kalman update."""
+        frames, gains, own = self._across()
+        cosine = np.clip(self.directions @ peaks.T, -1, 1)
+        across = np.einsum("nai,ki->nka", frames, peaks)
+        angle = np.arccos(cosine)
+        residual = across * (angle / np.maximum(np.sin(angle), 1e-6))[..., None]
+        noise = np.einsum("nai,kij,nbj->nkab", frames, spreads, frames)
+        total = own[:, None] + noise
+        determinant = total[..., 0, 0] * total[..., 1, 1] - total[..., 0, 1] ** 2
+        inverse = np.empty_like(total)
+        inverse[..., 0, 0], inverse[..., 1, 1] = total[..., 1, 1], total[..., 0, 0]
+        inverse[..., 0, 1] = inverse[..., 1, 0] = -total[..., 0, 1]
+        inverse /= determinant[..., None, None]
+        pull = np.einsum("nkab,nkb->nka", inverse, residual)
+        exponent = -0.5 * np.einsum("nka,nka->nk", pull, residual)
+        weights = self.weights[:, None] * amplitudes * np.exp(exponent) / (2 * math.pi * np.sqrt(determinant))
+        kept = np.nonzero(weights > FAINT * max(float(weights.max()), 1e-300))
+        if len(kept[0]) > MOST:
+            best = np.argsort(-weights[kept], kind="stable")[:MOST]
+            kept = kept[0][best], kept[1][best]
+        owner = kept[0]
+        gain = gains[owner] @ inverse[kept]
+        change = np.einsum("mia,ma->mi", gains[owner], pull[kept])
+        from scipy.spatial.transform import Rotation
+
+        return replace(
+            self,
+            weights=weights[kept],
+            directions=Rotation.from_rotvec(change[:, :3]).apply(self.directions[owner]),
+            turns=self.turns[owner] + change[:, 3:],
+            covariances=self.covariances[owner] - gain @ np.swapaxes(gains[owner], 1, 2),
+        )
+
+    def _across(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Two unit vectors ``(N, 2, 3)`` across each direction, and how the places along them vary.
+
+        With the state, a covariance ``(N, 6, 2)``, and with each other ``(N, 2, 2)``.
+        """
+        frames = tangent_frames(self.directions)
+        # A small rotation phi moves d by phi x d: along the first by phi . second, along the second by -phi . first.
+        moves = np.stack([frames[:, 1], -frames[:, 0]], axis=1)
+        gains = self.covariances[:, :, :3] @ np.swapaxes(moves, 1, 2)
+        return frames, gains, moves @ gains[:, :3]
+
+    @lazy
+    def places(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where it may be, whatever its turn: weights ``(n,)``, directions ``(n, 3)`` and `axes` as of detections.
+
+        Components that lie as near as they are alike in width are taken together.
+        """
+        frames, _, across = self._across()
+        weights, covariances = self.weights.copy(), np.einsum("nai,nab,nbj->nij", frames, across, frames)
+        traces = np.trace(covariances, axis1=1, axis2=2)
+        apart = 1 - self.directions @ self.directions.T
+        alike = (apart < ALIKE * traces) & (np.abs(np.log(traces[:, None] / traces)) < 0.5)
+        kept = []
+        for index in range(len(weights)):  # the heaviest first
+            if weights[index] <= LIGHT * (1 - self.unseen):
+                continue
+            group = alike[index] & (weights > 0)
+            share = weights[group] / weights[group].sum()
+            across[index] = frames[index] @ np.tensordot(share, covariances[group], axes=1) @ frames[index].T
+            total = float(weights[group].sum())
+            weights[group] = 0.0
+            kept.append((index, total))
+        order = np.array([index for index, _ in kept], dtype=np.intp)
+        found = np.array([total for _, total in kept])
+        found *= (1 - self.unseen) / max(float(found.sum()), 1e-300)
+        return found, self.directions[order], anisotropic(self.directions[order], across[order])
+
+    def density(self, where: np.ndarray) -> np.ndarray:
+        """Over a uniform one ``(...)``, at unit vectors ``(..., 3)``."""
+        weights, centres, axes = self.places
+        found = np.full(where.shape[:-1], self.unseen if len(weights) else 1.0)
+        heights = weights * bump_norms(axes) * 4 * math.pi
+        reach = np.cos(np.minimum(FAR / np.linalg.norm(axes, axis=-1).min(axis=-1), math.pi))
+        points, flat = where.reshape(-1, 3), found.reshape(-1)
+        for height, centre, pair, least in zip(heights, centres, axes, reach, strict=True):
+            ahead = points @ centre
+            near = np.flatnonzero(ahead > least)
+            along = points[near] @ pair.T
+            along *= along
+            flat[near] += height * np.exp(-(along[:, 0] + along[:, 1]) / np.maximum(1 + ahead[near], 1e-9))
+        return found
+
+    def patches(self, narrow: float, least: float) -> tuple[Patch, ...]:
+        """Places for a finer field about components narrower than `narrow` radians that hold `least`; values 0."""
+        found: list[Patch] = []
+        for weight, centre, axes in zip(*self.places, strict=True):
+            widths = 1 / np.linalg.norm(axes, axis=1)
+            if weight < least or widths.min() > narrow or len(found) == FINE:
+                continue
+            if any(patch.places(centre)[1] for patch in found):
+                continue
+            frame = np.array([centre, *(axes * widths[:, None])])
+            half = np.minimum(np.tan(np.minimum(REACH * widths, 1.0)), 0.5)
+            found.append(Patch(frame, half, np.zeros((NODES, NODES))))
+        return tuple(found)
+
+
+def _joined(*parts: Turning, unseen: float) -> Turning:
+    """The likeliest components of all, weights that sum to 1 with `unseen`."""
+    weights = np.concatenate([part.weights for part in parts])
+    order = np.argsort(-weights, kind="stable")[:MOST]
+    order = order[weights[order] > FAINT * max(float(weights.max(initial=0.0)), 1e-300)]
+    total = unseen + float(weights[order].sum())
+    pick = {
+        name: np.concatenate([getattr(part, name) for part in parts])[order]
+        for name in ("directions", "turns", "covariances")
+    }
+    return replace(parts[0], unseen=unseen / total, weights=weights[order] / total, **pick)
+
+
+def _crosses(vectors: np.ndarray) -> np.ndarray:
+    """Matrices ``(n, 3, 3)`` that take a vector to its cross product with each of `vectors` ``(n, 3)``."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    return np.moveaxis(np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]), 2, 0)
