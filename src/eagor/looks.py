@@ -17,6 +17,7 @@ from eagor.harmonics import RealHarmonics
 from eagor.peaks import decoding_grid, neighbours, refine
 
 SIGHTINGS = 4  # of a response map
+FINER = 0.8  # of the narrowest detection that a degree holds: so much narrower ones are held about peaks
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +126,9 @@ class Look:
         share = self.world.share(grid.directions @ self.sight.world_R_body) if self.world.views else 1.0
         beside = np.broadcast_to(1 - np.asarray(share) * self.rates.recall, grid.shape)
         amplitudes = self.rates.gain * self.world.area * self.world.ratios / self.world.clutter
-        inverse = np.sum(self.world.axes**2, axis=-1)[..., None]
-        deviations = self.world.axes / inverse / np.sqrt(self.rates.precision)
+        # As wide as the belief of a target that stands takes them to be: the two are weighed against each other.
+        found = self.world.scaled(self.rates.precision**-0.5).at_least(FINER * resolved(self.sight.degree))
+        deviations = found.axes / np.sum(found.axes**2, axis=-1)[..., None]
         covariances = np.einsum("nai,naj->nij", deviations, deviations)
         return Sightings(self.world.directions, amplitudes, covariances, SphereField(grid, beside))
 

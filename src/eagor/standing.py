@@ -19,14 +19,13 @@ from eagor.detection_set import resolved, tangent_frame
 from eagor.field import SphereField
 from eagor.harmonics import RealHarmonics
 from eagor.local import NODES, RANGES, REACH, WIDEST, Window
-from eagor.looks import Look
+from eagor.looks import FINER, Look
 from eagor.peaks import decoding_grid, neighbours, refine
 from eagor.ranged import NEAR, RangedBelief, height_level, height_prior, likely_height, mean_range, range_spread
 
 MOST = 4  # windows
 WORTH = 0.02  # of the belief: a peak that holds less gets no window,
 LEAST = 0.002  # ... and a window that holds less is closed
-FINER = 0.8  # of the narrowest detection that a degree holds: so much narrower ones a window holds
 WIDE = math.radians(14)  # a peak wider than this is well held by the field itself
 
 

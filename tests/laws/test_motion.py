@@ -25,7 +25,7 @@ DEGREE = 11
 GRID = decoding_grid(DEGREE)
 MODEL = DetectorModel(0.7, 0.2, math.radians(8))
 STILL = MotionModel.still()
-ONE = MotionModel(wander=(0.2,), start=0.02, stop=0.02, jump=0.0, birth=0.0, death=0.0)
+ONE = MotionModel(wander=(0.2,), turn=(), start=0.02, stop=0.02, jump=0.0, birth=0.0, death=0.0)
 RANGES = log_ranges(count=8)
 
 
