@@ -92,13 +92,15 @@ class Cases:
                 values=stands.values + level,
                 patches=tuple(patch.like(patch.values + level) for patch in stands.patches),
             )
-        roams = np.log(np.maximum(np.tensordot(shares[1:], self.wanderers, axes=1), 1e-300))
-        elsewhere = SphereField(self.grid, roams)
+        roams = np.maximum(np.tensordot(shares[1:], self.wanderers, axes=1), 1e-300)
+        elsewhere = SphereField(self.grid, np.log(roams))
         patches = tuple(
             patch.like(np.logaddexp(patch.values + level, elsewhere.smooth(patch.directions, 1)))
             for patch in stands.patches
         )
-        return SphereField(self.grid, np.logaddexp(stands.values + level, roams), patches)
+        # As `logaddexp`, which takes ten times as long; only where patches lie the values may be as large.
+        values = np.log(np.exp(np.minimum(stands.values + level, _LARGEST)) + roams)
+        return SphereField(self.grid, values, patches)
 
     @lazy
     def reading(self) -> Reading:
@@ -145,17 +147,18 @@ class Cases:
         Where a patch lies its mass is kept: the cells are too wide to sample a sharp peak.
         """
         field, level = self.standing.field, self.standing.log_mean
-        found = np.exp(np.minimum(field.values - level, _LARGEST))
-        weights = field.grid.weights
+        found = np.exp(np.minimum(field.values - level, _LARGEST)).reshape(-1)
+        weights = field.grid.weights.reshape(-1)
         for patch, shares in zip(field.patches, field.shares, strict=True):
-            inside = patch.places(field.grid.directions)[1]
+            inside = patch.cells(field.grid)
             mass = float(np.sum(np.exp(np.minimum(patch.values - level, _LARGEST)) * shares))
-            cells = float(np.sum(found[inside] * weights[inside]))
+            cells = float(found[inside] @ weights[inside])
             if cells > 0:
                 found[inside] *= mass / cells
-            elif not inside.any():  # a patch between the middles of the cells
-                found.flat[int((field.grid.directions @ patch.frame[0]).argmax())] += mass / weights.min()
-        return found
+            elif not len(inside):  # a patch between the middles of the cells
+                nearest = int((field.grid.directions @ patch.frame[0]).argmax())
+                found[nearest] += mass / weights.min()
+        return found.reshape(field.grid.shape)
 
     def _restarted(self, standing: Standing, newly: np.ndarray) -> Standing:
         """A target that has come to stand just now, where it was wandering, or anywhere.
@@ -211,8 +214,8 @@ class Cases:
             return look.rates
         values, weights, directions = self.field.nodes
         mass = np.exp(np.minimum(values - self.field.log_mean, _LARGEST)) * weights / (4 * math.pi)
-        counts = mass > _UNHEARD
-        mass, directions = mass[counts], directions[counts]
+        counts = np.flatnonzero(mass > _UNHEARD)
+        mass, directions = mass[counts], directions.take(counts, axis=0)
         mass = mass / mass.sum()
         share: np.ndarray | float = 1.0
         if look.world.views:
@@ -220,9 +223,7 @@ class Cases:
         covered = float(np.sum(mass * share))
         expected = np.zeros(len(look.rates.scales))
         if len(look.world):
-            for index, scale in enumerate(look.rates.scales.tolist()):
-                found = look.world.scaled(scale).densities(directions)
-                expected[index] = float((mass * share) @ found.sum(axis=-1)) * look.world.area
+            expected = look.world.densities(directions, look.rates.scales) @ (mass * share) * look.world.area
         return look.rates.noted(len(look.world)).learnt(self.presence, covered, expected)
 
 

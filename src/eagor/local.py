@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor.field import Nodes, Patch
+from eagor.field import Nodes, Patch, on_plane
 from eagor.sphere import cross
 
 NODES = 11  # along each side
@@ -169,10 +169,8 @@ class Window(Nodes):
 
     def _places(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Indices ``(2, ...)`` of points ``(..., 3)``, held at the borders, and which lie beyond them."""
-        ahead, u, v = np.moveaxis(points @ self.frame.T, -1, 0)
-        safe = np.maximum(ahead, 1e-6)
-        found = np.stack([u / (safe * self.half[0]), v / (safe * self.half[1])])
-        beyond = (np.abs(found) > 1.001).any(axis=0) | (ahead <= 0)
+        found, ahead = on_plane(points, self.frame, self.half)
+        beyond = (np.abs(found).max(axis=0) > 1.001) | (ahead <= 0)
         return (np.clip(found, -1, 1) + 1) * ((NODES - 1) / 2), beyond
 
 

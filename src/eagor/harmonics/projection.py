@@ -76,7 +76,7 @@ def synthesise(degree: int, coefficients: Array, where: Grid | ErpWindow | Array
     if xp is np:
         points = to_numpy(points).astype(coefficients.dtype, copy=False)
         flat = points.reshape(-1, 3)
-        parts = [coefficients @ evaluate(degree, flat[i : i + 4096]).T for i in range(0, len(flat), 4096)]
+        parts = [coefficients @ evaluate(degree, flat[i : i + 512]).T for i in range(0, len(flat), 512)]
         values = np.concatenate(parts, axis=-1) if parts else np.zeros((*coefficients.shape[:-1], 0))
         return values.reshape((*coefficients.shape[:-1], *points.shape[:-1]))
     if isinstance(points, np.ndarray):
