@@ -165,6 +165,8 @@ class SphereField:
 
         if isinstance(where, ErpGrid) and where == self.grid:
             return self.values
+        if isinstance(where, np.ndarray) and where.ndim == 1:
+            return self.smooth(where[None], order)[0]
         height, width = self.grid.shape
         if isinstance(where, np.ndarray):
             x, y, _ = self.grid.project(where)

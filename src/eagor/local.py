@@ -102,15 +102,15 @@ class Window(Nodes):
         self, prior: np.ndarray | None, step: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Frame, half widths and ranges of the window that fits the peak, after a `step`."""
-        marginal = self.marginal(prior)
-        peak = _component(marginal)
-        mass = np.where(peak, np.exp(marginal - marginal.max()), 0.0) * self.weights
+        values = self.values if prior is None else self.values + prior
+        mass = np.exp(values - values.max())
+        mean = np.tensordot(self.shares, mass, axes=1)
+        peak = _component(np.log(np.maximum(mean, 1e-300)))
         if self.logs is None:
-            points, shares = self.directions[peak], mass[peak] / mass.sum()
-            logs = None
+            points, shares = self.directions[peak], mean[peak] * self.weights[peak]
+            shares, logs = shares / shares.sum(), None
         else:
-            values = self.values if prior is None else self.values + prior
-            joint = np.exp(values[:, peak] - values.max()) * self.shares[:, None] * self.weights[peak]
+            joint = mass[:, peak] * self.shares[:, None] * self.weights[peak]
             by_range = np.log(np.maximum(joint.sum(axis=1), 1e-300) / self.shares)
             kept = np.flatnonzero(by_range > by_range.max() - FAINT)
             span = slice(max(kept[0] - 1, 0), min(kept[-1] + 2, len(by_range)))

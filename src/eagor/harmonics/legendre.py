@@ -31,16 +31,15 @@ def degrees(degree: int) -> np.ndarray:
 
 
 @lru_cache(maxsize=64)
-def _recursion(degree: int) -> tuple[list[float], list[np.ndarray], list[np.ndarray]]:
-    """Starting values Q_mm (sqrt 2 of the real basis included), and a_lm, b_lm ``(l,)`` of the recursion in l."""
+def _recursion(degree: int) -> tuple[list[float], list[list[float]], list[list[float]]]:
+    """Starting values Q_mm (sqrt 2 of the real basis included), and a_lm, b_lm of the three-term recursion in l."""
     start = [1 / math.sqrt(4 * math.pi)]
     for m in range(1, degree + 1):
         start.append(start[-1] * math.sqrt((2 * m + 1) / (2 * m)) * (math.sqrt(2) if m == 1 else 1.0))
     a, b = [], []
     for l in range(degree + 1):
-        m = np.arange(l)
-        a.append(np.sqrt((4 * l * l - 1) / (l * l - m * m)))
-        b.append(np.sqrt(((l - 1) ** 2 - m * m) / abs(4 * (l - 1) ** 2 - 1)))
+        a.append([math.sqrt((4 * l * l - 1) / (l * l - m * m)) for m in range(l)])
+        b.append([math.sqrt(((l - 1) ** 2 - m * m) / (4 * (l - 1) ** 2 - 1)) if m < l - 1 else 0.0 for m in range(l)])
     return start, a, b
 
 
@@ -55,7 +54,7 @@ def reduced_legendre(degree: int, z: Array) -> list[Array]:
     one = xp.ones_like(z)[None, ...]
     rows = [start[0] * one]
     for l in range(1, degree + 1):
-        scale_a, scale_b = (xp.reshape(matched(t[l], z), column) for t in (a, b))
+        scale_a, scale_b = (xp.reshape(matched(np.array(t[l]), z), column) for t in (a, b))
         below = z * rows[l - 1]
         if l > 1:
             two_below = xp.concat([rows[l - 2], xp.zeros_like(one)])
@@ -83,25 +82,47 @@ def evaluate(degree: int, directions: Array) -> Array:
 
 
 def _evaluate(degree: int, directions: np.ndarray) -> np.ndarray:
-    """`evaluate` in as few NumPy calls as possible: for a hundred directions the calls take most of the time."""
+    """The same in as few NumPy calls as possible: at a hundred directions the calls take most of the time.
+
+    The recursion runs over polynomials whose leading coefficient is 1, which leaves one factor in it.
+    """
     flat = directions.reshape(-1, 3)
-    turns = np.empty((degree + 1, len(flat)), np.result_type(flat.dtype, np.complex64))
-    turns[0] = 1
+    z, below = np.ascontiguousarray(flat[:, 2]), _monic(degree)[0]
+    table = np.ones((degree + 1, degree + 1, len(flat)), flat.dtype)
+    for l in range(1, degree + 1):
+        np.multiply(table[l - 1, :l], z, out=table[l, :l])
+        table[l, : l - 1] -= below[l, : l - 1] * table[l - 2, : l - 1]
+    turns = np.ones((degree + 1, len(flat)), np.result_type(flat.dtype, np.complex64))
     turns[1:] = flat[:, 0] + 1j * flat[:, 1]
     turns = np.multiply.accumulate(turns, axis=0)
     across = np.concatenate([turns.imag[:0:-1], turns.real])  # by signed order
-    table = latitude_functions(degree, np.ascontiguousarray(flat[:, 2]), reduced=True)
-    found = table[degrees(degree), np.abs(orders(degree))] * across[orders(degree) + degree]
+    m = orders(degree)
+    found = table[degrees(degree), np.abs(m)] * across[m + degree]
+    found *= _monic(degree)[1]
     return found.T.reshape(*directions.shape[:-1], -1)
 
 
-def latitude_functions(degree: int, sines: Array, reduced: bool = False) -> Array:
+@lru_cache(maxsize=64)
+def _monic(degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """For Q_lm with leading coefficients 1: the factors ``(l, m, 1)`` of Q_l-2,m, and the leading coefficients.
+
+    The latter ``((degree + 1)^2, 1)``, by index.
+    """
+    start, a, b = _recursion(degree)
+    leading, below = np.diag(start), np.zeros((degree + 1, degree + 1, 1))
+    for l in range(1, degree + 1):
+        leading[l, :l] = np.array(a[l]) * leading[l - 1, :l]
+        below[l, : l - 1, 0] = np.array(b[l][:-1]) / np.array(a[l - 1])
+    return below, leading[degrees(degree), np.abs(orders(degree))][:, None]
+
+
+def latitude_functions(degree: int, sines: Array) -> Array:
     """The latitude part of Y_lm, ``(degree + 1 (l), degree + 1 (m), n)``, at sin(elevation) ``(n,)``; zero where m > l.
 
-    It is the reduced function times cos(elevation)^m; `reduced`: without that factor.
+    It is the reduced function times cos(elevation)^m.
     """
     xp = namespace(sines)
-    cosines = xp.ones_like(sines) if reduced else xp.sqrt(xp.clip(1 - sines * sines, 0.0, 1.0))
+    cosines = xp.sqrt(xp.clip(1 - sines * sines, 0.0, 1.0))
     if xp is np:  # the same recursion in place: the factor cos^m does not depend on l
         start, a, b = _recursion(degree)
         table = np.zeros((degree + 1, degree + 1, sines.size), sines.dtype)
@@ -111,8 +132,8 @@ def latitude_functions(degree: int, sines: Array, reduced: bool = False) -> Arra
             row = table[l, :l]
             np.multiply(table[l - 1, :l], sines, out=row)
             if l > 1:
-                row[:-1] -= b[l][:-1, None] * table[l - 2, : l - 1]
-            row *= a[l][:, None]
+                row[:-1] -= np.array(b[l][:-1])[:, None] * table[l - 2, : l - 1]
+            row *= np.array(a[l])[:, None]
             power = power * cosines
             np.multiply(power, start[l], out=table[l, l])
         return table

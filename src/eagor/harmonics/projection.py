@@ -65,12 +65,12 @@ def synthesise(degree: int, coefficients: Array, where: Grid | ErpWindow | Array
         over_rows = constant(_latitude_values, degree, whole.height, like=coefficients)
         over_columns = constant(_longitude_values, degree, whole.width, like=coefficients)
         if isinstance(where, ErpWindow):
-            over_rows = over_rows[:, where.top : where.top + where.rows, :]
+            over_rows = over_rows[..., where.top : where.top + where.rows]
             over_columns = xp.take(over_columns, matched(where.columns, coefficients), axis=1)
-        padded = xp.take(coefficients, constant(_pack, degree, like=coefficients), axis=-1)
-        padded = xp.reshape(padded, (*coefficients.shape[:-1], 2 * degree + 1, degree + 1, 1))
-        rings = xp.reshape(over_rows @ padded, (*coefficients.shape[:-1], 2 * degree + 1, where.shape[0]))
-        return xp.matrix_transpose(rings) @ over_columns
+        packed = xp.take(coefficients, constant(_pack, degree, like=coefficients), axis=-1)
+        packed = xp.permute_dims(xp.reshape(packed, (-1, 2 * degree + 1, degree + 1)), (1, 0, 2))
+        rings = xp.reshape(packed @ over_rows, (2 * degree + 1, -1))
+        return xp.reshape(xp.matrix_transpose(rings) @ over_columns, (*coefficients.shape[:-1], *where.shape))
     points = where.directions if isinstance(where, PerspectiveGrid | FisheyeGrid) else as_float(where)
     check_directions(points)
     if xp is np:
@@ -116,8 +116,8 @@ def _latitude_plan(degree: int, grid: ErpGrid | PatchGrid) -> np.ndarray:
 
 
 def _latitude_values(degree: int, height: int) -> np.ndarray:
-    """Latitude functions at the row centres ``(2 degree + 1, H, degree + 1)``."""
-    return latitude_table(degree, np.sin(ErpGrid(height, 1).latitudes)).transpose(0, 2, 1)
+    """Latitude functions at the row centres ``(2 degree + 1, degree + 1, H)``."""
+    return latitude_table(degree, np.sin(ErpGrid(height, 1).latitudes))
 
 
 def _longitude_values(degree: int, width: int) -> np.ndarray:
