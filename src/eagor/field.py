@@ -81,9 +81,9 @@ def _cells(grid: ErpGrid, frame: bytes, half: bytes) -> np.ndarray:
 
 
 def on_plane(directions: np.ndarray, frame: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates ``(2, ...)`` on a plane as that of `Nodes`, in units of `half`, and the cosine to its middle ``(...)``.
+    """Coordinates ``(2, ...)`` on the plane of `Nodes`, in units of `half`, and the lengths ``(...)`` along its middle.
 
-    `directions` ``(..., 3)`` may have any length. What lies behind the plane's point of view gets senseless coordinates.
+    `directions` ``(..., 3)`` may have any length. Where that is not above 0 the coordinates have no meaning.
     """
     local = (frame @ directions.reshape(-1, 3).T).reshape(3, *directions.shape[:-1])
     safe = np.maximum(local[0], 1e-6)

@@ -17,6 +17,7 @@ import numpy as np
 
 from eagor.field import Nodes, Patch, on_plane
 from eagor.sphere import cross
+from eagor.splines import interpolated
 
 NODES = 11  # along each side
 RANGES = 12  # of the window, where distances are believed in
@@ -147,8 +148,6 @@ class Window(Nodes):
         self, wanted: tuple[np.ndarray, np.ndarray, np.ndarray | None], step: np.ndarray | None
     ) -> tuple[Window, np.ndarray | None]:
         """The same field on another grid, and which of its nodes lie beyond this one."""
-        from scipy.ndimage import map_coordinates
-
         frame, half, logs = wanted
         new = Window(frame, half, np.zeros((1, NODES, NODES)), logs, self.limits)
         points, depth = new.directions, np.zeros(0)
@@ -161,10 +160,9 @@ class Window(Nodes):
             depth = np.clip((np.log(np.maximum(distances, 1e-9)) - first) / spacing, 0, RANGES - 1)
         places, beyond = self._places(points)
         if logs is None:
-            values = map_coordinates(self.values[0], places, order=3, mode="mirror")[None]
-            beyond = beyond[None]
+            values, beyond = interpolated(self.values, places), beyond[None]
         else:
-            values = map_coordinates(self.values, np.concatenate([depth[None], places]), order=3, mode="mirror")
+            values = interpolated(self.values, np.concatenate([depth[None], places]))
         return new.like(values), beyond if beyond.any() else None
 
     def _places(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

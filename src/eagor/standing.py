@@ -218,6 +218,7 @@ class Standing:
     def _coarse_at(self, directions: np.ndarray, logs: np.ndarray | None) -> np.ndarray:
         """The field of the whole sphere ``(K, ...)`` at directions ``(..., 3)`` times ranges of these logarithms."""
         if isinstance(self.coarse, RangedBelief):
+            assert logs is not None
             coefficients = _between(tuple(self.coarse.ranges.tolist()))(logs) @ self.coarse.shells
         else:
             coefficients = self.coarse.coefficients[None]

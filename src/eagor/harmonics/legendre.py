@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -92,7 +93,7 @@ def _evaluate(degree: int, directions: np.ndarray) -> np.ndarray:
     for l in range(1, degree + 1):
         np.multiply(table[l - 1, :l], z, out=table[l, :l])
         table[l, : l - 1] -= below[l, : l - 1] * table[l - 2, : l - 1]
-    turns = np.ones((degree + 1, len(flat)), np.result_type(flat.dtype, np.complex64))
+    turns: Any = np.ones((degree + 1, len(flat)), np.result_type(flat.dtype, np.complex64))
     turns[1:] = flat[:, 0] + 1j * flat[:, 1]
     turns = np.multiply.accumulate(turns, axis=0)
     across = np.concatenate([turns.imag[:0:-1], turns.real])  # by signed order
