@@ -189,6 +189,18 @@ class SphereField:
         return free
 
     @lazy
+    def _free(self) -> np.ndarray:
+        """The flat indices ``(m,)`` of the cells in no patch."""
+        return np.flatnonzero(self.outside)
+
+    @lazy
+    def _parts(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Values and solid angles of the cells in no patch, and of the nodes of each patch."""
+        cells = self.values.reshape(-1)[self._free], self.grid.weights[:, 0][self._free // self.grid.width]
+        nodes = [(p.values.reshape(-1), s.reshape(-1)) for p, s in zip(self.patches, self.shares, strict=True)]
+        return [cells, *nodes]
+
+    @lazy
     def shares(self) -> tuple[np.ndarray, ...]:
         """Solid angles ``(n, n)`` of the nodes of each patch; 0 where a node lies deeper in another patch."""
         return tuple(self.owned(index, patch.directions, patch.weights) for index, patch in enumerate(self.patches))
@@ -211,21 +223,17 @@ class SphereField:
         """Values, solid angles ``(n,)`` and directions ``(n, 3)`` of the cells in no patch and the nodes of patches."""
         if not self.patches:
             return self.values.reshape(-1), self.grid.weights.reshape(-1), self.grid.directions.reshape(-1, 3)
-        free = np.flatnonzero(self.outside)
-        values = [self.values.reshape(-1)[free], *(patch.values.reshape(-1) for patch in self.patches)]
-        weights = [self.grid.weights.reshape(-1)[free], *(share.reshape(-1) for share in self.shares)]
-        directions = [self.grid.directions.reshape(-1, 3).take(free, axis=0)]
+        values = [part for part, _ in self._parts]
+        weights = [part for _, part in self._parts]
+        directions = [self.grid.directions.reshape(-1, 3).take(self._free, axis=0)]
         directions += [patch.directions.reshape(-1, 3) for patch in self.patches]
         return np.concatenate(values), np.concatenate(weights), np.concatenate(directions)
 
     @lazy
     def log_mean(self) -> float:
         """log of the mean of exp(field) over the sphere."""
-        free = self.outside if self.patches else slice(None)
-        parts = [(self.values[free], self.grid.weights[free])]
-        parts += [(patch.values, share) for patch, share in zip(self.patches, self.shares, strict=True)]
-        top = max(float(values.max()) for values, _ in parts if values.size)
-        total = sum(float(np.sum(np.exp(values - top) * weights)) for values, weights in parts)
+        top = max(float(values.max()) for values, _ in self._parts if values.size)
+        total = sum(float(np.exp(values - top) @ weights) for values, weights in self._parts)
         return top + math.log(total / (4 * math.pi))
 
 
