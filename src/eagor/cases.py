@@ -129,17 +129,18 @@ class Cases:
     def _roamed(self, flows: np.ndarray, elapsed: float, motion: MotionModel, drift: float) -> np.ndarray:
         """The wanderers' densities after `elapsed` seconds, with what flows into each case from the others."""
         grid = self.grid
+        if not len(self.wanderers):
+            return self.wanderers
         basis = RealHarmonics(grid.height // 2 - 1)  # a density is narrower than its logarithm: all that the grid holds
         jumped = -math.expm1(-motion.jump * elapsed)
         stands = self._standing_density() if flows[1, 2:].any() else 0.0
-        found = np.empty_like(self.wanderers)
-        for index, rate in enumerate(motion.wander):
-            case, sigma = 2 + index, math.hypot(rate, drift) * math.sqrt(elapsed)
-            spread = basis.synthesise(basis.smooth(basis.analyse(self.wanderers[index], grid), sigma), grid)
-            roamed = (1 - jumped) * np.maximum(spread, _FAINTEST) + jumped
-            mixed = flows[case, case] * roamed + flows[1, case] * stands + flows[0, case]
-            found[index] = mixed / _mean(mixed, grid)
-        return found
+        sigmas = np.hypot(motion.wander, drift) * math.sqrt(elapsed)
+        spread = basis.synthesise(basis.smooth(basis.analyse(self.wanderers, grid), sigmas[:, None]), grid)
+        roamed = (1 - jumped) * np.maximum(spread, _FAINTEST) + jumped
+        wander = slice(2, 2 + len(sigmas))
+        born, begun, kept = (flow[wander, None, None] for flow in (flows[0], flows[1], np.diagonal(flows)))
+        mixed = kept * roamed + begun * stands + born
+        return mixed / (np.einsum("mij,ij->m", mixed, grid.weights) / (4 * math.pi))[:, None, None]
 
     def _standing_density(self) -> np.ndarray:
         """The standing target's density over a uniform one, on the grid ``(H, W)``.
