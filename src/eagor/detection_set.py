@@ -92,13 +92,6 @@ class Detections:
         """The detections alone in other axes (`share` still asks for those of the body)."""
         return replace(self, directions=self.directions @ new_R_old.T, axes=self.axes @ new_R_old.T)
 
-    def at_least(self, least: float) -> Detections:
-        """None narrower than `least` radians: each is widened as a likelihood, so that its mass is kept."""
-        if least == 0:
-            return self
-        lengths = np.linalg.norm(self.axes, axis=-1, keepdims=True)
-        return replace(self, axes=self.axes * np.minimum(1.0, 1 / np.maximum(least * lengths, 1e-12)))
-
     def share(self, directions: np.ndarray) -> np.ndarray | float:
         """v ``(...)``: how far each direction ``(..., 3)`` of the body frame was looked at, by any of the views."""
         if not self.views:
@@ -147,20 +140,34 @@ class Detections:
         """The set drawn as a response ``(...)`` in [0, 1]: the highest of score times bump; for who reads responses."""
         if not len(self):
             return np.zeros(directions.shape[:-1], dtype=np.float32)
-        drawn = self.bumps(directions) * self.scores
-        return (drawn.max(axis=-1) * (np.asarray(self.share(directions)) > 0)).astype(np.float32)
+        drawn = self.scores[:, None] * np.exp(-self._exponents(directions).sum(axis=1))
+        seen = np.asarray(self.share(directions)) > 0
+        return (drawn.max(axis=0).reshape(directions.shape[:-1]) * seen).astype(np.float32)
 
-    def densities(self, directions: np.ndarray) -> np.ndarray:
-        """s_i g(z_i | w) over the relative clutter ``(..., n)`` at directions w ``(..., 3)``, per steradian."""
-        return self.bumps(directions) * (self.ratios / self.clutter * bump_norms(self.axes))
+    def densities(self, directions: np.ndarray, scales: np.ndarray, least: float = 0.0) -> np.ndarray:
+        """The sum of s_i g(z_i | w) over the relative clutter ``(S, ...)`` at directions w ``(..., 3)``, per steradian.
 
-    def scaled(self, scale: float) -> Detections:
-        """Each one as many times as wide."""
-        return self if scale == 1 else replace(self, axes=self.axes / scale)
+        For each of `scales` ``(S,)`` all detections are taken to be as many times as wide, and none to be narrower than
+        `least` radians: it is widened as a likelihood, so that its mass is kept.
+        """
+        lengths = np.sqrt(np.einsum("nij,nij->ni", self.axes, self.axes))
+        exponents = self._exponents(directions)
+        found = np.empty((len(scales), exponents.shape[-1]))
+        for row, scale in zip(found, scales.tolist(), strict=True):
+            factors = 1 / np.maximum(scale, least * lengths)
+            norms = bump_norms(lengths * factors)
+            falls = np.exp(-np.einsum("nix,ni->nx", exponents, factors**2))
+            np.matmul(self.ratios / self.clutter * norms, falls, out=row)
+        return found.reshape(len(scales), *directions.shape[:-1])
 
-    def bumps(self, directions: np.ndarray) -> np.ndarray:
-        """g over its maximum ``(..., n)`` at directions ``(..., 3)``."""
-        return bumps(directions, self.directions, self.axes)
+    def _exponents(self, directions: np.ndarray) -> np.ndarray:
+        """-log of g over its maximum, along each axis of each detection ``(n, 2, N)`` at N directions ``(..., 3)``.
+
+        g is Gaussian in Lambert's equal-area plane about z_i: where both axes are alike, von Mises-Fisher.
+        """
+        flat = directions.reshape(-1, 3).T
+        along = (self.axes.reshape(-1, 3) @ flat).reshape(len(self), 2, -1)
+        return along * along / np.maximum(1 + self.directions @ flat, 1e-9)[:, None]
 
     def ratio(
         self,
@@ -178,28 +185,18 @@ class Detections:
         share = self.share(directions) if share is None else share
         found = np.ones(directions.shape[:-1]) - share * rates.recall
         if len(self):
-            for scale, weight in zip(rates.scales.tolist(), rates.spreads.tolist(), strict=True):
-                if weight > UNLIKELY:
-                    density = self.scaled(scale).at_least(least).densities(directions).sum(axis=-1)
-                    found += share * (weight * rates.gain * self.area) * density
+            likely = rates.spreads > UNLIKELY
+            densities = self.densities(directions, rates.scales[likely], least)
+            found += share * np.tensordot(rates.gain * self.area * rates.spreads[likely], densities, axes=1)
         return found
 
 
-def bumps(where: np.ndarray, centres: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """Gaussians ``(..., n)``, 1 at their `centres` ``(n, 3)``, in Lambert's equal-area plane about each.
+def bump_norms(lengths: np.ndarray) -> np.ndarray:
+    """1 over the integral ``(n,)`` of Gaussians in Lambert's plane; it ends at the antipode, a distance of 2.
 
-    `axes` ``(n, 2, 3)``: as for `Detections`. Where both are alike that is the von Mises-Fisher distribution.
+    `lengths` ``(n, 2)``: 1 over the standard deviation along each axis.
     """
-    ahead = where @ centres.T
-    along = where @ axes.reshape(-1, 3).T
-    along *= along
-    along = along[..., 0::2] + along[..., 1::2]
-    return np.exp(-along / np.maximum(1 + ahead, 1e-9))
-
-
-def bump_norms(axes: np.ndarray) -> np.ndarray:
-    """1 over the integral ``(n,)`` of each of these `bumps`; the plane ends at the antipode, a distance of 2."""
-    product = np.linalg.norm(axes, axis=-1).prod(axis=-1)
+    product = lengths.prod(axis=-1)
     return product / (2 * math.pi * -np.expm1(-2 * product))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -51,10 +52,12 @@ class Patch(Nodes):
 
     def places(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coordinates ``(2, ...)`` in units of `half`, -1 to 1, of directions ``(..., 3)``, and which lie inside."""
-        ahead, u, v = np.moveaxis(directions @ self.frame.T, -1, 0)
-        safe = np.maximum(ahead, 1e-6)
-        found = np.stack([u / (safe * self.half[0]), v / (safe * self.half[1])])
-        return found, (ahead > 0) & (np.abs(found) <= 1).all(axis=0)
+        found, ahead = on_plane(directions, self.frame, self.half)
+        return found, (ahead > 0) & (np.abs(found).max(axis=0) <= 1)
+
+    def cells(self, grid: ErpGrid) -> np.ndarray:
+        """The flat indices ``(m,)`` of the cells of a grid whose middles lie inside."""
+        return _cells(grid, self.frame.tobytes(), self.half.tobytes())
 
     def at(self, places: np.ndarray) -> np.ndarray:
         """Values at coordinates ``(2, m)`` as `places` gives them, by a cubic spline."""
@@ -67,6 +70,24 @@ class Patch(Nodes):
     def least_ahead(self) -> float:
         """The cosine of the angle from the middle to a corner."""
         return 1 / math.sqrt(1 + float(self.half @ self.half)) - 1e-12
+
+
+@lru_cache(maxsize=64)  # as many as a belief has patches, and some more: each is asked for again after every look
+def _cells(grid: ErpGrid, frame: bytes, half: bytes) -> np.ndarray:
+    patch = Patch(np.frombuffer(frame).reshape(3, 3), np.frombuffer(half), np.zeros((1, 1)))
+    directions = grid.directions.reshape(-1, 3)
+    near = np.flatnonzero(directions @ patch.frame[0] > patch.least_ahead)
+    return near[patch.places(directions.take(near, axis=0))[1]]
+
+
+def on_plane(directions: np.ndarray, frame: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates ``(2, ...)`` on the plane of `Nodes`, in units of `half`, and the lengths ``(...)`` along its middle.
+
+    `directions` ``(..., 3)`` may have any length. Where that is not above 0 the coordinates have no meaning.
+    """
+    local = (frame @ directions.reshape(-1, 3).T).reshape(3, *directions.shape[:-1])
+    safe = np.maximum(local[0], 1e-6)
+    return np.stack([local[1] / (safe * half[0]), local[2] / (safe * half[1])]), local[0]
 
 
 def sharpened(patch: Patch, factor: float) -> Patch:
@@ -145,7 +166,7 @@ class SphereField:
         if isinstance(where, ErpGrid) and where == self.grid:
             return self.values
         if isinstance(where, np.ndarray) and where.ndim == 1:
-            return self.smooth(where[None])[0]
+            return self.smooth(where[None], order)[0]
         height, width = self.grid.shape
         if isinstance(where, np.ndarray):
             x, y, _ = self.grid.project(where)
@@ -155,21 +176,29 @@ class SphereField:
             rows, columns = where.shape
             y = (np.arange(rows) + top + 0.5)[:, None] * (height / whole.height) + np.zeros(columns)
             x = ((np.arange(columns) + left + 0.5) * (width / whole.width))[None, :] % width + np.zeros((rows, 1))
-        padded = np.pad(self.values, ((0, 0), (MARGIN, MARGIN)), mode="wrap")
-        # Beyond a pole the meridian on the other side goes on.
-        beyond = np.pad(np.roll(self.values, width // 2, axis=1), ((0, 0), (MARGIN, MARGIN)), mode="wrap")
-        padded = np.concatenate([beyond[:MARGIN][::-1], padded, beyond[-MARGIN:][::-1]])
-        return map_coordinates(padded, np.stack([y - 0.5 + MARGIN, x - 0.5 + MARGIN]), order=order, mode="mirror")
+        places = np.stack([y - 0.5 + MARGIN, x - 0.5 + MARGIN])
+        padded = self.values.reshape(-1)[_padded(self.grid)]
+        return map_coordinates(padded, places, order=order, mode="mirror")
 
     @lazy
     def outside(self) -> np.ndarray:
         """Which cells ``(H, W)`` of the grid lie in no patch."""
-        directions = self.grid.directions.reshape(-1, 3)
-        free = np.ones(len(directions), dtype=bool)
+        free = np.ones(self.grid.shape, dtype=bool)
         for patch in self.patches:
-            near = np.flatnonzero(directions @ patch.frame[0] > patch.least_ahead)
-            free[near[patch.places(directions[near])[1]]] = False
-        return free.reshape(self.grid.shape)
+            free.reshape(-1)[patch.cells(self.grid)] = False
+        return free
+
+    @lazy
+    def _free(self) -> np.ndarray:
+        """The flat indices ``(m,)`` of the cells in no patch."""
+        return np.flatnonzero(self.outside)
+
+    @lazy
+    def _parts(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Values and solid angles of the cells in no patch, and of the nodes of each patch."""
+        cells = self.values.reshape(-1)[self._free], self.grid.weights[:, 0][self._free // self.grid.width]
+        nodes = [(p.values.reshape(-1), s.reshape(-1)) for p, s in zip(self.patches, self.shares, strict=True)]
+        return [cells, *nodes]
 
     @lazy
     def shares(self) -> tuple[np.ndarray, ...]:
@@ -194,18 +223,25 @@ class SphereField:
         """Values, solid angles ``(n,)`` and directions ``(n, 3)`` of the cells in no patch and the nodes of patches."""
         if not self.patches:
             return self.values.reshape(-1), self.grid.weights.reshape(-1), self.grid.directions.reshape(-1, 3)
-        free = self.outside
-        values = [self.values[free], *(patch.values.reshape(-1) for patch in self.patches)]
-        weights = [self.grid.weights[free], *(share.reshape(-1) for share in self.shares)]
-        directions = [self.grid.directions[free], *(patch.directions.reshape(-1, 3) for patch in self.patches)]
+        values = [part for part, _ in self._parts]
+        weights = [part for _, part in self._parts]
+        directions = [self.grid.directions.reshape(-1, 3).take(self._free, axis=0)]
+        directions += [patch.directions.reshape(-1, 3) for patch in self.patches]
         return np.concatenate(values), np.concatenate(weights), np.concatenate(directions)
 
     @lazy
     def log_mean(self) -> float:
         """log of the mean of exp(field) over the sphere."""
-        free = self.outside if self.patches else slice(None)
-        parts = [(self.values[free], self.grid.weights[free])]
-        parts += [(patch.values, share) for patch, share in zip(self.patches, self.shares, strict=True)]
-        top = max(float(values.max()) for values, _ in parts if values.size)
-        total = sum(float(np.sum(np.exp(values - top) * weights)) for values, weights in parts)
+        top = max(float(values.max()) for values, _ in self._parts if values.size)
+        total = sum(float(np.exp(values - top) @ weights) for values, weights in self._parts)
         return top + math.log(total / (4 * math.pi))
+
+
+@lru_cache(maxsize=16)
+def _padded(grid: ErpGrid) -> np.ndarray:
+    """The flat index of each cell ``(H + 2 MARGIN, W + 2 MARGIN)`` of a grid that goes on across the seam and poles."""
+    height, width = grid.shape
+    rows, columns = np.arange(-MARGIN, height + MARGIN)[:, None], np.arange(-MARGIN, width + MARGIN)
+    over = (rows < 0) | (rows >= height)  # there the meridian on the other side goes on
+    rows = np.where(rows < 0, -1 - rows, np.where(rows >= height, 2 * height - 1 - rows, rows))
+    return rows * width + (columns + over * (width // 2)) % width

@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from eagor.field import Nodes, Patch
+from eagor.field import Nodes, Patch, on_plane
 from eagor.sphere import cross
+from eagor.splines import interpolated
 
 NODES = 11  # along each side
 RANGES = 12  # of the window, where distances are believed in
@@ -102,15 +103,15 @@ class Window(Nodes):
         self, prior: np.ndarray | None, step: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Frame, half widths and ranges of the window that fits the peak, after a `step`."""
-        marginal = self.marginal(prior)
-        peak = _component(marginal)
-        mass = np.where(peak, np.exp(marginal - marginal.max()), 0.0) * self.weights
+        values = self.values if prior is None else self.values + prior
+        mass = np.exp(values - values.max())
+        mean = np.tensordot(self.shares, mass, axes=1)
+        peak = _component(np.log(np.maximum(mean, 1e-300)))
         if self.logs is None:
-            points, shares = self.directions[peak], mass[peak] / mass.sum()
-            logs = None
+            points, shares = self.directions[peak], mean[peak] * self.weights[peak]
+            shares, logs = shares / shares.sum(), None
         else:
-            values = self.values if prior is None else self.values + prior
-            joint = np.exp(values[:, peak] - values.max()) * self.shares[:, None] * self.weights[peak]
+            joint = mass[:, peak] * self.shares[:, None] * self.weights[peak]
             by_range = np.log(np.maximum(joint.sum(axis=1), 1e-300) / self.shares)
             kept = np.flatnonzero(by_range > by_range.max() - FAINT)
             span = slice(max(kept[0] - 1, 0), min(kept[-1] + 2, len(by_range)))
@@ -147,8 +148,6 @@ class Window(Nodes):
         self, wanted: tuple[np.ndarray, np.ndarray, np.ndarray | None], step: np.ndarray | None
     ) -> tuple[Window, np.ndarray | None]:
         """The same field on another grid, and which of its nodes lie beyond this one."""
-        from scipy.ndimage import map_coordinates
-
         frame, half, logs = wanted
         new = Window(frame, half, np.zeros((1, NODES, NODES)), logs, self.limits)
         points, depth = new.directions, np.zeros(0)
@@ -161,18 +160,15 @@ class Window(Nodes):
             depth = np.clip((np.log(np.maximum(distances, 1e-9)) - first) / spacing, 0, RANGES - 1)
         places, beyond = self._places(points)
         if logs is None:
-            values = map_coordinates(self.values[0], places, order=3, mode="mirror")[None]
-            beyond = beyond[None]
+            values, beyond = interpolated(self.values, places), beyond[None]
         else:
-            values = map_coordinates(self.values, np.concatenate([depth[None], places]), order=3, mode="mirror")
+            values = interpolated(self.values, np.concatenate([depth[None], places]))
         return new.like(values), beyond if beyond.any() else None
 
     def _places(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Indices ``(2, ...)`` of points ``(..., 3)``, held at the borders, and which lie beyond them."""
-        ahead, u, v = np.moveaxis(points @ self.frame.T, -1, 0)
-        safe = np.maximum(ahead, 1e-6)
-        found = np.stack([u / (safe * self.half[0]), v / (safe * self.half[1])])
-        beyond = (np.abs(found) > 1.001).any(axis=0) | (ahead <= 0)
+        found, ahead = on_plane(points, self.frame, self.half)
+        beyond = (np.abs(found).max(axis=0) > 1.001) | (ahead <= 0)
         return (np.clip(found, -1, 1) + 1) * ((NODES - 1) / 2), beyond
 
 

@@ -127,8 +127,9 @@ class Look:
         beside = np.broadcast_to(1 - np.asarray(share) * self.rates.recall, grid.shape)
         amplitudes = self.rates.gain * self.world.area * self.world.ratios / self.world.clutter
         # As wide as the belief of a target that stands takes them to be: the two are weighed against each other.
-        found = self.world.scaled(self.rates.precision**-0.5).at_least(FINER * resolved(self.sight.degree))
-        deviations = found.axes / np.sum(found.axes**2, axis=-1)[..., None]
+        lengths = np.linalg.norm(self.world.axes, axis=-1)
+        widths = np.maximum(self.rates.precision**-0.5 / lengths, FINER * resolved(self.sight.degree))
+        deviations = self.world.axes * (widths / lengths)[..., None]
         covariances = np.einsum("nai,naj->nij", deviations, deviations)
         return Sightings(self.world.directions, amplitudes, covariances, SphereField(grid, beside))
 

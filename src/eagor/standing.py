@@ -8,6 +8,7 @@ coarse for.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -207,26 +208,29 @@ class Standing:
         if isinstance(self.coarse, RangedBelief):
             limits = math.log(self.coarse.ranges[0]), math.log(self.coarse.ranges[-1])
             window = replace(window, logs=np.linspace(*limits, RANGES), limits=limits)
-        window = window.like(self._coarse_at(window))
+        window = window.like(self._coarse_at(window.directions, window.logs))
         found = Standing(self.coarse, (*self.windows, window), self.height)
         patch = window.patch(self._prior(window))
         found.__dict__["field"] = replace(self.field, patches=(*self.field.patches, patch))
         return found
 
-    def _coarse_at(self, window: Window) -> np.ndarray:
-        """The field of the whole sphere at the nodes of a window ``(K, n, n)``."""
-        basis = RealHarmonics(self.degree)
-        if not isinstance(self.coarse, RangedBelief):
-            return basis.synthesise(self.coarse.coefficients, window.directions)[None]
-        shells = basis.synthesise(self.coarse.shells, window.directions)
-        assert window.logs is not None
-        return _between(shells, np.log(self.coarse.ranges), window.logs)
+    def _coarse_at(self, directions: np.ndarray, logs: np.ndarray | None) -> np.ndarray:
+        """The field of the whole sphere ``(K, ...)`` at directions ``(..., 3)`` times ranges of these logarithms."""
+        if isinstance(self.coarse, RangedBelief):
+            assert logs is not None
+            coefficients = _between(tuple(self.coarse.ranges.tolist()))(logs) @ self.coarse.shells
+        else:
+            coefficients = self.coarse.coefficients[None]
+        return RealHarmonics(self.degree).synthesise(coefficients, directions)
 
     def _filled(self, window: Window, beyond: np.ndarray | None) -> Window:
         """A window with the nodes `beyond` what it held before taken from the field of the whole sphere."""
         if beyond is None:
             return window
-        return window.like(np.where(beyond, self._coarse_at(window), window.values))
+        nodes, values = beyond.any(axis=0), window.values.copy()
+        found = self._coarse_at(window.directions[nodes], window.logs)
+        values[:, nodes] = np.where(beyond[:, nodes], found, values[:, nodes])
+        return window.like(values)
 
     def distance(self, about: np.ndarray) -> tuple[float, float] | None:
         """Mean distance (metres) and standard deviation of its logarithm near a direction; None without ranges."""
@@ -264,11 +268,12 @@ def least_width(window: Window, degree: int) -> float:
     return max(apart, FINER * resolved(degree))
 
 
-def _between(shells: np.ndarray, logs: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Values ``(K, ...)`` at logarithms `nodes` of values at the evenly spaced `logs`, by a cubic spline."""
+@lru_cache(maxsize=16)
+def _between(ranges: tuple[float, ...]) -> Callable[[np.ndarray], np.ndarray]:
+    """The weights ``(K, len(ranges))`` of the shells at logarithms ``(K,)`` of ranges between them: cubic splines."""
     from scipy.interpolate import CubicSpline
 
-    return CubicSpline(logs, shells, axis=0)(nodes)
+    return CubicSpline(np.log(ranges), np.eye(len(ranges)))
 
 
 def _with_prior(belief: RangedBelief, height: float | None) -> RangedBelief:

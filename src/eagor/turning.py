@@ -107,8 +107,9 @@ class Turning:
         joined = _joined(*parts, unseen=unseen)
         gain = math.log(total)
         import os
+
         if os.environ.get("G"):
-            return joined, gain*(1-repeated)
+            return joined, gain * (1 - repeated)
         if passing is not None and repeated > 0 and len(joined.weights):
             before = SphereField(decoding_grid(look.sight.degree), passing.values)
             gain -= repeated * float(joined.weights @ before.smooth(joined.directions, 1))
@@ -204,8 +205,9 @@ class Turning:
         """Over a uniform one ``(...)``, at unit vectors ``(..., 3)``."""
         weights, centres, axes = self.places
         found = np.full(where.shape[:-1], self.unseen if len(weights) else 1.0)
-        heights = weights * bump_norms(axes) * 4 * math.pi
-        reach = np.cos(np.minimum(FAR / np.linalg.norm(axes, axis=-1).min(axis=-1), math.pi))
+        lengths = np.linalg.norm(axes, axis=-1)
+        heights = weights * bump_norms(lengths) * 4 * math.pi
+        reach = np.cos(np.minimum(FAR / lengths.min(axis=-1), math.pi))
         points, flat = where.reshape(-1, 3), found.reshape(-1)
         for height, centre, pair, least in zip(heights, centres, axes, reach, strict=True):
             ahead = points @ centre

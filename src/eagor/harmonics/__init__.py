@@ -9,6 +9,7 @@ from __future__ import annotations
 import operator
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -86,9 +87,10 @@ class RealHarmonics:
         """
         return rotation.rotate(self.degree, self._checked(coefficients), check_rotation(new_R_old))
 
-    def smooth(self, coefficients: Array, sigma: float) -> Array:
+    def smooth(self, coefficients: Array, sigma: Any) -> Array:
         """Convolution with the heat kernel of standard deviation `sigma` (radians per axis): exp(-l(l+1) sigma^2 / 2).
 
+        One number, or ``(..., 1)`` for a batch.
         For a density this is diffusion. For a log-density it is not: see `eagor.belief.Belief.diffuse`.
         """
         coefficients = self._checked(coefficients)

@@ -65,18 +65,18 @@ def synthesise(degree: int, coefficients: Array, where: Grid | ErpWindow | Array
         over_rows = constant(_latitude_values, degree, whole.height, like=coefficients)
         over_columns = constant(_longitude_values, degree, whole.width, like=coefficients)
         if isinstance(where, ErpWindow):
-            over_rows = over_rows[:, where.top : where.top + where.rows, :]
+            over_rows = over_rows[..., where.top : where.top + where.rows]
             over_columns = xp.take(over_columns, matched(where.columns, coefficients), axis=1)
-        padded = xp.take(coefficients, constant(_pack, degree, like=coefficients), axis=-1)
-        padded = xp.reshape(padded, (*coefficients.shape[:-1], 2 * degree + 1, degree + 1, 1))
-        rings = xp.reshape(over_rows @ padded, (*coefficients.shape[:-1], 2 * degree + 1, where.shape[0]))
-        return xp.matrix_transpose(rings) @ over_columns
+        packed = xp.take(coefficients, constant(_pack, degree, like=coefficients), axis=-1)
+        packed = xp.permute_dims(xp.reshape(packed, (-1, 2 * degree + 1, degree + 1)), (1, 0, 2))
+        rings = xp.reshape(packed @ over_rows, (2 * degree + 1, -1))
+        return xp.reshape(xp.matrix_transpose(rings) @ over_columns, (*coefficients.shape[:-1], *where.shape))
     points = where.directions if isinstance(where, PerspectiveGrid | FisheyeGrid) else as_float(where)
     check_directions(points)
     if xp is np:
         points = to_numpy(points).astype(coefficients.dtype, copy=False)
         flat = points.reshape(-1, 3)
-        parts = [coefficients @ evaluate(degree, flat[i : i + 4096]).T for i in range(0, len(flat), 4096)]
+        parts = [coefficients @ evaluate(degree, flat[i : i + 512]).T for i in range(0, len(flat), 512)]
         values = np.concatenate(parts, axis=-1) if parts else np.zeros((*coefficients.shape[:-1], 0))
         return values.reshape((*coefficients.shape[:-1], *points.shape[:-1]))
     if isinstance(points, np.ndarray):
@@ -116,8 +116,8 @@ def _latitude_plan(degree: int, grid: ErpGrid | PatchGrid) -> np.ndarray:
 
 
 def _latitude_values(degree: int, height: int) -> np.ndarray:
-    """Latitude functions at the row centres ``(2 degree + 1, H, degree + 1)``."""
-    return latitude_table(degree, np.sin(ErpGrid(height, 1).latitudes)).transpose(0, 2, 1)
+    """Latitude functions at the row centres ``(2 degree + 1, degree + 1, H)``."""
+    return latitude_table(degree, np.sin(ErpGrid(height, 1).latitudes))
 
 
 def _longitude_values(degree: int, width: int) -> np.ndarray:

@@ -23,6 +23,7 @@ from eagor._arrays import Array, constant, matched, namespace, to_numpy
 from eagor.harmonics.legendre import evaluate, orders
 
 DENSE_UP_TO = 15  # a 256 x 256 matrix still beats 16 small ones
+DENSE_COLUMNS = 8  # ... for so many fields at once
 CHUNK = 256  # beliefs at a time: the working set stays in the second-level cache
 
 
@@ -127,7 +128,7 @@ def _turn(degree: int, columns: Array, cosine: Array, sine: Array) -> Array:
 
 def _quarter(degree: int, columns: Array, transposed: bool) -> Array:
     """J (or its transpose) on `columns` ``(size, n)``."""
-    if degree <= DENSE_UP_TO and (columns.ndim == 1 or columns.shape[1] <= 16):
+    if degree <= DENSE_UP_TO and (columns.ndim == 1 or columns.shape[1] <= DENSE_COLUMNS):
         return constant(_quarter_dense, degree, transposed, like=columns) @ columns
     parts = []
     for l in range(degree + 1):

@@ -51,7 +51,7 @@ DESCRIPTIONS = {
     "vmf": "von Mises-Fisher filter: one direction and one concentration",
     "grid_filter": "Bayes filter on a grid of probabilities",
     "particle_filter": f"particle filter, {PARTICLES} directions",
-    "eagor": "our tracker: belief over direction and distance; absent, standing, wandering or turning; the heaviest mode",
+    "eagor": "our tracker: direction and distance; absent, standing, wandering or turning; the heaviest mode",
 }
 NAMES = tuple(DESCRIPTIONS)
 PLAIN = "plain"  # a model that is asked anew at each step, and nothing else: what vision-language models are without us

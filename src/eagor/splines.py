@@ -1,0 +1,56 @@
+"""Cubic splines on small grids of evenly spaced nodes, mirrored at the borders.
+
+They are those of ``scipy.ndimage.map_coordinates(..., order=3, mode="mirror")``, whose time goes by points and
+neighbours, one after the other. Here all points take one step together, and several fields on the same nodes share
+their weights: less than half the time for one field, less than a third for three.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+
+def interpolated(values: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Fields ``(..., n_1, ..., n_d)`` at `places` ``(d, m...)``, counted in nodes from 0 to n - 1: ``(..., m...)``."""
+    shape = values.shape[-len(places) :]
+    lower = places.astype(np.intp).reshape(len(places), -1)
+    weights = _weights(places.reshape(lower.shape) - lower)
+    first = np.zeros(lower.shape[1], dtype=np.intp)
+    coefficients = values
+    for axis, count in enumerate(shape, start=-len(shape)):
+        coefficients = np.swapaxes(np.swapaxes(coefficients, axis, -1) @ _coefficients(count), axis, -1)
+        first = first * (count + 3) + lower[axis]
+    near = coefficients.reshape(-1, coefficients[(0,) * (values.ndim - len(shape))].size)
+    near = near.take(first + _neighbours(shape), axis=1).reshape(-1, *[4] * len(shape), len(first))
+    for weight in weights[::-1]:
+        near = np.einsum("...an,an->...n", near, weight)
+    return near.reshape(*values.shape[: -len(shape)], *places.shape[1:])
+
+
+def _weights(beyond: np.ndarray) -> np.ndarray:
+    """Of the four nodes around points ``(d, 4, m)`` that lie `beyond` ``(d, m)`` the second: the cubic B-spline."""
+    short = 1 - beyond
+    squared, rest = beyond * beyond, short * short
+    found = [rest * short / 6, 2 / 3 - squared * (1 - beyond / 2), 2 / 3 - rest * (1 - short / 2), squared * beyond / 6]
+    return np.stack(found, axis=1)
+
+
+@lru_cache(maxsize=16)
+def _coefficients(count: int) -> np.ndarray:
+    """From `count` values to the coefficients of the spline through them ``(count, count + 3)``.
+
+    There are one before and two beyond the nodes: the mirrored ones.
+    """
+    at = np.abs(np.arange(-1, count + 2))
+    mirrored = np.eye(count)[np.where(at >= count, 2 * count - 2 - at, at)]
+    sampled = (mirrored[:-3] + 4 * mirrored[1:-2] + mirrored[2:-1]) / 6  # the spline at its nodes
+    return np.linalg.solve(sampled.T, mirrored.T)
+
+
+@lru_cache(maxsize=16)
+def _neighbours(shape: tuple[int, ...]) -> np.ndarray:
+    """How far behind the first of the 4^d coefficients around a point each of them lies ``(4^d, 1)``."""
+    places = np.ix_(*[np.arange(4)] * len(shape))
+    return np.ravel_multi_index(places, [count + 3 for count in shape]).reshape(-1, 1)
