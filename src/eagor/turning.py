@@ -108,8 +108,6 @@ class Turning:
         gain = math.log(total)
         import os
 
-        if os.environ.get("G"):
-            return joined, gain * (1 - repeated)
         if passing is not None and repeated > 0 and len(joined.weights):
             before = SphereField(decoding_grid(look.sight.degree), passing.values)
             gain -= repeated * float(joined.weights @ before.smooth(joined.directions, 1))
