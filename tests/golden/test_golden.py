@@ -35,7 +35,7 @@ CASES = {
     ),
     "turning only": (
         TrackerConfig(ranges=None),
-        {"angles": (176.6, 14.1), "error": 4.7, "status": "tracking", "presence": 1.0},
+        {"angles": (178.7, 7.3), "error": 4.9, "status": "tracking", "presence": 1.0},
     ),
     "published": (
         TrackerConfig.paper(),
