@@ -100,7 +100,7 @@ def _evaluate(degree: int, directions: np.ndarray) -> np.ndarray:
     m = orders(degree)
     found = table[degrees(degree), np.abs(m)] * across[m + degree]
     found *= _monic(degree)[1]
-    return found.T.reshape(*directions.shape[:-1], -1)
+    return found.T.reshape(*directions.shape[:-1], len(found))
 
 
 @lru_cache(maxsize=64)
