@@ -1,12 +1,14 @@
-"""One use of what dependencies do for the package: a search, a world as GLB, a model on a server, a cluster."""
+"""One use of what dependencies do for the package: a look, a world as GLB, a model on a server, a cluster."""
 
 import sys
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 from contract_server import ContractServer, reddish
+from PIL import Image
 
 import eagor
 from eagor.cli import main
@@ -14,6 +16,7 @@ from eagor.evaluation.workers import Unit, run_units
 from eagor.perception import load
 from eagor.worlds import apartment
 from eagor.worlds.glb import export_glb, import_glb
+from eagor.worlds.render import Renderer
 
 
 def double(config):
@@ -25,7 +28,13 @@ def smoke(folder: Path) -> None:
     """Raise whatever does not work."""
     scene = apartment.generate(0)
     assert len(import_glb(export_glb(scene, folder / "home.glb")).instances) == len(scene.instances)
-    assert main(["demo", "--out", str(folder / "demo")]) == 0  # the network, the rays, the pictures, the tables
+    low, high = scene.rooms[0].rectangles[0][:2], scene.rooms[0].rectangles[0][2:]
+    frame = Renderer(scene).panorama(np.array([*(low + high) / 2, 1.25]), np.eye(3), 128)
+    Image.fromarray(frame.rgb).save(folder / "pano.png")
+    picture = str(folder / "chart.png")
+    assert main(["locate", str(folder / "pano.png"), "chair", "--perception", "scout", "--picture", picture]) == 0
+    environment = gymnasium.make("Eagor/WaypointFollowing-v0")
+    environment.reset(seed=0)
     assert main(["doctor"]) == 0
     with ContractServer(reddish) as server:
         look = load(f"endpoint:qwen@{server.url}?pixels=6272&seam=no")

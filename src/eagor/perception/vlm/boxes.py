@@ -45,6 +45,7 @@ _ABSENT = re.compile(
 # Some chat templates open the thoughts themselves, so that the answer only closes them.
 _THOUGHTS = re.compile(r"\A(?:(?!<think).)*</think(?:ing)?>|<think(?:ing)?>.*?(?:</think(?:ing)?>|\Z)", re.DOTALL)
 _LONGEST = 200_000  # characters of an answer: thousands of boxes
+_MOST_THOUGHTS = 1_000_000  # characters, with the answer
 _LEAST = 1e-6  # of the image's sides: what is smaller has no area
 _PAST = 1.1  # coordinates beyond so many image sides are in another frame, not just careless
 
@@ -125,7 +126,7 @@ def parse_boxes(
 
 def spoken(text: str) -> str:
     """`text` without thoughts. Raises `AnswerError` if there is more of it than anybody asked for."""
-    answer = without_thoughts(text)
+    answer = without_thoughts(text) if len(text) <= _MOST_THOUGHTS else text
     if len(answer.strip()) > _LONGEST:
         raise AnswerError(
             f"the model answered {shortened(text)} and so on, {len(text)} characters; wanted a short answer. Allow "
