@@ -128,7 +128,7 @@ def _texture(mesh: Any) -> Any:
 def _lineage(model: Any, node: str) -> list[str]:
     """The name of a node and those of its parents, without the root's."""
     parents, names = model.graph.transforms.parents, []
-    while node in parents:
+    while parents.get(node, node) != node:  # some versions have the root below itself
         names.append(str(node))
         node = parents[node]
     return names
