@@ -154,7 +154,7 @@ class ContractServer:
 
     def _chat(self, handler: BaseHTTPRequestHandler) -> None:
         raw = handler.rfile.read(int(handler.headers["content-length"]))
-        if handler.path != "/v1/chat/completions":
+        if handler.path.partition("?")[0] != "/v1/chat/completions":
             return self._send(handler, 404, {"detail": "Not Found"})
         with self._lock:
             self.tries += 1

@@ -1,21 +1,38 @@
-"""Files that are written whole or not at all."""
+"""Files that are written whole or not at all, and packed ones that are read only as far as makes sense."""
 
 from __future__ import annotations
 
+import gzip
 import os
 from contextlib import suppress
 from pathlib import Path
 
-from eagor.errors import StorageError
+from eagor._secrets import redacted
+from eagor.errors import FormatError, StorageError
+
+
+def most_unpacked(size: int) -> int:
+    """How many bytes something packed into `size` may have: text is packed to a tenth, a bomb to a thousandth."""
+    return max(1 << 24, 100 * size)
+
+
+def unpacked(path: Path) -> bytes:
+    """What a gzipped file holds. Raises `OSError`, `EOFError`, `zlib.error`, or `FormatError` for a bomb."""
+    most = most_unpacked(path.stat().st_size)
+    with gzip.open(path) as file:
+        found = file.read(most + 1)
+    if len(found) > most:
+        raise FormatError(f"it holds more than {most} bytes, packed in {path.stat().st_size}")
+    return found
 
 
 def written(path: Path, content: str | bytes) -> Path:
-    """Write `content` (text as UTF-8) to `path`, and return it; folders above it are made.
+    """Write `content` (text as UTF-8, without secrets) to `path`, and return it; folders above it are made.
 
     What was there stays until all of the new content is on the disk, and stays if that fails; nothing half-written is
     left. Raises `StorageError`, which says where, why, and how much room is wanted.
     """
-    data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
+    data = redacted(content).encode("utf-8", "backslashreplace") if isinstance(content, str) else content
     part = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -42,7 +59,7 @@ class Lines:
 
     def add(self, text: str) -> None:
         """Append `text`. Raises `StorageError` if the disk does not take it; the file then ends as it did before."""
-        data = text.encode("utf-8", "backslashreplace")
+        data = redacted(text).encode("utf-8", "backslashreplace")
         try:
             if self._file < 0:
                 self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)

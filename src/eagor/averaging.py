@@ -31,6 +31,7 @@ from eagor.grids import ErpGrid, FisheyeGrid, Grid, Lens, PatchGrid, forward_vie
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.projection import largest_cell, pool
 
+_MOST_POINTS = 1_000_000  # that stand for a view: half a kernel apart, or less, also where pixels are very large
 _MARGIN = 3.0  # nats by which what is cut off the kernel's spectrum stays below the lowest ratio
 
 
@@ -131,6 +132,7 @@ def _nodes(lens: Lens, degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     rows, columns = (np.asarray(edges) for edges in _blocks(lens, degree))
     side = largest_cell(lens) * max(int(np.diff(rows).max()), int(np.diff(columns).max()))
     count = max(1, math.ceil(side / _half_cell(degree)))
+    count = min(count, max(1, math.isqrt(_MOST_POINTS // ((len(rows) - 1) * (len(columns) - 1)))))
     (y, of_row), (x, of_column) = _fine(rows, count), _fine(columns, count)
     x, y = np.broadcast_arrays(x, y[:, None])
     share = view.density(x, y)

@@ -10,7 +10,7 @@ from strategies import directions, field, random_directions, rotations
 
 from eagor.errors import DirectionError, GridError, PoseError, RotationError
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
-from eagor.harmonics import RealHarmonics, projection
+from eagor.harmonics import RealHarmonics, projection, streamed
 from eagor.harmonics.legendre import degrees
 from eagor.sphere import angular_distance, rotation
 
@@ -28,6 +28,20 @@ def test_rotating_the_field_is_rotating_its_argument(degree, seed, R):
 def test_rotations_compose(degree, seed, first, second):
     basis, c = RealHarmonics(degree), field(degree, seed)
     assert np.allclose(basis.rotate(basis.rotate(c, first), second), basis.rotate(c, second @ first), atol=1e-12)
+
+
+@pytest.mark.parametrize("grid", [ErpGrid(42, 90), PatchGrid(30, 60)])
+@pytest.mark.parametrize("shape", [(), (2, 3)])
+@pytest.mark.parametrize("degree", [1, 20])
+def test_order_by_order_is_all_at_once(monkeypatch, degree, shape, grid):
+    basis, rng = RealHarmonics(degree), np.random.default_rng(3)
+    values, c = rng.normal(size=(*shape, *grid.shape)), rng.normal(size=(*shape, basis.size))
+    wanted = basis.analyse(values, grid), basis.synthesise(c, grid)
+    monkeypatch.setattr(projection, "TABLE_BYTES", 0)
+    monkeypatch.setattr(streamed, "_BLOCK_BYTES", 1 << 14)
+    for found, one in zip((basis.analyse(values, grid), basis.synthesise(c, grid)), wanted, strict=True):
+        assert found.shape == one.shape
+        assert np.allclose(found, one, atol=1e-12)
 
 
 @given(DEGREES, SEEDS, rotations())

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from eagor._secrets import redacted
 from eagor.errors import EagorError
 
 OK, FAILED, USAGE, INCOMPLETE = 0, 1, 2, 3
@@ -24,7 +25,7 @@ class RunError(EagorError):
 
 def log(text: str) -> None:
     """One line for people, on stderr."""
-    print(f"eagor: {text}", file=sys.stderr, flush=True)
+    print(redacted(f"eagor: {text}"), file=sys.stderr, flush=True)
 
 
 def warning(text: str) -> None:
@@ -39,7 +40,7 @@ def error(text: str) -> None:
 
 def emit(result: dict[str, Any]) -> None:
     """The one JSON object on stdout."""
-    print(json.dumps(result, allow_nan=False, ensure_ascii=False), flush=True)
+    print(redacted(json.dumps(result, allow_nan=False, ensure_ascii=False)), flush=True)
 
 
 @contextmanager

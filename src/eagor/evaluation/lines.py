@@ -9,17 +9,19 @@ from typing import Any
 
 import numpy as np
 
+from eagor._secrets import redacted
 from eagor.errors import EagorError
 
 
 def as_line(record: Mapping[str, Any]) -> bytes:
-    """`record` as one line of JSON with its newline; NumPy numbers and arrays become plain ones.
+    """`record` as one line of JSON with its newline; NumPy numbers and arrays become plain ones, secrets stars.
 
     Raises `EagorError`, which names the place, for NaN, infinity, and what JSON does not know.
     """
     name = str(record.get("key", "record"))
     text = json.dumps(_plain(record, name), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
-    return text.encode("utf-8", "backslashreplace") + b"\n"  # half a pair of surrogates is written as JSON escapes it
+    text = redacted(text) + "\n"
+    return text.encode("utf-8", "backslashreplace")  # half a pair of surrogates is written as JSON escapes it
 
 
 def _plain(value: Any, place: str) -> Any:

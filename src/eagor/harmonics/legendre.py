@@ -147,6 +147,24 @@ def latitude_functions(degree: int, sines: Array) -> Array:
     return full * xp.stack(powers)
 
 
+def latitude_functions_of(degree: int, sines: np.ndarray, first: int, last: int) -> np.ndarray:
+    """The same of the orders from `first` to before `last` alone, ``(orders, degree + 1 (l), n)``."""
+    start, a, b = _recursion(degree)
+    cosines = np.sqrt(np.clip(1 - sines * sines, 0.0, 1.0))
+    table = np.zeros((degree + 1, last - first, sines.size))
+    for l in range(first, degree + 1):
+        below = min(l, last) - first  # orders smaller than l
+        if below > 0:
+            row = table[l, :below]
+            np.multiply(table[l - 1, :below], sines, out=row)
+            if l > 1:
+                row -= np.array(b[l][first : first + below])[:, None] * table[l - 2, :below]
+            row *= np.array(a[l][first : first + below])[:, None]
+        if l < last:
+            np.multiply(cosines**l, start[l], out=table[l, l - first])
+    return table.transpose(1, 0, 2)
+
+
 def latitude_table(degree: int, sines: np.ndarray) -> np.ndarray:
     """The latitude part again, ``(2 degree + 1, degree + 1, n)``: signed order m by degree l, zero where l < |m|."""
     found = latitude_functions(degree, np.asarray(sines, dtype=np.float64)).transpose(1, 0, 2)

@@ -12,6 +12,7 @@ The first two are separable: one matrix product over longitude, one small one pe
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -31,11 +32,13 @@ from eagor.grids import (
 )
 from eagor.harmonics.legendre import degrees, evaluate, latitude_table, longitude_table, orders
 from eagor.harmonics.rotation import rotate
+from eagor.harmonics.streamed import analysed, synthesised
 from eagor.sphere import check_directions
 
 BLOCK = 0.25  # side of a view's block, in units of the angular scale 1 / (degree + 1) ...
 WIDEST = 2 * BLOCK  # ... and up to this, where the plan would take too much memory else
 SMALL = 1_000_000  # OpenBLAS has kernels of their own for products up to 100^3
+TABLE_BYTES = 64e6  # a latitude table that is larger is made anew, a few orders at a time, at every call
 PLAN_BYTES = 256e6  # a view plan that is larger even so is computed block row by block row instead of kept
 
 
@@ -45,6 +48,12 @@ def analyse(degree: int, values: Array, grid: Grid) -> Array:
         xp = namespace(values)
         # (..., H, W) @ (W, 2L+1) -> (2L+1, H, ...) ; the long sum runs in the precision of the values.
         rings = _product(values, constant(_longitude_plan, degree, grid, like=values))
+        if _is_large(degree, grid.height):
+            batch = rings.shape[:-2]
+            rings = xp.permute_dims(xp.reshape(rings, (-1, *rings.shape[-2:])), (2, 1, 0))
+            packed = analysed(degree, rings, *_rows(degree, grid))
+            packed = xp.reshape(packed, (-1, packed.shape[-1])).T
+            return xp.reshape(xp.take(packed, constant(_unpack, degree, like=rings), axis=1), (*batch, -1))
         if values.ndim == 2:
             packed = constant(_latitude_plan, degree, grid, like=rings) @ rings.T[..., None]
             return xp.take(xp.reshape(packed, (-1,)), constant(_unpack, degree, like=rings))
@@ -62,6 +71,13 @@ def synthesise(degree: int, coefficients: Array, where: Grid | ErpWindow | Array
     xp = namespace(coefficients)
     if isinstance(where, ErpGrid | PatchGrid | ErpWindow):
         whole = where.whole if isinstance(where, ErpWindow) else where
+        if isinstance(where, ErpGrid | PatchGrid) and _is_large(degree, where.height):
+            packed = xp.take(coefficients, constant(_pack, degree, like=coefficients), axis=-1)
+            packed = xp.permute_dims(xp.reshape(packed, (-1, 2 * degree + 1, degree + 1)), (1, 0, 2))
+            rings = synthesised(degree, packed, np.sin(ErpGrid(where.height, 1).latitudes))
+            over_columns = constant(_longitude_values, degree, where.width, like=coefficients)
+            found = xp.permute_dims(rings, (1, 2, 0)) @ over_columns
+            return xp.reshape(found, (*coefficients.shape[:-1], *where.shape))
         over_rows = constant(_latitude_values, degree, whole.height, like=coefficients)
         over_columns = constant(_longitude_values, degree, whole.width, like=coefficients)
         if isinstance(where, ErpWindow):
@@ -101,18 +117,30 @@ def _longitude_plan(degree: int, grid: ErpGrid | PatchGrid) -> np.ndarray:
     return plan
 
 
+def _is_large(degree: int, height: int) -> bool:
+    """Whether the latitude table of a grid with so many rows is made bit by bit instead of kept."""
+    return 8 * (2 * degree + 1) * (degree + 1) * height > TABLE_BYTES
+
+
 def _latitude_plan(degree: int, grid: ErpGrid | PatchGrid) -> np.ndarray:
     """Integrals over each row of the latitude functions ``(2 degree + 1, degree + 1, H)``."""
+    sines, integrals = _rows(degree, grid)
+    return integrals(latitude_table(degree, sines))
+
+
+def _rows(degree: int, grid: ErpGrid | PatchGrid) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+    """Sines ``(n,)`` of latitudes, and what makes integrals over the rows ``(..., H)`` of functions there."""
     if isinstance(grid, ErpGrid):
-        return latitude_table(degree, np.sin(grid.latitudes)) * fejer_weights(grid.height)
+        return np.sin(grid.latitudes), lambda table: table * fejer_weights(grid.height)
     # The integrand is a trigonometric polynomial of degree + 1 in latitude: Gauss points converge to rounding.
     half_row = math.pi / grid.height / 2
     count = 8 + math.ceil((degree + 1) * half_row)
     nodes, weights = np.polynomial.legendre.leggauss(count)
     latitudes = grid.latitudes[:, None] + half_row * nodes
-    table = latitude_table(degree, np.sin(latitudes).ravel())
     area = half_row * weights * np.cos(latitudes)
-    return (table.reshape(*table.shape[:2], grid.height, count) * area).sum(axis=-1)
+    return np.sin(latitudes).ravel(), lambda table: np.einsum(
+        "...hc,hc->...h", table.reshape(*table.shape[:-1], *area.shape), area
+    )
 
 
 def _latitude_values(degree: int, height: int) -> np.ndarray:

@@ -111,8 +111,9 @@ def short_name(spec: str) -> str:
     """
     name, _, text = str(spec).partition(":")
     if name == "endpoint":
-        place = text.partition("?")[0]
-        model = place.rpartition("@")[0] or ("" if "://" in place else place)
+        from eagor.perception.endpoint.addresses import place_of
+
+        model, _ = place_of(text.partition("?")[0])
         name = f"endpoint-{model.rstrip('/').rpartition('/')[2]}" if model else name
     elif name not in known():
         name = Path(os.path.expanduser(str(spec).partition("?")[0])).resolve().name

@@ -13,10 +13,9 @@ import numpy as np
 from eagor._json import number, parsed, shown
 from eagor.conventions import from_gltf
 from eagor.errors import WorldError
+from eagor.worlds.glb_bounds import check_pictures, check_tree
 from eagor.worlds.gltf import FORMAT, from_pbr, name_from_nodes
 from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
-
-_MOST_ZEROS = 10_000_000  # entries of an accessor without data, which glTF has for zeros
 
 
 def import_glb(path: Path | str) -> Scene:
@@ -86,9 +85,11 @@ def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
     try:
         text = path.suffix.lower() == ".gltf"
         tree = parsed(blob if text else blob[20 : 20 + int.from_bytes(blob[12:16], "little")])
-        _check_tree(tree)
+        size = _size(path, tree, blob)
+        check_tree(tree, size)
         model = trimesh.load_scene(path) if text else trimesh.load_scene(io.BytesIO(blob), file_type="glb")
-        entries = tree.get("materials", [])
+        check_pictures((_texture(mesh) for mesh in model.geometry.values()), size)
+        entries, pixels = tree.get("materials", []), {}
         parts, materials, known = [], [], {}
         for node in model.graph.nodes_geometry:
             transform, geometry = model.graph[node]
@@ -98,7 +99,7 @@ def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
             pbr = getattr(mesh.visual, "material", None)
             if id(pbr) not in known:
                 known[id(pbr)] = len(materials)
-                materials.append(from_pbr(pbr, entries))
+                materials.append(from_pbr(pbr, entries, pixels))
             names = (*_lineage(model, node), str(geometry))
             parts.append(_part(mesh, np.asarray(transform), names, known[id(pbr)]))
     except Exception as error:  # trimesh raises whatever its parsing runs into
@@ -113,30 +114,21 @@ def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
     return parts, materials
 
 
-def _check_tree(tree: Any) -> None:
-    """Raise `WorldError` for what would be walked through for ever, or made room for without being there."""
-    for index, entry in enumerate(tree.get("accessors", [])):
-        if "bufferView" not in entry and entry.get("count", 0) > _MOST_ZEROS:
-            raise WorldError(f"accessor {index} claims {entry['count']} entries and has no data; export it again")
-    nodes = tree.get("nodes", [])
-    parents = [0] * len(nodes)
-    for child in (child for node in nodes for child in node.get("children", [])):
-        parents[child] += 1
-    ready, reached = [index for index, count in enumerate(parents) if count == 0], 0
-    while ready:
-        reached += 1
-        for child in nodes[ready.pop()].get("children", []):
-            parents[child] -= 1
-            if parents[child] == 0:
-                ready.append(child)
-    if reached < len(nodes):
-        raise WorldError(f"{len(nodes) - reached} of its {len(nodes)} nodes are below themselves; export it again")
+def _size(path: Path, tree: Any, blob: bytes) -> int:
+    """Bytes of the file, and of those that a .gltf has beside it."""
+    beside = [str(part.get("uri", "")) for kind in ("buffers", "images") for part in tree.get(kind, [])]
+    files = {path.parent / name for name in beside if name and len(name) < 256 and not name.startswith("data:")}
+    return len(blob) + sum(file.stat().st_size for file in files if file.is_file())
+
+
+def _texture(mesh: Any) -> Any:
+    return getattr(getattr(getattr(mesh, "visual", None), "material", None), "baseColorTexture", None)
 
 
 def _lineage(model: Any, node: str) -> list[str]:
     """The name of a node and those of its parents, without the root's."""
     parents, names = model.graph.transforms.parents, []
-    while node in parents:
+    while parents.get(node, node) != node:  # some versions have the root below itself
         names.append(str(node))
         node = parents[node]
     return names

@@ -83,8 +83,11 @@ def write_exactly(tree: dict[str, Any], materials: tuple[Material, ...]) -> None
                 tree["extensionsUsed"] = sorted({*tree.get("extensionsUsed", []), "KHR_materials_emissive_strength"})
 
 
-def from_pbr(pbr: Any, entries: list[dict[str, Any]]) -> Material:
-    """Our material for one of trimesh's, or None; `entries`: the materials in the JSON part of the file."""
+def from_pbr(pbr: Any, entries: list[dict[str, Any]], pixels: dict[int, np.ndarray]) -> Material:
+    """Our material for one of trimesh's, or None; `entries`: the materials in the JSON part of the file.
+
+    `pixels`: the pictures that were decoded so far, by identity; what comes again is not decoded again.
+    """
     if pbr is None:
         return Material("default")
     name = str(getattr(pbr, "name", None) or "material")
@@ -94,7 +97,9 @@ def from_pbr(pbr: Any, entries: list[dict[str, Any]]) -> Material:
     linear = np.ones(3) if rounded is None else np.asarray(rounded, dtype=np.float64)[:3] / 255
     linear = np.asarray(entry.get("pbrMetallicRoughness", {}).get("baseColorFactor", linear), dtype=np.float64)[:3]
     image = getattr(pbr, "baseColorTexture", None)
-    texture = None if image is None else np.asarray(image.convert("RGB"))
+    if image is not None and id(image) not in pixels:
+        pixels[id(image)] = np.asarray(image.convert("RGB"))
+    texture = None if image is None else pixels[id(image)]
     light = getattr(pbr, "emissiveFactor", None)
     light = np.zeros(3) if light is None else np.asarray(light, dtype=np.float64)
     extension = entry.get("extensions", {}).get("KHR_materials_emissive_strength", {})

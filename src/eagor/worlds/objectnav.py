@@ -21,8 +21,9 @@ from typing import Any
 
 import numpy as np
 
+from eagor._files import unpacked
 from eagor._json import parsed, shown
-from eagor.errors import EagorError, WorldError
+from eagor.errors import EagorError, FormatError, WorldError
 from eagor.worlds.ground import Ground
 from eagor.worlds.objectnav_json import (
     Episode,
@@ -188,11 +189,13 @@ def read_episodes(
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        content = parsed(gzip.decompress(path.read_bytes()), strict=True)
+        content = parsed(unpacked(path), strict=True)
     except OSError as error:  # also what gzip raises where there is no gzip
         raise WorldError(f"{path} cannot be read: {error}; wanted gzipped JSON") from error
     except (EOFError, zlib.error) as error:
         raise WorldError(f"{path} is cut off or corrupt ({error}); copy or write it again") from error
+    except FormatError as error:
+        raise WorldError(f"{path} cannot be read: {error}; wanted ObjectNav episodes") from error
     except ValueError as error:
         raise WorldError(f"{path} holds no valid JSON ({error}); wanted ObjectNav episodes") from error
     if not isinstance(content, dict):

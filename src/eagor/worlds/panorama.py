@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from typing import IO
 
 import numpy as np
 from PIL import Image
@@ -16,8 +17,9 @@ from eagor.errors import ImageError
 from eagor.grids import ErpGrid, Grid
 from eagor.sphere import check_rotation
 
-_SMALL = 1 << 23  # pixels: 4096 x 2048
-_DENSEST = 5000  # pixels per byte
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM")  # no other program is started for any of these
+_SMALL = 1 << 26  # bytes: 4096 x 4096 in colours
+_DENSEST = 600  # bytes when decoded, per byte of the file; a picture of nothing has up to a thousand
 
 
 def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
@@ -35,10 +37,7 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
     if os.path.getsize(name) == 0:
         raise ImageError(f"{name!r} is empty (0 bytes); an interrupted copy or download? Fetch the image again")
     try:
-        with Image.open(name) as file:
-            check_claim(file, os.path.getsize(name))
-            file.load()
-            image = as_rgb(file)
+        image = read_image(name, os.path.getsize(name))
     except ImageError as error:
         raise ImageError(f"{name!r} {error}") from error
     except Exception as error:  # Pillow's decoders raise whatever the damage leads them to
@@ -57,21 +56,34 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
     return image
 
 
-def check_claim(image: Image.Image, size: int) -> None:
-    """Raise `ImageError` if a file of `size` bytes claims more pixels than it can hold, before they are made room for.
+def read_image(file: str | IO[bytes], size: int) -> np.ndarray:
+    """The picture ``(H, W, 3)`` uint8 in a file of `size` bytes. Raises `ImageError`, and what Pillow's decoders do.
 
-    No coder packs a picture that shows anything so densely; small pictures may be as empty as they like.
+    Also where it claims more than such a file can hold, before room is made for that: no coder packs a picture that
+    shows anything so densely. Small pictures may be as empty as they like.
     """
-    width, height = image.size
-    if width * height > _SMALL and width * height > _DENSEST * size:
-        raise ImageError(f"claims {width} x {height} pixels in {size} bytes; it is corrupt, or a picture of nothing")
+    with Image.open(file, formats=FORMATS) as image:
+        width, height = image.size
+        if decoded_bytes(image) > max(_SMALL, _DENSEST * size):
+            raise ImageError(
+                f"claims {width} x {height} pixels in {size} bytes; it is corrupt, or a picture of nothing"
+            )
+        image.load()
+        return as_rgb(image)
+
+
+def decoded_bytes(image: Image.Image) -> int:
+    """The room that a picture takes while it is read."""
+    return image.width * image.height * (8 if image.mode[0] in "IF" else 4)
 
 
 def as_rgb(image: Image.Image) -> np.ndarray:
     """``(H, W, 3)`` uint8 of any picture with 8 or 16 bits per channel."""
     if image.mode.startswith("I"):  # 16-bit grey, which Pillow would clip instead of scale
-        grey = np.clip(np.asarray(image).astype(np.int64), 0, 65535)
-        return np.repeat((grey / 257).round().astype(np.uint8)[..., None], 3, axis=-1)
+        grey = np.clip(np.asarray(image), 0, 65535).astype(np.uint32)
+        grey += 128  # to the nearest
+        grey //= 257
+        return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=-1)
     if image.mode == "F":
         raise ImageError("holds floating-point grey values of unknown range; tone-map it to 8 bits first")
     if image.mode == "P":  # palettes may carry transparency, which only RGBA can take in

@@ -12,16 +12,9 @@ import numpy as np
 
 from eagor._checks import require, whole, within
 from eagor.errors import AnswerError, EagorError
+from eagor.perception.endpoint.addresses import DEFAULT_SERVER, place_of
 from eagor.perception.endpoint.messages import count_in, data_uri, first_choice
-from eagor.perception.endpoint.naming import place_of
-from eagor.perception.endpoint.servers import (
-    DEFAULT_SERVER,
-    Servers,
-    check_asking,
-    connected,
-    need_client,
-    unconnected,
-)
+from eagor.perception.endpoint.servers import Servers, check_asking, connected, need_client, told, unconnected
 from eagor.perception.vlm.talk import IMAGE, MAX_TOKENS, Message, Said
 
 QUALITY = 85  # of JPEG, as H*Bench's runner sends its views
@@ -44,6 +37,7 @@ class ServedChat:
         retries: more tries of a request that failed for a reason that may pass.
         backoff: seconds before the first of them; doubled for each further one.
         key: the name of the environment variable that holds the servers' key, if they want one.
+        ca: a file of certificates to trust instead of the usual ones (without it, ``SSL_CERT_FILE`` counts).
 
     Raises `EagorError` for values that make no sense.
     """
@@ -57,6 +51,7 @@ class ServedChat:
     retries: int = 3
     backoff: float = 0.5
     key: str = ""
+    ca: str = ""
 
     def __post_init__(self) -> None:
         wanted = {
@@ -86,6 +81,9 @@ class ServedChat:
     @property
     def _servers(self) -> Servers:
         return connected(self, _AT_ONCE)
+
+    def __repr__(self) -> str:
+        return told(self)
 
     def __getstate__(self) -> dict[str, Any]:
         return unconnected(self)

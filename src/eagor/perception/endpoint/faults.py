@@ -7,7 +7,9 @@ from collections.abc import Set
 from dataclasses import dataclass
 from typing import Any
 
+from eagor._secrets import redacted
 from eagor.errors import EagorError, QueryError, ServerError
+from eagor.perception.endpoint.transport import Unfit
 
 RETRIED = {408, 409, 425, 429, 500, 502, 503, 504, 529}
 # What servers (vLLM, SGLang, Ollama, llama.cpp, transformers serve, hosted ones) write when they refuse a request.
@@ -53,8 +55,8 @@ def worth_retrying(error: Any) -> bool:
     """Whether the same request may succeed later, or on another server."""
     import openai
 
-    if isinstance(error, openai.APIConnectionError):  # timeouts are among them
-        return True
+    if isinstance(error, openai.APIConnectionError | TimeoutError):
+        return _unfit(error) is None
     said = message(error).lower()
     hopeless = _CONTEXT.search(said) or _NO_IMAGES.search(said)
     return getattr(error, "status_code", None) in RETRIED and not hopeless
@@ -73,17 +75,24 @@ def explained(error: Any, asked: Asked, served: list[str] | None) -> EagorError:
     """The error to raise for what the client raised; `served` are the names of the server's models, where known."""
     import openai
 
-    if isinstance(error, openai.APITimeoutError):
+    if isinstance(error, openai.APITimeoutError | TimeoutError):
         return ServerError(
             f"{asked.server} gave no answer within {asked.timeout:g} s ({_tries(asked)}). Allow more time "
             "(timeout=...), send fewer pixels, or fewer requests at once (concurrency=...), or see whether it is stuck"
         )
+    if unfit := _unfit(error):
+        return ServerError(f"{asked.server} {unfit}; is it an OpenAI-compatible server?")
     if isinstance(error, openai.APIConnectionError):
         return ServerError(
             f"no server answers at {asked.server} ({_cause(error)}; {_tries(asked)}). Start one, for example "
             f"`vllm serve {asked.model or 'MODEL'}`, or check the host, the port and the path (most end in /v1)"
         )
     status, said = getattr(error, "status_code", None), message(error)
+    if status is not None and 300 <= status < 400:
+        return ServerError(
+            f"{asked.server} sends us on to {_elsewhere(error)} (HTTP {status}); neither key nor picture was sent "
+            "there. If that is where the model is, give that address"
+        )
     height, width = asked.image
     if _CONTEXT.search(said.lower()):
         return ServerError(
@@ -128,6 +137,17 @@ def message(error: Any) -> str:
     text = str(body if isinstance(body, str | list | dict) and body else error)
     line = " ".join(text.split())
     return line if len(line) <= 300 else line[:297] + "..."
+
+
+def _unfit(error: BaseException) -> Unfit | None:
+    """Why an answer was given up, where that is what the client raised, or wrapped into an error of its own."""
+    return next((one for one in (error, error.__cause__) if isinstance(one, Unfit)), None)
+
+
+def _elsewhere(error: Any) -> str:
+    """Where a redirect leads, without secrets."""
+    place = str(error.response.headers.get("location", "an address that it does not name"))
+    return redacted(place.partition("?")[0])[:200]
 
 
 def _cause(error: BaseException) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 from urllib.parse import parse_qsl
 
 from eagor.errors import EagorError
+from eagor.perception.endpoint.addresses import place_of
 from eagor.perception.endpoint.perception import EndpointPerception
 from eagor.perception.endpoint.servers import need_client
 
@@ -36,14 +37,6 @@ def from_text(text: str = "", /, **options: Any) -> EndpointPerception:
     if unknown:
         raise EagorError(f"an endpoint has no option {', '.join(unknown)}; it has {', '.join(known)}")
     return EndpointPerception(**given)
-
-
-def place_of(text: str) -> tuple[str, tuple[str, ...]]:
-    """Model and addresses in ``MODEL@ADDRESS[,ADDRESS...]``; empty where they are missing."""
-    model, at, addresses = text.rpartition("@")
-    if not at:
-        model, addresses = ("", text) if "://" in text else (text, "")
-    return model, tuple(address for address in addresses.split(",") if address)
 
 
 def _read_option(name: str, value: str, known: dict[str, Any]) -> Any:

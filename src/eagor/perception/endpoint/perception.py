@@ -18,9 +18,10 @@ from eagor.detector import DetectorModel
 from eagor.errors import AnswerError, EagorError
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
+from eagor.perception.endpoint.addresses import DEFAULT_SERVER, shown_address
 from eagor.perception.endpoint.extractors import GRID, Boxed, Manner, Plan, boxes_plan, view_plan, views_plan
 from eagor.perception.endpoint.messages import Answer
-from eagor.perception.endpoint.servers import DEFAULT_SERVER, Servers, check_asking, connected, unconnected
+from eagor.perception.endpoint.servers import Servers, check_asking, connected, told, unconnected
 from eagor.perception.vlm.boxes import Frame, Order
 from eagor.perception.vlm.found import Thing, detected, united
 from eagor.perception.vlm.prompts import phrase
@@ -70,6 +71,7 @@ class EndpointPerception:
         retries: more tries of a request that failed for a reason that may pass.
         backoff: seconds before the first of them; doubled for each further one.
         key: the name of the environment variable that holds the server's key, if it wants one.
+        ca: a file of certificates to trust instead of the usual ones (without it, ``SSL_CERT_FILE`` counts).
         calibration: how responses become evidence; None for the default of `Evidence`. With one, boxes are read as a
             response map, too.
         detector: how the boxes err; None for `DetectorModel()`.
@@ -96,6 +98,7 @@ class EndpointPerception:
     retries: int = 3
     backoff: float = 0.5
     key: str = ""
+    ca: str = ""
     calibration: Calibration | None = None
     detector: DetectorModel | None = None
 
@@ -252,6 +255,9 @@ class EndpointPerception:
     def _servers(self) -> Servers:
         return connected(self, self.concurrency)
 
+    def __repr__(self) -> str:
+        return told(self)
+
     def __getstate__(self) -> dict[str, Any]:
         return unconnected(self)
 
@@ -278,7 +284,7 @@ class EndpointPerception:
             "model": model,
             "served_as": ", ".join(sorted(served)),
             "revision": ", ".join(sorted(revisions)) or None,
-            "servers": list(self.servers),
+            "servers": [shown_address(url) for url in self.servers],
             "family": style.family,
             "extractor": self._extractor(style),
             "height": plan.size[0],

@@ -6,21 +6,23 @@ import os
 import random
 import threading
 import time
-import weakref
-from collections.abc import Sequence, Set
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from collections import deque
+from collections.abc import Awaitable, Callable, Sequence, Set
+from concurrent.futures import CancelledError, Future
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from importlib.util import find_spec
+from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar
-from urllib.parse import urlsplit
 
 from eagor._checks import above, require, whole, within
-from eagor.errors import EagorError, QueryError, ServerError
+from eagor._secrets import redacted
+from eagor.errors import EagorError, QueryError
+from eagor.perception.endpoint.addresses import DEFAULT_SERVER, checked_address
 from eagor.perception.endpoint.faults import Asked, explained, message, refused_feature, retry_after, worth_retrying
+from eagor.perception.endpoint.transport import Client
 
-DEFAULT_SERVER = "http://localhost:8000/v1"
 LONGEST_REST = 30.0  # seconds that a failing server is left alone at most, unless it asks for more
-_CONNECT = 10.0  # seconds to reach a server
 _LONGEST = 86400.0  # seconds to wait for an answer: sockets count them in few bits
 _CONNECTING = threading.Lock()
 # What the client, and reading what it returns, raise where what came is not what was asked for.
@@ -60,12 +62,12 @@ class Limits:
     timeout: float = 120.0  # seconds for one answer
     retries: int = 3  # more tries of a request that failed for a reason that may pass
     backoff: float = 0.5  # seconds that a server rests after its first failure; doubled with each further one
+    max_tokens: int = 1024  # of an answer
 
 
 @dataclass(eq=False)
 class _Server:
-    url: str
-    client: Any
+    client: Client
     busy: int = 0
     asked: int = 0
     failures: int = 0  # in a row
@@ -82,22 +84,12 @@ class Servers:
     Raises `EagorError` without the openai package.
     """
 
-    def __init__(self, urls: Sequence[str], model: str, key: str, limits: Limits) -> None:
+    def __init__(self, urls: Sequence[str], model: str, key: str, limits: Limits, authorities: str = "") -> None:
         need_client()
-        import openai
-
         self._limits = limits
         self._model = model
         self._free = threading.Condition()
-        timeout = openai.Timeout(limits.timeout, connect=min(_CONNECT, limits.timeout))
-        self._servers = []
-        for url in urls:
-            # A proxy knows no way to this machine itself.
-            inside = urlsplit(url).hostname in ("localhost", "127.0.0.1", "::1")
-            http = openai.DefaultHttpxClient(trust_env=not inside, timeout=timeout)
-            client = openai.OpenAI(base_url=url, api_key=key, timeout=timeout, max_retries=0, http_client=http)
-            self._servers.append(_Server(url, client))
-        weakref.finalize(self, _close, [server.client for server in self._servers])
+        self._servers = [_Server(Client(url, key, limits.timeout, limits.max_tokens, authorities)) for url in urls]
 
     def model(self) -> str:
         """The model's name; where none was given, that of the only model that the first server has.
@@ -110,10 +102,11 @@ class Servers:
             first = self._servers[0]
             try:
                 names = _names(first)
-            except (openai.OpenAIError, *_NONSENSE) as error:
+            except (openai.OpenAIError, TimeoutError, *_NONSENSE) as error:
                 raise explained(error, self._asked(first, (0, 0), 1), None) from error
             if len(names) != 1:
-                raise QueryError(f"{first.url} has {len(names)} models ({', '.join(names)}); name one before the @")
+                has = f"{first.client.shown} has {len(names)} models"
+                raise QueryError(f"{has} ({', '.join(names)}); name one before the @")
             self._model = names[0]
         return self._model
 
@@ -125,36 +118,50 @@ class Servers:
         self.model()
         if not questions:
             return []
-        stop = threading.Event()
-        workers = min(len(questions), self._limits.concurrency * len(self._servers))
-        pool = ThreadPoolExecutor(workers, thread_name_prefix="eagor-endpoint")
+        asked, waiting = _Round(), deque(enumerate(questions))
+        news: SimpleQueue[tuple[int, Read | BaseException]] = SimpleQueue()
+
+        def serve() -> None:
+            with suppress(IndexError):
+                while True:
+                    index, question = waiting.popleft()
+                    try:
+                        news.put((index, self._ask(question, asked)))
+                    except BaseException as error:
+                        news.put((index, error))
+
+        # Threads that nobody waits for, also when the process ends: those of a pool would be.
+        for _ in range(min(len(questions), self._limits.concurrency * len(self._servers))):
+            threading.Thread(target=serve, name="eagor-endpoint", daemon=True).start()
         try:
-            futures = [pool.submit(self._ask, question, stop) for question in questions]
-            done, _ = wait(futures, return_when=FIRST_EXCEPTION)
-            for future in done:
-                future.result()
-            return [future.result() for future in futures]
+            found: dict[int, Read] = {}
+            while len(found) < len(questions):
+                index, answer = news.get()
+                if isinstance(answer, BaseException):
+                    raise answer
+                found[index] = answer
+            return [found[index] for index in range(len(questions))]
         finally:  # all done, or one failed, or interrupted: then nobody waits for what is under way
-            stop.set()
+            waiting.clear()
+            asked.stop()
             with self._free:
                 self._free.notify_all()
-            pool.shutdown(wait=False, cancel_futures=True)
 
-    def _ask(self, question: Asking[Read], stop: threading.Event) -> Read:
+    def _ask(self, question: Asking[Read], asked: _Round) -> Read:
         """One answer, after as many tries as it takes and is allowed."""
         import openai
 
         most, tries = self._limits.retries + len(self._servers), 0
         while True:
-            server = self._next(stop)
+            server = self._next(asked)
             failed: Exception | None = None
             answer: Read | None = None
             tries += 1
             refused = frozenset(server.refused)
             try:
                 body = question.body(self._model, refused)
-                answer = question.read(server.client.chat.completions.create(**body), tries)
-            except openai.OpenAIError as error:
+                answer = question.read(asked.result(server, lambda c, b=body: c.chat.completions.create(**b)), tries)
+            except (openai.OpenAIError, TimeoutError) as error:
                 failed = error
             except _NONSENSE as error:
                 if isinstance(error, EagorError):
@@ -170,15 +177,15 @@ class Servers:
                 server.refused.add(feature)
                 tries -= 1
             elif tries >= most or not worth_retrying(failed):
-                asked = self._asked(server, question.size, tries)
-                raise explained(failed, asked, self._names_after(failed, server)) from failed
+                about = self._asked(server, question.size, tries)
+                raise explained(failed, about, self._names_after(failed, server)) from failed
 
-    def _next(self, stop: threading.Event) -> _Server:
+    def _next(self, asked: _Round) -> _Server:
         """The least busy server that has room and does not rest, once there is one."""
         with self._free:
             while True:
-                if stop.is_set():
-                    raise _Stopped("another request of the same look failed")
+                if asked.stopped:
+                    raise _Stopped
                 now = time.monotonic()
                 room = [server for server in self._servers if server.busy < self._limits.concurrency]
                 ready = [server for server in room if server.rests_until <= now]
@@ -205,7 +212,7 @@ class Servers:
             self._free.notify_all()
 
     def _asked(self, server: _Server, image: tuple[int, int], tries: int) -> Asked:
-        return Asked(self._model, server.url, image, self._limits.timeout, tries)
+        return Asked(self._model, server.client.shown, image, self._limits.timeout, tries)
 
     def _names_after(self, failed: Exception, server: _Server) -> list[str] | None:
         """The models that a server has, where the failure may be about their names."""
@@ -218,7 +225,7 @@ class Servers:
 
         try:
             return _names(server)
-        except (openai.OpenAIError, *_NONSENSE):
+        except (openai.OpenAIError, TimeoutError, *_NONSENSE):
             return None
 
 
@@ -236,6 +243,7 @@ def check_asking(asker: Any) -> None:
     wanted = {
         "model": (isinstance(asker.model, str), "its name on the servers, empty for the only one"),
         "key": (isinstance(asker.key, str), "the name of an environment variable, empty for no key"),
+        "ca": (isinstance(asker.ca, str), "a file of certificates to trust, empty for the usual ones"),
         "timeout": (above(asker.timeout, 0, _LONGEST), f"seconds above 0, at most {_LONGEST:g}"),
         "retries": (whole(asker.retries, 0), "a whole number, 0 or more"),
         "backoff": (within(asker.backoff, 0), "seconds, 0 or more"),
@@ -250,18 +258,25 @@ def connected(asker: Any, concurrency: int) -> Servers:
     """The connections of a frozen dataclass, made at its first request and then shared by all threads.
 
     It has the fields `servers`, `model`, `key` (the name of the environment variable that holds the servers' key),
-    `timeout`, `retries` and `backoff`. Raises `EagorError` if that variable is not set, or as `Servers` does.
+    `timeout`, `retries`, `backoff`, `max_tokens` and `ca`. Raises `EagorError` if that variable is not set, or as
+    `Servers` does.
     """
+    name = f"_connected_{os.getpid()}"  # a forked process cannot use its parent's connections
     with _CONNECTING:
-        if "_connected" not in asker.__dict__:
-            key = os.environ.get(asker.key, "") if asker.key else "none"
-            if not key:
-                raise EagorError(
-                    f"the environment variable {asker.key}, which should hold the servers' key, is not set"
-                )
-            limits = Limits(concurrency, asker.timeout, asker.retries, asker.backoff)
-            asker.__dict__["_connected"] = Servers(asker.servers, asker.model, key, limits)
-        return asker.__dict__["_connected"]
+        if name not in asker.__dict__:
+            key = os.environ.get(asker.key, "") if asker.key else ""
+            if asker.key and not key:
+                named = asker.key if asker.key.isupper() else "that key=... names"  # it may be the key itself
+                raise EagorError(f"the environment variable {named}, which should hold the servers' key, is not set")
+            limits = Limits(concurrency, asker.timeout, asker.retries, asker.backoff, asker.max_tokens)
+            asker.__dict__[name] = Servers(asker.servers, asker.model, key, limits, asker.ca)
+        return asker.__dict__[name]
+
+
+def told(asker: Any) -> str:
+    """`repr` of such a dataclass, without secrets in its addresses."""
+    shown = [f"{field.name}={getattr(asker, field.name)!r}" for field in fields(asker)]
+    return redacted(f"{type(asker).__name__}({', '.join(shown)})")
 
 
 def unconnected(asker: Any) -> dict[str, Any]:
@@ -269,28 +284,43 @@ def unconnected(asker: Any) -> dict[str, Any]:
     return {field.name: getattr(asker, field.name) for field in fields(asker)}
 
 
-def _close(clients: Sequence[Any]) -> None:
-    """Give the connections back."""
-    for client in clients:
-        client.close()
+class _Stopped(Exception):
+    """This request was given up: another one failed, or nobody waits for it any more."""
+
+
+class _Round:
+    """The requests of one `Servers.ask`, which end together."""
+
+    def __init__(self) -> None:
+        self.stopped = False
+        self._lock = threading.Lock()
+        self._under_way: set[Future[Any]] = set()
+
+    def result(self, server: _Server, ask: Callable[[Any], Awaitable[Any]]) -> Any:
+        """What `ask` gets from `server`. Raises what that raises, `TimeoutError`, or `_Stopped`."""
+        with self._lock:
+            if self.stopped:
+                raise _Stopped
+            future = server.client.begin(ask)
+            self._under_way.add(future)
+        try:
+            return future.result()
+        except CancelledError:
+            raise _Stopped from None
+        finally:
+            future.cancel()  # interrupted while it waited
+            self._under_way.discard(future)
+
+    def stop(self) -> None:
+        """Give up what is under way, and begin nothing more."""
+        with self._lock:
+            self.stopped = True
+            for future in list(self._under_way):
+                future.cancel()
 
 
 def _names(server: _Server) -> list[str]:
-    return [str(model.id) for model in server.client.models.list().data]
+    async def listed(client: Any) -> Any:
+        return await client.models.list()
 
-
-class _Stopped(ServerError):
-    """This request was given up because another one failed."""
-
-
-def checked_address(url: str) -> str:
-    """`url` with ``/v1`` where it has no path. Raises `EagorError` if it is none."""
-    text = str(url).strip().rstrip("/")
-    try:
-        parts = urlsplit(text)
-        valid = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
-    except ValueError:
-        parts, valid = None, False
-    if not (parts and valid):
-        raise EagorError(f"{url!r} is no address of a server; wanted one such as {DEFAULT_SERVER}")
-    return text if parts.path else text + "/v1"
+    return [str(model.id) for model in _Round().result(server, listed).data]

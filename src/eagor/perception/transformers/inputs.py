@@ -17,10 +17,12 @@ import torch
 
 from eagor.errors import EagorError, ImageError
 from eagor.perception.transformers.layout import Block, Layout
+from eagor.perception.transformers.steps import Endless, limited_steps
 from eagor.perception.vlm.families import Family
 from eagor.perception.vlm.sizes import exact_size, nearest_size, resized
 
 _MOST_TILES = 12
+_MOST_STEPS = 2_000_000  # lines of a chat template: one of a hundred turns with pictures takes some ten thousand
 _MARK = "QUESTION"
 
 
@@ -229,7 +231,13 @@ def templated(tokenizer: Any, turns: Sequence[Mapping[str, Any]]) -> str:
     if not getattr(tokenizer, "chat_template", None):
         return ""
     try:
-        return tokenizer.apply_chat_template(turns, tokenize=False, add_generation_prompt=True)
+        with limited_steps(_MOST_STEPS):
+            return tokenizer.apply_chat_template(turns, tokenize=False, add_generation_prompt=True)
+    except Endless as error:
+        raise EagorError(
+            f"the chat template of {tokenizer.name_or_path!r} does not end: {error}. Fetch the checkpoint again, or "
+            "take another"
+        ) from None
     except Exception:  # a template is a program: one for words alone, or without system messages, raises what it likes
         return ""
 

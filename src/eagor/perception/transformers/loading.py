@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from typing import TYPE_CHECKING, Any
 
 from eagor._checks import within
@@ -58,7 +60,7 @@ def load_model(
     least = None if threshold is None else _score(threshold)
     where = _device(torch, device)
     kind = _dtype(torch, dtype or ("float32" if where in ("cpu", "mps") else "bfloat16"))
-    options: dict[str, Any] = {"dtype": kind}
+    options: dict[str, Any] = {"dtype": kind, "use_safetensors": True}  # pickled weights are programs
     if where == "auto":
         options["device_map"] = "auto"
     make = _class_for(transformers, family)
@@ -131,9 +133,14 @@ def _class_for(transformers: Any, family: Family) -> Any:
 
 
 def _loaded(name: str, what: str, load: Any, revision: str | None, **options: Any) -> Any:
-    """What `load` makes of `name`. Raises `EagorError` with the reason."""
+    """What `load` makes of `name`, without running code that lies there. Raises `EagorError` with the reason.
+
+    What a library prints meanwhile goes to stderr: stdout is for results.
+    """
+    options |= {"revision": revision} if revision else {}
     try:
-        return load(name, revision=revision, **options) if revision else load(name, **options)
+        with redirect_stdout(sys.stderr):
+            return load(name, trust_remote_code=False, **options)
     except Exception as error:  # what is read raises whatever its damage leads it to
         reason = " ".join(str(error).split())
         raise EagorError(

@@ -37,13 +37,15 @@ _CORNERS = ("xmin ymin xmax ymax", "x_min y_min x_max y_max", "x0 y0 x1 y1", "x1
 _SIDES = ("x y width height", "x y w h", "left top width height")
 _ABSENT = re.compile(
     r"\A\W*(?:no|none|null|nothing)\b(?! problem)|\bthere(?: is|'s| are| was| were) (?:no|none|nothing|not)\b"
-    r"|\bno \w[\w ]* (?:in|visible|present|found|detected|shown|here|can be)\b"
+    r"|\bno \w[\w ]{0,80} (?:in|visible|present|found|detected|shown|here|can be)\b"
     r"|\b(?:not|isn't|aren't) (?:any|visible|present|found|there|detected|shown|seen|in (?:the|this|view))\b"
     r"|\b(?:not|doesn't|don't) (?:contain|show|appear|include|have|see|find|depict|feature)\b"
     r"|\b(?:cannot|can't|can not|couldn't|could not|unable to) (?:be )?(?:see|seen|find|found|locate|located|detect)\b"
 )
 # Some chat templates open the thoughts themselves, so that the answer only closes them.
 _THOUGHTS = re.compile(r"\A(?:(?!<think).)*</think(?:ing)?>|<think(?:ing)?>.*?(?:</think(?:ing)?>|\Z)", re.DOTALL)
+_LONGEST = 200_000  # characters of an answer: thousands of boxes
+_MOST_THOUGHTS = 1_000_000  # characters, with the answer
 _LEAST = 1e-6  # of the image's sides: what is smaller has no area
 _PAST = 1.1  # coordinates beyond so many image sides are in another frame, not just careless
 
@@ -95,7 +97,7 @@ def parse_boxes(
     Boxes without area are left out, and so are second copies and boxes that lie far outside. Raises `AnswerError` if
     nothing can be read, or if all coordinates run far past the frame.
     """
-    answer = without_thoughts(text)
+    answer = spoken(text)
     nodes = values(answer)
     found = [box for node in _joined(nodes) for box in _boxes(node, order, "", node.start)]
     if not found:
@@ -120,6 +122,17 @@ def parse_boxes(
             if corners not in kept or kept[corners].score < box.score:
                 kept[corners] = box
     return list(kept.values())
+
+
+def spoken(text: str) -> str:
+    """`text` without thoughts. Raises `AnswerError` if there is more of it than anybody asked for."""
+    answer = without_thoughts(text) if len(text) <= _MOST_THOUGHTS else text
+    if len(answer.strip()) > _LONGEST:
+        raise AnswerError(
+            f"the model answered {shortened(text)} and so on, {len(text)} characters; wanted a short answer. Allow "
+            "fewer tokens (max_tokens=...)"
+        )
+    return answer
 
 
 def without_thoughts(text: str) -> str:

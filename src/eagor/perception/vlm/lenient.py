@@ -98,26 +98,27 @@ def _collection(text: str, place: int, depth: int) -> Node:
     closing, keyed = _CLOSING[opening], opening == "{"
     entries: list[Node] = []
     pairs: dict[str, Node] = {}
-    repeated: set[str] = set()
-    at = place + 1
+    repeated: dict[str, list[Node]] = {}
+    at, whole = place + 1, False
     while True:
         at = _skip(text, at)
         while at < len(text) and text[at] in ",;":
             at = _skip(text, at + 1)
         if at < len(text) and text[at] == closing:
-            return Node(pairs if keyed else entries, place, at + 1)
+            at, whole = at + 1, True
+            break
         node = _value(text, at, depth + 1)
         if node is None or _torn(node):
-            return Node(pairs if keyed else entries, place, at, whole=False)
+            break
         at = _skip(text, node.end)
         if keyed and at < len(text) and text[at] in ":=":
             key, inner = str(node.value), _value(text, _skip(text, at + 1), depth + 1)
             if inner is None or _torn(inner):
-                return Node(pairs, place, at, whole=False)
-            if key in pairs:  # a key written several times holds all that is written, in one list
-                before = pairs[key].value if key in repeated else [pairs[key]]
-                pairs[key] = Node([*before, inner], pairs[key].start, inner.end)
-                repeated.add(key)
+                break
+            if key in repeated:  # a key written several times holds all that is written, in one list
+                repeated[key].append(inner)
+            elif key in pairs:
+                repeated[key] = [pairs[key], inner]
             else:
                 pairs[key] = inner
             node, at = inner, inner.end
@@ -126,7 +127,10 @@ def _collection(text: str, place: int, depth: int) -> Node:
         else:
             entries.append(node)
         if not node.whole:
-            return Node(pairs if keyed else entries, place, at, whole=False)
+            break
+    for key, nodes in repeated.items():
+        pairs[key] = Node(nodes, nodes[0].start, nodes[-1].end)
+    return Node(pairs if keyed else entries, place, at, whole)
 
 
 def _torn(node: Node) -> bool:

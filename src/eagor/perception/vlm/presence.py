@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 
 from eagor.errors import AnswerError
-from eagor.perception.vlm.boxes import shortened, without_thoughts
+from eagor.perception.vlm.boxes import shortened, spoken
 from eagor.perception.vlm.tokens import Token
 
 _YES, _NO = ("yes", "true", "present", "visible"), ("no", "false", "none", "not", "absent")
@@ -22,7 +22,7 @@ def parse_presence(text: str, first: Sequence[Token] | None = None) -> float:
     where only one side is listed, what is not listed counts for the other. Else it is 1 for yes and 0 for no. Raises
     `AnswerError` if the answer is neither.
     """
-    answer = without_thoughts(text)
+    answer = spoken(text)
     shares, listed = [0.0, 0.0], 0.0
     for piece, log in first or ():
         probability, meant = math.exp(min(float(log), 0.0)), means(piece)

@@ -114,6 +114,8 @@ def info(data: Path) -> dict[str, Any]:
     """What the folder holds: counts, sizes of pictures, and what is unusual about it. Raises `FormatError`."""
     from PIL import Image
 
+    from eagor.worlds.panorama import FORMATS
+
     scenes = read_scenes(data)
     episodes = [episode for scene in scenes for episode in _episodes(scene)]
     items = [item for scene in scenes for item in scene.items]
@@ -122,7 +124,7 @@ def info(data: Path) -> dict[str, Any]:
     for scene in scenes:
         try:
             stored = scene.panorama
-            with Image.open(io.BytesIO(stored.read()) if stored.member else stored.path) as file:
+            with Image.open(io.BytesIO(stored.read()) if stored.member else stored.path, formats=FORMATS) as file:
                 sizes.append(file.size)
         except Exception:
             unreadable.append(scene.name)

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
+from eagor._files import most_unpacked
 from eagor.errors import FormatError, ImageError
 
 ANNOTATION = "annotation.json"
-_LARGEST = 1 << 29  # bytes of a file in an archive
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,16 @@ class Stored:
     member: str = ""
 
     def read(self) -> bytes:
-        """What it holds. Raises whatever `zipfile` is led to by damage, `OSError`, or `FormatError` if it is huge."""
+        """What it holds. Raises whatever `zipfile` is led to by damage, `OSError`, or `FormatError` if it is a bomb."""
         if not self.member:
             return Path(self.path).read_bytes()
         archive = _archive(self.path)
-        size = archive.getinfo(self.member).file_size  # zipfile reads no more than that
-        if size > _LARGEST:
-            raise FormatError(f"it claims {size} bytes; wanted at most {_LARGEST}")
+        entry = archive.getinfo(self.member)
+        most = most_unpacked(entry.compress_size)
+        if entry.file_size > most:  # zipfile reads no more than that
+            raise FormatError(
+                f"it claims {entry.file_size} bytes, packed in {entry.compress_size}; wanted at most {most}"
+            )
         return archive.read(self.member)
 
     def __str__(self) -> str:
@@ -87,16 +90,11 @@ def open_panorama(panorama: Stored) -> np.ndarray:
 
     Read-only: it is kept. Raises `ImageError` if it is not there or no picture.
     """
-    from PIL import Image
-
-    from eagor.worlds.panorama import as_rgb, check_claim
+    from eagor.worlds.panorama import read_image
 
     try:
         data = panorama.read()
-        with Image.open(io.BytesIO(data)) as file:
-            check_claim(file, len(data))
-            file.load()
-            image = as_rgb(file)
+        image = read_image(io.BytesIO(data), len(data))
     except Exception as error:  # decoders raise whatever the damage leads them to
         raise ImageError(
             f"the panorama {panorama} cannot be read ({type(error).__name__}: {error}); fetch it again"
@@ -120,12 +118,14 @@ def _in_archive(archive: Path) -> list[Found]:
     except Exception as error:  # zipfile raises whatever the damage leads it to
         raise FormatError(f"{archive} is no zip archive that can be read ({error}); fetch it again") from error
     found = []
-    for annotation in names:
-        folder, _, last = annotation.rpartition("/")
-        if last != ANNOTATION:
+    folders: dict[str, list[str]] = {}
+    for name in names:
+        folder, _, last = name.rpartition("/")
+        folders.setdefault(folder, []).append(last)
+    for folder, inside in folders.items():
+        if ANNOTATION not in inside:
             continue
-        inside = sorted(other[len(folder) + 1 :] for other in names if other.rpartition("/")[0] == folder)
-        picture = _picture(inside)
+        annotation, picture = f"{folder}/{ANNOTATION}" if folder else ANNOTATION, _picture(inside)
         if picture:
             path = f"{folder}/{picture}" if folder else picture
             name = f"{archive.stem}/{folder}" if folder else archive.stem

@@ -183,10 +183,12 @@ def _size(scene: Scene) -> str:
         return "missing"
     from PIL import Image
 
+    from eagor.worlds.panorama import FORMATS
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            with Image.open(scene.image) as picture:
+            with Image.open(scene.image, formats=FORMATS) as picture:
                 return f"{picture.width} x {picture.height}"
         except Exception:  # decoders raise whatever the damage leads them to
             return "unreadable"

@@ -16,7 +16,9 @@ def doc_to_visual(doc: Mapping[str, Any]) -> list[Any]:
     """The panorama, as a PIL image."""
     from PIL import Image
 
-    with Image.open(doc["image"]) as file:
+    from eagor.worlds.panorama import FORMATS
+
+    with Image.open(doc["image"], formats=FORMATS) as file:
         return [file.convert("RGB")]
 
 

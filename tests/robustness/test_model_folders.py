@@ -1,0 +1,111 @@
+"""A folder with a model is data: no code in it is run, no pickle is opened, and its chat template ends.
+
+What a library prints while a model is loaded does not reach stdout, which is for results.
+"""
+
+import json
+import shutil
+import sys
+from contextlib import suppress
+
+import pytest
+import torch
+import transformers
+from vlm_models import language_model, make
+
+from eagor.errors import EagorError
+from eagor.perception import load
+from eagor.perception.transformers import inputs
+from eagor.perception.transformers.chat import conversation
+from eagor.perception.vlm.talk import Message
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return make("qwen2_5_vl", tmp_path_factory.mktemp("models") / "qwen2_5_vl")
+
+
+@pytest.fixture
+def folder(whole, tmp_path):
+    return shutil.copytree(whole, tmp_path / "model")
+
+
+def test_pickled_weights_are_not_opened(folder, tmp_path):
+    opened = tmp_path / "opened"
+
+    class Bomb:
+        def __reduce__(self):
+            return (open, (str(opened), "w"))
+
+    (folder / "model.safetensors").unlink()
+    torch.save({"weight": Bomb()}, folder / "pytorch_model.bin")
+    with pytest.raises(EagorError, match=r"the weights of .* cannot be loaded \(OSError: .*safetensors"):
+        load(str(folder))
+    assert not opened.exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "kind"),
+    [
+        ("config.json", "AutoConfig"),
+        ("config.json", "AutoModelForImageTextToText"),
+        ("tokenizer_config.json", "AutoTokenizer"),
+        ("preprocessor_config.json", "AutoImageProcessor"),
+    ],
+)
+def test_code_in_the_folder_is_not_run_nor_asked_for(folder, tmp_path, capsys, monkeypatch, file, kind):
+    ran = tmp_path / "ran"
+    (folder / "theirs.py").write_text(f"open({str(ran)!r}, 'w')\n")
+    told = json.loads((folder / file).read_text())
+    named = "theirs.Theirs"
+    told["auto_map"] = {kind: [named, named] if kind == "AutoTokenizer" else named}
+    (folder / file).write_text(json.dumps(told))
+    monkeypatch.setattr("builtins.input", lambda *_: pytest.fail("it asks"))
+    with suppress(EagorError):  # some kinds are of the library itself as well, and are then loaded from there
+        load(str(folder))
+    assert not ran.exists()
+    assert capsys.readouterr().out == ""
+
+
+def test_what_a_library_prints_is_no_result(folder, capsys, monkeypatch):
+    read = transformers.AutoConfig.from_pretrained
+
+    def talkative(*arguments, **options):
+        print("Do you wish to run the custom code? [y/N]")
+        return read(*arguments, **options)
+
+    monkeypatch.setattr(transformers.AutoConfig, "from_pretrained", talkative)
+    load(str(folder))
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "custom code" in err
+
+
+@pytest.mark.parametrize(
+    "template",
+    [
+        "{% for i in range(99999) %}{% for j in range(99999) %}{% endfor %}{% endfor %}" * 9,
+        "{{ lipsum(n=10000000) }}",
+        "{% macro f(n) %}{% for i in range(9) %}{{ f(n - 1) if n else '' }}{% endfor %}{% endmacro %}{{ f(40) }}",
+    ],
+    ids=["loops", "words", "calls"],
+)
+def test_a_chat_template_that_does_not_end_is_refused(whole, monkeypatch, template):
+    language = language_model(whole)
+    monkeypatch.setattr(language.tokenizer, "chat_template", template)
+    before = sys.gettrace()
+    for write in (
+        lambda: inputs.template_of(language.tokenizer, language.family),
+        lambda: conversation(language.tokenizer, language.family, [Message("user", "hello")]),
+    ):
+        with pytest.raises(EagorError, match=r"chat template of .* does not end"):
+            write()
+    assert sys.gettrace() is before
+
+
+def test_a_long_conversation_is_no_endless_one(whole):
+    language = language_model(whole)
+    said = [Message("assistant" if turn % 2 else "user", "and then? " * 50) for turn in range(400)]
+    assert conversation(language.tokenizer, language.family, said).count("and then?") == 20_000
