@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from eagor._files import written
+from eagor._files import claimed, open_regular
 from eagor._json import parsed
 from eagor.errors import EagorError, FormatError, StorageError
 from eagor.evaluation.lines import as_line
@@ -107,33 +107,35 @@ def begin(folder: Path, config: Mapping[str, Any]) -> None:
     """
     wanted = json.loads(as_line(config))
     path = Path(folder) / RUN
-    if path.exists():
-        found = description(folder)
-        differences = list(_differences(found, wanted))
-        if differences:
-            shown = "; ".join(differences[:8]) + ("; ..." if len(differences) > 8 else "")
-            raise EagorError(
-                f"{folder} holds another run: {shown}. Ask for what it holds to go on with it, or choose another folder"
-            )
-        return
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
-            raise StorageError(f"could not make {folder}: {error.strerror}; choose another folder") from error
-        raise EagorError(f"{folder} cannot be made a folder ({error.strerror or error}); choose another") from error
-    written(path, json.dumps(wanted, indent=1, ensure_ascii=False) + "\n")
-    try:
-        _keep_name(path.parent)
-    except OSError as error:
-        raise StorageError(f"could not write {path}: {error.strerror or error}; choose another folder") from error
+    if not path.exists():
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+                raise StorageError(f"could not make {folder}: {error.strerror}; choose another folder") from error
+            raise EagorError(f"{folder} cannot be made a folder ({error.strerror or error}); choose another") from error
+        if claimed(path, json.dumps(wanted, indent=1, ensure_ascii=False) + "\n"):
+            try:
+                _keep_name(path.parent)
+            except OSError as error:
+                raise StorageError(
+                    f"could not write {path}: {error.strerror or error}; choose another folder"
+                ) from error
+            return
+    differences = list(_differences(description(folder), wanted))
+    if differences:
+        shown = "; ".join(differences[:8]) + ("; ..." if len(differences) > 8 else "")
+        raise EagorError(
+            f"{folder} holds another run: {shown}. Ask for what it holds to go on with it, or choose another folder"
+        )
 
 
 def description(folder: Path) -> dict[str, Any]:
     """What ``run.json`` says. Raises `FormatError` where there is none, or it is no JSON object."""
     path = Path(folder) / RUN
     try:
-        found = parsed(path.read_bytes())
+        with open(open_regular(path), "rb") as file:
+            found = parsed(file.read())
     except FileNotFoundError:
         raise FormatError(f"{folder} has no {RUN}; name the folder of a run") from None
     except OSError as error:
@@ -148,8 +150,9 @@ def description(folder: Path) -> dict[str, Any]:
 def read(folder: Path) -> list[dict[str, Any]]:
     """The records of a run, one per key, in the order of their keys.
 
-    Of several records with one key the one with the highest attempt counts, and the last of those. A last line that
-    a kill left half written is left out (whoever wrote it had not been told that it was kept).
+    Of several records with one key one that is ok counts before any that failed (two processes may have tried the same
+    unit), then the one with the highest attempt, and the last of those. A last line that a kill left half written is
+    left out (whoever wrote it had not been told that it was kept).
 
     Raises:
         FormatError: any other line that is no record, or a file that cannot be read; names the file and the line.
@@ -158,7 +161,7 @@ def read(folder: Path) -> list[dict[str, Any]]:
     for path in files(folder):
         for record in records(path):
             before = found.get(record["key"])
-            if before is None or record["attempt"] >= before["attempt"]:
+            if before is None or _rank(record) >= _rank(before):
                 found[record["key"]] = record
     return [found[key] for key in sorted(found)]
 
@@ -172,7 +175,8 @@ def files(folder: Path) -> list[Path]:
 def records(path: Path) -> Iterator[dict[str, Any]]:
     """The records of one file, in the order in which they were written; see `read`."""
     try:
-        data = path.read_bytes()
+        with open(open_regular(path), "rb") as file:
+            data = file.read()
     except OSError as error:
         raise FormatError(f"{path} cannot be read ({error.strerror or error}); restore it, or let it be read") from None
     lines = data.split(b"\n")
@@ -181,6 +185,10 @@ def records(path: Path) -> Iterator[dict[str, Any]]:
         yield _record(line, path, number)
     if _is_json(torn):  # somebody's editor left out the last newline
         yield _record(torn, path, len(lines) + 1)
+
+
+def _rank(record: Mapping[str, Any]) -> tuple[bool, int]:
+    return record["status"] == "ok", record["attempt"]
 
 
 def _write(file: int, data: bytes) -> None:
@@ -193,7 +201,7 @@ def _first_free(folder: Path, number: int) -> tuple[int, Path]:
     """The first worker file from `number` on that nobody holds, open and held."""
     while True:
         path = folder / WORKER.format(number)
-        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+        file = open_regular(path, os.O_RDWR | os.O_CREAT | os.O_APPEND)
         if _held(file):
             return file, path
         os.close(file)
