@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -30,7 +31,7 @@ THREADS = (
     "VECLIB_MAXIMUM_THREADS",
 )
 STARTS = 3  # so many workers in a row that die before they are ready mean that none ever will be
-PATIENCE = 5.0  # seconds that a worker has to leave by itself
+PATIENCE = 3.0  # seconds that workers have to leave by themselves, all together
 
 
 @dataclass
@@ -150,6 +151,8 @@ def _bury(book: Book, worker: _Worker) -> None:
                 book.ended(unit, record)
                 return
     code = worker.process.exitcode
+    if code == -signal.SIGTERM:
+        time.sleep(0.2)  # who ends a worker so ends us too, as a rule: then the unit has had no attempt
     how = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
     seconds = time.perf_counter() - worker.began
     record = failure(unit, worker.attempt, book.task, f"the worker died in this unit ({how})", seconds)
@@ -164,13 +167,14 @@ def _dismiss(crew: list[_Worker]) -> None:
             worker.line.send(None)
         if worker.unit is not None or not worker.ready:
             worker.process.terminate()
+    late = time.monotonic() + PATIENCE
     for worker in crew:
-        _end(worker.process)
+        _end(worker.process, late - time.monotonic())
         worker.line.close()
 
 
-def _end(process: BaseProcess) -> None:
-    process.join(PATIENCE)
+def _end(process: BaseProcess, patience: float = PATIENCE) -> None:
+    process.join(max(0.0, patience))
     if process.is_alive():
         process.kill()
         process.join()
@@ -193,7 +197,6 @@ def _one_thread() -> Iterator[None]:
 
 def _serve(line: Connection, work: str, config: dict[str, Any], folder: Path, task: str | None) -> None:
     """The life of a worker process."""
-    import signal
     import threading
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of the terminal; the parent decides

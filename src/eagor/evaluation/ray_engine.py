@@ -8,8 +8,10 @@ it; the unit is tried again elsewhere. Ray's own authentication is left as the c
 from __future__ import annotations
 
 import importlib
+import signal
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from eagor.errors import EagorError
@@ -38,12 +40,16 @@ def work_on_ray(book: Book, work: str, config: dict[str, Any], count: int, addre
         ) from error
     ours = not ray.is_initialized()
     if ours:
+        heed = signal.getsignal(signal.SIGTERM)
         try:
             ray.init(address=address, log_to_driver=False, configure_logging=False)
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise EagorError(
                 f"no Ray cluster at {address or 'RAY_ADDRESS'} ({error}); start one with `ray start`"
             ) from error
+        finally:
+            with suppress(ValueError):  # not in the main thread
+                signal.signal(signal.SIGTERM, heed)  # Ray takes it, and then ends this process without a word
     try:
         _work(ray, book, work, config, count)
     finally:
