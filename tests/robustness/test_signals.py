@@ -1,4 +1,4 @@
-"""Promised: SIGTERM is heeded as Ctrl-C is. It is said, results are kept, nobody is left behind, and the code says it."""
+"""Promised: SIGTERM is heeded as Ctrl-C is. It is said, results are kept, nobody is left behind."""
 
 import os
 import signal

@@ -9,7 +9,8 @@ Exit codes:
   answered what cannot be read, a result could not be written, a bug).
 - 2: usage: an option, a query or an input file is not what was wanted. Nothing was computed.
 - 3: finished, but some frames or episodes could not be run; what could be is in the output.
-- 130: interrupted (Ctrl-C), 143: terminated (SIGTERM); what was recorded is kept, and nothing is left running. 141: the reader of the output went away (``eagor track ... | head``).
+- 130: interrupted (Ctrl-C). 143: terminated (SIGTERM). What was recorded is kept, and nothing is left running.
+- 141: the reader of the output went away (``eagor track ... | head``).
 
 Results go to stdout (with ``--json`` exactly one object), everything else to stderr. An error is one line there; with
 ``--debug``, or EAGOR_DEBUG set, its traceback as well.
@@ -33,6 +34,7 @@ if not sys.stderr.isatty():  # read by transformers: where nobody watches, no ba
 from eagor._version import __version__
 from eagor.cli import terminal
 from eagor.errors import AnswerError, EagorError, ServerError, StorageError, WorkError
+from eagor.plugins import readable_lists
 
 DESCRIPTION = """In which direction is the thing I asked for, and how sure are we, while the camera turns and moves?
 
@@ -53,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     ended: list[int] = []
     try:
-        with terminal.heeding_sigterm() as ended, terminal.warnings_as_lines():
+        with terminal.heeding_sigterm() as ended, terminal.warnings_as_lines(), readable_lists():
             code = _run(arguments)
         sys.stdout.flush()
         return code

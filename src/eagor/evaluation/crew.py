@@ -22,6 +22,7 @@ from typing import Any
 from eagor.errors import StorageError, WorkError
 from eagor.evaluation.ledger import Ledger, records
 from eagor.evaluation.units import Book, Unit, attempt_unit, failure, load
+from eagor.plugins import readable_lists
 
 THREADS = (
     "OPENBLAS_NUM_THREADS",
@@ -204,7 +205,8 @@ def _serve(line: Connection, work: str, config: dict[str, Any], folder: Path, ta
     ledger = Ledger(folder, first=1)  # 0 is the parent's
     try:
         try:
-            do = load(work, config)
+            with readable_lists():
+                do = load(work, config)
         except Exception as error:
             line.send(("work", f"{work} cannot be set up: {type(error).__name__}: {error}"))
             return
