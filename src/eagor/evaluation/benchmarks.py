@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger
+from eagor.evaluation.shapes import PUBLISHED, checked
 from eagor.evaluation.workers import Engine, Outcome, Unit, carry_out
-from eagor.tasks.benchmark import Benchmark, Case, load, read_options
+from eagor.tasks.benchmark import Benchmark, Case, Record, load, read_options
 
 KIND = "benchmark"  # in run.json: which kind of run this is
 
@@ -97,15 +98,18 @@ def is_benchmark(folder: Path) -> bool:
     return ledger.description(folder).get("kind") == KIND
 
 
-def read_run(folder: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """The settings and the records of a benchmark's run. Raises `EagorError` if it is none, or has no records."""
+def read_run(folder: Path) -> tuple[dict[str, Any], Sequence[Record]]:
+    """The settings and the records of a benchmark's run.
+
+    Raises `EagorError` if it is none, or has no records; `FormatError`, which names it, for a malformed record.
+    """
     settings = ledger.description(folder)
     if settings.get("kind") != KIND:
         raise EagorError(f"{folder} holds a run of {settings.get('task')}, which is no benchmark with published data")
     for key in ("task", "data"):
         if not isinstance(settings.get(key), str):
             raise FormatError(f"{Path(folder) / ledger.RUN} does not name its {key}; restore it")
-    records = ledger.read(folder)
+    records = checked(ledger.read(folder), PUBLISHED)
     if not records:
         raise EagorError(f"{folder} has no records yet; run something into it first")
     return settings, records
