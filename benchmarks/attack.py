@@ -213,7 +213,8 @@ def main(options: argparse.Namespace) -> int:
             warnings.simplefilter("ignore")
             found = 0
             try:
-                for found, line in enumerate(ATTACKS[name](Path(home), options.repeat), start=1):
+                for line in ATTACKS[name](Path(home), options.repeat):
+                    found += 1
                     print(f"  LOST {line}", flush=True)
             except Exception:
                 traceback.print_exc(file=sys.stdout)

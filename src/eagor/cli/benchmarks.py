@@ -67,7 +67,7 @@ def run(options: BenchRun) -> int:
     with terminal.progress(options.task, len(cases)) as advance:
         done = told(advance)
         outcome = benchmarks.start(
-            wanted, out, options.workers, options.retry_failed, done, options.engine, options.address
+            wanted, out, options.workers, options.retry_failed, done, options.engine, options.address, options.force
         )
     if outcome.skipped:
         terminal.log(f"{outcome.skipped} of {len(cases)} cases were already in {out}")

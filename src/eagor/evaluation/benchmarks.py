@@ -82,15 +82,16 @@ def start(
     on_done: Callable[[dict[str, Any]], object] | None = None,
     engine: Engine = "processes",
     address: str | None = None,
+    force: bool = False,
 ) -> Outcome:
     """Do what `folder` has no record of yet, and record it.
 
-    Raises `EagorError` if the folder holds another run (it says what differs), or for anything that `run` names and
-    does not exist; `StorageError` if the disk does not take the results.
+    Raises `EagorError` if the folder holds another run, or without `force` one of other inputs (it says what
+    differs), or for anything that `run` names and does not exist; `StorageError` if the disk does not take the results.
     """
     settings = run.settings()  # makes the perception or the model: one that cannot be made is no failure of a case
     todo, work = units(settings, run.cases(settings)), run.benchmark.work
-    return carry_out(todo, work, settings, folder, workers, on_done, retry_failed, engine, address)
+    return carry_out(todo, work, settings, folder, workers, on_done, retry_failed, engine, address, force)
 
 
 def is_benchmark(folder: Path) -> bool:

@@ -89,6 +89,7 @@ SIMULATED: Shape = {
     },
     "looked?": _LOOKED,
 }  # fmt: skip
+WALKED: Shape = {"methods": {"*": {"metrics": {"success": NUMBER, "spl": NUMBER, "mae": NUMBER}}}}
 PUBLISHED: Shape = {
     "case": TEXT, "cluster": LABEL, "score": SHARE, "level?": TEXT, "tags?": TAGS, "views?": COUNT,
     "by_turn?": Kind(_all(SHARE.fits), "a list of numbers from 0 to 1"), "stated?": _or_null(SHARE),
@@ -150,7 +151,7 @@ def _uneven(record: Record) -> str | None:
         return None
     truth = record.get("truth") or {}
     for name, entry in entries.items():
-        lists = {**truth, **entry["trace"]}
+        lists = {f"truth.{key}": each for key, each in truth.items()} | entry["trace"]
         counts = {key: len(each) for key, each in lists.items() if isinstance(each, list)}
         if len(set(counts.values())) > 1:
             return f"the lists of {name} are of different lengths ({shown(counts, 200)})"

@@ -26,7 +26,7 @@ from eagor.evaluation.samples import (
     method_names,
     sample,
 )
-from eagor.evaluation.shapes import SIMULATED, checked
+from eagor.evaluation.shapes import SIMULATED, WALKED, checked
 from eagor.tasks.task import Column, Task, known, load
 
 _WORDS = {True: "yes", False: "no"}
@@ -57,6 +57,8 @@ def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any
     """
     records = checked(list(records), SIMULATED)
     task = _task(records)
+    if task.walked:
+        checked(records, WALKED)
     columns = task.columns
     good = finished(records)
     cells, samples = _cells(good, columns)
