@@ -127,8 +127,8 @@ def _kept(folder: Path) -> list[dict[str, Any]]:
 
 def _runs(home: Path) -> Iterator[Path]:
     """A small run of every task and benchmark."""
-    import hstar_data
-    import osr_data
+    import hstar_data  # pyright: ignore[reportMissingImports]
+    import osr_data  # pyright: ignore[reportMissingImports]
 
     for task in ("waypoint", "navigation", "tracking"):
         out = home / task
