@@ -68,7 +68,7 @@ WOULD = Kind(
 _LOOKED = {"looks": COUNT, "unread": COUNT, "milliseconds": _or_null(NUMBER), "source": _or_null(OBJECT)}
 SIMULATED: Shape = {
     "episode": {
-        "id": TEXT, "seed?": LABEL, "query": TEXT, "scene?": TEXT, "scene_hash?": TEXT, "world?": TEXT,
+        "id": TEXT, "seed?": COUNT, "query": TEXT, "scene?": TEXT, "scene_hash?": TEXT, "world?": TEXT,
         "targets": [COUNT], "stratum?": {"*": LABEL}, "balls?": _or_null(PLACES), "radius?": NUMBER,
     },
     "truth?": {
