@@ -1,6 +1,7 @@
 """Runs that are killed at random moments (kill -9) come to what they would have come to: the proof, as often as wanted.
 
-    python benchmarks/kills.py [--kills 20] [--workers 2] [--task waypoint] [--data DIR] [--who all parent worker]
+    python benchmarks/kills.py [--kills 20] [--workers 2] [--engine processes] [--task waypoint] [--data DIR]
+                               [--who all parent worker]
 
 A run is made once without a stop. Then the same is run into another folder, killed at a moment drawn evenly from the
 time that the first one took, and started again, until it is complete; and so on until there were so many kills. `all`
@@ -38,7 +39,7 @@ SIMULATED = ("waypoint", "navigation", "tracking")
 def command(options: argparse.Namespace, out: Path) -> list[str]:
     """The run."""
     words = [sys.executable, "-m", "eagor", "bench", "run", options.task, "--perception", options.perception]
-    words += ["--workers", str(options.workers), "--out", str(out), "--json"]
+    words += ["--workers", str(options.workers), "--engine", options.engine, "--out", str(out), "--json"]
     if options.task in SIMULATED:
         words += ["--episodes", str(options.episodes), "--methods", "eagor", "vmf", "--rows", "32"]
     else:
@@ -167,6 +168,7 @@ def parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--engine", choices=["processes", "ray"], default="processes", help="who the workers are")
     parser.add_argument("--task", default="waypoint", help="a simulated task, or a benchmark with --data")
     parser.add_argument("--data", type=Path, help="its published files")
     parser.add_argument("--perception", default="truth:miss=0.5")
@@ -176,6 +178,8 @@ def parsed() -> argparse.Namespace:
     options = parser.parse_args()
     if options.task not in SIMULATED and options.data is None:
         parser.error(f"{options.task} needs --data")
+    if "worker" in options.who and options.engine == "ray":
+        parser.error("Ray's workers look after themselves; --engine ray takes --who all parent")
     if "worker" in options.who and options.workers < 2:
         parser.error("one worker is the run itself; --who worker wants --workers 2 or more")
     return options

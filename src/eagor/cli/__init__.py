@@ -9,7 +9,8 @@ Exit codes:
   answered what cannot be read, a result could not be written, a bug).
 - 2: usage: an option, a query or an input file is not what was wanted. Nothing was computed.
 - 3: finished, but some frames or episodes could not be run; what could be is in the output.
-- 130: interrupted (Ctrl-C). 141: the reader of the output went away (``eagor track ... | head``).
+- 130: interrupted (Ctrl-C). 143: terminated (SIGTERM). What was recorded is kept, and nothing is left running.
+- 141: the reader of the output went away (``eagor track ... | head``).
 
 Results go to stdout (with ``--json`` exactly one object), everything else to stderr. An error is one line there; with
 ``--debug``, or EAGOR_DEBUG set, its traceback as well.
@@ -34,12 +35,14 @@ from eagor._secrets import redacted
 from eagor._version import __version__
 from eagor.cli import terminal
 from eagor.errors import AnswerError, EagorError, ServerError, StorageError, WorkError
+from eagor.plugins import readable_lists
 
 DESCRIPTION = """In which direction is the thing I asked for, and how sure are we, while the camera turns and moves?
 
 Azimuth is positive to the LEFT, elevation positive up, both in degrees; the middle of a panorama is forward.
 
-Exit codes: 0 fine, 1 the run failed, 2 usage or input, 3 finished but some could not be run.
+Exit codes: 0 fine, 1 the run failed, 2 usage or input, 3 finished but some could not be run,
+130 interrupted (Ctrl-C), 143 terminated (SIGTERM).
 `eagor --version` says which version this is."""
 
 _NO_FAULT_OF_THE_INPUT = (terminal.RunError, ServerError, AnswerError, StorageError, WorkError)
@@ -51,14 +54,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     debug = "--debug" in arguments or bool(os.environ.get("EAGOR_DEBUG"))
     with suppress(AttributeError):  # names of files, and queries, may hold bytes that are no text
         sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+    ended: list[int] = []
     try:
-        with terminal.warnings_as_lines():
+        with terminal.heeding_sigterm() as ended, terminal.warnings_as_lines(), readable_lists():
             code = _run(arguments)
         sys.stdout.flush()
         return code
     except KeyboardInterrupt:
-        terminal.log("interrupted")
-        return 130
+        terminal.log("terminated" if ended else "interrupted")
+        return 143 if ended else 130
     except BrokenPipeError:
         # Nobody reads on: that is no fault of the run. What is still in the buffer must not be tried again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

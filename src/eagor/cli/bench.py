@@ -71,7 +71,9 @@ def run(options: BenchRun) -> int:
     terminal.log(f"{options.episodes} episodes, {len(methods)} methods; records go to {out}")
     with terminal.progress(f"{options.task}", len(units)) as advance:
         done = told(advance)
-        outcome = bench.start(wanted, out, options.workers, options.retry_failed, done, options.engine, options.address)
+        outcome = bench.start(
+            wanted, out, options.workers, options.retry_failed, done, options.engine, options.address, options.force
+        )
     summary = tables.summarise(ledger.read(out))
     if outcome.skipped:
         terminal.log(f"{outcome.skipped} of {len(units)} units were already in {out}")

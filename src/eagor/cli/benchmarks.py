@@ -33,7 +33,7 @@ def bench(action: Any) -> int:
 def run(options: BenchRun) -> int:
     """``eagor bench run`` of a benchmark."""
     from eagor.cli.looking import calibrated
-    from eagor.evaluation import benchmarks, ledger, scores
+    from eagor.evaluation import benchmarks, scores
     from eagor.perception import short_name
     from eagor.tasks import benchmark, task
 
@@ -67,11 +67,11 @@ def run(options: BenchRun) -> int:
     with terminal.progress(options.task, len(cases)) as advance:
         done = told(advance)
         outcome = benchmarks.start(
-            wanted, out, options.workers, options.retry_failed, done, options.engine, options.address
+            wanted, out, options.workers, options.retry_failed, done, options.engine, options.address, options.force
         )
     if outcome.skipped:
         terminal.log(f"{outcome.skipped} of {len(cases)} cases were already in {out}")
-    summary = scores.summarise(settings, ledger.read(out))
+    summary = scores.summarise(settings, benchmarks.read_run(out)[1])
     return _said(summary, out, options.json)
 
 

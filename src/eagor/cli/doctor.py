@@ -24,6 +24,7 @@ OPTIONAL = {
     "openai": "models on servers: the extra 'endpoint'",
 }
 READY = "ready"
+PARTS = (perception, worlds, task, benchmark)  # what packages can add to
 
 
 def doctor(options: Doctor) -> int:
@@ -31,13 +32,18 @@ def doctor(options: Doctor) -> int:
     found = {name: machine.version_of(name) for name in PACKAGES}
     optional = {name: machine.version_of(name) if find_spec(name) else None for name in OPTIONAL}
     here = machine.machine()
-    points = {part.GROUP.removeprefix("eagor."): part.known() for part in (perception, worlds, task, benchmark)}
-    known = {kind: {name: _state(each[name]) for name in sorted(each)} for kind, each in points.items()}
+    points = {part.GROUP.removeprefix("eagor."): part.known() for part in PARTS}
+    theirs = [point for part in PARTS for point in plugins.brought(part.GROUP, part.BUILT_IN)]
+    faults = plugins.faults(theirs)
+    known = {
+        kind: {name: _state(each[name], faults, each[name] in theirs) for name in sorted(each)}
+        for kind, each in points.items()
+    }
     if known["perceptions"]["endpoint"] == READY and optional["openai"] is None:
         known["perceptions"]["endpoint"] = "wants openai (the extra 'endpoint')"
     left_out = [
         text for kind, each in points.items() for at in each.values() for text in plugins.left_out(at, kind[:-1])
-    ]
+    ] + plugins.unreadable()
     cpu = {"name": _processor(), "cores": _cores()}
     healthy = all(found.values())
     if options.json:
@@ -63,13 +69,15 @@ def doctor(options: Doctor) -> int:
     return terminal.OK if healthy else terminal.FAILED
 
 
-def _state(point: EntryPoint) -> str:
-    """Whether what `point` names can be imported ("ready"), or why not."""
-    try:
-        point.load()
-    except Exception as error:  # a broken plugin may raise anything
-        return f"cannot be imported ({type(error).__name__}: {error})"
-    return READY
+def _state(point: EntryPoint, faults: dict[EntryPoint, str], theirs: bool) -> str:
+    """Whether what `point` names can be imported ("ready"), or why not; what is `theirs` was tried elsewhere."""
+    why = faults.get(point)
+    if not theirs:
+        try:
+            point.load()
+        except Exception as error:  # a broken installation of what it needs may raise anything
+            why = f"{type(error).__name__}: {error}"
+    return f"cannot be imported ({why})" if why else READY
 
 
 def _cores() -> int:

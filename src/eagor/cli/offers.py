@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from eagor.cli import terminal
@@ -15,31 +16,10 @@ def listed(options: BenchList) -> int:
     from eagor import worlds
     from eagor.tasks import benchmark, task
 
-    found: dict[str, Any] = {}
     places = sorted(worlds.known())
-    for name in task.known():
-        try:
-            simulated = task.load(name)
-        except EagorError as error:
-            found[name] = {"kind": "simulated", "unavailable": str(error)}
-            continue
-        found[name] = {"kind": "simulated", "title": simulated.title, "what": simulated.what, "worlds": places}
-    for name in benchmark.known():
-        try:
-            known = benchmark.load(name)
-        except EagorError as error:
-            found[name] = {"kind": "published data", "unavailable": str(error)}
-            continue
-        found[name] = {
-            "kind": "published data",
-            "title": known.title,
-            "agents": dict(known.agents),
-            "options": {
-                key: {"default": o.default, "what": o.what, "choices": _short(o.choices)}
-                for key, o in known.options.items()
-            },
-            "exports": {"jsonl": "samples as JSON lines with lmms-eval's keys", **known.exports},
-        }
+    broken = _broken(task, benchmark)
+    found = {name: _told("simulated", name, broken, lambda name: _simulated(name, places)) for name in task.known()}
+    found |= {name: _told("published data", name, broken, _published) for name in benchmark.known()}
     if options.json:
         terminal.emit(found)
         return terminal.OK
@@ -72,7 +52,11 @@ def info(options: BenchInfo) -> int:
 
     found: dict[str, dict[str, Any]] = {}
     refused: dict[str, list[str]] = {}
+    broken = {} if options.task else _broken(benchmark)
     for name in [options.task] if options.task else sorted(benchmark.known()):
+        if name in broken:
+            refused.setdefault(broken[name], []).append(name)
+            continue
         try:
             told = benchmark.load(name).info(options.data)
         except EagorError as error:
@@ -89,6 +73,46 @@ def info(options: BenchInfo) -> int:
     for told in found.values():
         facts(told)
     return terminal.OK
+
+
+def _broken(*parts: Any) -> dict[str, str]:
+    """What others bring to `parts` and cannot be imported, by name, and why."""
+    from eagor import plugins
+
+    theirs = [point for part in parts for point in plugins.brought(part.GROUP, part.BUILT_IN)]
+    return {point.name: f"cannot be imported ({why})" for point, why in plugins.faults(theirs).items()}
+
+
+def _told(kind: str, name: str, broken: dict[str, str], tell: Callable[[str], dict[str, Any]]) -> dict[str, Any]:
+    """What `tell` says of a task or benchmark, or why nothing can be said of it."""
+    if name in broken:
+        return {"kind": kind, "unavailable": broken[name]}
+    try:
+        return {"kind": kind, **tell(name)}
+    except Exception as error:  # a broken plugin may raise anything
+        return {"kind": kind, "unavailable": str(error) if isinstance(error, EagorError) else repr(error)}
+
+
+def _simulated(name: str, places: list[str]) -> dict[str, Any]:
+    from eagor.tasks import task
+
+    found = task.load(name)
+    return {"title": found.title, "what": found.what, "worlds": places}
+
+
+def _published(name: str) -> dict[str, Any]:
+    from eagor.tasks import benchmark
+
+    found = benchmark.load(name)
+    return {
+        "title": found.title,
+        "agents": dict(found.agents),
+        "options": {
+            key: {"default": o.default, "what": o.what, "choices": _short(o.choices)}
+            for key, o in found.options.items()
+        },
+        "exports": {"jsonl": "samples as JSON lines with lmms-eval's keys", **found.exports},
+    }
 
 
 def _short(choices: tuple[Any, ...]) -> Any:

@@ -56,7 +56,13 @@ Force = Annotated[
         "calibration that was fitted for another perception."
     ),
 ]
-ForceCalibration = Annotated[bool, _bare(help="Take a calibration that was fitted for another perception.")]
+ForceRun = Annotated[
+    bool,
+    _bare(
+        help="Take a calibration that was fitted for another perception, and go on with a run although the code, the "
+        "data or the model has changed since it began."
+    ),
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,7 +239,7 @@ class BenchRun(Common):
     calibration: Annotated[Path | None, _bare("FILE.json")] = None
     """How our tracker reads and forgets, from `eagor calibrate`."""
     detector: Detector = None
-    force: ForceCalibration = False
+    force: ForceRun = False
     retry_failed: Flag = False
     """Try episodes again that failed before."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -41,6 +42,30 @@ def error(text: str) -> None:
 def emit(result: dict[str, Any]) -> None:
     """The one JSON object on stdout."""
     print(redacted(json.dumps(result, allow_nan=False, ensure_ascii=False)), flush=True)
+
+
+@contextmanager
+def heeding_sigterm() -> Iterator[list[int]]:
+    """SIGTERM inside is KeyboardInterrupt, so that it is tidied up after as after Ctrl-C, and put into what is yielded.
+
+    Only the first one counts: what follows must not stop the tidying up.
+    """
+    told: list[int] = []
+
+    def stop(number: int, _: Any) -> None:
+        if not told:
+            told.append(number)
+            raise KeyboardInterrupt
+
+    try:
+        before = signal.signal(signal.SIGTERM, stop)
+    except ValueError:  # not in the main thread: signals are not ours
+        yield told
+        return
+    try:
+        yield told
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager

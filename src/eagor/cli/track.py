@@ -7,8 +7,6 @@ flushed after every line, so that nothing that was computed is lost.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -18,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eagor._csv import as_csv
 from eagor._files import Lines
 from eagor.cli import terminal
 from eagor.cli.following import RIVALS, Result, follow, make_rivals
@@ -164,10 +163,8 @@ def _table(path: Path, compare: bool) -> Iterator[Callable[[Result], None]]:
                 return
             row = [entry[name] for name in COLUMNS] + [len(entry["modes"]), entry.get("problem", "")]
             row += [angle for method in entry.get("methods", {}).values() for angle in method.values()]
-            text = io.StringIO(newline="")
-            csv.writer(text).writerows([*head, row])
+            file.add(as_csv([*head, row], "\r\n"))
             head.clear()
-            file.add(text.getvalue())
 
         yield write
 

@@ -24,8 +24,11 @@ def figure(width: int, height: int) -> Figure:
 def image(drawn: Figure) -> Image:
     """The figure as an image, RGB."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.text import Text
     from PIL import Image
 
+    for text in drawn.findobj(Text):
+        text.set_parse_math(False)  # type: ignore[attr-defined]  # queries and names may hold dollars: they are no formulas
     canvas = FigureCanvasAgg(drawn)
     canvas.draw()
     return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())

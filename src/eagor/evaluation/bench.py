@@ -122,14 +122,15 @@ def start(
     on_done: Callable[[dict[str, Any]], object] | None = None,
     engine: Engine = "processes",
     address: str | None = None,
+    force: bool = False,
 ) -> Outcome:
     """Play what `folder` has no record of yet, and record it.
 
-    Raises `EagorError` if the folder holds another run (it says what differs), or for anything that `run` names and
-    does not exist; `StorageError` if the disk does not take the results.
+    Raises `EagorError` if the folder holds another run, or without `force` one of other inputs (it says what
+    differs), or for anything that `run` names and does not exist; `StorageError` if the disk does not take the results.
     """
     config = run.config()  # makes the perception: one that cannot be made is no failure of an episode
-    return carry_out(run.units(), WORK, config, folder, workers, on_done, retry_failed, engine, address)
+    return carry_out(run.units(), WORK, config, folder, workers, on_done, retry_failed, engine, address, force)
 
 
 @lru_cache(maxsize=1)

@@ -5,12 +5,11 @@ Every number in them comes from the runs' records or from `eagor.evaluation.publ
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from eagor._csv import as_csv
 from eagor._files import written
 from eagor._version import __version__
 from eagor.errors import EagorError
@@ -83,18 +82,16 @@ def failure_sheets(settings: Mapping[str, Any], summary: Mapping[str, Any]) -> l
 
 def figures_csv(summaries: Sequence[Mapping[str, Any]]) -> str:
     """One row per run and figure, at full precision; empty where there is no case."""
-    text = io.StringIO()
-    names: tuple[Any, ...] = (
+    names = (
         "task", "run", "agent", "perception", "model", "figure", "value", "n",
         "wilson_low", "wilson_high", "cluster_low", "cluster_high",
     )  # fmt: skip
-    writer = csv.DictWriter(text, names, lineterminator="\n")
-    writer.writeheader()
+    rows: list[dict[str, Any]] = []
     for label, summary in zip(benchmark_sheets.labels_of(summaries), summaries, strict=True):
         for figure in load(str(summary["task"])).figures:
             ends = summary["intervals"][figure.key]
             wilson, cluster = ends["wilson"] or (None, None), ends["cluster"] or (None, None)
-            row: dict[Any, Any] = {key: summary.get(key) for key in ("task", "agent", "perception", "model")}
+            row = {key: summary.get(key) for key in ("task", "agent", "perception", "model")}
             row |= {
                 "run": label,
                 "figure": figure.key,
@@ -102,8 +99,8 @@ def figures_csv(summaries: Sequence[Mapping[str, Any]]) -> str:
                 "n": summary["counts"][figure.key],
             }
             row |= {"wilson_low": wilson[0], "wilson_high": wilson[1]}
-            writer.writerow(row | {"cluster_low": cluster[0], "cluster_high": cluster[1]})
-    return text.getvalue()
+            rows.append(row | {"cluster_low": cluster[0], "cluster_high": cluster[1]})
+    return as_csv([names, *([row.get(name) for name in names] for row in rows)])
 
 
 def latex(sheet: Sheet) -> str:

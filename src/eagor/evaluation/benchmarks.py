@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger
+from eagor.evaluation.shapes import PUBLISHED, checked
 from eagor.evaluation.workers import Engine, Outcome, Unit, carry_out
-from eagor.tasks.benchmark import Benchmark, Case, load, read_options
+from eagor.tasks.benchmark import Benchmark, Case, Record, load, read_options
 
 KIND = "benchmark"  # in run.json: which kind of run this is
 
@@ -81,15 +82,16 @@ def start(
     on_done: Callable[[dict[str, Any]], object] | None = None,
     engine: Engine = "processes",
     address: str | None = None,
+    force: bool = False,
 ) -> Outcome:
     """Do what `folder` has no record of yet, and record it.
 
-    Raises `EagorError` if the folder holds another run (it says what differs), or for anything that `run` names and
-    does not exist; `StorageError` if the disk does not take the results.
+    Raises `EagorError` if the folder holds another run, or without `force` one of other inputs (it says what
+    differs), or for anything that `run` names and does not exist; `StorageError` if the disk does not take the results.
     """
     settings = run.settings()  # makes the perception or the model: one that cannot be made is no failure of a case
     todo, work = units(settings, run.cases(settings)), run.benchmark.work
-    return carry_out(todo, work, settings, folder, workers, on_done, retry_failed, engine, address)
+    return carry_out(todo, work, settings, folder, workers, on_done, retry_failed, engine, address, force)
 
 
 def is_benchmark(folder: Path) -> bool:
@@ -97,15 +99,18 @@ def is_benchmark(folder: Path) -> bool:
     return ledger.description(folder).get("kind") == KIND
 
 
-def read_run(folder: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """The settings and the records of a benchmark's run. Raises `EagorError` if it is none, or has no records."""
+def read_run(folder: Path) -> tuple[dict[str, Any], Sequence[Record]]:
+    """The settings and the records of a benchmark's run.
+
+    Raises `EagorError` if it is none, or has no records; `FormatError`, which names it, for a malformed record.
+    """
     settings = ledger.description(folder)
     if settings.get("kind") != KIND:
         raise EagorError(f"{folder} holds a run of {settings.get('task')}, which is no benchmark with published data")
     for key in ("task", "data"):
         if not isinstance(settings.get(key), str):
             raise FormatError(f"{Path(folder) / ledger.RUN} does not name its {key}; restore it")
-    records = ledger.read(folder)
+    records = checked(ledger.read(folder), PUBLISHED)
     if not records:
         raise EagorError(f"{folder} has no records yet; run something into it first")
     return settings, records

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -21,6 +22,7 @@ from typing import Any
 from eagor.errors import StorageError, WorkError
 from eagor.evaluation.ledger import Ledger, records
 from eagor.evaluation.units import Book, Unit, attempt_unit, failure, load
+from eagor.plugins import readable_lists
 
 THREADS = (
     "OPENBLAS_NUM_THREADS",
@@ -30,7 +32,7 @@ THREADS = (
     "VECLIB_MAXIMUM_THREADS",
 )
 STARTS = 3  # so many workers in a row that die before they are ready mean that none ever will be
-PATIENCE = 5.0  # seconds that a worker has to leave by itself
+PATIENCE = 3.0  # seconds that workers have to leave by themselves, all together
 
 
 @dataclass
@@ -150,6 +152,8 @@ def _bury(book: Book, worker: _Worker) -> None:
                 book.ended(unit, record)
                 return
     code = worker.process.exitcode
+    if code == -signal.SIGTERM:
+        time.sleep(0.2)  # who ends a worker so ends us too, as a rule: then the unit has had no attempt
     how = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
     seconds = time.perf_counter() - worker.began
     record = failure(unit, worker.attempt, book.task, f"the worker died in this unit ({how})", seconds)
@@ -164,13 +168,14 @@ def _dismiss(crew: list[_Worker]) -> None:
             worker.line.send(None)
         if worker.unit is not None or not worker.ready:
             worker.process.terminate()
+    late = time.monotonic() + PATIENCE
     for worker in crew:
-        _end(worker.process)
+        _end(worker.process, late - time.monotonic())
         worker.line.close()
 
 
-def _end(process: BaseProcess) -> None:
-    process.join(PATIENCE)
+def _end(process: BaseProcess, patience: float = PATIENCE) -> None:
+    process.join(max(0.0, patience))
     if process.is_alive():
         process.kill()
         process.join()
@@ -193,7 +198,6 @@ def _one_thread() -> Iterator[None]:
 
 def _serve(line: Connection, work: str, config: dict[str, Any], folder: Path, task: str | None) -> None:
     """The life of a worker process."""
-    import signal
     import threading
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of the terminal; the parent decides
@@ -201,7 +205,8 @@ def _serve(line: Connection, work: str, config: dict[str, Any], folder: Path, ta
     ledger = Ledger(folder, first=1)  # 0 is the parent's
     try:
         try:
-            do = load(work, config)
+            with readable_lists():
+                do = load(work, config)
         except Exception as error:
             line.send(("work", f"{work} cannot be set up: {type(error).__name__}: {error}"))
             return

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from typing import Any
 
+from eagor._csv import as_csv
 from eagor.evaluation.published import compared_with
 from eagor.evaluation.sheets import Box, Sheet
 from eagor.tasks.task import load
@@ -18,14 +18,19 @@ FIELDS = (
 
 
 def markdown(title: str, facts: Sequence[tuple[str, str]], sheets: Sequence[Sheet]) -> str:
-    """All tables as one Markdown text."""
-    lines = [f"# {title}", "", *(f"- {name}: {value}" for name, value in facts), ""]
+    """All tables as one Markdown text, in which nothing of a name is taken for markup."""
+    lines = [f"# {_plain(title)}", "", *(f"- {_plain(name)}: {_plain(value)}" for name, value in facts), ""]
     for sheet in sheets:
-        lines += [f"## {sheet.title}", "", _line(sheet.heads), "|---|" + "---:|" * (len(sheet.heads) - 1)]
+        lines += [
+            f"## {_plain(sheet.title)}",
+            "",
+            _line(map(_plain, sheet.heads)),
+            "|---|" + "---:|" * (len(sheet.heads) - 1),
+        ]
         for row in sheet.rows:
-            head = f"*{row.head}*" if row.kind == "paper" else f"**{row.head}**" if row.kind == "ours" else row.head
-            lines.append(_line([head, *map(_cell, row.boxes)]))
-        lines += ["", *(f"{note}\n" for note in sheet.notes)]
+            stars = {"paper": "*", "ours": "**"}.get(row.kind, "")
+            lines.append(_line([f"{stars}{_plain(row.head)}{stars}", *map(_cell, row.boxes)]))
+        lines += ["", *(f"{_plain(note)}\n" for note in sheet.notes)]
     return "\n".join(lines)
 
 
@@ -42,9 +47,7 @@ def words(value: Any) -> str:
 
 def table_csv(summary: dict[str, Any]) -> str:
     """One row per stratum ("" for all episodes), method and column, at full precision; empty where there is no case."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, FIELDS, lineterminator="\n")
-    writer.writeheader()
+    rows: list[dict[str, Any]] = []
     parts, columns = {"": summary}, load(summary["task"]).columns
     for title, labels in summary["strata"].items():
         parts |= {f"{title}: {label}": part for label, part in labels.items()}
@@ -52,7 +55,7 @@ def table_csv(summary: dict[str, Any]) -> str:
         for method, values in part["methods"].items():
             for column in columns:
                 low, high = part["intervals"][method][column.key] or (None, None)
-                row: dict[Any, Any] = {
+                row = {
                     "task": summary["task"],
                     "stratum": stratum,
                     "method": method,
@@ -72,16 +75,22 @@ def table_csv(summary: dict[str, Any]) -> str:
                         "p": found["p"],
                         "p_holm": found["p_holm"],
                     }
-                writer.writerow(row)
-    return text.getvalue()
+                rows.append(row)
+    return as_csv([FIELDS, *([row.get(name) for name in FIELDS] for row in rows)])
 
 
-def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+def _plain(text: str) -> str:
+    """`text` as Markdown shows it: no tag, no link, no code, no cell of a table and no line begins in it."""
+    marked = re.sub(r"([\\`\[\]|])", r"\\\1", " ".join(text.split()))
+    return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", marked)
+
+
+def _line(cells: Iterable[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
 
 
 def _cell(box: Box) -> str:
-    text = f"**{box.text}**" if box.best else box.text
-    interval = f" ({box.small})" if box.small else ""
+    text = f"**{_plain(box.text)}**" if box.best else _plain(box.text)
+    interval = f" ({_plain(box.small)})" if box.small else ""
     # A dagger stands at the figure, a word at the end.
     return f"{text}{box.mark}{interval}" if len(box.mark) == 1 else f"{text}{interval} {box.mark}".rstrip()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from queue import SimpleQueue
 from typing import Any
 
 from eagor.evaluation.ledger import Ledger
@@ -18,22 +18,38 @@ from eagor.evaluation.units import Book, Unit, attempt_unit, load
 def work_in_threads(book: Book, work: str, config: dict[str, Any], count: int) -> None:
     """All units of `book`, at most `count` at once. Raises as `eagor.evaluation.workers.run_units` does.
 
-    On an error that ends the run, and on Ctrl-C, nothing more is begun; what is under way is not waited for.
+    On an error that ends the run, and on Ctrl-C, nothing more is begun; what is under way is not waited for, nor does
+    the process wait for it when it ends (a pool's threads would be).
     """
     do = load(work, config)
     kept = _Shared(book.ledger)
-    pool = ThreadPoolExecutor(count, thread_name_prefix="eagor-unit")
-    running: dict[Future[dict[str, Any]], Unit] = {}
+    orders: SimpleQueue[tuple[Unit, int] | None] = SimpleQueue()
+    news: SimpleQueue[tuple[Unit, dict[str, Any] | BaseException]] = SimpleQueue()
+
+    def serve() -> None:
+        while (order := orders.get()) is not None:
+            unit, attempt = order
+            try:
+                news.put((unit, attempt_unit(do, unit, attempt, book.task, kept)))
+            except BaseException as error:  # handed over: it is raised where it ends the run
+                news.put((unit, error))
+
+    count, running = min(count, book.left), 0
+    for number in range(count):
+        threading.Thread(target=serve, name=f"eagor-unit-{number}", daemon=True).start()
     try:
         while book.left or running:
-            while len(running) < count and (found := book.next(None, set())) is not None:
-                unit, attempt = found
-                running[pool.submit(attempt_unit, do, unit, attempt, book.task, kept)] = unit
-            done, _ = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
-                book.ended(running.pop(future), future.result())
+            while running < count and (found := book.next(None, set())) is not None:
+                orders.put(found)
+                running += 1
+            unit, head = news.get()
+            running -= 1
+            if isinstance(head, BaseException):
+                raise head
+            book.ended(unit, head)
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+        for _ in range(count):
+            orders.put(None)
 
 
 class _Shared(Ledger):

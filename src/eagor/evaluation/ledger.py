@@ -1,8 +1,9 @@
 """The ledger of a run: a folder of text files that survives a kill at any moment.
 
-``run.json`` says what is run; it is written once and never changed. Each process that works on the run appends to a
-``worker-<k>.jsonl`` of its own, one JSON object per line, each line in one unbuffered write that is on the disk
-(fsync) before the next unit begins. A record has at least "key", "attempt" (1, 2, ...) and "status" ("ok", "failed").
+``run.json`` says what is run; it is written once and never changed, but where `begin` is forced to. Each process that
+works on the run appends to a ``worker-<k>.jsonl`` of its own, one JSON object per line, each line in one unbuffered
+write that is on the disk (fsync) before the next unit begins. A record has at least "key", "attempt" (1, 2, ...) and
+"status" ("ok", "failed").
 """
 
 from __future__ import annotations
@@ -10,11 +11,12 @@ from __future__ import annotations
 import errno
 import json
 import os
-from collections.abc import Iterator, Mapping
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from eagor._files import written
+from eagor._files import claimed, open_regular, written
 from eagor._json import parsed
 from eagor.errors import EagorError, FormatError, StorageError
 from eagor.evaluation.lines import as_line
@@ -26,6 +28,7 @@ except ImportError:  # not a POSIX system: there is no lock, so numbers are only
 
 RUN = "run.json"
 WORKER = "worker-{}.jsonl"
+INPUTS, RESUMED = "inputs", "resumed"  # in run.json, beside the settings
 
 
 class Ledger:
@@ -95,45 +98,61 @@ class Ledger:
         self.close()
 
 
-def begin(folder: Path, config: Mapping[str, Any]) -> None:
+def begin(
+    folder: Path, config: Mapping[str, Any], inputs: Mapping[str, Any] | None = None, force: bool = False
+) -> None:
     """Make `folder` the folder of the run that `config` describes, or make sure that it already is.
 
-    `config` is anything that JSON can hold: task, seed, episodes, methods, versions, ...
+    `config` is anything that JSON can hold: task, seed, episodes, methods, versions, ... `inputs` are digests of what
+    the run is made of (`eagor.evaluation.inputs`), kept beside it. Where they have changed since, the run does not go
+    on, unless forced to: then it warns, and ``run.json`` has the new ones and says under "resumed" what has changed.
 
     Raises:
-        EagorError: the folder holds a run with another description (the text lists what differs), or can be none.
+        EagorError: the folder holds a run with another description or of other inputs (the text lists what differs), or
+            can be none.
         FormatError: its ``run.json`` is no JSON object.
         StorageError: it cannot be written.
     """
-    wanted = json.loads(as_line(config))
+    wanted = json.loads(as_line({**config, INPUTS: inputs} if inputs else config))
     path = Path(folder) / RUN
-    if path.exists():
-        found = description(folder)
-        differences = list(_differences(found, wanted))
-        if differences:
-            shown = "; ".join(differences[:8]) + ("; ..." if len(differences) > 8 else "")
+    if not path.exists():
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+                raise StorageError(f"could not make {folder}: {error.strerror}; choose another folder") from error
+            raise EagorError(f"{folder} cannot be made a folder ({error.strerror or error}); choose another") from error
+        if claimed(path, _text(wanted)):
+            try:
+                _keep_name(path.parent)
+            except OSError as error:
+                raise StorageError(
+                    f"could not write {path}: {error.strerror or error}; choose another folder"
+                ) from error
+            return
+    found = description(folder)
+    (resumed, before), (_, now) = ((each.pop(RESUMED, []), each.pop(INPUTS, {})) for each in (found, wanted))
+    if differences := _shown(_differences(found, wanted)):
+        raise EagorError(
+            f"{folder} holds another run: {differences}. Ask for what it holds to go on with it, or choose another "
+            "folder"
+        )
+    if inputs and (changed := _shown(_differences(before, now, INPUTS))):
+        if not force:
             raise EagorError(
-                f"{folder} holds another run: {shown}. Ask for what it holds to go on with it, or choose another folder"
+                f"{folder} holds a run that was made of something else: {changed}. Restore what has changed, choose "
+                "another folder, or go on all the same with --force"
             )
-        return
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
-            raise StorageError(f"could not make {folder}: {error.strerror}; choose another folder") from error
-        raise EagorError(f"{folder} cannot be made a folder ({error.strerror or error}); choose another") from error
-    written(path, json.dumps(wanted, indent=1, ensure_ascii=False) + "\n")
-    try:
-        _keep_name(path.parent)
-    except OSError as error:
-        raise StorageError(f"could not write {path}: {error.strerror or error}; choose another folder") from error
+        warnings.warn(f"{folder} goes on with changed inputs: {changed}", stacklevel=2)
+        written(path, _text({**wanted, INPUTS: now, RESUMED: [*resumed, changed]}))
 
 
 def description(folder: Path) -> dict[str, Any]:
     """What ``run.json`` says. Raises `FormatError` where there is none, or it is no JSON object."""
     path = Path(folder) / RUN
     try:
-        found = parsed(path.read_bytes())
+        with open(open_regular(path), "rb") as file:
+            found = parsed(file.read())
     except FileNotFoundError:
         raise FormatError(f"{folder} has no {RUN}; name the folder of a run") from None
     except OSError as error:
@@ -148,8 +167,9 @@ def description(folder: Path) -> dict[str, Any]:
 def read(folder: Path) -> list[dict[str, Any]]:
     """The records of a run, one per key, in the order of their keys.
 
-    Of several records with one key the one with the highest attempt counts, and the last of those. A last line that
-    a kill left half written is left out (whoever wrote it had not been told that it was kept).
+    Of several records with one key one that is ok counts before any that failed (two processes may have tried the same
+    unit), then the one with the highest attempt, and the last of those. A last line that a kill left half written is
+    left out (whoever wrote it had not been told that it was kept).
 
     Raises:
         FormatError: any other line that is no record, or a file that cannot be read; names the file and the line.
@@ -158,7 +178,7 @@ def read(folder: Path) -> list[dict[str, Any]]:
     for path in files(folder):
         for record in records(path):
             before = found.get(record["key"])
-            if before is None or record["attempt"] >= before["attempt"]:
+            if before is None or _rank(record) >= _rank(before):
                 found[record["key"]] = record
     return [found[key] for key in sorted(found)]
 
@@ -172,7 +192,8 @@ def files(folder: Path) -> list[Path]:
 def records(path: Path) -> Iterator[dict[str, Any]]:
     """The records of one file, in the order in which they were written; see `read`."""
     try:
-        data = path.read_bytes()
+        with open(open_regular(path), "rb") as file:
+            data = file.read()
     except OSError as error:
         raise FormatError(f"{path} cannot be read ({error.strerror or error}); restore it, or let it be read") from None
     lines = data.split(b"\n")
@@ -181,6 +202,19 @@ def records(path: Path) -> Iterator[dict[str, Any]]:
         yield _record(line, path, number)
     if _is_json(torn):  # somebody's editor left out the last newline
         yield _record(torn, path, len(lines) + 1)
+
+
+def _text(found: Mapping[str, Any]) -> str:
+    return json.dumps(found, indent=1, ensure_ascii=False) + "\n"
+
+
+def _shown(differences: Iterable[str]) -> str:
+    listed = list(differences)
+    return "; ".join(listed[:8]) + ("; ..." if len(listed) > 8 else "")
+
+
+def _rank(record: Mapping[str, Any]) -> tuple[bool, int]:
+    return record["status"] == "ok", record["attempt"]
 
 
 def _write(file: int, data: bytes) -> None:
@@ -193,7 +227,7 @@ def _first_free(folder: Path, number: int) -> tuple[int, Path]:
     """The first worker file from `number` on that nobody holds, open and held."""
     while True:
         path = folder / WORKER.format(number)
-        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+        file = open_regular(path, os.O_RDWR | os.O_CREAT | os.O_APPEND)
         if _held(file):
             return file, path
         os.close(file)

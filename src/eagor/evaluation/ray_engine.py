@@ -7,14 +7,19 @@ it; the unit is tried again elsewhere. Ray's own authentication is left as the c
 
 from __future__ import annotations
 
+import atexit
 import importlib
+import signal
+import threading
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from eagor.errors import EagorError
 from eagor.evaluation.units import Book, Unit, WorkError, attempt_unit, failure, head_of, load
 
+PATIENCE = 2.0  # seconds that Ray has to end by itself
 STARTS = 3  # so many actors in a row that die before they are ready mean that none ever will be
 
 
@@ -38,17 +43,33 @@ def work_on_ray(book: Book, work: str, config: dict[str, Any], count: int, addre
         ) from error
     ours = not ray.is_initialized()
     if ours:
+        heed = signal.getsignal(signal.SIGTERM)
         try:
             ray.init(address=address, log_to_driver=False, configure_logging=False)
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise EagorError(
                 f"no Ray cluster at {address or 'RAY_ADDRESS'} ({error}); start one with `ray start`"
             ) from error
+        finally:
+            with suppress(ValueError):  # not in the main thread
+                signal.signal(signal.SIGTERM, heed)  # Ray takes it, and then ends this process without a word
     try:
         _work(ray, book, work, config, count)
     finally:
         if ours:
-            ray.shutdown()
+            _shut_down(ray)
+
+
+def _shut_down(ray: Any) -> None:
+    """End Ray here. Where a signal has ended its servers first, it would wait for them far longer than `PATIENCE`."""
+    node = getattr(ray._private.worker, "_global_node", None)
+    ending = threading.Thread(target=ray.shutdown, daemon=True)
+    ending.start()
+    ending.join(PATIENCE)
+    if ending.is_alive():
+        atexit.unregister(ray.shutdown)  # it would begin to wait once more
+        if node is not None:
+            node.kill_all_processes(check_alive=False, allow_graceful=False)
 
 
 def _work(ray: Any, book: Book, work: str, config: dict[str, Any], count: int) -> None:

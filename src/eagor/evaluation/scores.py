@@ -204,7 +204,7 @@ def _reliability(records: Sequence[Record]) -> dict[str, Any]:
     sure = [record["score"] == 1 for record in records if record.get("sure")]
     # What it would have submitted at every turn says more about the statements than the last ones alone.
     steps = [
-        (step["would"]["p"], bool(step["would"][str(record.get("scoring", "official"))]))
+        (step["would"]["p"], bool(step["would"].get(str(record.get("scoring", "official")))))
         for record in records
         for step in record.get("steps", ())
         if (step.get("would") or {}).get("p") is not None

@@ -26,6 +26,7 @@ from eagor.evaluation.samples import (
     method_names,
     sample,
 )
+from eagor.evaluation.shapes import SIMULATED, WALKED, checked
 from eagor.tasks.task import Column, Task, known, load
 
 _WORDS = {True: "yes", False: "no"}
@@ -52,9 +53,12 @@ def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any
 
     Raises:
         EagorError: the records are of several tasks, or of one that has no table.
+        FormatError: a record is not what a task writes.
     """
-    records = list(records)
+    records = checked(list(records), SIMULATED)
     task = _task(records)
+    if task.walked:
+        checked(records, WALKED)
     columns = task.columns
     good = finished(records)
     cells, samples = _cells(good, columns)

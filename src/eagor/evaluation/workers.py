@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 from eagor.errors import EagorError
 from eagor.evaluation import ledger
+from eagor.evaluation.inputs import inputs_of
 from eagor.evaluation.units import Book, Told, Unit, WorkError, attempt_unit, load
 from eagor.tasks.eyes import release
 
@@ -100,14 +101,15 @@ def carry_out(
     retry_failed: bool = False,
     engine: Engine = "processes",
     address: str | None = None,
+    force: bool = False,
 ) -> Outcome:
     """A whole run: `run_units` into the folder of the run that `config` describes.
 
     What was made for making sure that it can be made (a perception, a model that talks) is let go of before workers
     make their own, beside which it would only take room, and after the run. Raises as `run_units`, and `EagorError` if
-    the folder holds another run.
+    the folder holds another run, or without `force` one of other inputs (`eagor.evaluation.ledger.begin`).
     """
-    ledger.begin(folder, config)
+    ledger.begin(folder, config, inputs_of(config), force)
     here = engine == "threads" or (engine == "processes" and workers == 1)
     if not here:
         release()

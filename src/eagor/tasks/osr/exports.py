@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from eagor._csv import as_csv
 from eagor._files import written
 from eagor.errors import EagorError
 from eagor.tasks.benchmark import Record
@@ -36,14 +35,12 @@ def csv_files(records: Sequence[Record], settings: Mapping[str, Any], folder: Pa
     files = []
     for scene, answers in sorted(by_scene.items()):
         path = folder / f"{scene}_{settings['suffix']}_results.csv"
-        text = io.StringIO(newline="")
-        table = csv.writer(text)
-        table.writerow(COLUMNS)
+        rows: list[tuple[Any, ...]] = [COLUMNS]
         for record in sorted(answers, key=lambda each: _turn(each["case"])):
             turn, image = _turn(record["case"])[0], f"data/{scene}/rgb.png"
             said = (record["question"], record["answer"], record.get("truth", ""), record["score"])
-            table.writerow((image, model, turn, record["skill"], *said))
-        files.append(written(path, text.getvalue()))
+            rows.append((image, model, turn, record["skill"], *said))
+        files.append(written(path, as_csv(rows, "\r\n")))
     return files
 
 

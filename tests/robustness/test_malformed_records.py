@@ -1,0 +1,84 @@
+"""Promised: a record that is not what was written is named, with what is wrong; ``benchmarks/attack.py`` does more."""
+
+import copy
+import json
+
+import hstar_data
+import pytest
+import synthetic_runs
+
+from eagor.cli import main
+from eagor.errors import FormatError
+from eagor.evaluation.tables import summarise
+
+GONE = object()
+
+
+def put(record, place, value):
+    *above, last = place.split("/")
+    for key in above:
+        record = record[int(key) if isinstance(record, list) else key]
+    if value is GONE:
+        del record[last]
+    else:
+        record[int(last) if isinstance(record, list) else last] = value
+
+
+SIMULATED = [
+    ("episode", GONE), ("episode", []), ("episode/id", 3), ("episode/seed", [1]), ("episode/query", None),
+    ("episode/targets", "x"), ("episode/targets", [None]), ("episode/stratum", [1]), ("methods", []),
+    ("methods/eagor", None), ("methods/eagor/metrics", GONE), ("methods/eagor/metrics/L1", "x"),
+    ("methods/eagor/metrics/L1", 1e308), ("methods/eagor/trace", []), ("methods/eagor/trace/error_deg", GONE),
+    ("methods/eagor/trace/error_deg", []), ("methods/eagor/trace/error_deg/0", {}), ("truth", [1]),
+    ("truth/pose/0", [1, 2]), ("truth/pose/0", [0, 0, 0, 0, 0, 0, 0]), ("truth/visible/1", "yes"), ("truth/leg", [{}]),
+    ("truth/azimuth_deg", [1.0]), ("seconds", "long"), ("looked", {"looks": 1}),
+]  # fmt: skip
+PUBLISHED = [
+    ("case", GONE), ("case", []), ("cluster", {}), ("score", "x"), ("score", 7), ("tags", None), ("tags", [3]),
+    ("by_turn", [2]), ("views", None), ("stated", 1e308), ("steps", {}), ("steps/0", None), ("steps/0/would", 3),
+    ("scores", []), ("error", "far"), ("level", []),
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return synthetic_runs.waypoint(apartments=2, each=1, methods=("vmf", "eagor"))
+
+
+@pytest.mark.parametrize(("place", "value"), SIMULATED)
+def test_a_record_of_a_simulated_task(walk, place, value):
+    bad = copy.deepcopy(walk)
+    put(bad[1], place, value)
+    where = place.replace("/", ".").removesuffix(".0").removesuffix(".1")
+    if where == "truth.azimuth_deg":
+        where = "different lengths"
+    with pytest.raises(FormatError) as refused:
+        summarise(bad)
+    assert repr(bad[1]["key"]) in str(refused.value)
+    assert where in str(refused.value)
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    home = tmp_path_factory.mktemp("found")
+    words = ("--data", str(hstar_data.write(home)), "--perception", "truth", "--limit", "2", "--out", str(home / "run"))
+    assert main(["bench", "run", "hstar-hos", *words]) == 0
+    return home / "run"
+
+
+@pytest.mark.parametrize("command", ["report", "failures", "compare", "export"])
+def test_a_record_of_a_benchmark(found, capsys, command):
+    ledger = found / "worker-0.jsonl"
+    whole = ledger.read_text()
+    records = [json.loads(line) for line in whole.splitlines()]
+    for place, value in PUBLISHED:
+        bad = copy.deepcopy(records)
+        put(bad[1], place, value)
+        ledger.write_text("".join(json.dumps(record) + "\n" for record in bad))
+        capsys.readouterr()
+        code = main(["bench", command, *[str(found)] * (1 + (command == "compare"))])
+        ledger.write_text(whole)
+        said = capsys.readouterr()
+        assert (code, said.out) == (2, ""), (place, said)
+        assert repr(bad[1]["key"]) in said.err
+        assert place.replace("/", ".") in said.err

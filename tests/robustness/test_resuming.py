@@ -1,0 +1,94 @@
+"""Promised: a run goes on only with what it began with (data, files, model, code), or, forced to, says so."""
+
+import json
+import shutil
+
+import hstar_data
+import numpy as np
+import pytest
+from PIL import Image
+
+from eagor.cli import main
+from eagor.evaluation import inputs, ledger
+
+
+@pytest.fixture
+def run(tmp_path):
+    data, out = hstar_data.write(tmp_path / "data"), tmp_path / "run"
+    words = ["bench", "run", "hstar-hos", "--data", str(data), "--perception", "truth", "--out", str(out), "--json"]
+    assert main([*words, "--limit", "2"]) == 0
+    assert main([*words, "--limit", "3"]) == 0  # a part of the run is the same run
+    return words, data, out
+
+
+def more(path):
+    found = json.loads(path.read_text())
+    path.write_text(json.dumps(found) + "\n\n")
+
+
+def picture(path):
+    Image.fromarray(np.zeros((8, 16, 3), np.uint8)).save(path)
+
+
+CHANGES = {
+    "annotations": lambda data: more(next(data.rglob("annotation.json"))),
+    "sizes": lambda data: picture(next(data.rglob("*.png"))),
+    "files": lambda data: picture(next(data.rglob("*.png")).with_name("new.png")),
+}
+
+
+@pytest.mark.parametrize("what", CHANGES)
+def test_changed_data_is_refused_or_told(run, capsys, what):
+    words, data, out = run
+    CHANGES[what](data)
+    before = (out / ledger.RUN).read_bytes()
+    capsys.readouterr()
+    assert main(words) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert f"inputs.data.{what} is" in said.err
+    assert "--force" in said.err
+    assert (out / ledger.RUN).read_bytes() == before
+    assert main([*words, "--force"]) == 0
+    assert f"inputs.data.{what} is" in capsys.readouterr().err
+    assert f"inputs.data.{what} is" in ledger.description(out)["resumed"][0]
+    assert main(words) == 0  # it is now a run of these
+    assert main(["bench", "report", str(out)]) == 0
+    assert f"inputs.data.{what}" in (out / "tables.md").read_text()
+
+
+def test_changed_code_is_refused(run, capsys, monkeypatch):
+    words, _, out = run
+    assert len(ledger.description(out)["inputs"]["code"]) == 16
+    monkeypatch.setattr(inputs, "_code", lambda: "other")
+    capsys.readouterr()
+    assert main(words) == 2
+    assert 'inputs.code is "' in capsys.readouterr().err
+
+
+def test_other_settings_are_refused_with_force_too(run, capsys):
+    words, *_ = run
+    assert main([*words, "--set", "sure=0.7", "--force"]) == 2
+    assert "holds another run: sure is" in capsys.readouterr().err
+
+
+def test_what_does_not_belong_to_the_data_changes_nothing(run):
+    words, data, out = run
+    shutil.copytree(out, data / "runs" / "mine")
+    (data / ".hidden").write_text("x")
+    assert main(words) == 0
+
+
+def test_files_and_models_that_settings_name_are_inputs(tmp_path):
+    told, model = tmp_path / "told.jsonl", tmp_path / "model"
+    told.write_text("{}")
+    model.mkdir()
+    (model / "config.json").write_text("{}")
+    settings = {"perception": f"replay:{told}", "model": f"{model}?pixels=3", "world": "apartment"}
+    before = inputs.inputs_of(settings)
+    assert before.keys() == {"code", "perception", "model"}
+    told.write_text("{ }")
+    (model / "model.safetensors").write_bytes(b"weights")
+    after = inputs.inputs_of(settings)
+    assert all(before[name] != after[name] for name in ("perception", "model"))
+    assert before["code"] == after["code"]

@@ -1,0 +1,109 @@
+"""Promised: SIGTERM is heeded as Ctrl-C is. It is said, results are kept, nobody is left behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import hstar_data
+import pytest
+
+from eagor.evaluation import ledger
+
+pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them")
+
+MODEL = """
+import time
+from pathlib import Path
+
+def silent():
+    return answer
+
+def answer(messages):
+    (Path(__file__).parent / "asked").touch()
+    time.sleep(600)
+"""
+
+
+def begun(*words, path=""):
+    """The command in a session of its own, heeding signals whatever the shell around the tests does."""
+
+    def heed():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_DFL)
+
+    paths = os.pathsep.join([str(path), *(entry for entry in sys.path if entry)])
+    return subprocess.Popen(
+        [sys.executable, "-m", "eagor", *map(str, words)],
+        env={**os.environ, "PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=heed,
+    )
+
+
+def members(session):
+    """The processes of a session that are alive."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue  # it has just ended
+        if int(state[3]) == session and state[0] != "Z":
+            found.append(int(stat.parent.name))
+    return found
+
+
+def wait_for(what):
+    for _ in range(1200):
+        if what():
+            return
+        time.sleep(0.05)
+    raise AssertionError("waited for a minute in vain")
+
+
+def ended(run, number, whole_session=False):
+    """Send the signal; the exit code and what was said, once every process has left."""
+    (os.killpg if whole_session else os.kill)(run.pid, number)
+    out, said = run.communicate(timeout=60)
+    wait_for(lambda: not members(run.pid))
+    assert "Traceback" not in said
+    return run.returncode, out, said.splitlines()[-1]
+
+
+def kept(folder):
+    return ledger.read(folder) if folder.exists() else []
+
+
+TOLD = {signal.SIGTERM: (143, "", "eagor: terminated"), signal.SIGINT: (130, "", "eagor: interrupted")}
+
+
+@pytest.mark.parametrize(
+    ("number", "workers", "whole_session"),
+    [(signal.SIGTERM, 1, False), (signal.SIGTERM, 2, False), (signal.SIGTERM, 2, True), (signal.SIGINT, 2, True)],
+)
+def test_a_run_that_is_ended_says_so_keeps_its_results_and_leaves_nobody(tmp_path, workers, number, whole_session):
+    out = tmp_path / "run"
+    words = ("bench", "run", "waypoint", "--perception", "truth", "--methods", "vmf", "--rows", 32, "--episodes", 500)
+    run = begun(*words, "--workers", workers, "--out", out, "--json")
+    wait_for(lambda: len(kept(out)) >= 2)
+    before = kept(out)
+    assert ended(run, number, whole_session) == TOLD[number]
+    after = kept(out)
+    assert [record for record in after if record in before] == before
+    assert {record["status"] for record in after} == {"ok"}
+
+
+@pytest.mark.parametrize("number", TOLD)
+def test_threads_that_wait_for_a_silent_model_hold_nobody_up(tmp_path, number):
+    (tmp_path / "silent_model.py").write_text(MODEL)
+    data = hstar_data.write(tmp_path / "data")
+    words = ("--agent", "vlm", "--model", "silent_model:silent", "--engine", "threads", "--workers", 3)
+    run = begun("bench", "run", "hstar-hos", "--data", data, *words, "--out", tmp_path / "run", path=tmp_path)
+    wait_for((tmp_path / "asked").exists)
+    assert ended(run, number) == TOLD[number]
