@@ -21,7 +21,7 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.detector import Rates
-from eagor.field import SphereField, blurred, sharpened
+from eagor.field import SphereField, blurred
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.local import REACH
@@ -43,14 +43,12 @@ class Cases:
 
     `weights` ``(2 + M,)`` sum to 1. `wanderers` ``(M, H, W)``: densities over a uniform one, on the decoding grid.
     `bias`: radians by which all looks together may lie beside the thing: the part of their error that repeats.
-    `sharpening`: what the precision of peaks is read as, over what it was added up with (`Rates.sharpening`).
     """
 
     weights: np.ndarray
     standing: Standing
     wanderers: np.ndarray
     bias: float = 0.0
-    sharpening: float = 1.0
 
     @classmethod
     def prior(cls, motion: MotionModel, standing: Standing, presence: float = 0.5) -> Cases:
@@ -81,8 +79,6 @@ class Cases:
         """log of the density over a uniform one, given that the target is here: what answers are read from."""
         shares = self.weights[1:] / max(float(self.weights[1:].sum()), 1e-300)
         stands = self.standing.field
-        if abs(self.sharpening - 1) > 0.01:
-            stands = replace(stands, patches=tuple(sharpened(patch, self.sharpening) for patch in stands.patches))
         if self.bias > 0:
             stands = _with_bias(stands, self.bias)
         level = math.log(max(float(shares[0]), 1e-300)) - self.standing.log_mean
@@ -177,11 +173,13 @@ class Cases:
         Returns the look as it was read, and what is known of the detector's rates after it.
         """
         standing, before = self.standing, self.standing.log_mean
+        if sight.detections is not None:
+            standing = standing.detecting()
         repeated = 0.0
         if passing is not None and passing.sight.repeats > 0:
             repeated = passing.sight.repeats
             standing = standing.plus(passing, -repeated, since)
-        look = sight.read(rates)
+        look = sight.read(rates, standing.spread)
         learnt = rates
         if sight.detections is not None:
             learnt = self._learnt(sight, look)
@@ -200,14 +198,14 @@ class Cases:
             wanderers /= np.einsum("mij,ij->m", wanderers, shares)[:, None, None]
         log = np.log(np.maximum(self.weights, 1e-300)) + gains
         weights = np.exp(log - log.max())
-        sharpening = 1.0 if learnt is None else learnt.sharpening
-        return Cases(weights / weights.sum(), standing, wanderers, sight.bias, sharpening), look, learnt
+        weights /= weights.sum()
+        return Cases(weights, standing.judged(float(weights[1])), wanderers, sight.bias), look, learnt
 
     def _learnt(self, sight: Sight, look: Look) -> Rates:
         """What the look tells of the detector."""
         assert look.rates is not None
         assert look.world is not None
-        if not len(look.world) and look.rates.weights.size == 1:
+        if look.rates.weights.size == 1:
             return look.rates
         values, weights, directions = self.field.nodes
         mass = np.exp(np.minimum(values - self.field.log_mean, _LARGEST)) * weights / (4 * math.pi)
@@ -218,12 +216,12 @@ class Cases:
         if look.world.views:
             share = look.world.share(directions @ sight.world_R_body)
         covered = float(np.sum(mass * share))
-        expected = np.zeros(len(look.rates.scales))
+        expected = 0.0
         if len(look.world):
-            for index, scale in enumerate(look.rates.scales.tolist()):
+            for scale, weight in zip(look.spread.scales.tolist(), look.spread.weights.tolist(), strict=True):
                 found = look.world.scaled(scale).densities(directions)
-                expected[index] = float((mass * share) @ found.sum(axis=-1)) * look.world.area
-        return look.rates.noted(len(look.world)).learnt(self.presence, covered, expected)
+                expected += weight * float((mass * share) @ found.sum(axis=-1)) * look.world.area
+        return look.rates.learnt(self.presence, covered, expected)
 
 
 def _mean(density: np.ndarray, grid: ErpGrid) -> float:

@@ -69,14 +69,6 @@ class Patch(Nodes):
         return 1 / math.sqrt(1 + float(self.half @ self.half)) - 1e-12
 
 
-def sharpened(patch: Patch, factor: float) -> Patch:
-    """The peak with its precision multiplied by `factor`, its mass kept."""
-    top = float(patch.values.max())
-    values = top + factor * (patch.values - top)
-    before, after = (float(np.sum(np.exp(v - top) * patch.weights)) for v in (patch.values, values))
-    return patch.like(values + math.log(before / after))
-
-
 def blurred(patch: Patch, sigma: float, reach: float) -> Patch:
     """The density exp(values) convolved with a Gaussian of `sigma` radians, on a patch that has room for it.
 

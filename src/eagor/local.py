@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from eagor._lazy import lazy
 from eagor.field import Nodes, Patch
 from eagor.sphere import cross
 
@@ -29,7 +30,10 @@ SLACK = 1.25  # a window that is larger than wanted by this factor is drawn anew
 
 @dataclass(frozen=True, eq=False)
 class Window(Nodes):
-    """Log-likelihood ratios ``(K, n, n)`` about one peak, in axes that do not turn, about the place of the body.
+    """Log-likelihood ratios ``(S, K, n, n)`` about one peak, in axes that do not turn, about the place of the body.
+
+    For each scale of the detector's spread that is reckoned with (`eagor.detector.Spread`) they are kept by themselves,
+    with the logarithm of its weight in them: place and spread are believed in jointly.
 
     `frame`, `half`: as for `eagor.field.Nodes`. `logs` ``(K,)``: logarithms of the ranges, evenly spaced; None where
     only directions are believed in (K = 1). `limits`: the least and the greatest logarithm of a range there is.
@@ -48,16 +52,25 @@ class Window(Nodes):
         return share / (self.limits[1] - self.limits[0])
 
     def plus(self, log_ratios: np.ndarray) -> Window:
-        """With log ratios ``(n, n)`` added to all ranges, or ``(K, n, n)``."""
+        """With log ratios added ``(S or 1, K or 1, n, n)``."""
         return self.like(self.values + log_ratios)
 
     def marginal(self, prior: np.ndarray | None = None) -> np.ndarray:
         """log of the mean likelihood over the ranges ``(n, n)``; `prior` ``(K, n, n)``: log ratios to count besides."""
+        return _summed(self.by_scale(prior))
+
+    def by_scale(self, prior: np.ndarray | None = None) -> np.ndarray:
+        """The same ``(S, n, n)`` for each scale."""
         values = self.values if prior is None else self.values + prior
-        if len(values) == 1:
-            return values[0]
-        top = values.max(axis=0)
-        return np.log(np.tensordot(self.shares, np.exp(values - top), axes=1)) + top
+        if values.shape[1] == 1:
+            return values[:, 0]
+        top = values.max(axis=1)
+        return np.log(np.einsum("k,skij->sij", self.shares, np.exp(values - top[:, None]))) + top
+
+    @lazy
+    def by_range(self) -> np.ndarray:
+        """Whatever the scale: ``(K, n, n)``."""
+        return _summed(self.values)
 
     def patch(self, prior: np.ndarray | None = None) -> Patch:
         """The window as a part of a field over directions."""
@@ -109,7 +122,7 @@ class Window(Nodes):
             points, shares = self.directions[peak], mass[peak] / mass.sum()
             logs = None
         else:
-            values = self.values if prior is None else self.values + prior
+            values = self.by_range if prior is None else self.by_range + prior
             joint = np.exp(values[:, peak] - values.max()) * self.shares[:, None] * self.weights[peak]
             by_range = np.log(np.maximum(joint.sum(axis=1), 1e-300) / self.shares)
             kept = np.flatnonzero(by_range > by_range.max() - FAINT)
@@ -150,7 +163,7 @@ class Window(Nodes):
         from scipy.ndimage import map_coordinates
 
         frame, half, logs = wanted
-        new = Window(frame, half, np.zeros((1, NODES, NODES)), logs, self.limits)
+        new = Window(frame, half, np.zeros((1, 1, NODES, NODES)), logs, self.limits)
         points, depth = new.directions, np.zeros(0)
         if logs is not None:
             points = np.exp(logs)[:, None, None, None] * new.directions
@@ -161,11 +174,11 @@ class Window(Nodes):
             depth = np.clip((np.log(np.maximum(distances, 1e-9)) - first) / spacing, 0, RANGES - 1)
         places, beyond = self._places(points)
         if logs is None:
-            values = map_coordinates(self.values[0], places, order=3, mode="mirror")[None]
-            beyond = beyond[None]
+            layers, beyond = self.values[:, 0], beyond[None]
         else:
-            values = map_coordinates(self.values, np.concatenate([depth[None], places]), order=3, mode="mirror")
-        return new.like(values), beyond if beyond.any() else None
+            layers, places = self.values, np.concatenate([depth[None], places])
+        values = np.stack([map_coordinates(layer, places, order=3, mode="mirror") for layer in layers])
+        return new.like(values.reshape(len(layers), *beyond.shape)), beyond if beyond.any() else None
 
     def _places(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Indices ``(2, ...)`` of points ``(..., 3)``, held at the borders, and which lie beyond them."""
@@ -174,6 +187,14 @@ class Window(Nodes):
         found = np.stack([u / (safe * self.half[0]), v / (safe * self.half[1])])
         beyond = (np.abs(found) > 1.001).any(axis=0) | (ahead <= 0)
         return (np.clip(found, -1, 1) + 1) * ((NODES - 1) / 2), beyond
+
+
+def _summed(values: np.ndarray) -> np.ndarray:
+    """log of the sum of exp(values) ``(S, ...)`` over the first axis."""
+    if len(values) == 1:
+        return values[0]
+    top = values.max(axis=0)
+    return np.log(np.exp(values - top).sum(axis=0)) + top
 
 
 def _component(values: np.ndarray) -> np.ndarray:

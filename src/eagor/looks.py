@@ -10,7 +10,7 @@ import numpy as np
 from eagor._arrays import to_numpy
 from eagor._lazy import lazy
 from eagor.detection_set import Detections, resolved
-from eagor.detector import Rates
+from eagor.detector import STATED, Rates, Spread
 from eagor.evidence import Evidence
 from eagor.harmonics import RealHarmonics
 from eagor.peaks import decoding_grid
@@ -50,25 +50,25 @@ class Sight:
         repeats, bias = max(look.repeats for look in looks), max(look.bias for look in looks)
         return cls(stamp, position, world_R_body, degree, joint, mapped, repeats, bias)
 
-    def read(self, rates: Rates | None) -> Look:
-        """The look as log ratios; `rates` of the detector, from before this look."""
+    def read(self, rates: Rates | None, spread: Spread = STATED) -> Look:
+        """The look as log ratios; `rates` and `spread` of the detector, from before this look."""
         grid, basis = decoding_grid(self.degree), RealHarmonics(self.degree)
         values = np.zeros(grid.shape) if self.mapped is None else basis.synthesise(self.mapped, grid)
         given, world = None, None
         coefficients = self.mapped
         if self.detections is not None:
-            before = Rates.prior(self.detections.model, learns=True) if rates is None else rates
+            before = Rates.prior(self.detections.model) if rates is None else rates
             given = before.given(len(self.detections))
             world = self.detections.turned(self.world_R_body)
             if self.detections.views:
-                found = basis.rotate(self.detections.coefficients(self.degree, given), self.world_R_body)
+                found = basis.rotate(self.detections.coefficients(self.degree, given, spread), self.world_R_body)
                 values = values + basis.synthesise(found, grid)
             else:
-                drawn = np.log(world.ratio(grid.directions, given, 1.0, resolved(self.degree)))
+                drawn = np.log(world.ratio(grid.directions, given, 1.0, resolved(self.degree), spread))
                 values, found = values + drawn, basis.analyse(drawn, grid)
             coefficients = found if coefficients is None else coefficients + found
         assert coefficients is not None
-        return Look(self, values, coefficients, world, given)
+        return Look(self, values, coefficients, world, given, spread)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +80,7 @@ class Look:
     coefficients: np.ndarray
     world: Detections | None
     rates: Rates | None
+    spread: Spread
 
     @lazy
     def centres(self) -> tuple[np.ndarray, np.ndarray]:
@@ -90,14 +91,17 @@ class Look:
         widths = 1 / np.linalg.norm(self.world.axes[order], axis=-1).min(axis=-1)
         return self.world.directions[order], widths
 
-    def at(self, directions: np.ndarray, least: float) -> np.ndarray:
-        """Log ratios ``(...)`` at directions ``(..., 3)``, nothing narrower than `least` radians."""
-        found = np.zeros(directions.shape[:-1])
+    def at(self, directions: np.ndarray, least: float, scales: np.ndarray) -> np.ndarray:
+        """Log ratios ``(S, ...)`` at directions ``(..., 3)``, nothing narrower than `least` radians.
+
+        `scales` ``(S,)``: how many times as wide as their model says detections are taken to be.
+        """
+        found = np.zeros((len(scales), *directions.shape[:-1]))
         if self.sight.mapped is not None:
             found += RealHarmonics(self.sight.degree).synthesise(self.sight.mapped, directions)
         if self.world is not None:
             share: np.ndarray | float = 1.0
             if self.world.views:
                 share = self.world.share(directions @ self.sight.world_R_body)
-            found += np.log(self.world.ratio(directions, self.rates, share, least))
+            found += np.log(self.world.ratios_by(scales, directions, self.rates, share, least))
         return found
