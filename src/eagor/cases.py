@@ -115,6 +115,10 @@ class Cases:
         if drift > 0:
             standing = _drifted(standing, drift, elapsed)
         kept, newly = flows[1, 1], np.delete(flows[:, 1], 1)
+        spread, others = standing.spread, np.delete(flows, 1, axis=1)
+        left = float(others[1].sum() / max(others.sum(), 1e-300))  # of what does not stand now: what stood
+        if left > 0:
+            standing = standing.spreading(replace(spread, otherwise=spread.mixed(left).weights))
         if newly.sum() > kept:  # it stands since now
             standing = self._restarted(standing, newly)
         weights = flows.sum(axis=0)
@@ -162,6 +166,7 @@ class Cases:
         density = np.broadcast_to(density, self.grid.shape)
         field = np.log(np.maximum(density / _mean(density, self.grid), _LEAST_NEW))
         blank = standing.blank()
+        blank = blank.spreading(replace(blank.spread, weights=blank.spread.otherwise))
         return replace(blank, coarse=blank.coarse.plus(RealHarmonics(standing.degree).analyse(field, self.grid)))
 
     def updated(
@@ -179,7 +184,7 @@ class Cases:
         if passing is not None and passing.sight.repeats > 0:
             repeated = passing.sight.repeats
             standing = standing.plus(passing, -repeated, since)
-        look = sight.read(rates, standing.spread)
+        look = sight.read(rates, standing.spread.mixed(self.weights[1] / max(self.presence, 1e-300)))
         learnt = rates
         if sight.detections is not None:
             learnt = self._learnt(sight, look)
@@ -188,18 +193,22 @@ class Cases:
         standing = standing.opened(look).plus(look).focused(fresh)
         gains = np.zeros(len(self.weights))
         gains[1] = standing.log_mean - before
-        wanderers = self.wanderers
+        wanderers, spread = self.wanderers, standing.spread.otherwise
         if len(wanderers):
             ratio = np.exp(look.values)
             new = ratio if repeated == 0 else np.exp(look.values - repeated * passing.values)  # type: ignore[union-attr]
             shares = self.grid.weights / (4 * math.pi)
             gains[2:] = np.log(np.einsum("mij,ij->m", wanderers, new * shares))
+            if look.by_scale is not None and len(spread) > 1:
+                roams = np.tensordot(self.weights[2:], wanderers, axes=1) * shares
+                foretold = self.weights[0] + np.tensordot(look.by_scale, roams, axes=2)
+                spread = spread * foretold / (spread @ foretold)
             wanderers = wanderers * ratio
             wanderers /= np.einsum("mij,ij->m", wanderers, shares)[:, None, None]
         log = np.log(np.maximum(self.weights, 1e-300)) + gains
         weights = np.exp(log - log.max())
         weights /= weights.sum()
-        return Cases(weights, standing.judged(float(weights[1])), wanderers, sight.bias), look, learnt
+        return Cases(weights, standing.judged(float(weights[1]), spread), wanderers, sight.bias), look, learnt
 
     def _learnt(self, sight: Sight, look: Look) -> Rates:
         """What the look tells of the detector."""

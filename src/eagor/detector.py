@@ -29,8 +29,8 @@ CLUTTER_FLOOR = 1e-3  # relative density of false alarms: no place is so clean t
 RECALLS, RECALL_WEIGHTS = (0.1, 0.3, 0.5, 0.7, 0.9), (0.1, 0.2, 0.2, 0.25, 0.25)
 ALARMS = (0.02, 0.06, 0.2, 0.6, 2.0, 6.0)
 # How many times as wide as stated the spread may turn out, and how likely that is.
-SCALES, SCALE_WEIGHTS = (0.5, 1.0, 2.0), (0.05, 0.85, 0.1)
-UNLIKELY = 1e-3  # a scale with less weight is no longer reckoned with
+SCALES, SCALE_WEIGHTS = (0.5, 1.0, 2.0), (0.04, 0.88, 0.08)
+UNLIKELY = 1e-4  # a scale with less weight is no longer reckoned with
 
 
 @dataclass(frozen=True)
@@ -169,15 +169,23 @@ class Rates:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """How wide detections are: `weights` ``(S,)`` of so many times (`scales`, ``(S,)``) as wide as their model says."""
+    """How wide detections are: `weights` ``(S,)`` of so many times (`scales`, ``(S,)``) as wide as their model says.
+
+    `otherwise` ``(S,)``: their weights if the target does not stand: what looks like a wide spread may be motion.
+    """
 
     scales: np.ndarray
     weights: np.ndarray
+    otherwise: np.ndarray
 
     @classmethod
     def unsure(cls) -> Spread:
         """Before any look: as stated, more or less."""
-        return cls(np.array(SCALES), np.array(SCALE_WEIGHTS))
+        return cls(np.array(SCALES), np.array(SCALE_WEIGHTS), np.array(SCALE_WEIGHTS))
+
+    def mixed(self, stands: float) -> Spread:
+        """Its weights if the target stands with probability `stands`."""
+        return replace(self, weights=stands * self.weights + (1 - stands) * self.otherwise)
 
     @property
     def logs(self) -> np.ndarray:
@@ -185,7 +193,7 @@ class Spread:
         return np.log(self.weights)[:, None, None, None]
 
 
-STATED = Spread(np.ones(1), np.ones(1))
+STATED = Spread(np.ones(1), np.ones(1), np.ones(1))
 
 
 @lru_cache(maxsize=1)

@@ -54,26 +54,33 @@ class Sight:
         """The look as log ratios; `rates` and `spread` of the detector, from before this look."""
         grid, basis = decoding_grid(self.degree), RealHarmonics(self.degree)
         values = np.zeros(grid.shape) if self.mapped is None else basis.synthesise(self.mapped, grid)
-        given, world = None, None
+        given, world, by_scale = None, None, None
         coefficients = self.mapped
         if self.detections is not None:
             before = Rates.prior(self.detections.model) if rates is None else rates
             given = before.given(len(self.detections))
             world = self.detections.turned(self.world_R_body)
+            share: np.ndarray | float = 1.0
+            if self.detections.views:
+                share = world.share(grid.directions @ self.world_R_body)
+            by_scale = world.ratios_by(spread.scales, grid.directions, given, share, resolved(self.degree))
             if self.detections.views:
                 found = basis.rotate(self.detections.coefficients(self.degree, given, spread), self.world_R_body)
                 values = values + basis.synthesise(found, grid)
             else:
-                drawn = np.log(world.ratio(grid.directions, given, 1.0, resolved(self.degree), spread))
+                drawn = np.log(np.tensordot(spread.weights, by_scale, axes=1))
                 values, found = values + drawn, basis.analyse(drawn, grid)
             coefficients = found if coefficients is None else coefficients + found
         assert coefficients is not None
-        return Look(self, values, coefficients, world, given, spread)
+        return Look(self, values, coefficients, world, given, spread, by_scale)
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """Log ratios of a `Sight`: `values` ``(H, W)`` on the decoding grid and `coefficients` ``(size,)``, world axes."""
+    """Log ratios of a `Sight`: `values` ``(H, W)`` on the decoding grid and `coefficients` ``(size,)``, world axes.
+
+    `by_scale` ``(S, H, W)``: ratios of the detections for each scale of their `spread`.
+    """
 
     sight: Sight
     values: np.ndarray
@@ -81,6 +88,7 @@ class Look:
     world: Detections | None
     rates: Rates | None
     spread: Spread
+    by_scale: np.ndarray | None
 
     @lazy
     def centres(self) -> tuple[np.ndarray, np.ndarray]:

@@ -136,8 +136,20 @@ class Standing:
         windows = tuple(window.like(window.values + spread.logs) for window in self.windows)
         return replace(self, windows=windows, spread=spread)
 
-    def judged(self, stands: float) -> Standing:
-        """With what the windows tell of the spread, if the target stands, which has the probability `stands`."""
+    def spreading(self, spread: Spread) -> Standing:
+        """With other weights of the scales."""
+        if self.spread is STATED:
+            return self
+        found = replace(self, spread=spread)
+        if "field" in self.__dict__:
+            found.__dict__["field"] = self.field
+        return found
+
+    def judged(self, stands: float, otherwise: np.ndarray) -> Standing:
+        """With what the windows tell of the spread.
+
+        `stands`: probability that the target does; `otherwise` ``(S,)``: weights of the scales if not.
+        """
         if len(self.spread.scales) == 1:
             return self
         held = np.zeros(len(self.spread.scales))
@@ -145,13 +157,11 @@ class Standing:
             held += np.exp(window.by_scale(self._prior(window)) - self.log_mean).reshape(len(held), -1) @ share.ravel()
         held /= 4 * math.pi
         held += max(1 - held.sum(), 0.0) * self.spread.weights
-        weights = stands * held / held.sum() + (1 - stands) * self.spread.weights
-        likely = weights > UNLIKELY
-        spread = Spread(self.spread.scales[likely], weights[likely] / weights[likely].sum())
+        likely = stands * held / held.sum() + (1 - stands) * otherwise > UNLIKELY
+        held, otherwise = held[likely], otherwise[likely]
+        spread = Spread(self.spread.scales[likely], held / held.sum(), otherwise / otherwise.sum())
         if likely.all():
-            found = replace(self, spread=spread)
-            found.__dict__["field"] = self.field
-            return found
+            return self.spreading(spread)
         return replace(
             self, windows=tuple(window.like(window.values[likely]) for window in self.windows), spread=spread
         )
