@@ -10,7 +10,7 @@ import numpy as np
 from eagor._arrays import to_numpy
 from eagor._lazy import lazy
 from eagor.detection_set import Detections, resolved
-from eagor.detector import Rates
+from eagor.detector import STATED, Rates, Spread
 from eagor.evidence import Evidence
 from eagor.field import SphereField
 from eagor.harmonics import RealHarmonics
@@ -54,25 +54,29 @@ class Sight:
         repeats, bias = max(look.repeats for look in looks), max(look.bias for look in looks)
         return cls(stamp, position, world_R_body, degree, joint, mapped, repeats, bias)
 
-    def read(self, rates: Rates | None) -> Look:
-        """The look as log ratios; `rates` of the detector, from before this look."""
+    def read(self, rates: Rates | None, spread: Spread = STATED) -> Look:
+        """The look as log ratios; `rates` and `spread` of the detector, from before this look."""
         grid, basis = decoding_grid(self.degree), RealHarmonics(self.degree)
         values = np.zeros(grid.shape) if self.mapped is None else basis.synthesise(self.mapped, grid)
-        given, world = None, None
+        given, world, by_scale = None, None, None
         coefficients = self.mapped
         if self.detections is not None:
-            before = Rates.prior(self.detections.model, learns=True) if rates is None else rates
+            before = Rates.prior(self.detections.model) if rates is None else rates
             given = before.given(len(self.detections))
             world = self.detections.turned(self.world_R_body)
+            share: np.ndarray | float = 1.0
             if self.detections.views:
-                found = basis.rotate(self.detections.coefficients(self.degree, given), self.world_R_body)
+                share = world.share(grid.directions @ self.world_R_body)
+            by_scale = world.ratios_by(spread.scales, grid.directions, given, share, resolved(self.degree))
+            if self.detections.views:
+                found = basis.rotate(self.detections.coefficients(self.degree, given, spread), self.world_R_body)
                 values = values + basis.synthesise(found, grid)
             else:
-                drawn = np.log(world.ratio(grid.directions, given, 1.0, resolved(self.degree)))
+                drawn = np.log(np.tensordot(spread.weights, by_scale, axes=1))
                 values, found = values + drawn, basis.analyse(drawn, grid)
             coefficients = found if coefficients is None else coefficients + found
         assert coefficients is not None
-        return Look(self, values, coefficients, world, given)
+        return Look(self, values, coefficients, world, given, spread, by_scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,13 +104,18 @@ class Sightings:
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """Log ratios of a `Sight`: `values` ``(H, W)`` on the decoding grid and `coefficients` ``(size,)``, world axes."""
+    """Log ratios of a `Sight`: `values` ``(H, W)`` on the decoding grid and `coefficients` ``(size,)``, world axes.
+
+    `by_scale` ``(S, H, W)``: ratios of the detections for each scale of their `spread`.
+    """
 
     sight: Sight
     values: np.ndarray
     coefficients: np.ndarray
     world: Detections | None
     rates: Rates | None
+    spread: Spread
+    by_scale: np.ndarray | None
 
     @lazy
     def centres(self) -> tuple[np.ndarray, np.ndarray]:
@@ -128,7 +137,7 @@ class Look:
         amplitudes = self.rates.gain * self.world.area * self.world.ratios / self.world.clutter
         # As wide as the belief of a target that stands takes them to be: the two are weighed against each other.
         lengths = np.linalg.norm(self.world.axes, axis=-1)
-        widths = np.maximum(self.rates.precision**-0.5 / lengths, FINER * resolved(self.sight.degree))
+        widths = np.maximum(self.spread.precision**-0.5 / lengths, FINER * resolved(self.sight.degree))
         deviations = self.world.axes * (widths / lengths)[..., None]
         covariances = np.einsum("nai,naj->nij", deviations, deviations)
         return Sightings(self.world.directions, amplitudes, covariances, SphereField(grid, beside))
@@ -154,14 +163,17 @@ class Look:
         beside = SphereField(grid, np.exp(np.minimum(self.values, 0.0)))
         return Sightings(directions, heights * 2 * np.pi * widths**2, across * (widths**2)[:, None, None], beside)
 
-    def at(self, directions: np.ndarray, least: float) -> np.ndarray:
-        """Log ratios ``(...)`` at directions ``(..., 3)``, nothing narrower than `least` radians."""
-        found = np.zeros(directions.shape[:-1])
+    def at(self, directions: np.ndarray, least: float, scales: np.ndarray) -> np.ndarray:
+        """Log ratios ``(S, ...)`` at directions ``(..., 3)``, nothing narrower than `least` radians.
+
+        `scales` ``(S,)``: how many times as wide as their model says detections are taken to be.
+        """
+        found = np.zeros((len(scales), *directions.shape[:-1]))
         if self.sight.mapped is not None:
             found += RealHarmonics(self.sight.degree).synthesise(self.sight.mapped, directions)
         if self.world is not None:
             share: np.ndarray | float = 1.0
             if self.world.views:
                 share = self.world.share(directions @ self.sight.world_R_body)
-            found += np.log(self.world.ratio(directions, self.rates, share, least))
+            found += np.log(self.world.ratios_by(scales, directions, self.rates, share, least))
         return found

@@ -17,6 +17,7 @@ import numpy as np
 from eagor._lazy import lazy
 from eagor.belief import Belief
 from eagor.detection_set import resolved, tangent_frame
+from eagor.detector import STATED, UNLIKELY, Spread
 from eagor.field import SphereField
 from eagor.harmonics import RealHarmonics
 from eagor.local import NODES, RANGES, REACH, WIDEST, Window
@@ -35,11 +36,13 @@ class Standing:
     """Log ratios against "not here": `coarse` over the whole sphere, and `windows` about its peaks; world axes.
 
     `height`: of the camera above the floor, metres, where it is known: things stand on floors (`eagor.ranged`).
+    `spread`: of the detector; `coarse` is read with all its scales at once, the windows with each.
     """
 
     coarse: Belief | RangedBelief
     windows: tuple[Window, ...] = ()
     height: float | None = None
+    spread: Spread = STATED
 
     @classmethod
     def uniform(cls, degree: int, ranges: np.ndarray | None, height: float | None = None) -> Standing:
@@ -51,7 +54,7 @@ class Standing:
     def blank(self) -> Standing:
         """A belief of the same kind that knows nothing."""
         ranges = self.coarse.ranges if isinstance(self.coarse, RangedBelief) else None
-        return Standing.uniform(self.degree, ranges, self.height)
+        return replace(Standing.uniform(self.degree, ranges, self.height), spread=self.spread)
 
     @property
     def degree(self) -> int:
@@ -78,7 +81,7 @@ class Standing:
         if not isinstance(self.coarse, RangedBelief):
             return self
         coarse = _with_prior(self.coarse.predict(np.eye(3), step), height)
-        found = Standing(coarse, (), height)
+        found = Standing(coarse, (), height, self.spread)
         return replace(found, windows=tuple(found._filled(*w.moved(step, self._prior(w))) for w in self.windows))
 
     def ranged(self, ranges: np.ndarray, height: float | None) -> Standing:
@@ -87,20 +90,23 @@ class Standing:
         logs = np.log(ranges)
         limits = float(logs[0]), float(logs[-1])
         windows = tuple(
-            Window(w.frame, w.half, np.repeat(w.values, RANGES, axis=0), np.linspace(*limits, RANGES), limits)
+            Window(w.frame, w.half, np.repeat(w.values, RANGES, axis=1), np.linspace(*limits, RANGES), limits)
             for w in self.windows
         )
-        return Standing(_with_prior(found, height), windows, height)
+        return Standing(_with_prior(found, height), windows, height, self.spread)
 
     def plus(self, look: Look, share: float = 1.0, since: np.ndarray | None = None) -> Standing:
         """With `share` of a look added, which was taken before the body moved by `since` ``(3,)`` to where it is."""
         if since is None or not since.any() or not isinstance(self.coarse, RangedBelief):
             windows, patches = [], []
             for window, patch in zip(self.windows, self.field.patches, strict=True):
-                found = share * look.at(window.directions, least_width(window, self.degree))
-                windows.append(window.plus(found))
-                patches.append(patch.like(patch.values + found))
-            found = Standing(self.coarse.plus(share * look.coefficients), tuple(windows), self.height)
+                found = share * look.at(window.directions, least_width(window, self.degree), self.spread.scales)
+                windows.append(window.plus(found[:, None]))
+                if len(found) == 1:  # what is said of all ranges alike
+                    patches.append(patch.like(patch.values + found[0]))
+                else:
+                    patches.append(windows[-1].patch(self._prior(window)))
+            found = replace(self, coarse=self.coarse.plus(share * look.coefficients), windows=tuple(windows))
             # What is said of all ranges alike adds as much to the field over directions.
             field = SphereField(self.field.grid, self.field.values + share * look.values, tuple(patches))
             found.__dict__["field"] = field
@@ -112,13 +118,53 @@ class Standing:
         for window in self.windows:
             points = window.points() + since
             points /= np.sqrt(np.einsum("...i,...i->...", points, points))[..., None]
-            windows.append(window.plus(share * look.at(points, least_width(window, self.degree))))
-        return Standing(self.coarse.plus(carried), tuple(windows), self.height)
+            found = look.at(points, least_width(window, self.degree), self.spread.scales)
+            windows.append(window.plus(share * found))
+        return replace(self, coarse=self.coarse.plus(carried), windows=tuple(windows))
 
     def scaled(self, factor: float) -> Standing:
         """With all log ratios scaled by `factor` in [0, 1]: the covariance of each peak grows by 1 / factor."""
-        windows = tuple(window.like(window.values * factor) for window in self.windows)
-        return Standing(self.coarse.forget(factor), windows, self.height)
+        kept = (1 - factor) * self.spread.logs  # what is known of the spread
+        windows = tuple(window.like(window.values * factor + kept) for window in self.windows)
+        return replace(self, coarse=self.coarse.forget(factor), windows=windows)
+
+    def detecting(self) -> Standing:
+        """From the first set of detections on: their spread may differ from the stated one."""
+        if self.spread is not STATED:
+            return self
+        spread = Spread.unsure()
+        windows = tuple(window.like(window.values + spread.logs) for window in self.windows)
+        return replace(self, windows=windows, spread=spread)
+
+    def spreading(self, spread: Spread) -> Standing:
+        """With other weights of the scales."""
+        if self.spread is STATED:
+            return self
+        found = replace(self, spread=spread)
+        if "field" in self.__dict__:
+            found.__dict__["field"] = self.field
+        return found
+
+    def judged(self, stands: float, otherwise: np.ndarray) -> Standing:
+        """With what the windows tell of the spread.
+
+        `stands`: probability that the target does; `otherwise` ``(S,)``: weights of the scales if not.
+        """
+        if len(self.spread.scales) == 1:
+            return self
+        held = np.zeros(len(self.spread.scales))
+        for window, share in zip(self.windows, self.field.shares, strict=True):
+            held += np.exp(window.by_scale(self._prior(window)) - self.log_mean).reshape(len(held), -1) @ share.ravel()
+        held /= 4 * math.pi
+        held += max(1 - held.sum(), 0.0) * self.spread.weights
+        likely = stands * held / held.sum() + (1 - stands) * otherwise > UNLIKELY
+        held, otherwise = held[likely], otherwise[likely]
+        spread = Spread(self.spread.scales[likely], held / held.sum(), otherwise / otherwise.sum())
+        if likely.all():
+            return self.spreading(spread)
+        return replace(
+            self, windows=tuple(window.like(window.values[likely]) for window in self.windows), spread=spread
+        )
 
     def opened(self, look: Look) -> Standing:
         """With windows where the detections of a look are, which is not yet added, if none is there."""
@@ -127,9 +173,10 @@ class Standing:
         if not len(centres):
             return self
         widths = np.maximum(widths, FINER * resolved(self.degree))
-        reached = self.field.smooth(centres, 1) + look.at(centres, 0.0) - self.log_mean
+        widest = WIDE / self.spread.scales.min()
+        reached = self.field.smooth(centres, 1) + look.at(centres, 0.0, np.ones(1))[0] - self.log_mean
         for centre, width, rise in zip(centres, widths, reached, strict=True):
-            if width > WIDE or len(found.windows) >= 2 * MOST or math.exp(min(rise, 50.0)) * width**2 < LEAST:
+            if width > widest or len(found.windows) >= 2 * MOST or math.exp(min(rise, 50.0)) * width**2 < LEAST:
                 continue
             if any(patch.places(centre)[1] for patch in found.field.patches):
                 continue
@@ -146,7 +193,7 @@ class Standing:
             for window, patch in zip(self.windows, self.field.patches, strict=True)
         )
         if any(a is not b for a, b in zip(windows, self.windows, strict=True)):
-            found = Standing(self.coarse, windows, self.height)
+            found = replace(self, windows=windows)
             patches = tuple(
                 patch if a is b else a.patch(self._prior(a))
                 for a, b, patch in zip(windows, self.windows, self.field.patches, strict=True)
@@ -181,7 +228,7 @@ class Standing:
         return np.array(found) / (4 * math.pi)
 
     def _kept(self, places: list[int]) -> Standing:
-        found = Standing(self.coarse, tuple(self.windows[i] for i in places), self.height)
+        found = replace(self, windows=tuple(self.windows[i] for i in places))
         found.__dict__["field"] = replace(self.field, patches=tuple(self.field.patches[i] for i in places))
         return found
 
@@ -204,24 +251,25 @@ class Standing:
         """With a window about `centre` ``(3,)`` for a peak of this `width` (radians), drawn from the coarse field."""
         frame = np.concatenate([centre[None], tangent_frame(centre)])
         half = np.full(2, min(math.tan(min(REACH * width, 1.0)), WIDEST))
-        window = Window(frame, half, np.zeros((1, NODES, NODES)))
+        window = Window(frame, half, np.zeros((1, 1, NODES, NODES)))
         if isinstance(self.coarse, RangedBelief):
             limits = math.log(self.coarse.ranges[0]), math.log(self.coarse.ranges[-1])
             window = replace(window, logs=np.linspace(*limits, RANGES), limits=limits)
         window = window.like(self._coarse_at(window.directions, window.logs))
-        found = Standing(self.coarse, (*self.windows, window), self.height)
+        found = replace(self, windows=(*self.windows, window))
         patch = window.patch(self._prior(window))
         found.__dict__["field"] = replace(self.field, patches=(*self.field.patches, patch))
         return found
 
     def _coarse_at(self, directions: np.ndarray, logs: np.ndarray | None) -> np.ndarray:
-        """The field of the whole sphere ``(K, ...)`` at directions ``(..., 3)`` times ranges of these logarithms."""
+        """The field of the whole sphere ``(S, K, ...)`` at directions ``(..., 3)`` times ranges of these logarithms."""
         if isinstance(self.coarse, RangedBelief):
             assert logs is not None
             coefficients = _between(tuple(self.coarse.ranges.tolist()))(logs) @ self.coarse.shells
         else:
             coefficients = self.coarse.coefficients[None]
-        return RealHarmonics(self.degree).synthesise(coefficients, directions)
+        found = RealHarmonics(self.degree).synthesise(coefficients, directions)
+        return np.add.outer(np.log(self.spread.weights), found)
 
     def _filled(self, window: Window, beyond: np.ndarray | None) -> Window:
         """A window with the nodes `beyond` what it held before taken from the field of the whole sphere."""
@@ -229,7 +277,7 @@ class Standing:
             return window
         nodes, values = beyond.any(axis=0), window.values.copy()
         found = self._coarse_at(window.directions[nodes], window.logs)
-        values[:, nodes] = np.where(beyond[:, nodes], found, values[:, nodes])
+        values[..., nodes] = np.where(beyond[:, nodes], found, values[..., nodes])
         return window.like(values)
 
     def distance(self, about: np.ndarray) -> tuple[float, float] | None:
@@ -240,7 +288,7 @@ class Standing:
             inside = window.directions @ about > math.cos(NEAR)
             if window.patch().places(about)[1] and inside.any():
                 prior = self._prior(window)
-                values = (window.values if prior is None else window.values + prior)[:, inside]
+                values = (window.by_range if prior is None else window.by_range + prior)[:, inside]
                 mass = np.exp(values - values.max()) @ window.weights[inside] * window.shares
                 assert window.logs is not None
                 ranges = np.exp(window.logs)

@@ -106,8 +106,6 @@ class Turning:
         total = unseen + sum(float(part.weights.sum()) for part in parts)
         joined = _joined(*parts, unseen=unseen)
         gain = math.log(total)
-        import os
-
         if passing is not None and repeated > 0 and len(joined.weights):
             before = SphereField(decoding_grid(look.sight.degree), passing.values)
             gain -= repeated * float(joined.weights @ before.smooth(joined.directions, 1))
