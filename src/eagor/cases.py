@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor._lazy import lazy
-from eagor.detector import Rates
+from eagor.detector import Rates, Spread
 from eagor.field import Patch, SphereField, blurred
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
@@ -238,16 +238,13 @@ class Cases:
         standing = standing.opened(look).plus(look).focused(fresh)
         gains = np.zeros(len(self.weights))
         gains[1] = standing.log_mean - before
-        wanderers, spread = self.wanderers, standing.spread.otherwise
+        spread = self._otherwise(look, standing.spread)
+        wanderers = self.wanderers
         if len(wanderers):
             ratio = np.exp(look.values)
             new = ratio if repeated == 0 else np.exp(look.values - repeated * passing.values)  # type: ignore[union-attr]
             shares = self.grid.weights / (4 * math.pi)
             gains[2 : 2 + len(wanderers)] = np.log(np.einsum("mij,ij->m", wanderers, new * shares))
-            if look.by_scale is not None and len(spread) > 1:
-                roams = np.tensordot(self.weights[2 : 2 + len(wanderers)], wanderers, axes=1) * shares
-                foretold = self.weights[0] + np.tensordot(look.by_scale, roams, axes=2)
-                spread = spread * foretold / (spread @ foretold)
             wanderers = wanderers * ratio
             wanderers /= np.einsum("mij,ij->m", wanderers, shares)[:, None, None]
         turning = self.turning
@@ -257,6 +254,18 @@ class Cases:
         weights = np.exp(log - log.max())
         weights /= weights.sum()
         return Cases(weights, standing.judged(float(weights[1]), spread), wanderers, turning, sight.bias), look, learnt
+
+    def _otherwise(self, look: Look, spread: Spread) -> np.ndarray:
+        """The weights of the scales ``(S,)`` if the target does not stand, after a look."""
+        if look.by_scale is None or len(spread.scales) == 1:
+            return spread.otherwise
+        foretold = np.full(len(spread.scales), self.weights[0])
+        if len(self.wanderers):
+            roams = np.tensordot(self.weights[2 : 2 + len(self.wanderers)], self.wanderers, axes=1)
+            foretold += look.by_scale.reshape(len(foretold), -1) @ (roams * self.grid.weights / (4 * math.pi)).ravel()
+        if self.turning is not None:
+            foretold += self.weights[-1] * self.turning.foretold(look, spread.scales)
+        return spread.otherwise * foretold / (spread.otherwise @ foretold)
 
     def _learnt(self, sight: Sight, look: Look) -> Rates:
         """What the look tells of the detector."""

@@ -135,12 +135,19 @@ class Look:
         share = self.world.share(grid.directions @ self.sight.world_R_body) if self.world.views else 1.0
         beside = np.broadcast_to(1 - np.asarray(share) * self.rates.recall, grid.shape)
         amplitudes = self.rates.gain * self.world.area * self.world.ratios / self.world.clutter
-        # As wide as the belief of a target that stands takes them to be: the two are weighed against each other.
-        lengths = np.linalg.norm(self.world.axes, axis=-1)
-        widths = np.maximum(self.spread.precision**-0.5 / lengths, FINER * resolved(self.sight.degree))
-        deviations = self.world.axes * (widths / lengths)[..., None]
-        covariances = np.einsum("nai,naj->nij", deviations, deviations)
+        covariances = self.covariances(np.array([self.spread.precision**-0.5]))[0]
         return Sightings(self.world.directions, amplitudes, covariances, SphereField(grid, beside))
+
+    def covariances(self, scales: np.ndarray) -> np.ndarray:
+        """Of the detections, if they are `scales` ``(S,)`` times as wide as their model says ``(S, n, 3, 3)``.
+
+        None is narrower than the belief of a target that stands takes it to be: the two are weighed against each other.
+        """
+        assert self.world is not None
+        lengths = np.linalg.norm(self.world.axes, axis=-1)
+        widths = np.maximum(scales[:, None, None] / lengths, FINER * resolved(self.sight.degree))
+        deviations = self.world.axes * (widths / lengths)[..., None]
+        return np.einsum("snai,snaj->snij", deviations, deviations)
 
     def _peaks(self) -> Sightings:
         """Of the response map: where it says that the thing is there rather than not."""

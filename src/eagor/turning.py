@@ -128,21 +128,8 @@ class Turning:
 
     def _detected(self, peaks: np.ndarray, amplitudes: np.ndarray, spreads: np.ndarray) -> Turning:
         """Each component, taken to be the cause of each detection: a Kalman update."""
-        frames, gains, own = self._across()
-        cosine = np.clip(self.directions @ peaks.T, -1, 1)
-        across = np.einsum("nai,ki->nka", frames, peaks)
-        angle = np.arccos(cosine)
-        residual = across * (angle / np.maximum(np.sin(angle), 1e-6))[..., None]
-        noise = np.einsum("nai,kij,nbj->nkab", frames, spreads, frames)
-        total = own[:, None] + noise
-        determinant = total[..., 0, 0] * total[..., 1, 1] - total[..., 0, 1] ** 2
-        inverse = np.empty_like(total)
-        inverse[..., 0, 0], inverse[..., 1, 1] = total[..., 1, 1], total[..., 0, 0]
-        inverse[..., 0, 1] = inverse[..., 1, 0] = -total[..., 0, 1]
-        inverse /= determinant[..., None, None]
-        pull = np.einsum("nkab,nkb->nka", inverse, residual)
-        exponent = -0.5 * np.einsum("nka,nka->nk", pull, residual)
-        weights = self.weights[:, None] * amplitudes * np.exp(exponent) / (2 * math.pi * np.sqrt(determinant))
+        gains, inverse, pull, likely = self._innovations(peaks, spreads)
+        weights = self.weights[:, None] * amplitudes * likely
         kept = np.nonzero(weights > FAINT * max(float(weights.max()), 1e-300))
         if len(kept[0]) > MOST:
             best = np.argsort(-weights[kept], kind="stable")[:MOST]
@@ -159,6 +146,37 @@ class Turning:
             turns=self.turns[owner] + change[:, 3:],
             covariances=self.covariances[owner] - gain @ np.swapaxes(gains[owner], 1, 2),
         )
+
+    def foretold(self, look: Look, scales: np.ndarray) -> np.ndarray:
+        """How likely a look of detections was against "not here" ``(S,)``, if they are `scales` times as wide."""
+        seen = look.sightings
+        found = np.full(len(scales), self.unseen * (seen.mean_missed + float(seen.amplitudes.sum()) / (4 * math.pi)))
+        if len(self.weights):
+            found += self.weights @ seen.missed(self.directions)
+        if len(self.weights) and len(seen.directions):
+            for index, covariances in enumerate(look.covariances(scales)):
+                found[index] += self.weights @ self._innovations(seen.directions, covariances)[-1] @ seen.amplitudes
+        return found
+
+    def _innovations(self, peaks: np.ndarray, spreads: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Of each component by each detection: covariances of the state with its place ``(N, 6, 2)``, of the error the
+        inverse covariance ``(N, k, 2, 2)``, that times the error ``(N, k, 2)``, and its density ``(N, k)``.
+        """
+        frames, gains, own = self._across()
+        cosine = np.clip(self.directions @ peaks.T, -1, 1)
+        across = np.einsum("nai,ki->nka", frames, peaks)
+        angle = np.arccos(cosine)
+        residual = across * (angle / np.maximum(np.sin(angle), 1e-6))[..., None]
+        noise = np.einsum("nai,kij,nbj->nkab", frames, spreads, frames)
+        total = own[:, None] + noise
+        determinant = total[..., 0, 0] * total[..., 1, 1] - total[..., 0, 1] ** 2
+        inverse = np.empty_like(total)
+        inverse[..., 0, 0], inverse[..., 1, 1] = total[..., 1, 1], total[..., 0, 0]
+        inverse[..., 0, 1] = inverse[..., 1, 0] = -total[..., 0, 1]
+        inverse /= determinant[..., None, None]
+        pull = np.einsum("nkab,nkb->nka", inverse, residual)
+        exponent = -0.5 * np.einsum("nka,nka->nk", pull, residual)
+        return gains, inverse, pull, np.exp(exponent) / (2 * math.pi * np.sqrt(determinant))
 
     def _across(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Two unit vectors ``(N, 2, 3)`` across each direction, and how the places along them vary.
