@@ -10,6 +10,7 @@ logarithm of a likelihood is smooth there, and a cubic spline carries it from on
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -183,6 +184,22 @@ class Window(Nodes):
         found, ahead = on_plane(points, self.frame, self.half)
         beyond = (np.abs(found).max(axis=0) > 1.001) | (ahead <= 0)
         return (np.clip(found, -1, 1) + 1) * ((NODES - 1) / 2), beyond
+
+
+def with_own_peaks(windows: Sequence[Window], patches: Sequence[Patch]) -> set[int]:
+    """Which windows have a peak inside, of two with the same one the finer; `patches`: the windows over directions."""
+    found: list[int] = []
+    tops: list[np.ndarray] = []
+    for i in sorted(range(len(windows)), key=lambda i: float(windows[i].half.max())):
+        window, values = windows[i], patches[i].values
+        if window.peak_at_border(values):
+            continue
+        top = window.directions.reshape(-1, 3)[int(values.argmax())]
+        near = math.cos(math.atan(3 * float(window.half.max()) / (NODES - 1)))
+        if all(top @ other < near for other in tops):
+            found.append(i)
+            tops.append(top)
+    return {*found}
 
 
 def _summed(values: np.ndarray) -> np.ndarray:

@@ -67,12 +67,13 @@ class Sight:
             share: np.ndarray | float = 1.0
             if self.detections.views:
                 share = world.share(grid.directions @ self.world_R_body)
-            by_scale = world.ratios_by(spread.scales, grid.directions, given, share, resolved(self.degree))
+            if not self.detections.views or len(spread.scales) > 1:
+                by_scale = world.ratios_by(spread.scales, grid.directions, given, share, resolved(self.degree))
             if self.detections.views:
                 found = basis.rotate(self.detections.coefficients(self.degree, given, spread), self.world_R_body)
                 values = values + basis.synthesise(found, grid)
             else:
-                drawn = np.log(np.tensordot(spread.weights, by_scale, axes=1))
+                drawn = np.log(np.tensordot(spread.weights, by_scale, axes=1))  # type: ignore[arg-type]
                 values, found = values + drawn, basis.analyse(drawn, grid)
             coefficients = found if coefficients is None else coefficients + found
         assert coefficients is not None
@@ -106,7 +107,7 @@ class Sightings:
 class Look:
     """Log ratios of a `Sight`: `values` ``(H, W)`` on the decoding grid and `coefficients` ``(size,)``, world axes.
 
-    `by_scale` ``(S, H, W)``: ratios of the detections for each scale of their `spread`.
+    `by_scale` ``(S, H, W)``: ratios of the detections for each scale of their `spread`, where they are asked for.
     """
 
     sight: Sight

@@ -8,9 +8,7 @@ coarse for.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -20,10 +18,11 @@ from eagor.detection_set import resolved, tangent_frame
 from eagor.detector import STATED, UNLIKELY, Spread
 from eagor.field import SphereField
 from eagor.harmonics import RealHarmonics
-from eagor.local import NODES, RANGES, REACH, WIDEST, Window
+from eagor.heights import log_heights, with_heights
+from eagor.local import NODES, RANGES, REACH, WIDEST, Window, with_own_peaks
 from eagor.looks import FINER, Look
 from eagor.peaks import decoding_grid, neighbours, refine
-from eagor.ranged import NEAR, RangedBelief, height_level, height_prior, likely_height, mean_range, range_spread
+from eagor.ranged import NEAR, RangedBelief, mean_range, range_spread
 
 MOST = 4  # windows
 WORTH = 0.02  # of the belief: a peak that holds less gets no window,
@@ -35,7 +34,7 @@ WIDE = math.radians(14)  # a peak wider than this is well held by the field itse
 class Standing:
     """Log ratios against "not here": `coarse` over the whole sphere, and `windows` about its peaks; world axes.
 
-    `height`: of the camera above the floor, metres, where it is known: things stand on floors (`eagor.ranged`).
+    `height`: of the camera above the floor, metres, where it is known: things stand on floors (`eagor.heights`).
     `spread`: of the detector; `coarse` is read with all its scales at once, the windows with each.
     """
 
@@ -49,7 +48,7 @@ class Standing:
         """Nothing known."""
         if ranges is None:
             return cls(Belief.uniform(degree))
-        return cls(_with_prior(RangedBelief.uniform(degree, ranges), height), (), height)
+        return cls(with_heights(RangedBelief.uniform(degree, ranges), height), (), height)
 
     def blank(self) -> Standing:
         """A belief of the same kind that knows nothing."""
@@ -80,7 +79,7 @@ class Standing:
         """After the body has moved by `step` ``(3,)`` metres, in the axes of the world."""
         if not isinstance(self.coarse, RangedBelief):
             return self
-        coarse = _with_prior(self.coarse.predict(np.eye(3), step), height)
+        coarse = with_heights(self.coarse.predict(np.eye(3), step), height)
         found = Standing(coarse, (), height, self.spread)
         return replace(found, windows=tuple(found._filled(*w.moved(step, self._prior(w))) for w in self.windows))
 
@@ -93,7 +92,7 @@ class Standing:
             Window(w.frame, w.half, np.repeat(w.values, RANGES, axis=1), np.linspace(*limits, RANGES), limits)
             for w in self.windows
         )
-        return Standing(_with_prior(found, height), windows, height, self.spread)
+        return Standing(with_heights(found, height), windows, height, self.spread)
 
     def plus(self, look: Look, share: float = 1.0, since: np.ndarray | None = None) -> Standing:
         """With `share` of a look added, which was taken before the body moved by `since` ``(3,)`` to where it is."""
@@ -201,25 +200,9 @@ class Standing:
             found.__dict__["field"] = replace(self.field, patches=patches)
         found = found._searched()
         masses = found.masses()
-        alone = found._with_own_peaks()
+        alone = with_own_peaks(found.windows, found.field.patches)
         keep = [i for i in np.argsort(-masses, kind="stable") if masses[i] > LEAST and i in alone][:MOST]
         return found if len(keep) == len(found.windows) else found._kept(sorted(int(i) for i in keep))
-
-    def _with_own_peaks(self) -> set[int]:
-        """The windows with a peak inside, of two with the same one the finer."""
-        order = sorted(range(len(self.windows)), key=lambda i: float(self.windows[i].half.max()))
-        found: list[int] = []
-        tops: list[np.ndarray] = []
-        for i in order:
-            window, values = self.windows[i], self.field.patches[i].values
-            if window.peak_at_border(values):
-                continue
-            top = window.directions.reshape(-1, 3)[int(values.argmax())]
-            near = math.cos(math.atan(3 * float(window.half.max()) / (NODES - 1)))
-            if all(top @ other < near for other in tops):
-                found.append(i)
-                tops.append(top)
-        return {*found}
 
     def masses(self) -> np.ndarray:
         """The share of the belief in each window."""
@@ -265,7 +248,7 @@ class Standing:
         """The field of the whole sphere ``(S, K, ...)`` at directions ``(..., 3)`` times ranges of these logarithms."""
         if isinstance(self.coarse, RangedBelief):
             assert logs is not None
-            coefficients = _between(tuple(self.coarse.ranges.tolist()))(logs) @ self.coarse.shells
+            coefficients = self.coarse.between(logs)
         else:
             coefficients = self.coarse.coefficients[None]
         found = RealHarmonics(self.degree).synthesise(coefficients, directions)
@@ -301,9 +284,8 @@ class Standing:
         """What the height of things says at the nodes of a window ``(K, n, n)``, log ratios."""
         if self.height is None or window.logs is None or not isinstance(self.coarse, RangedBelief):
             return None
-        level = height_level(self.degree, tuple(self.coarse.ranges.tolist()), self.height)
         rise = np.exp(window.logs)[:, None, None] * window.directions[..., 2]
-        return np.log(likely_height(self.height + rise)) - level
+        return log_heights(self.coarse, self.height, rise)
 
 
 def least_width(window: Window, degree: int) -> float:
@@ -314,24 +296,3 @@ def least_width(window: Window, degree: int) -> float:
     """
     apart = 0.8 * math.atan(2 * float(window.half.min()) / (NODES - 1))
     return max(apart, FINER * resolved(degree))
-
-
-@lru_cache(maxsize=16)
-def _between(ranges: tuple[float, ...]) -> Callable[[np.ndarray], np.ndarray]:
-    """The weights ``(K, len(ranges))`` of the shells at logarithms ``(K,)`` of ranges between them: cubic splines."""
-    from scipy.interpolate import CubicSpline
-
-    return CubicSpline(np.log(ranges), np.eye(len(ranges)))
-
-
-def _with_prior(belief: RangedBelief, height: float | None) -> RangedBelief:
-    if height is None:
-        return belief if belief.prior is None else replace(belief, prior=None)
-    return replace(belief, prior=_height_prior(belief.degree, tuple(belief.ranges.tolist()), height))
-
-
-@lru_cache(maxsize=64)
-def _height_prior(degree: int, ranges: tuple[float, ...], height: float) -> np.ndarray:
-    found = height_prior(degree, np.array(ranges), height)
-    found.setflags(write=False)
-    return found

@@ -154,15 +154,18 @@ class Turning:
         if len(self.weights):
             found += self.weights @ seen.missed(self.directions)
         if len(self.weights) and len(seen.directions):
-            for index, covariances in enumerate(look.covariances(scales)):
-                found[index] += self.weights @ self._innovations(seen.directions, covariances)[-1] @ seen.amplitudes
+            peaks, covariances = np.tile(seen.directions, (len(scales), 1)), look.covariances(scales).reshape(-1, 3, 3)
+            likely = self.weights @ self._innovations(peaks, covariances)[-1]
+            found += likely.reshape(len(scales), -1) @ seen.amplitudes
         return found
 
     def _innovations(self, peaks: np.ndarray, spreads: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Of each component by each detection: covariances of the state with its place ``(N, 6, 2)``, of the error the
-        inverse covariance ``(N, k, 2, 2)``, that times the error ``(N, k, 2)``, and its density ``(N, k)``.
+        """How each component foretells each detection.
+
+        Covariances of its state with its place ``(N, 6, 2)``; of the error, the inverse covariance ``(N, k, 2, 2)``,
+        that times the error ``(N, k, 2)``, and the density ``(N, k)``.
         """
-        frames, gains, own = self._across()
+        frames, gains, own = self._across
         cosine = np.clip(self.directions @ peaks.T, -1, 1)
         across = np.einsum("nai,ki->nka", frames, peaks)
         angle = np.arccos(cosine)
@@ -178,6 +181,7 @@ class Turning:
         exponent = -0.5 * np.einsum("nka,nka->nk", pull, residual)
         return gains, inverse, pull, np.exp(exponent) / (2 * math.pi * np.sqrt(determinant))
 
+    @lazy
     def _across(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Two unit vectors ``(N, 2, 3)`` across each direction, and how the places along them vary.
 
@@ -195,7 +199,8 @@ class Turning:
 
         Components that lie as near as they are alike in width are taken together.
         """
-        frames, _, across = self._across()
+        frames, _, own = self._across
+        across = own.copy()
         weights, covariances = self.weights.copy(), np.einsum("nai,nab,nbj->nij", frames, across, frames)
         traces = np.trace(covariances, axis1=1, axis2=2)
         apart = 1 - self.directions @ self.directions.T
