@@ -229,7 +229,7 @@ class Cases:
         if passing is not None and passing.sight.repeats > 0:
             repeated = passing.sight.repeats
             standing = standing.plus(passing, -repeated, since)
-        look = sight.read(rates, standing.spread.mixed(self.weights[1] / max(self.presence, 1e-300)))
+        look = sight.read(rates, standing.spread)
         learnt = rates
         if sight.detections is not None:
             learnt = self._learnt(sight, look)
@@ -241,8 +241,8 @@ class Cases:
         spread = self._otherwise(look, standing.spread)
         wanderers = self.wanderers
         if len(wanderers):
-            ratio = np.exp(look.values)
-            new = ratio if repeated == 0 else np.exp(look.values - repeated * passing.values)  # type: ignore[union-attr]
+            ratio = np.exp(look.moving)
+            new = ratio if repeated == 0 else ratio * np.exp(-repeated * passing.moving)  # type: ignore[union-attr]
             shares = self.grid.weights / (4 * math.pi)
             gains[2 : 2 + len(wanderers)] = np.log(np.einsum("mij,ij->m", wanderers, new * shares))
             wanderers = wanderers * ratio
@@ -285,7 +285,8 @@ class Cases:
         expected = 0.0
         if len(look.world):
             found = look.world.densities(directions, look.spread.scales) @ (mass * share)
-            expected = float(look.spread.weights @ found) * look.world.area
+            stands = float(self.weights[1]) / max(self.presence, 1e-300)
+            expected = float(look.spread.mixed(stands).weights @ found) * look.world.area
         return look.rates.learnt(self.presence, covered, expected)
 
 

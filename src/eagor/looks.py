@@ -55,7 +55,7 @@ class Sight:
         return cls(stamp, position, world_R_body, degree, joint, mapped, repeats, bias)
 
     def read(self, rates: Rates | None, spread: Spread = STATED) -> Look:
-        """The look as log ratios; `rates` and `spread` of the detector, from before this look."""
+        """The look as log ratios, for a target that stands; `rates` and `spread` of the detector, from before it."""
         grid, basis = decoding_grid(self.degree), RealHarmonics(self.degree)
         values = np.zeros(grid.shape) if self.mapped is None else basis.synthesise(self.mapped, grid)
         given, world, by_scale = None, None, None
@@ -117,6 +117,15 @@ class Look:
     rates: Rates | None
     spread: Spread
     by_scale: np.ndarray | None
+
+    @lazy
+    def moving(self) -> np.ndarray:
+        """As `values`, for a target that moves."""
+        if self.by_scale is None or len(self.by_scale) == 1:
+            return self.values
+        weights = np.stack([self.spread.otherwise, self.spread.weights])
+        logs = np.log(np.tensordot(weights, self.by_scale, axes=1))
+        return self.values + logs[0] - logs[1]
 
     @lazy
     def centres(self) -> tuple[np.ndarray, np.ndarray]:

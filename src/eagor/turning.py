@@ -107,7 +107,7 @@ class Turning:
         joined = _joined(*parts, unseen=unseen)
         gain = math.log(total)
         if passing is not None and repeated > 0 and len(joined.weights):
-            before = SphereField(decoding_grid(look.sight.degree), passing.values)
+            before = SphereField(decoding_grid(look.sight.degree), passing.moving)
             gain -= repeated * float(joined.weights @ before.smooth(joined.directions, 1))
         return joined, gain
 

@@ -230,7 +230,7 @@ def test_a_target_that_comes_to_stand_is_found_where_it_stands():
             assert tracker.estimate(20.0).moving > 0.7
     estimate = tracker.estimate(59.0)
     assert estimate.moving < 0.3
-    assert math.degrees(angular_distance(estimate.direction, direction(4.0, 0.0))) < 1.2
+    assert math.degrees(angular_distance(estimate.direction, direction(4.0, 0.0))) < 1
     assert math.degrees(estimate.credible_angle) < 10
 
 
