@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor._lazy import lazy
-from eagor.detector import Rates, Spread
+from eagor.detector import Rates
 from eagor.field import Patch, SphereField, blurred
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
@@ -238,7 +238,6 @@ class Cases:
         standing = standing.opened(look).plus(look).focused(fresh)
         gains = np.zeros(len(self.weights))
         gains[1] = standing.log_mean - before
-        spread = self._otherwise(look, standing.spread)
         wanderers = self.wanderers
         if len(wanderers):
             ratio = np.exp(look.moving)
@@ -247,25 +246,30 @@ class Cases:
             gains[2 : 2 + len(wanderers)] = np.log(np.einsum("mij,ij->m", wanderers, new * shares))
             wanderers = wanderers * ratio
             wanderers /= np.einsum("mij,ij->m", wanderers, shares)[:, None, None]
-        turning = self.turning
+        turning, foretold = self.turning, np.zeros(1)
         if turning is not None:
-            turning, gains[-1] = turning.updated(look, passing, repeated)
+            turning, gains[-1], foretold = turning.updated(look, passing, repeated)
+        spread = self._otherwise(look, foretold)
         log = np.log(np.maximum(self.weights, 1e-300)) + gains
         weights = np.exp(log - log.max())
         weights /= weights.sum()
         return Cases(weights, standing.judged(float(weights[1]), spread), wanderers, turning, sight.bias), look, learnt
 
-    def _otherwise(self, look: Look, spread: Spread) -> np.ndarray:
-        """The weights of the scales ``(S,)`` if the target does not stand, after a look."""
-        if look.by_scale is None or len(spread.scales) == 1:
-            return spread.otherwise
-        foretold = np.full(len(spread.scales), self.weights[0])
+    def _otherwise(self, look: Look, turns: np.ndarray) -> np.ndarray:
+        """The weights of the scales ``(S,)`` if the target does not stand, after a look.
+
+        `turns` ``(S,)``: how likely it was for each of them if the target turns.
+        """
+        otherwise = look.spread.otherwise
+        if look.by_scale is None or len(otherwise) == 1:
+            return otherwise
+        foretold = np.full(len(otherwise), self.weights[0])
         if len(self.wanderers):
             roams = np.tensordot(self.weights[2 : 2 + len(self.wanderers)], self.wanderers, axes=1)
             foretold += look.by_scale.reshape(len(foretold), -1) @ (roams * self.grid.weights / (4 * math.pi)).ravel()
         if self.turning is not None:
-            foretold += self.weights[-1] * self.turning.foretold(look, spread.scales)
-        return spread.otherwise * foretold / (spread.otherwise @ foretold)
+            foretold += self.weights[-1] * turns
+        return otherwise * foretold / (otherwise @ foretold)
 
     def _learnt(self, sight: Sight, look: Look) -> Rates:
         """What the look tells of the detector."""

@@ -30,7 +30,7 @@ RECALLS, RECALL_WEIGHTS = (0.1, 0.3, 0.5, 0.7, 0.9), (0.1, 0.2, 0.2, 0.25, 0.25)
 ALARMS = (0.02, 0.06, 0.2, 0.6, 2.0, 6.0)
 # How many times as wide as stated the spread may turn out, and how likely that is.
 SCALES, SCALE_WEIGHTS = (0.5, 1.0, 2.0), (0.04, 0.88, 0.08)
-UNLIKELY = 1e-4  # a scale with less weight is no longer reckoned with
+UNLIKELY = 1e-3  # a scale with less weight is no longer reckoned with
 
 
 @dataclass(frozen=True)

@@ -85,13 +85,14 @@ class Sightings:
     """A likelihood ratio as a sum: what holds where nothing was seen, and a Gaussian about each thing that was.
 
     `directions` ``(n, 3)``; `amplitudes` ``(n,)``: their integrals over the sphere; `covariances` ``(n, 3, 3)``.
-    `beside`: the rest.
+    `beside`: the rest. `scaled` ``(S, n, 3, 3)``: the covariances for each of several scales that are reckoned with.
     """
 
     directions: np.ndarray
     amplitudes: np.ndarray
     covariances: np.ndarray
     beside: SphereField
+    scaled: np.ndarray
 
     def missed(self, where: np.ndarray) -> np.ndarray:
         """The ratio ``(n,)`` at directions ``(n, 3)`` if none of them is the thing."""
@@ -145,19 +146,14 @@ class Look:
         share = self.world.share(grid.directions @ self.sight.world_R_body) if self.world.views else 1.0
         beside = np.broadcast_to(1 - np.asarray(share) * self.rates.recall, grid.shape)
         amplitudes = self.rates.gain * self.world.area * self.world.ratios / self.world.clutter
-        covariances = self.covariances(np.array([self.spread.precision**-0.5]))[0]
-        return Sightings(self.world.directions, amplitudes, covariances, SphereField(grid, beside))
-
-    def covariances(self, scales: np.ndarray) -> np.ndarray:
-        """Of the detections, if they are `scales` ``(S,)`` times as wide as their model says ``(S, n, 3, 3)``.
-
-        None is narrower than the belief of a target that stands takes it to be: the two are weighed against each other.
-        """
-        assert self.world is not None
+        scales = self.spread.scales if len(self.spread.scales) > 1 else self.spread.scales[:0]
+        scales = np.array([self.spread.precision**-0.5, *scales])[:, None, None]
+        # None narrower than the belief of a target that stands takes it to be: they are weighed against each other.
         lengths = np.linalg.norm(self.world.axes, axis=-1)
-        widths = np.maximum(scales[:, None, None] / lengths, FINER * resolved(self.sight.degree))
+        widths = np.maximum(scales / lengths, FINER * resolved(self.sight.degree))
         deviations = self.world.axes * (widths / lengths)[..., None]
-        return np.einsum("snai,snaj->snij", deviations, deviations)
+        covariances = np.einsum("snai,snaj->snij", deviations, deviations)
+        return Sightings(self.world.directions, amplitudes, covariances[0], SphereField(grid, beside), covariances[1:])
 
     def _peaks(self) -> Sightings:
         """Of the response map: where it says that the thing is there rather than not."""
@@ -178,7 +174,8 @@ class Look:
         heights = np.array([height for _, _, height in found])
         across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
         beside = SphereField(grid, np.exp(np.minimum(self.values, 0.0)))
-        return Sightings(directions, heights * 2 * np.pi * widths**2, across * (widths**2)[:, None, None], beside)
+        covariances = across * (widths**2)[:, None, None]
+        return Sightings(directions, heights * 2 * np.pi * widths**2, covariances, beside, covariances[None][:0])
 
     def at(self, directions: np.ndarray, least: float, scales: np.ndarray) -> np.ndarray:
         """Log ratios ``(S, ...)`` at directions ``(..., 3)``, nothing narrower than `least` radians.

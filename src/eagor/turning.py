@@ -19,7 +19,7 @@ import numpy as np
 from eagor._lazy import lazy
 from eagor.detection_set import anisotropic, bump_norms, tangent_frames
 from eagor.field import Patch, SphereField
-from eagor.looks import Look
+from eagor.looks import Look, Sightings
 from eagor.peaks import decoding_grid
 
 MOST = 24  # components
@@ -89,9 +89,12 @@ class Turning:
         old = replace(self, weights=self.weights * (1 - share))
         return _joined(old, born, unseen=unseen)
 
-    def updated(self, look: Look, passing: Look | None = None, repeated: float = 0.0) -> tuple[Turning, float]:
+    def updated(
+        self, look: Look, passing: Look | None = None, repeated: float = 0.0
+    ) -> tuple[Turning, float, np.ndarray]:
         """With one more look, and the log of how likely it was against "not here".
 
+        Also how likely it was for each of the scales that detections may be wide, if there are several ``(S,)``.
         `repeated`: share of `passing`, the look before it, that it repeats.
         """
         sightings = look.sightings
@@ -101,15 +104,18 @@ class Turning:
         born = self._born(self.unseen * amplitudes / (4 * math.pi), peaks, spreads)
         unseen = self.unseen * sightings.mean_missed
         parts = [found, born]
+        foretold = np.full(len(sightings.scaled), unseen + float(found.weights.sum() + born.weights.sum()))
         if len(self.weights) and len(peaks):
-            parts.append(self._detected(peaks, amplitudes, spreads))
+            detected, likely = self._detected(sightings)
+            parts.append(detected)
+            foretold += likely
         total = unseen + sum(float(part.weights.sum()) for part in parts)
         joined = _joined(*parts, unseen=unseen)
         gain = math.log(total)
         if passing is not None and repeated > 0 and len(joined.weights):
             before = SphereField(decoding_grid(look.sight.degree), passing.moving)
             gain -= repeated * float(joined.weights @ before.smooth(joined.directions, 1))
-        return joined, gain
+        return joined, gain, foretold
 
     def _born(self, weights: np.ndarray, directions: np.ndarray, covariances: np.ndarray) -> Turning:
         """Components of which only the place is known."""
@@ -126,10 +132,17 @@ class Turning:
         names = ("weights", "directions", "turns", "covariances")
         return replace(self, **dict(zip(names, found, strict=True)))
 
-    def _detected(self, peaks: np.ndarray, amplitudes: np.ndarray, spreads: np.ndarray) -> Turning:
-        """Each component, taken to be the cause of each detection: a Kalman update."""
+    def _detected(self, seen: Sightings) -> tuple[Turning, np.ndarray]:
+        """Each component, taken to be the cause of each detection: a Kalman update.
+
+        And how likely that was for each scale ``(S,)``.
+        """
+        count, amplitudes = len(seen.directions), seen.amplitudes
+        spreads = np.concatenate([seen.covariances[None], seen.scaled]).reshape(-1, 3, 3)
+        peaks = np.tile(seen.directions, (1 + len(seen.scaled), 1))
         gains, inverse, pull, likely = self._innovations(peaks, spreads)
-        weights = self.weights[:, None] * amplitudes * likely
+        foretold = (self.weights @ likely[:, count:]).reshape(-1, count) @ amplitudes
+        weights = self.weights[:, None] * amplitudes * likely[:, :count]
         kept = np.nonzero(weights > FAINT * max(float(weights.max()), 1e-300))
         if len(kept[0]) > MOST:
             best = np.argsort(-weights[kept], kind="stable")[:MOST]
@@ -139,25 +152,14 @@ class Turning:
         change = np.einsum("mia,ma->mi", gains[owner], pull[kept])
         from scipy.spatial.transform import Rotation
 
-        return replace(
+        detected = replace(
             self,
             weights=weights[kept],
             directions=Rotation.from_rotvec(change[:, :3]).apply(self.directions[owner]),
             turns=self.turns[owner] + change[:, 3:],
             covariances=self.covariances[owner] - gain @ np.swapaxes(gains[owner], 1, 2),
         )
-
-    def foretold(self, look: Look, scales: np.ndarray) -> np.ndarray:
-        """How likely a look of detections was against "not here" ``(S,)``, if they are `scales` times as wide."""
-        seen = look.sightings
-        found = np.full(len(scales), self.unseen * (seen.mean_missed + float(seen.amplitudes.sum()) / (4 * math.pi)))
-        if len(self.weights):
-            found += self.weights @ seen.missed(self.directions)
-        if len(self.weights) and len(seen.directions):
-            peaks, covariances = np.tile(seen.directions, (len(scales), 1)), look.covariances(scales).reshape(-1, 3, 3)
-            likely = self.weights @ self._innovations(peaks, covariances)[-1]
-            found += likely.reshape(len(scales), -1) @ seen.amplitudes
-        return found
+        return detected, foretold
 
     def _innovations(self, peaks: np.ndarray, spreads: np.ndarray) -> tuple[np.ndarray, ...]:
         """How each component foretells each detection.
