@@ -83,6 +83,7 @@ class Run:
     looks: list[np.ndarray]
     targets: np.ndarray
     motion: Motion
+    detector: Detector
 
     def __len__(self) -> int:
         return len(self.looks)
@@ -148,7 +149,7 @@ def _run(
     motion: Motion | None = None,
 ) -> Run:
     poses = any_rotations(len(targets), rng) if poses is None else poses
-    run = Run(poses, poses, positions, [], targets, motion or Motion())
+    run = Run(poses, poses, positions, [], targets, motion or Motion(), detector)
     return replace(run, looks=looks(run.truths, detector, rng))
 
 
@@ -224,6 +225,7 @@ WORLDS: dict[str, World] = {
     "random walk, 10 deg/sqrt(s)": lambda rng, detector: random_walk(rng, detector, 10.0),
     "jumps, every 15 s": jumps,
     "drift, 1 deg/s": drift,
+    "drift, 1 deg/s, error of 3 deg": lambda rng, detector: drift(rng, replace(detector, spread=3.0)),
 }
 
 
