@@ -20,6 +20,7 @@ detection on, and at the end of a run; "of mean" is that of the mean direction, 
 Nats: log density at the truth per steradian, behind the ideal filter's, mean over all looks. Coverage: how often the
 truth is in the smallest region that is said to hold 50, 90, 99 %. Distance: |log(distance / truth)| at the end. Time:
 CPU milliseconds a look, answer included (scoring not), contestants alternating run by run, the median over runs.
+"says": how often our tracker says each word, and how often it is then within 15 degrees of the truth.
 Brackets are 95 % bootstrap intervals over runs. Seeds below 2000 are for development; reports start at 8000. `few`
 compares what each filter says of ITS OWN answer with what the ideal says of its own; `within 15` is the mass within 15
 degrees if the target is there, "both" is that times presence, which is what `Estimate.within` says.
@@ -46,7 +47,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ideal_filters import Contestant, StillOrKnown, Walked
+from ideal_filters import NEAR, Contestant, StillOrKnown, Walked
 from ideal_floors import KindUnknown
 from ideal_rivals import Core, RivalGrid, RivalParticles, Settings, Tracker
 from ideal_worlds import STEP, WORLDS, Detector, Run, make
@@ -140,7 +141,7 @@ def follow(filter_: Contestant, run: Run) -> dict[str, Any]:
     """One contestant through one run: values per look ``(T,)``, nan where there is nothing to say yet."""
     steps, truths = len(run), run.truths
     error, hedged, above, log_density = (np.full(steps, np.nan) for _ in range(4))
-    claims, seconds = [], 0.0
+    claims, words, seconds = [], [], 0.0
     for t in range(steps):
         position = None if run.positions is None else run.positions[t]
         before = time.process_time()
@@ -152,10 +153,11 @@ def follow(filter_: Contestant, run: Run) -> dict[str, Any]:
             if filter_.mean is not None:
                 hedged[t] = degrees(filter_.mean, truths[t])
             above[t] = filter_.mass_above(truths[t])
+        words.append(filter_.word)
         if t < FEW:
             claims.append(filter_.claim())
     found = {"error": error, "hedged": hedged, "log_density": log_density, "above": above, "claims": claims}
-    found["ms"] = 1000 * seconds / steps
+    found |= {"words": words, "ms": 1000 * seconds / steps}
     if run.positions is not None:
         told = filter_.distance
         found["distance"] = math.nan if told is None else abs(math.log(told / run.distances[-1]))
@@ -224,6 +226,33 @@ def few(rows: dict[str, dict[str, np.ndarray]]) -> dict[str, list[dict[str, dict
                 {k: {"mean": float(d.mean()), "max": float(d.max())} if len(d) else {} for k, d in away.items()}
             )
     return found
+
+
+def said(rows: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
+    """How often our tracker says each word, and how often it is then within 15 degrees of the truth, with intervals."""
+    found = {}
+    for word in ("tracking", "ambiguous", "searching"):
+        said, right = rows["words"] == word, rows["error"] <= math.degrees(NEAR)  # nan, before any detection, is wrong
+        if not said.any():
+            continue
+        draws = np.random.default_rng(0).integers(len(said), size=(2000, len(said)))  # whole runs
+        counts, hits = said.sum(axis=1)[draws].sum(axis=1), (said & right).sum(axis=1)[draws].sum(axis=1)
+        low, high = np.quantile(hits[counts > 0] / counts[counts > 0], [0.025, 0.975])
+        found[word] = {
+            "said": float(said.mean()),
+            "right": float(right[said].mean()),
+            "low": float(low),
+            "high": float(high),
+        }
+    return found
+
+
+def show_words(table: dict[str, dict[str, float]]) -> None:
+    cells = [
+        f"{word} {row['said']:.0%}, right in {row['right']:.1%} [{row['low']:.1%}, {row['high']:.1%}]"
+        for word, row in table.items()
+    ]
+    print("  says: " + "; ".join(cells))
 
 
 def show(title: str, table: dict[str, dict[str, Any]]) -> None:
@@ -342,6 +371,9 @@ def main() -> int:
         }
         report["worlds"][world] = table
         show(world, table)
+        if OURS in rows:
+            report.setdefault("words", {})[world] = said(rows[OURS])
+            show_words(report["words"][world])
         if wrong:
             report["wrong"] = wrong
             show("turning, the detector wrong by a factor 2", wrong)

@@ -29,12 +29,17 @@ class Contestant:
     """What a filter must do. Directions are in the body frame of the last look, densities per steradian.
 
     `direction`: the answer, about where the density is highest; `mean`: the mean direction of the belief, where the
-    filter offers it (it hedges where two places are likely); `distance`: metres, of worlds with positions.
+    filter offers it (it hedges where two places are likely); `distance`: metres, of worlds with positions; `word`: what
+    the filter says of its answer, where it does.
     """
 
     direction: np.ndarray | None = None
     mean: np.ndarray | None = None
     distance: float | None = None
+
+    @property
+    def word(self) -> str | None:
+        return None
 
     def look(self, time: float, pose: np.ndarray, position: np.ndarray | None, detections: np.ndarray) -> None:
         """Predict to this look and update with it, and work out the answer: all that is timed."""

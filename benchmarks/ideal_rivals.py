@@ -39,6 +39,10 @@ class Tracker(Contestant):
         self.direction = self.estimate.direction
         self.distance = None if position is None else self.estimate.distance
 
+    @property
+    def word(self) -> str:
+        return self.estimate.status
+
     def log_density(self, direction: np.ndarray) -> float:
         return float(self.estimate.log_density(direction[None])[0])
 

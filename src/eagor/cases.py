@@ -22,7 +22,7 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.detector import Rates
-from eagor.field import Patch, SphereField, blurred, sharpened
+from eagor.field import Patch, SphereField, blurred
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.local import REACH
@@ -47,7 +47,6 @@ class Cases:
     `weights` ``(2 + M,)`` or, with `turning`, ``(3 + M,)`` sum to 1. `wanderers` ``(M, H, W)``: densities over a
     uniform one, on the decoding grid.
     `bias`: radians by which all looks together may lie beside the thing: the part of their error that repeats.
-    `sharpening`: what the precision of peaks is read as, over what it was added up with (`Rates.sharpening`).
     """
 
     weights: np.ndarray
@@ -55,7 +54,6 @@ class Cases:
     wanderers: np.ndarray
     turning: Turning | None = None
     bias: float = 0.0
-    sharpening: float = 1.0
 
     @classmethod
     def prior(cls, motion: MotionModel, standing: Standing, presence: float = 0.5) -> Cases:
@@ -86,8 +84,6 @@ class Cases:
         """log of the density over a uniform one, given that the target is here: what answers are read from."""
         shares = self.weights[1:] / max(float(self.weights[1:].sum()), 1e-300)
         stands = self.standing.field
-        if abs(self.sharpening - 1) > 0.01:
-            stands = replace(stands, patches=tuple(sharpened(patch, self.sharpening) for patch in stands.patches))
         if self.bias > 0:
             stands = _with_bias(stands, self.bias)
         turns = float(shares[-1]) if self.turning is not None else 0.0
@@ -141,6 +137,10 @@ class Cases:
         if drift > 0:
             standing = _drifted(standing, drift, elapsed)
         kept, newly = flows[1, 1], np.delete(flows[:, 1], 1)
+        spread, others = standing.spread, np.delete(flows, 1, axis=1)
+        left = float(others[1].sum() / max(others.sum(), 1e-300))  # of what does not stand now: what stood
+        if left > 0:
+            standing = standing.spreading(replace(spread, otherwise=spread.mixed(left).weights))
         if newly.sum() > kept:  # it stands since now
             standing = self._restarted(standing, newly)
         weights = flows.sum(axis=0)
@@ -211,6 +211,7 @@ class Cases:
         density = np.broadcast_to(density, self.grid.shape)
         field = np.log(np.maximum(density / _mean(density, self.grid), _LEAST_NEW))
         blank = standing.blank()
+        blank = blank.spreading(replace(blank.spread, weights=blank.spread.otherwise))
         return replace(blank, coarse=blank.coarse.plus(RealHarmonics(standing.degree).analyse(field, self.grid)))
 
     def updated(
@@ -222,11 +223,13 @@ class Cases:
         Returns the look as it was read, and what is known of the detector's rates after it.
         """
         standing, before = self.standing, self.standing.log_mean
+        if sight.detections is not None:
+            standing = standing.detecting()
         repeated = 0.0
         if passing is not None and passing.sight.repeats > 0:
             repeated = passing.sight.repeats
             standing = standing.plus(passing, -repeated, since)
-        look = sight.read(rates)
+        look = sight.read(rates, standing.spread)
         learnt = rates
         if sight.detections is not None:
             learnt = self._learnt(sight, look)
@@ -237,25 +240,42 @@ class Cases:
         gains[1] = standing.log_mean - before
         wanderers = self.wanderers
         if len(wanderers):
-            ratio = np.exp(look.values)
-            new = ratio if repeated == 0 else np.exp(look.values - repeated * passing.values)  # type: ignore[union-attr]
+            ratio = np.exp(look.moving)
+            new = ratio if repeated == 0 else ratio * np.exp(-repeated * passing.moving)  # type: ignore[union-attr]
             shares = self.grid.weights / (4 * math.pi)
             gains[2 : 2 + len(wanderers)] = np.log(np.einsum("mij,ij->m", wanderers, new * shares))
             wanderers = wanderers * ratio
             wanderers /= np.einsum("mij,ij->m", wanderers, shares)[:, None, None]
-        turning = self.turning
+        turning, foretold = self.turning, np.zeros(1)
         if turning is not None:
-            turning, gains[-1] = turning.updated(look, passing, repeated)
+            turning, gains[-1], foretold = turning.updated(look, passing, repeated)
+        spread = self._otherwise(look, foretold)
         log = np.log(np.maximum(self.weights, 1e-300)) + gains
         weights = np.exp(log - log.max())
-        sharpening = 1.0 if learnt is None else learnt.sharpening
-        return Cases(weights / weights.sum(), standing, wanderers, turning, sight.bias, sharpening), look, learnt
+        weights /= weights.sum()
+        return Cases(weights, standing.judged(float(weights[1]), spread), wanderers, turning, sight.bias), look, learnt
+
+    def _otherwise(self, look: Look, turns: np.ndarray) -> np.ndarray:
+        """The weights of the scales ``(S,)`` if the target does not stand, after a look.
+
+        `turns` ``(S,)``: how likely it was for each of them if the target turns.
+        """
+        otherwise = look.spread.otherwise
+        if look.by_scale is None or len(otherwise) == 1:
+            return otherwise
+        foretold = np.full(len(otherwise), self.weights[0])
+        if len(self.wanderers):
+            roams = np.tensordot(self.weights[2 : 2 + len(self.wanderers)], self.wanderers, axes=1)
+            foretold += look.by_scale.reshape(len(foretold), -1) @ (roams * self.grid.weights / (4 * math.pi)).ravel()
+        if self.turning is not None:
+            foretold += self.weights[-1] * turns
+        return otherwise * foretold / (otherwise @ foretold)
 
     def _learnt(self, sight: Sight, look: Look) -> Rates:
         """What the look tells of the detector."""
         assert look.rates is not None
         assert look.world is not None
-        if not len(look.world) and look.rates.weights.size == 1:
+        if look.rates.weights.size == 1:
             return look.rates
         values, weights, directions = self.field.nodes
         mass = np.exp(np.minimum(values - self.field.log_mean, _LARGEST)) * weights / (4 * math.pi)
@@ -266,10 +286,12 @@ class Cases:
         if look.world.views:
             share = look.world.share(directions @ sight.world_R_body)
         covered = float(np.sum(mass * share))
-        expected = np.zeros(len(look.rates.scales))
+        expected = 0.0
         if len(look.world):
-            expected = look.world.densities(directions, look.rates.scales) @ (mass * share) * look.world.area
-        return look.rates.noted(len(look.world)).learnt(self.presence, covered, expected)
+            found = look.world.densities(directions, look.spread.scales) @ (mass * share)
+            stands = float(self.weights[1]) / max(self.presence, 1e-300)
+            expected = float(look.spread.mixed(stands).weights @ found) * look.world.area
+        return look.rates.learnt(self.presence, covered, expected)
 
 
 def _is_covered(patch: Patch, field: SphereField) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.coverage import Region, confine, region, taper
-from eagor.detector import UNLIKELY, DetectorModel, Rates
+from eagor.detector import STATED, DetectorModel, Rates, Spread
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.peaks import decoding_grid
@@ -101,14 +101,14 @@ class Detections:
             missed *= 1 - view.share(directions)
         return 1 - missed
 
-    def coefficients(self, degree: int, rates: Rates | None = None) -> np.ndarray:
+    def coefficients(self, degree: int, rates: Rates | None = None, spread: Spread = STATED) -> np.ndarray:
         """log L in harmonics ``(size,)``, in the axes of the body: none narrower than the degree holds.
 
         What was not looked at gains nothing (`eagor.coverage`): v fades to 0 inside the border of what was.
         """
         grid, basis = decoding_grid(degree), RealHarmonics(degree)
         share, where = self.grid_share(degree)
-        found = basis.analyse(np.log(self.ratio(grid.directions, rates, share, resolved(degree))), grid)
+        found = basis.analyse(np.log(self.ratio(grid.directions, rates, share, resolved(degree), spread)), grid)
         return found if where is None else confine(degree, found, where)
 
     def grid_share(self, degree: int) -> tuple[np.ndarray | float, Region | None]:
@@ -175,20 +175,30 @@ class Detections:
         rates: Rates | None = None,
         share: np.ndarray | float | None = None,
         least: float = 0.0,
+        spread: Spread = STATED,
     ) -> np.ndarray:
         """L ``(...)`` at directions ``(..., 3)``, both in the axes of the detections, with `rates` after `Rates.given`.
 
         `share`: v there (default: as `share` has it, in the axes of the body). `least`: radians; no detection is taken
         to be narrower.
         """
+        return np.tensordot(spread.weights, self.ratios_by(spread.scales, directions, rates, share, least), axes=1)
+
+    def ratios_by(
+        self,
+        scales: np.ndarray,
+        directions: np.ndarray,
+        rates: Rates | None = None,
+        share: np.ndarray | float | None = None,
+        least: float = 0.0,
+    ) -> np.ndarray:
+        """`ratio` ``(S, ...)`` for detections `scales` ``(S,)`` times as wide."""
         rates = self.rates.given(len(self)) if rates is None else rates
         share = self.share(directions) if share is None else share
-        found = np.ones(directions.shape[:-1]) - share * rates.recall
-        if len(self):
-            likely = rates.spreads > UNLIKELY
-            densities = self.densities(directions, rates.scales[likely], least)
-            found += share * np.tensordot(rates.gain * self.area * rates.spreads[likely], densities, axes=1)
-        return found
+        missed = np.ones(directions.shape[:-1]) - share * rates.recall
+        if not len(self):
+            return np.broadcast_to(missed, (len(scales), *missed.shape))
+        return missed + share * (rates.gain * self.area) * self.densities(directions, scales, least)
 
 
 def bump_norms(lengths: np.ndarray) -> np.ndarray:

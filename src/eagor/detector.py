@@ -29,8 +29,8 @@ CLUTTER_FLOOR = 1e-3  # relative density of false alarms: no place is so clean t
 RECALLS, RECALL_WEIGHTS = (0.1, 0.3, 0.5, 0.7, 0.9), (0.1, 0.2, 0.2, 0.25, 0.25)
 ALARMS = (0.02, 0.06, 0.2, 0.6, 2.0, 6.0)
 # How many times as wide as stated the spread may turn out, and how likely that is.
-UNLIKELY = 1e-4  # a scale with less weight is not reckoned with
-SCALES, SCALE_WEIGHTS = (0.5, 1.0, 2.0), (0.04, 0.92, 0.04)
+SCALES, SCALE_WEIGHTS = (0.5, 1.0, 2.0), (0.04, 0.88, 0.08)
+UNLIKELY = 1e-3  # a scale with less weight is no longer reckoned with
 
 
 @dataclass(frozen=True)
@@ -117,29 +117,22 @@ def _is_curve(curve: Sequence[Sequence[float]] | None) -> bool:
 class Rates:
     """What is known of a detector: joint weights ``(R, A)`` of `recalls` ``(R,)`` and `alarms` ``(A,)``.
 
-    Where a rate is stated there is one value of it, and nothing to learn. `spreads` ``(S,)``: weights of the stated
-    spread times `scales` ``(S,)``: it is taken as stated until the looks contradict it.
+    Where a rate is stated there is one value of it, and nothing to learn.
     """
 
     recalls: np.ndarray
     alarms: np.ndarray
     weights: np.ndarray
-    scales: np.ndarray = field(default_factory=lambda: np.ones(1))
-    spreads: np.ndarray = field(default_factory=lambda: np.ones(1))
-    detected: float = 0.0  # number of detections so far,
-    precision_used: float = 0.0  # ... and the sum of the precisions that they were read with, over the stated one
 
     @classmethod
-    def prior(cls, model: DetectorModel, learns: bool = False) -> Rates:
-        """Before any look; who `learns` from look to look reckons with another spread than the stated one."""
+    def prior(cls, model: DetectorModel) -> Rates:
+        """Before any look."""
         known, number = model.detection_probability, model.false_alarms_per_look
         recalls = np.array(RECALLS if known is None else (known,))
         share = np.array(RECALL_WEIGHTS if known is None else (1.0,))
         alarms = np.array(ALARMS if number is None else (number,))
         weights = share[:, None] * np.full(len(alarms), 1 / len(alarms))
-        if not learns:
-            return cls(recalls, alarms, weights)
-        return cls(recalls, alarms, weights, np.array(SCALES), np.array(SCALE_WEIGHTS))
+        return cls(recalls, alarms, weights)
 
     def given(self, count: int) -> Rates:
         """With a look of `count` detections, none of which was the target."""
@@ -162,33 +155,50 @@ class Rates:
         """The mean of P_D over the number of false alarms: what one detection weighs."""
         return float(self.recalls @ self.weights @ (1 / self.alarms))
 
-    def learnt(self, presence: float, covered: float, expected: np.ndarray) -> Rates:
+    def learnt(self, presence: float, covered: float, expected: float) -> Rates:
         """After a look, of which `given` knows the number.
 
-        `presence`: of the target before the look; `covered`: share of its density that was looked at; `expected`
-        ``(S,)``: for each scale the sum over the detections of s_i g(z_i) / lambda(z_i) at one false alarm a look, g
-        under that density.
+        `presence`: of the target before the look; `covered`: share of its density that was looked at; `expected`: the
+        sum over the detections of s_i g(z_i) / lambda(z_i) at one false alarm a look, g under that density.
         """
         recalls = self.recalls[:, None]
-        seen = 1 - recalls * covered + (recalls / self.alarms) * float(self.spreads @ expected)
+        seen = 1 - recalls * covered + (recalls / self.alarms) * expected
         weights = self.weights * (1 - presence + presence * seen)
-        spreads = self.spreads * (1 - presence + presence * (1 - self.recall * covered + self.gain * expected))
-        return replace(self, weights=weights / weights.sum(), spreads=spreads / spreads.sum())
+        return replace(self, weights=weights / weights.sum())
 
-    def noted(self, count: int) -> Rates:
-        """After `count` more detections were read with these spreads."""
-        used = self.precision_used + count * self.precision
-        return replace(self, detected=self.detected + count, precision_used=used)
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """How wide detections are: `weights` ``(S,)`` of so many times (`scales`, ``(S,)``) as wide as their model says.
+
+    `otherwise` ``(S,)``: their weights if the target does not stand: what looks like a wide spread may be motion.
+    """
+
+    scales: np.ndarray
+    weights: np.ndarray
+    otherwise: np.ndarray
+
+    @classmethod
+    def unsure(cls) -> Spread:
+        """Before any look: as stated, more or less."""
+        return cls(np.array(SCALES), np.array(SCALE_WEIGHTS), np.array(SCALE_WEIGHTS))
+
+    def mixed(self, stands: float) -> Spread:
+        """Its weights if the target stands with probability `stands`."""
+        return replace(self, weights=stands * self.weights + (1 - stands) * self.otherwise)
 
     @property
     def precision(self) -> float:
-        """The mean of 1 / scale^2."""
-        return float(self.spreads @ self.scales**-2.0)
+        """The mean of 1 / scale^2 if the target does not stand."""
+        return float(self.otherwise @ self.scales**-2.0)
 
     @property
-    def sharpening(self) -> float:
-        """What the precision of a peak is to be multiplied with, now that more is known of the spread."""
-        return 1.0 if self.detected == 0 else self.precision * self.detected / self.precision_used
+    def logs(self) -> np.ndarray:
+        """Logarithms of the weights, for values ``(S, K, n, n)``."""
+        return np.log(self.weights)[:, None, None, None]
+
+
+STATED = Spread(np.ones(1), np.ones(1), np.ones(1))
 
 
 @lru_cache(maxsize=1)

@@ -43,7 +43,7 @@ class TrackerConfig:
     - `detector`: read every set of detections with this model instead of its own.
     - `ranges`: shells (metres) of the belief over distance, used where positions are known; None: directions only.
     - `floor`: height (z, metres) of the floor in the odometry's world, where it is known: things stand on it, so that
-      how far below the horizon one is tells how far away it may be (`eagor.ranged.height_prior`).
+      how far below the horizon one is tells how far away it may be (`eagor.heights.height_prior`).
     - `motion`: how targets come, go and move (`eagor.motion.MotionModel`).
     - `drift`: radians per root second by which the odometry's heading wanders off.
     - `history`: seconds for which poses and evidence are kept, so that late evidence finds its place.

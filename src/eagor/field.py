@@ -90,14 +90,6 @@ def on_plane(directions: np.ndarray, frame: np.ndarray, half: np.ndarray) -> tup
     return np.stack([local[1] / (safe * half[0]), local[2] / (safe * half[1])]), local[0]
 
 
-def sharpened(patch: Patch, factor: float) -> Patch:
-    """The peak with its precision multiplied by `factor`, its mass kept."""
-    top = float(patch.values.max())
-    values = top + factor * (patch.values - top)
-    before, after = (float(np.sum(np.exp(v - top) * patch.weights)) for v in (patch.values, values))
-    return patch.like(values + math.log(before / after))
-
-
 def blurred(patch: Patch, sigma: float, reach: float) -> Patch:
     """The density exp(values) convolved with a Gaussian of `sigma` radians, on a patch that has room for it.
 

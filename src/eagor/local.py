@@ -10,11 +10,13 @@ logarithm of a likelihood is smooth there, and a cubic spline carries it from on
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from eagor._lazy import lazy
 from eagor.field import Nodes, Patch, on_plane
 from eagor.sphere import cross
 from eagor.splines import interpolated
@@ -30,7 +32,10 @@ SLACK = 1.25  # a window that is larger than wanted by this factor is drawn anew
 
 @dataclass(frozen=True, eq=False)
 class Window(Nodes):
-    """Log-likelihood ratios ``(K, n, n)`` about one peak, in axes that do not turn, about the place of the body.
+    """Log-likelihood ratios ``(S, K, n, n)`` about one peak, in axes that do not turn, about the place of the body.
+
+    For each scale of the detector's spread that is reckoned with (`eagor.detector.Spread`) they are kept by themselves,
+    with the logarithm of its weight in them: place and spread are believed in jointly.
 
     `frame`, `half`: as for `eagor.field.Nodes`. `logs` ``(K,)``: logarithms of the ranges, evenly spaced; None where
     only directions are believed in (K = 1). `limits`: the least and the greatest logarithm of a range there is.
@@ -49,16 +54,25 @@ class Window(Nodes):
         return share / (self.limits[1] - self.limits[0])
 
     def plus(self, log_ratios: np.ndarray) -> Window:
-        """With log ratios ``(n, n)`` added to all ranges, or ``(K, n, n)``."""
+        """With log ratios added ``(S or 1, K or 1, n, n)``."""
         return self.like(self.values + log_ratios)
 
     def marginal(self, prior: np.ndarray | None = None) -> np.ndarray:
         """log of the mean likelihood over the ranges ``(n, n)``; `prior` ``(K, n, n)``: log ratios to count besides."""
+        return _summed(self.by_scale(prior))
+
+    def by_scale(self, prior: np.ndarray | None = None) -> np.ndarray:
+        """The same ``(S, n, n)`` for each scale."""
         values = self.values if prior is None else self.values + prior
-        if len(values) == 1:
-            return values[0]
-        top = values.max(axis=0)
-        return np.log(np.tensordot(self.shares, np.exp(values - top), axes=1)) + top
+        if values.shape[1] == 1:
+            return values[:, 0]
+        top = values.max(axis=1)
+        return np.log(np.einsum("k,skij->sij", self.shares, np.exp(values - top[:, None]))) + top
+
+    @lazy
+    def by_range(self) -> np.ndarray:
+        """Whatever the scale: ``(K, n, n)``."""
+        return _summed(self.values)
 
     def patch(self, prior: np.ndarray | None = None) -> Patch:
         """The window as a part of a field over directions."""
@@ -103,7 +117,7 @@ class Window(Nodes):
         self, prior: np.ndarray | None, step: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Frame, half widths and ranges of the window that fits the peak, after a `step`."""
-        values = self.values if prior is None else self.values + prior
+        values = self.by_range if prior is None else self.by_range + prior
         mass = np.exp(values - values.max())
         mean = np.tensordot(self.shares, mass, axes=1)
         peak = _component(np.log(np.maximum(mean, 1e-300)))
@@ -149,7 +163,7 @@ class Window(Nodes):
     ) -> tuple[Window, np.ndarray | None]:
         """The same field on another grid, and which of its nodes lie beyond this one."""
         frame, half, logs = wanted
-        new = Window(frame, half, np.zeros((1, NODES, NODES)), logs, self.limits)
+        new = Window(frame, half, np.zeros((1, 1, NODES, NODES)), logs, self.limits)
         points, depth = new.directions, np.zeros(0)
         if logs is not None:
             points = np.exp(logs)[:, None, None, None] * new.directions
@@ -170,6 +184,30 @@ class Window(Nodes):
         found, ahead = on_plane(points, self.frame, self.half)
         beyond = (np.abs(found).max(axis=0) > 1.001) | (ahead <= 0)
         return (np.clip(found, -1, 1) + 1) * ((NODES - 1) / 2), beyond
+
+
+def with_own_peaks(windows: Sequence[Window], patches: Sequence[Patch]) -> set[int]:
+    """Which windows have a peak inside, of two with the same one the finer; `patches`: the windows over directions."""
+    found: list[int] = []
+    tops: list[np.ndarray] = []
+    for i in sorted(range(len(windows)), key=lambda i: float(windows[i].half.max())):
+        window, values = windows[i], patches[i].values
+        if window.peak_at_border(values):
+            continue
+        top = window.directions.reshape(-1, 3)[int(values.argmax())]
+        near = math.cos(math.atan(3 * float(window.half.max()) / (NODES - 1)))
+        if all(top @ other < near for other in tops):
+            found.append(i)
+            tops.append(top)
+    return {*found}
+
+
+def _summed(values: np.ndarray) -> np.ndarray:
+    """log of the sum of exp(values) ``(S, ...)`` over the first axis."""
+    if len(values) == 1:
+        return values[0]
+    top = values.max(axis=0)
+    return np.log(np.exp(values - top).sum(axis=0)) + top
 
 
 def _component(values: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from eagor._arrays import to_numpy
 from eagor._lazy import lazy
 from eagor.detection_set import Detections, resolved
-from eagor.detector import Rates
+from eagor.detector import STATED, Rates, Spread
 from eagor.evidence import Evidence
 from eagor.field import SphereField
 from eagor.harmonics import RealHarmonics
@@ -54,25 +54,30 @@ class Sight:
         repeats, bias = max(look.repeats for look in looks), max(look.bias for look in looks)
         return cls(stamp, position, world_R_body, degree, joint, mapped, repeats, bias)
 
-    def read(self, rates: Rates | None) -> Look:
-        """The look as log ratios; `rates` of the detector, from before this look."""
+    def read(self, rates: Rates | None, spread: Spread = STATED) -> Look:
+        """The look as log ratios, for a target that stands; `rates` and `spread` of the detector, from before it."""
         grid, basis = decoding_grid(self.degree), RealHarmonics(self.degree)
         values = np.zeros(grid.shape) if self.mapped is None else basis.synthesise(self.mapped, grid)
-        given, world = None, None
+        given, world, by_scale = None, None, None
         coefficients = self.mapped
         if self.detections is not None:
-            before = Rates.prior(self.detections.model, learns=True) if rates is None else rates
+            before = Rates.prior(self.detections.model) if rates is None else rates
             given = before.given(len(self.detections))
             world = self.detections.turned(self.world_R_body)
+            share: np.ndarray | float = 1.0
             if self.detections.views:
-                found = basis.rotate(self.detections.coefficients(self.degree, given), self.world_R_body)
+                share = world.share(grid.directions @ self.world_R_body)
+            if not self.detections.views or len(spread.scales) > 1:
+                by_scale = world.ratios_by(spread.scales, grid.directions, given, share, resolved(self.degree))
+            if self.detections.views:
+                found = basis.rotate(self.detections.coefficients(self.degree, given, spread), self.world_R_body)
                 values = values + basis.synthesise(found, grid)
             else:
-                drawn = np.log(world.ratio(grid.directions, given, 1.0, resolved(self.degree)))
+                drawn = np.log(np.tensordot(spread.weights, by_scale, axes=1))  # type: ignore[arg-type]
                 values, found = values + drawn, basis.analyse(drawn, grid)
             coefficients = found if coefficients is None else coefficients + found
         assert coefficients is not None
-        return Look(self, values, coefficients, world, given)
+        return Look(self, values, coefficients, world, given, spread, by_scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,13 +85,14 @@ class Sightings:
     """A likelihood ratio as a sum: what holds where nothing was seen, and a Gaussian about each thing that was.
 
     `directions` ``(n, 3)``; `amplitudes` ``(n,)``: their integrals over the sphere; `covariances` ``(n, 3, 3)``.
-    `beside`: the rest.
+    `beside`: the rest. `scaled` ``(S, n, 3, 3)``: the covariances for each of several scales that are reckoned with.
     """
 
     directions: np.ndarray
     amplitudes: np.ndarray
     covariances: np.ndarray
     beside: SphereField
+    scaled: np.ndarray
 
     def missed(self, where: np.ndarray) -> np.ndarray:
         """The ratio ``(n,)`` at directions ``(n, 3)`` if none of them is the thing."""
@@ -100,13 +106,27 @@ class Sightings:
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """Log ratios of a `Sight`: `values` ``(H, W)`` on the decoding grid and `coefficients` ``(size,)``, world axes."""
+    """Log ratios of a `Sight`: `values` ``(H, W)`` on the decoding grid and `coefficients` ``(size,)``, world axes.
+
+    `by_scale` ``(S, H, W)``: ratios of the detections for each scale of their `spread`, where they are asked for.
+    """
 
     sight: Sight
     values: np.ndarray
     coefficients: np.ndarray
     world: Detections | None
     rates: Rates | None
+    spread: Spread
+    by_scale: np.ndarray | None
+
+    @lazy
+    def moving(self) -> np.ndarray:
+        """As `values`, for a target that moves."""
+        if self.by_scale is None or len(self.by_scale) == 1:
+            return self.values
+        weights = np.stack([self.spread.otherwise, self.spread.weights])
+        logs = np.log(np.tensordot(weights, self.by_scale, axes=1))
+        return self.values + logs[0] - logs[1]
 
     @lazy
     def centres(self) -> tuple[np.ndarray, np.ndarray]:
@@ -126,12 +146,14 @@ class Look:
         share = self.world.share(grid.directions @ self.sight.world_R_body) if self.world.views else 1.0
         beside = np.broadcast_to(1 - np.asarray(share) * self.rates.recall, grid.shape)
         amplitudes = self.rates.gain * self.world.area * self.world.ratios / self.world.clutter
-        # As wide as the belief of a target that stands takes them to be: the two are weighed against each other.
+        scales = self.spread.scales if len(self.spread.scales) > 1 else self.spread.scales[:0]
+        scales = np.array([self.spread.precision**-0.5, *scales])[:, None, None]
+        # None narrower than the belief of a target that stands takes it to be: they are weighed against each other.
         lengths = np.linalg.norm(self.world.axes, axis=-1)
-        widths = np.maximum(self.rates.precision**-0.5 / lengths, FINER * resolved(self.sight.degree))
+        widths = np.maximum(scales / lengths, FINER * resolved(self.sight.degree))
         deviations = self.world.axes * (widths / lengths)[..., None]
-        covariances = np.einsum("nai,naj->nij", deviations, deviations)
-        return Sightings(self.world.directions, amplitudes, covariances, SphereField(grid, beside))
+        covariances = np.einsum("snai,snaj->snij", deviations, deviations)
+        return Sightings(self.world.directions, amplitudes, covariances[0], SphereField(grid, beside), covariances[1:])
 
     def _peaks(self) -> Sightings:
         """Of the response map: where it says that the thing is there rather than not."""
@@ -152,16 +174,20 @@ class Look:
         heights = np.array([height for _, _, height in found])
         across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
         beside = SphereField(grid, np.exp(np.minimum(self.values, 0.0)))
-        return Sightings(directions, heights * 2 * np.pi * widths**2, across * (widths**2)[:, None, None], beside)
+        covariances = across * (widths**2)[:, None, None]
+        return Sightings(directions, heights * 2 * np.pi * widths**2, covariances, beside, covariances[None][:0])
 
-    def at(self, directions: np.ndarray, least: float) -> np.ndarray:
-        """Log ratios ``(...)`` at directions ``(..., 3)``, nothing narrower than `least` radians."""
-        found = np.zeros(directions.shape[:-1])
+    def at(self, directions: np.ndarray, least: float, scales: np.ndarray) -> np.ndarray:
+        """Log ratios ``(S, ...)`` at directions ``(..., 3)``, nothing narrower than `least` radians.
+
+        `scales` ``(S,)``: how many times as wide as their model says detections are taken to be.
+        """
+        found = np.zeros((len(scales), *directions.shape[:-1]))
         if self.sight.mapped is not None:
             found += RealHarmonics(self.sight.degree).synthesise(self.sight.mapped, directions)
         if self.world is not None:
             share: np.ndarray | float = 1.0
             if self.world.views:
                 share = self.world.share(directions @ self.sight.world_R_body)
-            found += np.log(self.world.ratio(directions, self.rates, share, least))
+            found += np.log(self.world.ratios_by(scales, directions, self.rates, share, least))
         return found

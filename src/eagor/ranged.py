@@ -10,7 +10,7 @@ the belief is read: the direction belief is the log of the shells' mean likeliho
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -34,10 +34,6 @@ def log_ranges(nearest: float = 0.5, farthest: float = 12.0, count: int = 14) ->
     return np.geomspace(nearest, farthest, count)
 
 
-# Heights of the middles of things above the floor, metres: furniture lies about half a metre high, what hangs on walls
-# or stands on furniture at up to two.
-MIDDLE, SPREAD = 0.7, 0.5
-ODD = 0.02  # share of things of which no height is expected
 NEAR = math.radians(20)  # how far around a direction counts when the range there is asked for
 
 
@@ -45,9 +41,9 @@ NEAR = math.radians(20)  # how far around a direction counts when the range ther
 class RangedBelief(Reading):
     """Direction and distance: `shells` ``(..., K, (degree + 1)^2)`` at `ranges` ``(K,)`` metres, in the body frame.
 
-    `prior` ``(K, (degree + 1)^2)``, as `height_prior` gives it: what is known of direction and range without looking;
-    it counts when the belief is read. None: every direction alike. `predict` turns it, and takes it to be the same at
-    the new place: on level ground it is.
+    `prior` ``(K, (degree + 1)^2)``, as `eagor.heights.height_prior` gives it: what is known of direction and range
+    without looking; it counts when the belief is read. None: every direction alike. `predict` turns it, and takes it to
+    be the same at the new place: on level ground it is.
     """
 
     shells: Array
@@ -158,6 +154,10 @@ class RangedBelief(Reading):
         shares = matched(self._shares, self.shells)
         return namespace(self.shells).sum(shares[:, None] * self.shells, axis=-2)
 
+    def between(self, logs: np.ndarray) -> np.ndarray:
+        """The shells ``(n, size)`` at these logarithms ``(n,)`` of ranges, by cubic splines."""
+        return _between(tuple(self.ranges.tolist()))(logs) @ self.shells
+
     def forget(self, factor: float) -> RangedBelief:
         """With all log-odds scaled by `factor` in [0, 1]."""
         return replace(self, shells=Belief(self.shells).forget(factor).coefficients)
@@ -225,7 +225,7 @@ class RangedBelief(Reading):
 
     @property
     def _shares(self) -> np.ndarray:
-        return _shares(self.ranges)
+        return log_shares(self.ranges)
 
     @property
     def _believed(self) -> Array:
@@ -254,32 +254,12 @@ def range_spread(probabilities: np.ndarray, ranges: np.ndarray) -> np.ndarray:
     return np.sqrt(np.maximum(probabilities @ log_range**2 - mean**2, 0.0))
 
 
-def height_prior(
-    degree: int, ranges: np.ndarray, camera: float, middle: float = MIDDLE, spread: float = SPREAD
-) -> np.ndarray:
-    """What it means that things stand on a floor: a prior ``(K, (degree + 1)^2)`` for `RangedBelief`, z up.
+@lru_cache(maxsize=16)
+def _between(ranges: tuple[float, ...]) -> Callable[[np.ndarray], np.ndarray]:
+    """The weights ``(n, len(ranges))`` of the shells at logarithms ``(n,)`` of ranges between them."""
+    from scipy.interpolate import CubicSpline
 
-    A thing at range r and elevation e has its middle at the height `camera` + r sin(e) above the floor (metres). Such
-    heights are taken to be normally distributed about `middle`, or with probability `ODD` to be anything. It is a log
-    ratio against every direction and log range alike, whose mean likelihood is 1.
-    """
-    grid, ranges = decoding_grid(degree), np.asarray(ranges, dtype=np.float64)
-    likely = likely_height(camera + ranges[:, None, None] * grid.directions[..., 2], middle, spread)
-    mean = np.sum(_shares(ranges)[:, None, None] * likely * grid.weights) / (4 * math.pi)
-    return RealHarmonics(degree).analyse(np.log(likely / mean), grid)
-
-
-def likely_height(height: np.ndarray, middle: float = MIDDLE, spread: float = SPREAD) -> np.ndarray:
-    """How likely things are at these heights (metres above the floor), over the likeliest."""
-    return ODD + (1 - ODD) * np.exp(-0.5 * ((height - middle) / spread) ** 2)
-
-
-@lru_cache(maxsize=64)
-def height_level(degree: int, ranges: tuple[float, ...], camera: float) -> float:
-    """log of the mean of `likely_height` over all directions and ranges."""
-    grid, shells = decoding_grid(degree), np.array(ranges)
-    likely = likely_height(camera + shells[:, None, None] * grid.directions[..., 2])
-    return math.log(float(np.sum(_shares(shells)[:, None, None] * likely * grid.weights)) / (4 * math.pi))
+    return CubicSpline(np.log(ranges), np.eye(len(ranges)))
 
 
 def _near(cells: ErpGrid | ErpWindow, about: np.ndarray | None) -> np.ndarray:
@@ -288,7 +268,7 @@ def _near(cells: ErpGrid | ErpWindow, about: np.ndarray | None) -> np.ndarray:
     return weights if about is None else np.where(cells.directions @ about >= math.cos(NEAR), weights, 0.0)
 
 
-def _shares(ranges: np.ndarray) -> np.ndarray:
+def log_shares(ranges: np.ndarray) -> np.ndarray:
     """Prior probability of each shell ``(K,)``: its share of the logarithm of the range."""
     width = np.gradient(np.log(ranges))
     return width / width.sum()

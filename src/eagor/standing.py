@@ -8,21 +8,21 @@ coarse for.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
 from eagor._lazy import lazy
 from eagor.belief import Belief
 from eagor.detection_set import resolved, tangent_frame
+from eagor.detector import STATED, UNLIKELY, Spread
 from eagor.field import SphereField
 from eagor.harmonics import RealHarmonics
-from eagor.local import NODES, RANGES, REACH, WIDEST, Window
+from eagor.heights import log_heights, with_heights
+from eagor.local import NODES, RANGES, REACH, WIDEST, Window, with_own_peaks
 from eagor.looks import FINER, Look
 from eagor.peaks import decoding_grid, neighbours, refine
-from eagor.ranged import NEAR, RangedBelief, height_level, height_prior, likely_height, mean_range, range_spread
+from eagor.ranged import NEAR, RangedBelief, mean_range, range_spread
 
 MOST = 4  # windows
 WORTH = 0.02  # of the belief: a peak that holds less gets no window,
@@ -34,24 +34,26 @@ WIDE = math.radians(14)  # a peak wider than this is well held by the field itse
 class Standing:
     """Log ratios against "not here": `coarse` over the whole sphere, and `windows` about its peaks; world axes.
 
-    `height`: of the camera above the floor, metres, where it is known: things stand on floors (`eagor.ranged`).
+    `height`: of the camera above the floor, metres, where it is known: things stand on floors (`eagor.heights`).
+    `spread`: of the detector; `coarse` is read with all its scales at once, the windows with each.
     """
 
     coarse: Belief | RangedBelief
     windows: tuple[Window, ...] = ()
     height: float | None = None
+    spread: Spread = STATED
 
     @classmethod
     def uniform(cls, degree: int, ranges: np.ndarray | None, height: float | None = None) -> Standing:
         """Nothing known."""
         if ranges is None:
             return cls(Belief.uniform(degree))
-        return cls(_with_prior(RangedBelief.uniform(degree, ranges), height), (), height)
+        return cls(with_heights(RangedBelief.uniform(degree, ranges), height), (), height)
 
     def blank(self) -> Standing:
         """A belief of the same kind that knows nothing."""
         ranges = self.coarse.ranges if isinstance(self.coarse, RangedBelief) else None
-        return Standing.uniform(self.degree, ranges, self.height)
+        return replace(Standing.uniform(self.degree, ranges, self.height), spread=self.spread)
 
     @property
     def degree(self) -> int:
@@ -77,8 +79,8 @@ class Standing:
         """After the body has moved by `step` ``(3,)`` metres, in the axes of the world."""
         if not isinstance(self.coarse, RangedBelief):
             return self
-        coarse = _with_prior(self.coarse.predict(np.eye(3), step), height)
-        found = Standing(coarse, (), height)
+        coarse = with_heights(self.coarse.predict(np.eye(3), step), height)
+        found = Standing(coarse, (), height, self.spread)
         return replace(found, windows=tuple(found._filled(*w.moved(step, self._prior(w))) for w in self.windows))
 
     def ranged(self, ranges: np.ndarray, height: float | None) -> Standing:
@@ -87,20 +89,23 @@ class Standing:
         logs = np.log(ranges)
         limits = float(logs[0]), float(logs[-1])
         windows = tuple(
-            Window(w.frame, w.half, np.repeat(w.values, RANGES, axis=0), np.linspace(*limits, RANGES), limits)
+            Window(w.frame, w.half, np.repeat(w.values, RANGES, axis=1), np.linspace(*limits, RANGES), limits)
             for w in self.windows
         )
-        return Standing(_with_prior(found, height), windows, height)
+        return Standing(with_heights(found, height), windows, height, self.spread)
 
     def plus(self, look: Look, share: float = 1.0, since: np.ndarray | None = None) -> Standing:
         """With `share` of a look added, which was taken before the body moved by `since` ``(3,)`` to where it is."""
         if since is None or not since.any() or not isinstance(self.coarse, RangedBelief):
             windows, patches = [], []
             for window, patch in zip(self.windows, self.field.patches, strict=True):
-                found = share * look.at(window.directions, least_width(window, self.degree))
-                windows.append(window.plus(found))
-                patches.append(patch.like(patch.values + found))
-            found = Standing(self.coarse.plus(share * look.coefficients), tuple(windows), self.height)
+                found = share * look.at(window.directions, least_width(window, self.degree), self.spread.scales)
+                windows.append(window.plus(found[:, None]))
+                if len(found) == 1:  # what is said of all ranges alike
+                    patches.append(patch.like(patch.values + found[0]))
+                else:
+                    patches.append(windows[-1].patch(self._prior(window)))
+            found = replace(self, coarse=self.coarse.plus(share * look.coefficients), windows=tuple(windows))
             # What is said of all ranges alike adds as much to the field over directions.
             field = SphereField(self.field.grid, self.field.values + share * look.values, tuple(patches))
             found.__dict__["field"] = field
@@ -112,13 +117,53 @@ class Standing:
         for window in self.windows:
             points = window.points() + since
             points /= np.sqrt(np.einsum("...i,...i->...", points, points))[..., None]
-            windows.append(window.plus(share * look.at(points, least_width(window, self.degree))))
-        return Standing(self.coarse.plus(carried), tuple(windows), self.height)
+            found = look.at(points, least_width(window, self.degree), self.spread.scales)
+            windows.append(window.plus(share * found))
+        return replace(self, coarse=self.coarse.plus(carried), windows=tuple(windows))
 
     def scaled(self, factor: float) -> Standing:
         """With all log ratios scaled by `factor` in [0, 1]: the covariance of each peak grows by 1 / factor."""
-        windows = tuple(window.like(window.values * factor) for window in self.windows)
-        return Standing(self.coarse.forget(factor), windows, self.height)
+        kept = (1 - factor) * self.spread.logs  # what is known of the spread
+        windows = tuple(window.like(window.values * factor + kept) for window in self.windows)
+        return replace(self, coarse=self.coarse.forget(factor), windows=windows)
+
+    def detecting(self) -> Standing:
+        """From the first set of detections on: their spread may differ from the stated one."""
+        if self.spread is not STATED:
+            return self
+        spread = Spread.unsure()
+        windows = tuple(window.like(window.values + spread.logs) for window in self.windows)
+        return replace(self, windows=windows, spread=spread)
+
+    def spreading(self, spread: Spread) -> Standing:
+        """With other weights of the scales."""
+        if self.spread is STATED:
+            return self
+        found = replace(self, spread=spread)
+        if "field" in self.__dict__:
+            found.__dict__["field"] = self.field
+        return found
+
+    def judged(self, stands: float, otherwise: np.ndarray) -> Standing:
+        """With what the windows tell of the spread.
+
+        `stands`: probability that the target does; `otherwise` ``(S,)``: weights of the scales if not.
+        """
+        if len(self.spread.scales) == 1:
+            return self
+        held = np.zeros(len(self.spread.scales))
+        for window, share in zip(self.windows, self.field.shares, strict=True):
+            held += np.exp(window.by_scale(self._prior(window)) - self.log_mean).reshape(len(held), -1) @ share.ravel()
+        held /= 4 * math.pi
+        held += max(1 - held.sum(), 0.0) * self.spread.weights
+        likely = stands * held / held.sum() + (1 - stands) * otherwise > UNLIKELY
+        held, otherwise = held[likely], otherwise[likely]
+        spread = Spread(self.spread.scales[likely], held / held.sum(), otherwise / otherwise.sum())
+        if likely.all():
+            return self.spreading(spread)
+        return replace(
+            self, windows=tuple(window.like(window.values[likely]) for window in self.windows), spread=spread
+        )
 
     def opened(self, look: Look) -> Standing:
         """With windows where the detections of a look are, which is not yet added, if none is there."""
@@ -127,9 +172,10 @@ class Standing:
         if not len(centres):
             return self
         widths = np.maximum(widths, FINER * resolved(self.degree))
-        reached = self.field.smooth(centres, 1) + look.at(centres, 0.0) - self.log_mean
+        widest = WIDE / self.spread.scales.min()
+        reached = self.field.smooth(centres, 1) + look.at(centres, 0.0, np.ones(1))[0] - self.log_mean
         for centre, width, rise in zip(centres, widths, reached, strict=True):
-            if width > WIDE or len(found.windows) >= 2 * MOST or math.exp(min(rise, 50.0)) * width**2 < LEAST:
+            if width > widest or len(found.windows) >= 2 * MOST or math.exp(min(rise, 50.0)) * width**2 < LEAST:
                 continue
             if any(patch.places(centre)[1] for patch in found.field.patches):
                 continue
@@ -146,7 +192,7 @@ class Standing:
             for window, patch in zip(self.windows, self.field.patches, strict=True)
         )
         if any(a is not b for a, b in zip(windows, self.windows, strict=True)):
-            found = Standing(self.coarse, windows, self.height)
+            found = replace(self, windows=windows)
             patches = tuple(
                 patch if a is b else a.patch(self._prior(a))
                 for a, b, patch in zip(windows, self.windows, self.field.patches, strict=True)
@@ -154,25 +200,9 @@ class Standing:
             found.__dict__["field"] = replace(self.field, patches=patches)
         found = found._searched()
         masses = found.masses()
-        alone = found._with_own_peaks()
+        alone = with_own_peaks(found.windows, found.field.patches)
         keep = [i for i in np.argsort(-masses, kind="stable") if masses[i] > LEAST and i in alone][:MOST]
         return found if len(keep) == len(found.windows) else found._kept(sorted(int(i) for i in keep))
-
-    def _with_own_peaks(self) -> set[int]:
-        """The windows with a peak inside, of two with the same one the finer."""
-        order = sorted(range(len(self.windows)), key=lambda i: float(self.windows[i].half.max()))
-        found: list[int] = []
-        tops: list[np.ndarray] = []
-        for i in order:
-            window, values = self.windows[i], self.field.patches[i].values
-            if window.peak_at_border(values):
-                continue
-            top = window.directions.reshape(-1, 3)[int(values.argmax())]
-            near = math.cos(math.atan(3 * float(window.half.max()) / (NODES - 1)))
-            if all(top @ other < near for other in tops):
-                found.append(i)
-                tops.append(top)
-        return {*found}
 
     def masses(self) -> np.ndarray:
         """The share of the belief in each window."""
@@ -181,7 +211,7 @@ class Standing:
         return np.array(found) / (4 * math.pi)
 
     def _kept(self, places: list[int]) -> Standing:
-        found = Standing(self.coarse, tuple(self.windows[i] for i in places), self.height)
+        found = replace(self, windows=tuple(self.windows[i] for i in places))
         found.__dict__["field"] = replace(self.field, patches=tuple(self.field.patches[i] for i in places))
         return found
 
@@ -204,24 +234,25 @@ class Standing:
         """With a window about `centre` ``(3,)`` for a peak of this `width` (radians), drawn from the coarse field."""
         frame = np.concatenate([centre[None], tangent_frame(centre)])
         half = np.full(2, min(math.tan(min(REACH * width, 1.0)), WIDEST))
-        window = Window(frame, half, np.zeros((1, NODES, NODES)))
+        window = Window(frame, half, np.zeros((1, 1, NODES, NODES)))
         if isinstance(self.coarse, RangedBelief):
             limits = math.log(self.coarse.ranges[0]), math.log(self.coarse.ranges[-1])
             window = replace(window, logs=np.linspace(*limits, RANGES), limits=limits)
         window = window.like(self._coarse_at(window.directions, window.logs))
-        found = Standing(self.coarse, (*self.windows, window), self.height)
+        found = replace(self, windows=(*self.windows, window))
         patch = window.patch(self._prior(window))
         found.__dict__["field"] = replace(self.field, patches=(*self.field.patches, patch))
         return found
 
     def _coarse_at(self, directions: np.ndarray, logs: np.ndarray | None) -> np.ndarray:
-        """The field of the whole sphere ``(K, ...)`` at directions ``(..., 3)`` times ranges of these logarithms."""
+        """The field of the whole sphere ``(S, K, ...)`` at directions ``(..., 3)`` times ranges of these logarithms."""
         if isinstance(self.coarse, RangedBelief):
             assert logs is not None
-            coefficients = _between(tuple(self.coarse.ranges.tolist()))(logs) @ self.coarse.shells
+            coefficients = self.coarse.between(logs)
         else:
             coefficients = self.coarse.coefficients[None]
-        return RealHarmonics(self.degree).synthesise(coefficients, directions)
+        found = RealHarmonics(self.degree).synthesise(coefficients, directions)
+        return np.add.outer(np.log(self.spread.weights), found)
 
     def _filled(self, window: Window, beyond: np.ndarray | None) -> Window:
         """A window with the nodes `beyond` what it held before taken from the field of the whole sphere."""
@@ -229,7 +260,7 @@ class Standing:
             return window
         nodes, values = beyond.any(axis=0), window.values.copy()
         found = self._coarse_at(window.directions[nodes], window.logs)
-        values[:, nodes] = np.where(beyond[:, nodes], found, values[:, nodes])
+        values[..., nodes] = np.where(beyond[:, nodes], found, values[..., nodes])
         return window.like(values)
 
     def distance(self, about: np.ndarray) -> tuple[float, float] | None:
@@ -240,7 +271,7 @@ class Standing:
             inside = window.directions @ about > math.cos(NEAR)
             if window.patch().places(about)[1] and inside.any():
                 prior = self._prior(window)
-                values = (window.values if prior is None else window.values + prior)[:, inside]
+                values = (window.by_range if prior is None else window.by_range + prior)[:, inside]
                 mass = np.exp(values - values.max()) @ window.weights[inside] * window.shares
                 assert window.logs is not None
                 ranges = np.exp(window.logs)
@@ -253,9 +284,8 @@ class Standing:
         """What the height of things says at the nodes of a window ``(K, n, n)``, log ratios."""
         if self.height is None or window.logs is None or not isinstance(self.coarse, RangedBelief):
             return None
-        level = height_level(self.degree, tuple(self.coarse.ranges.tolist()), self.height)
         rise = np.exp(window.logs)[:, None, None] * window.directions[..., 2]
-        return np.log(likely_height(self.height + rise)) - level
+        return log_heights(self.coarse, self.height, rise)
 
 
 def least_width(window: Window, degree: int) -> float:
@@ -266,24 +296,3 @@ def least_width(window: Window, degree: int) -> float:
     """
     apart = 0.8 * math.atan(2 * float(window.half.min()) / (NODES - 1))
     return max(apart, FINER * resolved(degree))
-
-
-@lru_cache(maxsize=16)
-def _between(ranges: tuple[float, ...]) -> Callable[[np.ndarray], np.ndarray]:
-    """The weights ``(K, len(ranges))`` of the shells at logarithms ``(K,)`` of ranges between them: cubic splines."""
-    from scipy.interpolate import CubicSpline
-
-    return CubicSpline(np.log(ranges), np.eye(len(ranges)))
-
-
-def _with_prior(belief: RangedBelief, height: float | None) -> RangedBelief:
-    if height is None:
-        return belief if belief.prior is None else replace(belief, prior=None)
-    return replace(belief, prior=_height_prior(belief.degree, tuple(belief.ranges.tolist()), height))
-
-
-@lru_cache(maxsize=64)
-def _height_prior(degree: int, ranges: tuple[float, ...], height: float) -> np.ndarray:
-    found = height_prior(degree, np.array(ranges), height)
-    found.setflags(write=False)
-    return found

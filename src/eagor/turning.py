@@ -19,7 +19,7 @@ import numpy as np
 from eagor._lazy import lazy
 from eagor.detection_set import anisotropic, bump_norms, tangent_frames
 from eagor.field import Patch, SphereField
-from eagor.looks import Look
+from eagor.looks import Look, Sightings
 from eagor.peaks import decoding_grid
 
 MOST = 24  # components
@@ -89,9 +89,12 @@ class Turning:
         old = replace(self, weights=self.weights * (1 - share))
         return _joined(old, born, unseen=unseen)
 
-    def updated(self, look: Look, passing: Look | None = None, repeated: float = 0.0) -> tuple[Turning, float]:
+    def updated(
+        self, look: Look, passing: Look | None = None, repeated: float = 0.0
+    ) -> tuple[Turning, float, np.ndarray]:
         """With one more look, and the log of how likely it was against "not here".
 
+        Also how likely it was for each of the scales that detections may be wide, if there are several ``(S,)``.
         `repeated`: share of `passing`, the look before it, that it repeats.
         """
         sightings = look.sightings
@@ -101,15 +104,18 @@ class Turning:
         born = self._born(self.unseen * amplitudes / (4 * math.pi), peaks, spreads)
         unseen = self.unseen * sightings.mean_missed
         parts = [found, born]
+        foretold = np.full(len(sightings.scaled), unseen + float(found.weights.sum() + born.weights.sum()))
         if len(self.weights) and len(peaks):
-            parts.append(self._detected(peaks, amplitudes, spreads))
+            detected, likely = self._detected(sightings)
+            parts.append(detected)
+            foretold += likely
         total = unseen + sum(float(part.weights.sum()) for part in parts)
         joined = _joined(*parts, unseen=unseen)
         gain = math.log(total)
         if passing is not None and repeated > 0 and len(joined.weights):
-            before = SphereField(decoding_grid(look.sight.degree), passing.values)
+            before = SphereField(decoding_grid(look.sight.degree), passing.moving)
             gain -= repeated * float(joined.weights @ before.smooth(joined.directions, 1))
-        return joined, gain
+        return joined, gain, foretold
 
     def _born(self, weights: np.ndarray, directions: np.ndarray, covariances: np.ndarray) -> Turning:
         """Components of which only the place is known."""
@@ -126,9 +132,42 @@ class Turning:
         names = ("weights", "directions", "turns", "covariances")
         return replace(self, **dict(zip(names, found, strict=True)))
 
-    def _detected(self, peaks: np.ndarray, amplitudes: np.ndarray, spreads: np.ndarray) -> Turning:
-        """Each component, taken to be the cause of each detection: a Kalman update."""
-        frames, gains, own = self._across()
+    def _detected(self, seen: Sightings) -> tuple[Turning, np.ndarray]:
+        """Each component, taken to be the cause of each detection: a Kalman update.
+
+        And how likely that was for each scale ``(S,)``.
+        """
+        count, amplitudes = len(seen.directions), seen.amplitudes
+        spreads = np.concatenate([seen.covariances[None], seen.scaled]).reshape(-1, 3, 3)
+        peaks = np.tile(seen.directions, (1 + len(seen.scaled), 1))
+        gains, inverse, pull, likely = self._innovations(peaks, spreads)
+        foretold = (self.weights @ likely[:, count:]).reshape(-1, count) @ amplitudes
+        weights = self.weights[:, None] * amplitudes * likely[:, :count]
+        kept = np.nonzero(weights > FAINT * max(float(weights.max()), 1e-300))
+        if len(kept[0]) > MOST:
+            best = np.argsort(-weights[kept], kind="stable")[:MOST]
+            kept = kept[0][best], kept[1][best]
+        owner = kept[0]
+        gain = gains[owner] @ inverse[kept]
+        change = np.einsum("mia,ma->mi", gains[owner], pull[kept])
+        from scipy.spatial.transform import Rotation
+
+        detected = replace(
+            self,
+            weights=weights[kept],
+            directions=Rotation.from_rotvec(change[:, :3]).apply(self.directions[owner]),
+            turns=self.turns[owner] + change[:, 3:],
+            covariances=self.covariances[owner] - gain @ np.swapaxes(gains[owner], 1, 2),
+        )
+        return detected, foretold
+
+    def _innovations(self, peaks: np.ndarray, spreads: np.ndarray) -> tuple[np.ndarray, ...]:
+        """How each component foretells each detection.
+
+        Covariances of its state with its place ``(N, 6, 2)``; of the error, the inverse covariance ``(N, k, 2, 2)``,
+        that times the error ``(N, k, 2)``, and the density ``(N, k)``.
+        """
+        frames, gains, own = self._across
         cosine = np.clip(self.directions @ peaks.T, -1, 1)
         across = np.einsum("nai,ki->nka", frames, peaks)
         angle = np.arccos(cosine)
@@ -142,24 +181,9 @@ class Turning:
         inverse /= determinant[..., None, None]
         pull = np.einsum("nkab,nkb->nka", inverse, residual)
         exponent = -0.5 * np.einsum("nka,nka->nk", pull, residual)
-        weights = self.weights[:, None] * amplitudes * np.exp(exponent) / (2 * math.pi * np.sqrt(determinant))
-        kept = np.nonzero(weights > FAINT * max(float(weights.max()), 1e-300))
-        if len(kept[0]) > MOST:
-            best = np.argsort(-weights[kept], kind="stable")[:MOST]
-            kept = kept[0][best], kept[1][best]
-        owner = kept[0]
-        gain = gains[owner] @ inverse[kept]
-        change = np.einsum("mia,ma->mi", gains[owner], pull[kept])
-        from scipy.spatial.transform import Rotation
+        return gains, inverse, pull, np.exp(exponent) / (2 * math.pi * np.sqrt(determinant))
 
-        return replace(
-            self,
-            weights=weights[kept],
-            directions=Rotation.from_rotvec(change[:, :3]).apply(self.directions[owner]),
-            turns=self.turns[owner] + change[:, 3:],
-            covariances=self.covariances[owner] - gain @ np.swapaxes(gains[owner], 1, 2),
-        )
-
+    @lazy
     def _across(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Two unit vectors ``(N, 2, 3)`` across each direction, and how the places along them vary.
 
@@ -177,7 +201,8 @@ class Turning:
 
         Components that lie as near as they are alike in width are taken together.
         """
-        frames, _, across = self._across()
+        frames, _, own = self._across
+        across = own.copy()
         weights, covariances = self.weights.copy(), np.einsum("nai,nab,nbj->nij", frames, across, frames)
         traces = np.trace(covariances, axis1=1, axis2=2)
         apart = 1 - self.directions @ self.directions.T

@@ -10,7 +10,7 @@ from strategies import directions, random_directions
 
 from eagor.belief import Belief
 from eagor.detection_set import resolved
-from eagor.detector import DetectorModel, Rates, model_as_json, parse_model
+from eagor.detector import DetectorModel, Rates, Spread, model_as_json, parse_model
 from eagor.errors import ResponseError
 from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
@@ -96,11 +96,11 @@ def test_one_detection_gives_the_closed_form_in_a_tracker(spread, degree):
     angle = min(3 * held, math.pi)
     assert np.degrees(angular_distance(estimate.direction, WHERE)) < 0.02 * math.degrees(held) + 0.005
     assert estimate.presence == pytest.approx(Z / (Z + 1), abs=0.02)
-    rates = Rates.prior(how, learns=True)
-    expected = [closed_form(scale * held, angle) for scale in rates.scales]
+    unsure, least = Spread.unsure(), FINER * resolved(degree)
+    expected = [closed_form(max(scale * math.radians(spread), least), angle) for scale in unsure.scales]
     found = estimate.within(angle) / estimate.presence
     # Where a window is a little finer than the field around it, the skirts of both count: up to 3 % of the mass.
-    assert found == pytest.approx(float(rates.spreads @ expected), abs=0.02 if math.radians(spread) >= held else 0.04)
+    assert found == pytest.approx(float(unsure.weights @ expected), abs=0.02 if math.radians(spread) >= held else 0.04)
 
 
 def test_the_worked_number():
@@ -205,6 +205,31 @@ def test_independent_looks_give_what_a_grid_filter_gives(config, most):
     assert abs(np.mean(behind)) < most
 
 
+@pytest.mark.parametrize("stated", [8.0, 16.0])
+def test_place_and_spread_are_believed_in_jointly(stated):
+    """Bayes' rule on a grid for each scale of the spread, against the tracker: density at the truth, and the scales."""
+    grid, unsure, behind = ErpGrid(90, 180), Spread.unsure(), []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        target, tracker = unit(rng.normal(size=3)), DirectionTracker(TrackerConfig(motion=STILL))
+        x, y, _ = grid.project(target)
+        near = grid.directions[int(y), int(x)]
+        log = np.zeros((len(unsure.scales), *grid.shape)) + np.log(unsure.weights)[:, None, None]
+        for pose, _, look in looks(rng, target, PD, ALARMS, 12, 8.0, model(stated)):
+            tracker.rotate(look.stamp, pose)
+            tracker.observe(look)
+            estimate = tracker.estimate(look.stamp)
+            log += np.log(look.detections.ratios_by(unsure.scales, grid.directions @ pose))
+            joint = np.exp(log - log.max()) * grid.weights
+            expected = joint.sum(axis=(1, 2)) / joint.sum()
+            density = joint[:, int(y), int(x)].sum() / joint.sum() / grid.weights[int(y), int(x)]
+            behind.append(math.log(density) - float(estimate.log_density(pose.T @ near)))
+        spread = estimate.cases.standing.spread
+        told = [float(spread.weights[spread.scales == scale].sum()) for scale in unsure.scales]
+        assert np.allclose(told, expected, atol=0.05)
+    assert abs(np.mean(behind)) < 0.05
+
+
 def test_a_detector_with_a_poor_recall_does_not_erase_what_it_found():
     presences = []
     for seed in range(6):
@@ -239,11 +264,11 @@ def test_a_noisy_detector_is_not_believed():
 def test_what_is_stated_is_not_learnt_and_what_is_not_is():
     stated, open_ = Rates.prior(model()), Rates.prior(DetectorModel())
     assert (stated.recall, stated.false_alarms) == (PD, pytest.approx(ALARMS))
-    assert stated.learnt(0.9, 1.0, np.array([40.0])).recall == PD
+    assert stated.learnt(0.9, 1.0, 40.0).recall == PD
     assert open_.weights.sum() == pytest.approx(1)
-    assert open_.learnt(0.9, 1.0, np.array([40.0])).recall > open_.recall, "what was expected there and is there"
-    assert open_.learnt(0.9, 1.0, np.array([0.0])).recall < open_.recall, "what was expected there and is not"
-    assert open_.learnt(0.0, 1.0, np.array([0.0])).recall == pytest.approx(open_.recall), "nothing was expected"
+    assert open_.learnt(0.9, 1.0, 40.0).recall > open_.recall, "what was expected there and is there"
+    assert open_.learnt(0.9, 1.0, 0.0).recall < open_.recall, "what was expected there and is not"
+    assert open_.learnt(0.0, 1.0, 0.0).recall == pytest.approx(open_.recall), "nothing was expected"
     assert open_.given(6).false_alarms > open_.false_alarms > open_.given(0).false_alarms
 
 

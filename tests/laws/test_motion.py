@@ -133,7 +133,7 @@ def test_weights_and_densities_stay_probabilities(looks):
 
 @pytest.mark.parametrize("ranged", [False, True])
 def test_the_belief_is_the_mixture_of_the_cases(ranged):
-    cases = replace(told(ONE, lambda step: direction(0.1 * step, 0.0), 6, ranged), sharpening=1.0)
+    cases = told(ONE, lambda step: direction(0.1 * step, 0.0), 6, ranged)
     where = unit(np.random.default_rng(0).normal(size=(60, 3)))
     shares = cases.weights[1:] / cases.weights[1:].sum()
     stands = np.exp(cases.standing.field(where) - cases.standing.log_mean)

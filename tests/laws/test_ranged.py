@@ -12,7 +12,8 @@ from eagor.belief import Belief
 from eagor.calibration import Calibration
 from eagor.errors import EagorError, PoseError, RotationError
 from eagor.evidence import Evidence
-from eagor.ranged import RangedBelief, height_prior, log_ranges
+from eagor.heights import height_prior
+from eagor.ranged import RangedBelief, log_ranges
 from eagor.sphere import angular_distance, direction, rotation
 
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from eagor import DetectorModel, DirectionTracker, Evidence, MotionModel, TrackerConfig
+from eagor.detection_set import resolved
+from eagor.detector import Spread
 from eagor.grids import ErpGrid
-from eagor.looks import Look, Sight
+from eagor.looks import FINER, Look, Sight
 from eagor.sphere import angular_distance, rotation, unit
 from eagor.turning import Turning
 
@@ -35,7 +38,7 @@ def followed(steps=20, noise=0.0, seed=0):
     for step in range(steps):
         if step:
             turning = turning.after(1.0, 0.0, 0.0)
-        turning, _ = turning.updated(look(unit(circling(step) + noise * rng.normal(size=3))))
+        turning, _, _ = turning.updated(look(unit(circling(step) + noise * rng.normal(size=3))))
     return turning
 
 
@@ -76,7 +79,7 @@ def test_a_look_is_weighed_by_bayes_rule(aside):
     """The gain is the mean of the likelihood ratio under the density; the density becomes their product."""
     before = followed(6, 0.1).after(1.0, 0.05, 0.0)
     seen: Look = look([rotation((0, 1, 0), angle) @ circling(6) for angle in aside])
-    after, gain = before.updated(seen)
+    after, gain, _ = before.updated(seen)
     assert seen.world is not None
     ratio = seen.world.ratio(GRID.directions, seen.rates, 1.0, 0.0)
     product = before.density(GRID.directions) * ratio
@@ -86,6 +89,16 @@ def test_a_look_is_weighed_by_bayes_rule(aside):
     assert float(away) / 2 < 0.12, "of the mass lies elsewhere"
 
 
+def test_what_is_foretold_for_each_scale_of_the_spread_is_the_mean_of_its_ratio():
+    before = followed(6, 0.1).after(1.0, 0.05, 0.0)
+    seen = look([rotation((0, 1, 0), angle) @ circling(6) for angle in (0.1, 2.0)])
+    seen = seen.sight.read(seen.rates, Spread.unsure())
+    assert seen.world is not None
+    ratios = seen.world.ratios_by(seen.spread.scales, GRID.directions, seen.rates, 1.0, FINER * resolved(15))
+    expected = np.tensordot(ratios, before.density(GRID.directions) * GRID.weights, axes=2) / (4 * math.pi)
+    assert np.allclose(before.updated(seen)[2], expected, rtol=0.06)
+
+
 def test_turning_the_world_turns_the_belief():
     turn = rotation(unit(np.array([1.0, 2.0, -0.5])), 1.1)
     ours = theirs = Turning.prior(RATES)
@@ -93,7 +106,7 @@ def test_turning_the_world_turns_the_belief():
     for step in range(8):
         place = unit(circling(step) + 0.1 * rng.normal(size=3))
         ours, theirs = (t.after(1.0, 0.0, 0.0) if step else t for t in (ours, theirs))
-        (ours, _), (theirs, _) = ours.updated(look(place)), theirs.updated(look(turn @ place))
+        (ours, _, _), (theirs, _, _) = ours.updated(look(place)), theirs.updated(look(turn @ place))
     where = unit(rng.normal(size=(50, 3)))
     assert np.allclose(theirs.density(where @ turn.T), ours.density(where), rtol=1e-6)
 
@@ -134,3 +147,19 @@ def test_what_stands_is_not_said_to_turn():
     place = unit(np.array([1.0, 0.3, -0.2]))
     _, last = follow(MotionModel(), lambda step: place)
     assert last.moving < 0.2
+
+
+@pytest.mark.parametrize(("stated", "scale"), [(8, 1.0), (16, 0.5)])
+@pytest.mark.parametrize("speed", [4, 10])
+def test_a_turn_is_not_taken_for_a_wide_spread(stated, scale, speed):
+    """The spread is found out while the target turns; looks are made with 8 degrees."""
+    rng, tracker = np.random.default_rng(0), DirectionTracker()
+    model = replace(MODEL, spread=math.radians(stated))
+    for step in range(40):
+        place = rotation(AXIS, math.radians(speed) * step) @ np.array([1.0, 0.0, 0.0])
+        found = [unit(place + MODEL.spread * rng.normal(size=3))] if rng.random() < 0.7 else np.zeros((0, 3))
+        tracker.observe(Evidence.from_points(found, detector=model, stamp=float(step)))
+    estimate = tracker.estimate(39.0)
+    spread = estimate.cases.standing.spread
+    assert estimate.moving > 0.8
+    assert float(spread.otherwise[spread.scales == scale].sum()) > 0.9

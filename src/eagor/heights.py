@@ -1,0 +1,66 @@
+"""Things stand on floors: what the height of the camera says of direction and range, without looking."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from eagor.harmonics import RealHarmonics
+from eagor.peaks import decoding_grid
+from eagor.ranged import RangedBelief, log_shares
+
+# Heights of the middles of things above the floor, metres: furniture lies about half a metre high, what hangs on walls
+# or stands on furniture at up to two.
+MIDDLE, SPREAD = 0.7, 0.5
+ODD = 0.02  # share of things of which no height is expected
+
+
+def height_prior(
+    degree: int, ranges: np.ndarray, camera: float, middle: float = MIDDLE, spread: float = SPREAD
+) -> np.ndarray:
+    """What it means that things stand on a floor: a prior ``(K, (degree + 1)^2)`` for `RangedBelief`, z up.
+
+    A thing at range r and elevation e has its middle at the height `camera` + r sin(e) above the floor (metres). Such
+    heights are taken to be normally distributed about `middle`, or with probability `ODD` to be anything. It is a log
+    ratio against every direction and log range alike, whose mean likelihood is 1.
+    """
+    grid, ranges = decoding_grid(degree), np.asarray(ranges, dtype=np.float64)
+    likely = likely_height(camera + ranges[:, None, None] * grid.directions[..., 2], middle, spread)
+    mean = np.sum(log_shares(ranges)[:, None, None] * likely * grid.weights) / (4 * math.pi)
+    return RealHarmonics(degree).analyse(np.log(likely / mean), grid)
+
+
+def likely_height(height: np.ndarray, middle: float = MIDDLE, spread: float = SPREAD) -> np.ndarray:
+    """How likely things are at these heights (metres above the floor), over the likeliest."""
+    return ODD + (1 - ODD) * np.exp(-0.5 * ((height - middle) / spread) ** 2)
+
+
+@lru_cache(maxsize=64)
+def height_level(degree: int, ranges: tuple[float, ...], camera: float) -> float:
+    """log of the mean of `likely_height` over all directions and ranges."""
+    grid, shells = decoding_grid(degree), np.array(ranges)
+    likely = likely_height(camera + shells[:, None, None] * grid.directions[..., 2])
+    return math.log(float(np.sum(log_shares(shells)[:, None, None] * likely * grid.weights)) / (4 * math.pi))
+
+
+def with_heights(belief: RangedBelief, camera: float | None) -> RangedBelief:
+    """The same belief with the prior of a camera at this height (metres above the floor; None: not known)."""
+    if camera is None:
+        return belief if belief.prior is None else replace(belief, prior=None)
+    return replace(belief, prior=_prior(belief.degree, tuple(belief.ranges.tolist()), camera))
+
+
+def log_heights(belief: RangedBelief, camera: float, rise: np.ndarray) -> np.ndarray:
+    """That prior ``(...)`` at points so many metres above the camera, uncut by a degree."""
+    level = height_level(belief.degree, tuple(belief.ranges.tolist()), camera)
+    return np.log(likely_height(camera + rise)) - level
+
+
+@lru_cache(maxsize=64)
+def _prior(degree: int, ranges: tuple[float, ...], camera: float) -> np.ndarray:
+    found = height_prior(degree, np.array(ranges), camera)
+    found.setflags(write=False)
+    return found
