@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
+from eagor._lazy import lazy
 from eagor._reprs import where
 from eagor.basins import basins
 from eagor.grids import ErpGrid, ErpWindow
@@ -83,14 +83,14 @@ class _Part:
         cells = ErpWindow(grid, 0, 0, *grid.shape)
         return cls(cells, field, np.ones(grid.shape, dtype=bool), np.arange(field.size).reshape(grid.shape))
 
-    @cached_property
+    @lazy
     def _around(self) -> tuple[np.ndarray, np.ndarray]:
         """f with its neighbours to both sides, and with those above and below."""
         wraps = self.cells.cols == self.cells.whole.width
         wide = np.pad(self.field, ((0, 0), (1, 1)), mode="wrap" if wraps else "edge")
         return wide, np.pad(self.field, ((1, 1), (0, 0)), mode="edge")
 
-    @cached_property
+    @lazy
     def _slopes(self) -> tuple[np.ndarray, np.ndarray]:
         wide, tall = self._around
         return (wide[:, 2:] - wide[:, :-2]) / 2, (tall[2:] - tall[:-2]) / 2
@@ -127,12 +127,12 @@ class Posterior:
         """The grid of `coarse`."""
         return ErpGrid(self.rows, 2 * self.rows)
 
-    @cached_property
+    @lazy
     def coarse(self) -> np.ndarray:
         """f on `grid`."""
         return self.evaluate(self.grid)
 
-    @cached_property
+    @lazy
     def window(self) -> ErpWindow:
         """Where exp(f) is sharp, in cells as small as its sharpest peak asks for; the whole coarse grid if nowhere."""
         values, rows = self.coarse, self.rows
@@ -145,7 +145,7 @@ class Posterior:
         rough = (mass * np.abs(part.bend) / 24 > ERROR * finer) | (mass > SHARE * finer)
         return ErpWindow.around(rough, times) if times > 1 and rough.any() else part.cells
 
-    @cached_property
+    @lazy
     def _parts(self) -> tuple[_Part, ...]:
         """The cells that together cover the sphere: the window's, and the coarse ones outside of it."""
         whole = _Part.whole(self.grid, self.coarse)
@@ -163,22 +163,22 @@ class Posterior:
         """What `read` gives for all cells ``(n, ...)``."""
         return np.concatenate([read(part)[part.used] for part in self._parts])
 
-    @cached_property
+    @lazy
     def values(self) -> np.ndarray:
         """f of all cells ``(n,)``."""
         return self._all(lambda part: part.field)
 
-    @cached_property
+    @lazy
     def weights(self) -> np.ndarray:
         """Solid angles of all cells ``(n,)``."""
         return self._all(lambda part: part.cells.weights)
 
-    @cached_property
+    @lazy
     def log_total(self) -> float:
         """log of the integral of exp(f) over the sphere."""
         return log_integral(self.values, self.weights)
 
-    @cached_property
+    @lazy
     def probability(self) -> np.ndarray:
         """Probability of each cell ``(n,)``; sums to 1."""
         return np.exp(self.values - self.log_total) * self.weights
@@ -188,7 +188,7 @@ class Posterior:
         """By how many nats the best direction stands above a uniform belief."""
         return float(self.values.max()) - self.log_total + math.log(4 * math.pi)
 
-    @cached_property
+    @lazy
     def mode(self) -> np.ndarray:
         """The direction of highest density ``(3,)``."""
         return peak_on_grid(self.grid, self.coarse)
