@@ -17,7 +17,8 @@ from eagor.sphere import azimuth_elevation
 
 CELLS_PER_SIGMA = 3.0  # grid spacing against the width of the sharpest peak: integrals converge long before that
 CELLS_FOR_REGIONS = 8.0  # ... but the border of a region of 90 % is only as sharp as the cells that it cuts
-MAX_ROWS = 1024  # 0.18 degrees: nothing that a camera robot asks for is finer
+MAX_ROWS = 1024  # 0.18 degrees: nothing that a camera robot asks for is finer,
+MAX_CELLS = 1 << 18  # ... but thousands of nats make finer peaks: a window may have so many cells at any rate
 ERROR = 1e-4  # of the probability, per coarse cell, that the midpoint rule may miss before finer cells are used,
 SHARE = 0.01  # ... and the most that a coarse cell may hold: regions are only as exact as their cells are light
 PROMINENCE = 0.7  # nats: a peak counts as a mode if it stands out by a factor of two from the saddle around it
@@ -97,8 +98,11 @@ class _Part:
 
     @property
     def spread(self) -> np.ndarray:
-        """The range of f within each cell."""
-        return np.maximum(np.hypot(*self._slopes), 1e-9)
+        """The range of f within each cell: no more to either side than f rises or falls to the next cell."""
+        (wide, tall), (side, down), f = self._around, self._slopes, self.field
+        side = np.minimum(np.abs(side), np.minimum(np.abs(wide[:, 2:] - f), np.abs(wide[:, :-2] - f)))
+        down = np.minimum(np.abs(down), np.minimum(np.abs(tall[2:] - f), np.abs(tall[:-2] - f)))
+        return np.maximum(np.hypot(side, down), 1e-9)
 
     @property
     def bend(self) -> np.ndarray:
@@ -137,13 +141,16 @@ class Posterior:
         """Where exp(f) is sharp, in cells as small as its sharpest peak asks for; the whole coarse grid if nowhere."""
         values, rows = self.coarse, self.rows
         _, sigma = refine(self.grid, values.reshape(-1), int(values.argmax()))
-        times = min(math.ceil(self.cells_per_sigma * math.pi / sigma / rows), max(1, MAX_ROWS // rows))
         part = _Part.whole(self.grid, values)
         mass = np.exp(values - values.max()) * self.grid.weights
         mass /= mass.sum()
         finer = (CELLS_PER_SIGMA / self.cells_per_sigma) ** 3
         rough = (mass * np.abs(part.bend) / 24 > ERROR * finer) | (mass > SHARE * finer)
-        return ErpWindow.around(rough, times) if times > 1 and rough.any() else part.cells
+        times = math.ceil(self.cells_per_sigma * math.pi / sigma / rows)
+        if times <= 1 or not rough.any():
+            return part.cells
+        size = math.prod(ErpWindow.around(rough, 1).shape)
+        return ErpWindow.around(rough, min(times, max(1, MAX_ROWS // rows, math.isqrt(MAX_CELLS // size))))
 
     @lazy
     def _parts(self) -> tuple[_Part, ...]:
@@ -234,11 +241,13 @@ class Posterior:
         spread, bend = self._all(lambda part: part.spread), self._all(lambda part: part.bend)
         # A cell's mass is not its midpoint's: the second differences of exp(f) correct it.
         p, v, top = self.probability * (1 + np.clip(bend / 24, -0.5, 0.5)), self.values, float(self.values.max())
+        p /= p.sum()
         low, high = float(v.min()) - 1, top + 1
-        above, below = np.exp(spread / 2), np.exp(-spread / 2)
+        whole = -np.expm1(-spread)
         for _ in range(40):
             middle = (low + high) / 2
-            share = (above - np.exp(np.clip(middle - v, -spread / 2, spread / 2))) / (above - below)
+            # Over the cell's highest value: the range of f within a cell may be thousands of nats.
+            share = -np.expm1(np.clip(middle - v, -spread / 2, spread / 2) - spread / 2) / whole
             if float(np.sum(p * share)) >= mass:
                 low = middle
             else:
