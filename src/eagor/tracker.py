@@ -12,12 +12,14 @@ import math
 import threading
 import warnings
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from eagor import checkpoint
 from eagor.cases import Cases
-from eagor.errors import EagorError, PoseError, TimeError
+from eagor.errors import EagorError, FormatError, PoseError, TimeError
 from eagor.estimate import Estimate, TrackerConfig, chosen
 from eagor.evidence import Evidence
 from eagor.looks import Sight
@@ -155,6 +157,26 @@ class DirectionTracker:
             if cases is not state.cases and self.config.decode == "mode":
                 answer = chosen(cases.reading, state.answer, state.look.sight.repeats if state.look else 0.0)
             return Estimate(now, now - state.stamp, cases, pose, self.config, answer, state.rates)
+
+    def save(self, path: str | Path) -> Path:
+        """Write all that is known to a file, whole or not at all, and return its path; `load` goes on from there.
+
+        Raises `StorageError` if the disk does not take it.
+        """
+        return checkpoint.save(Path(path), self.__getstate__())
+
+    @classmethod
+    def load(cls, path: str | Path) -> DirectionTracker:
+        """The tracker that `save` wrote. No code of the file is run.
+
+        Raises `FormatError` for a file that is not one, is damaged, or was saved by another version.
+        """
+        state = checkpoint.load(Path(path))
+        tracker = cls()
+        if not isinstance(state, dict) or state.keys() != tracker.__getstate__().keys():
+            raise FormatError(f"{path} holds no tracker; wanted a file of tracker.save")
+        tracker.__setstate__(state)
+        return tracker
 
     def reset(self, target: str | None = None) -> None:
         """Begin anew with `target`: nothing is known of it. Without a name: with all targets and poses (a new clock).
