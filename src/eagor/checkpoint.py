@@ -64,7 +64,7 @@ def load(path: Path) -> Any:
         known = head["format"] == FORMAT
         version = head["version"]
     except (ValueError, TypeError, KeyError, RecursionError):
-        known, version = False, None
+        head, known, version = {}, False, None
     if not known:
         raise FormatError(f"{path} is no saved tracker; wanted a file of tracker.save")
     if version != VERSION:
