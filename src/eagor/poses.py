@@ -14,6 +14,7 @@ from eagor.evidence import checked_stamp
 from eagor.sphere import check_rotation, interpolate_rotation
 
 HELD = 3600.0  # seconds for which evidence may rely on the last pose, and a pose on the one before it
+POSES = 20_000  # that are kept at most
 FARTHEST = 1e9  # metres from the origin: beyond, no odometry means what it says
 
 
@@ -37,9 +38,9 @@ class PoseHistory:
         """The stamp of the oldest pose that is kept."""
         return self._stamps[0] if self._stamps else -math.inf
 
-    def covers(self, stamp: float) -> bool:
-        """Whether the pose at `stamp` is known, and not only held from the last one before it."""
-        return bool(self._stamps) and self._stamps[0] <= stamp <= self._stamps[-1]
+    def reach(self, stamp: float) -> bool:
+        """Whether there is a pose at or after `stamp`: no later one tells more of that time."""
+        return bool(self._stamps) and stamp <= self._stamps[-1]
 
     def copied(self) -> PoseHistory:
         """The same poses, in lists of their own."""
@@ -93,7 +94,7 @@ class PoseHistory:
         self._poses.append((pose, place))
         # One pose older than the history stays, so that its whole length can be interpolated.
         newest = self._stamps[-2] if len(self) > 1 and self._jumped(self._stamps[-2]) else stamp
-        first = max(0, bisect.bisect_right(self._stamps, newest - self.seconds) - 1)
+        first = max(0, bisect.bisect_right(self._stamps, newest - self.seconds) - 1, len(self) - POSES)
         del self._stamps[:first], self._poses[:first]
         return wrong
 
@@ -115,7 +116,7 @@ class PoseHistory:
         if after == 0:
             raise PoseError(
                 f"no pose for t = {stamp:.6f} s: poses are known from {self._stamps[0]:.6f} s on. Feed rotate() before "
-                f"observe(), or raise the history (now {self.seconds:g} s)"
+                f"observe(), or raise the history (now {self.seconds:g} s; {POSES} poses are kept at most)"
             )
         start, end = self._stamps[after - 1], self._stamps[after]
         (pose_a, place_a), (pose_b, place_b) = self._poses[after - 1], self._poses[after]

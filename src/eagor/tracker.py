@@ -112,7 +112,8 @@ class DirectionTracker:
             place, moment = track.place_of(stamp)
             if moment is None:
                 pose, position = self._poses.at(stamp)
-                track.insert(place, Moment(stamp, [evidence], pose, position, self._poses.covers(stamp)))
+                moment = Moment(stamp, [evidence], pose, position, self._poses.reach(stamp))
+                track.moments.insert(place, moment)
             else:
                 moment.looks.append(evidence)
             track.forget_from(place)
@@ -214,7 +215,7 @@ class DirectionTracker:
                 continue
             pose, position = self._poses.at(max(moment.stamp, self._poses.first))
             moment.world_R_body, moment.position = pose, position
-            moment.firm = self._poses.covers(moment.stamp)
+            moment.firm = self._poses.reach(moment.stamp)
             track.forget_from(index)
 
     def _take_in(self, track: Track) -> State:

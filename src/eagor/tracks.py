@@ -43,9 +43,9 @@ class State:
 
 @dataclass(eq=False)
 class Moment:
-    """Evidence of one moment, and where it was taken from; `firm` once a pose that covers it is known.
+    """Evidence of one moment, and where it was taken from; `firm` once a pose at or after it is known.
 
-    `number`: how many moments of the target came in before it. `bare`: its state holds no more than is given.
+    `bare`: its state holds no more than is given.
     """
 
     stamp: float
@@ -53,16 +53,8 @@ class Moment:
     world_R_body: np.ndarray
     position: np.ndarray | None
     firm: bool
-    number: int = 0
     state: State | None = None  # after it, once it is taken in, and while it is kept
     bare: bool = False
-
-    def thin(self) -> None:
-        """Keep the state of every `APART`-th moment alone, and that without what is made when it is asked for."""
-        if self.state is not None and not self.bare:
-            # A copy is without such values, which are most of the memory.
-            self.state = None if self.number % APART else copy.deepcopy(self.state)
-            self.bare = self.state is not None
 
 
 @dataclass(eq=False)
@@ -75,7 +67,6 @@ class Track:
     moments: list[Moment] = field(default_factory=list)
     base: State | None = None
     trimmed: bool = False
-    count: int = 0
     used: int = 0
 
     def copied(self) -> Track:
@@ -115,11 +106,6 @@ class Track:
             )
         return place, None
 
-    def insert(self, place: int, moment: Moment) -> None:
-        """Put a new moment at its place."""
-        moment.number, self.count = self.count, self.count + 1
-        self.moments.insert(place, moment)
-
     def forget_from(self, place: int) -> None:
         """The states from here on are to be made anew."""
         for moment in self.moments[place:]:
@@ -142,9 +128,18 @@ class Track:
         for place in range(known, len(self.moments)):
             state = self.moments[place].state = added(state, self.moments[place])
             if place >= NEWEST:
-                self.moments[place - NEWEST].thin()
+                self._thin(place - NEWEST)
         self._fold(history)
         return state
+
+    def _thin(self, place: int) -> None:
+        """Keep the state only if none of the `APART` before it is kept, and without what is made when asked for."""
+        moment = self.moments[place]
+        if moment.state is None or moment.bare:
+            return
+        moment.bare = all(near.state is None for near in self.moments[max(0, place - APART + 1) : place])
+        # A copy is without such values, which are most of the memory.
+        moment.state = copy.deepcopy(moment.state) if moment.bare else None
 
     def _fold(self, history: float) -> None:
         """Fold what is too old, or too much, into the state before all others."""

@@ -1,5 +1,6 @@
 """A tracker under bad stamps, long silences and floods: what is wrong is told, what is right goes on."""
 
+import contextlib
 import math
 import warnings
 
@@ -10,6 +11,8 @@ from eagor.errors import EagorError, PoseError, TimeError
 from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
 from eagor.motion import MotionModel
+from eagor.poses import POSES
+from eagor.sphere import world_R_body
 from eagor.tracker import TARGETS, DirectionTracker
 from eagor.tracks import APART, MOMENTS, NEWEST, VIEWS
 
@@ -177,3 +180,33 @@ def test_views_of_one_moment_are_bounded():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert tracker.estimate(0.0).direction is not None
+
+
+def test_a_look_before_all_poses_is_placed_by_the_first_and_stays_there():
+    tracker = DirectionTracker(LIGHT)
+    tracker.observe(look(0.0))
+    for stamp in range(1, 15):
+        tracker.rotate(float(stamp), world_R_body(0.1 * stamp))
+    tracker.observe(look(14.0, world_R_body(1.4).T @ world_R_body(0.1) @ AHEAD))
+    direction = world_R_body(1.4) @ tracker.estimate(14.0).direction
+    np.testing.assert_allclose(direction, world_R_body(0.1) @ AHEAD, atol=1e-2)
+
+
+def test_looks_in_the_worst_order_are_bounded_too():
+    tracker = DirectionTracker(LIGHT)
+    for number in range(4 * MOMENTS):
+        stamp = 1 + number / 1000 if number % APART == 0 else 0.9 + number / 10000
+        with contextlib.suppress(TimeError):  # too late by then
+            tracker.observe(look(stamp))
+            if number % 16 == 0:
+                tracker.estimate(2.0)
+    assert len(tracker._tracks["target"].moments) <= MOMENTS + APART
+
+
+def test_poses_at_any_rate_are_bounded():
+    tracker = DirectionTracker(TrackerConfig(history=1e9))
+    for number in range(POSES + 10):
+        tracker.rotate(1e-4 * number, np.eye(3))
+    assert len(tracker._poses) == POSES
+    with pytest.raises(PoseError, match="20000 poses"):
+        tracker.observe(look(0.0))
