@@ -14,7 +14,7 @@ Value = TypeVar("Value")
 
 
 class lazy(Generic[Value]):
-    """A property that replaces itself by its value."""
+    """A property that replaces itself by its value. Objects are pickled and copied without such values."""
 
     def __init__(self, compute: Callable[[Any], Value]) -> None:
         self.compute = compute
@@ -23,6 +23,8 @@ class lazy(Generic[Value]):
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
+        if owner.__getstate__ is object.__getstate__:
+            owner.__getstate__ = state_of  # type: ignore[method-assign]
 
     @overload
     def __get__(self, instance: None, owner: type) -> lazy[Value]: ...
@@ -34,3 +36,13 @@ class lazy(Generic[Value]):
         value = self.compute(instance)
         instance.__dict__[self.name] = value
         return value
+
+
+class given(lazy[Value]):
+    """A lazy value that others may set, when they know better than what is computed: it is pickled and copied."""
+
+
+def state_of(owner: Any) -> dict[str, Any]:
+    """The attributes of `owner` but for lazy values, which may hold functions, and which another thread may add to."""
+    kind, found = type(owner), owner.__dict__.copy()
+    return {name: value for name, value in found.items() if type(getattr(kind, name, None)) is not lazy}

@@ -14,12 +14,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from eagor._arrays import Array, akin, as_float, constant, frozen, namespace, private, to_numpy
+from eagor._lazy import lazy
 from eagor._reprs import where
 from eagor.diffusion import diffuse
 from eagor.errors import EagorError
@@ -56,7 +56,7 @@ class Reading:
         """
         raise NotImplementedError
 
-    @cached_property
+    @lazy
     def posteriors(self) -> np.ndarray:
         """The `Posterior` of each belief of the batch, an object array (kept: beliefs never change)."""
         found = np.empty(self.batch_shape, dtype=object)

@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 
+from eagor._lazy import lazy
 from eagor._reprs import changed
 from eagor.errors import GridError
 from eagor.sphere import azimuth_elevation, check_rotation, direction
@@ -64,7 +65,7 @@ class _Equirectangular:
         """Azimuth (radians) of each column's centre, left to right, from pi down to -pi."""
         return math.pi - 2 * math.pi * (np.arange(self.width) + 0.5) / self.width
 
-    @cached_property
+    @lazy
     def directions(self) -> np.ndarray:
         """Unit vectors ``(H, W, 3)`` of the cell centres, body frame."""
         return _frozen(self.unproject(*_centres(*self.shape)))
@@ -103,7 +104,7 @@ class ErpGrid(_Equirectangular):
     height: int
     width: int
 
-    @cached_property
+    @lazy
     def weights(self) -> np.ndarray:
         """Quadrature weights ``(H, W)`` in steradians; they sum to 4 pi."""
         row = fejer_weights(self.height) * (2 * math.pi / self.width)
@@ -127,7 +128,7 @@ class PatchGrid(_Equirectangular):
         """Number of columns."""
         return self.cols
 
-    @cached_property
+    @lazy
     def weights(self) -> np.ndarray:
         """Exact solid angles ``(H, W)`` of the cells in steradians; they sum to 4 pi."""
         edges = np.sin(math.pi / 2 - math.pi * np.arange(self.height + 1) / self.height)
@@ -170,13 +171,13 @@ class ErpWindow:
         """The columns of the whole grid, in order."""
         return (self.left + np.arange(self.cols)) % self.whole.width
 
-    @cached_property
+    @lazy
     def directions(self) -> np.ndarray:
         """Unit vectors ``(rows, cols, 3)`` of the cell centres, body frame."""
         x, y = self.left + np.arange(self.cols) + 0.5, self.top + np.arange(self.rows)[:, None] + 0.5
         return _frozen(self.whole.unproject(x, y))
 
-    @cached_property
+    @lazy
     def weights(self) -> np.ndarray:
         """Quadrature weights ``(rows, cols)`` in steradians."""
         row = fejer_weights(self.whole.height)[self.top : self.top + self.rows] * (2 * math.pi / self.whole.width)
@@ -216,12 +217,12 @@ class PerspectiveGrid:
         """Focal length in pixels."""
         return self.width / 2 / math.tan(self.hfov / 2)
 
-    @cached_property
+    @lazy
     def directions(self) -> np.ndarray:
         """Unit vectors ``(H, W, 3)`` of the pixel centres, body frame."""
         return _frozen(self.unproject(*_centres(*self.shape)))
 
-    @cached_property
+    @lazy
     def weights(self) -> np.ndarray:
         """Exact solid angles ``(H, W)`` of the pixels: differences of atan(x y / sqrt(1 + x^2 + y^2)) over corners."""
         x, y = self._plane(np.arange(self.width + 1), np.arange(self.height + 1)[:, None])
@@ -288,12 +289,12 @@ class FisheyeGrid:
         """(rows, columns)."""
         return self.size, self.size
 
-    @cached_property
+    @lazy
     def directions(self) -> np.ndarray:
         """Unit vectors ``(H, W, 3)`` of the pixel centres, body frame (the corners are meaningless)."""
         return _frozen(self.unproject(*_centres(*self.shape)))
 
-    @cached_property
+    @lazy
     def weights(self) -> np.ndarray:
         """Solid angles ``(H, W)`` of the pixels, zero outside the circle (4 x 4 points each: the rim is shared)."""
         fine = (np.arange(4 * self.size) + 0.5) / 4

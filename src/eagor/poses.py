@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 import math
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,7 +13,12 @@ from eagor.errors import PoseError, TimeError
 from eagor.evidence import checked_stamp
 from eagor.sphere import check_rotation, interpolate_rotation
 
+HELD = 3600.0  # seconds for which evidence may rely on the last pose, and a pose on the one before it
+POSES = 20_000  # that are kept at most
+FARTHEST = 1e9  # metres from the origin: beyond, no odometry means what it says
 
+
+@dataclass(eq=False)
 class PoseHistory:
     """Stamped poses in order of time, interpolated between, for the last `seconds`.
 
@@ -20,10 +26,9 @@ class PoseHistory:
     any pose the body stands unturned at an unknown place.
     """
 
-    def __init__(self, seconds: float) -> None:
-        self.seconds = seconds
-        self._stamps: list[float] = []
-        self._poses: list[tuple[np.ndarray, np.ndarray | None]] = []
+    seconds: float
+    _stamps: list[float] = field(default_factory=list)
+    _poses: list[tuple[np.ndarray, np.ndarray | None]] = field(default_factory=list)
 
     def __len__(self) -> int:
         return len(self._stamps)
@@ -33,37 +38,70 @@ class PoseHistory:
         """The stamp of the oldest pose that is kept."""
         return self._stamps[0] if self._stamps else -math.inf
 
-    def covers(self, stamp: float) -> bool:
-        """Whether the pose at `stamp` is known, and not only held from the last one before it."""
-        return bool(self._stamps) and self._stamps[0] <= stamp <= self._stamps[-1]
+    def reach(self, stamp: float) -> bool:
+        """Whether there is a pose at or after `stamp`: no later one tells more of that time."""
+        return bool(self._stamps) and stamp <= self._stamps[-1]
 
-    def add(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None) -> None:
-        """Append a pose; one with the stamp of the last replaces it. Errors as in `DirectionTracker.rotate`."""
+    def copied(self) -> PoseHistory:
+        """The same poses, in lists of their own."""
+        return PoseHistory(self.seconds, self._stamps.copy(), self._poses.copy())
+
+    def check_ahead(self, stamp: float) -> None:
+        """Raise `TimeError` for a look that is further ahead of the poses than the last one can be relied on."""
+        if self._stamps and stamp > self._stamps[-1] + HELD:
+            raise TimeError(
+                f"evidence of t = {stamp:.3f} s lies {stamp - self._stamps[-1]:.3f} s ahead of the last pose, at "
+                f"{self._stamps[-1]:.3f} s; wanted {HELD:g} s at most. Are both stamps of one clock? Where the body "
+                "stands still for long, give its pose again"
+            )
+
+    def add(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None) -> float | None:
+        """Append a pose; one with the stamp of the last replaces it. Errors as in `DirectionTracker.rotate`.
+
+        After a long silence nobody can tell a wrong stamp from a right one until the next pose comes. If that goes on
+        before the silence, the lone pose after it is left out, and its stamp returned.
+        """
         stamp = checked_stamp(stamp)
-        if self._stamps and stamp < self._stamps[-1]:
+        back = self._stamps and stamp < self._stamps[-1]
+        lone = self._jumped(stamp) and (len(self) == 1 or stamp >= self._stamps[-2])
+        if back and not lone:
             raise TimeError(
                 f"pose at t = {stamp:.6f} s came after one at {self._stamps[-1]:.6f} s; time ran backwards. "
-                "Sort the poses, or start a new tracker where the clock was reset"
+                "Sort the poses, or call tracker.reset() where the clock was reset"
             )
         pose = np.array(to_numpy(check_rotation(world_R_body, "world_R_body")), dtype=np.float64)
         place = None
         if position is not None:
             place = np.array(to_numpy(position), dtype=np.float64)
-            if place.shape != (3,) or not np.isfinite(place).all():
-                raise PoseError(f"position = {place.tolist()}; wanted (x, y, z) in metres of the world frame")
+            if place.shape != (3,) or not (np.abs(place) <= FARTHEST).all():
+                raise PoseError(
+                    f"position = {place.tolist()}; wanted (x, y, z) in metres of the world frame, each within "
+                    f"{FARTHEST:g} m of its origin"
+                )
         elif self._poses and self._poses[-1][1] is not None:
             raise PoseError(
                 f"the pose at t = {stamp:.6f} s has no position, earlier ones have; repeat the last known position "
                 "if it is lost for a while, or never give one"
             )
+        wrong = None
+        if back:
+            wrong = self._stamps.pop()
+            self._poses.pop()
         if self._stamps and stamp == self._stamps[-1]:
             self._poses[-1] = (pose, place)
-            return
+            return wrong
         self._stamps.append(stamp)
         self._poses.append((pose, place))
         # One pose older than the history stays, so that its whole length can be interpolated.
-        first = max(0, bisect.bisect_right(self._stamps, stamp - self.seconds) - 1)
+        newest = self._stamps[-2] if len(self) > 1 and self._jumped(self._stamps[-2]) else stamp
+        first = max(0, bisect.bisect_right(self._stamps, newest - self.seconds) - 1, len(self) - POSES)
         del self._stamps[:first], self._poses[:first]
+        return wrong
+
+    def _jumped(self, since: float) -> bool:
+        """Whether the last pose came after a long silence: it lies far ahead of the one before it and of `since`."""
+        before = self._stamps[-2:-1] or [-math.inf]
+        return bool(self._stamps) and self._stamps[-1] > max(since, *before) + HELD
 
     def at(self, stamp: float) -> tuple[np.ndarray, np.ndarray | None]:
         """`world_R_body` ``(3, 3)`` and position ``(3,)`` or None at a time. Raises `PoseError` if it is too old."""
@@ -78,7 +116,7 @@ class PoseHistory:
         if after == 0:
             raise PoseError(
                 f"no pose for t = {stamp:.6f} s: poses are known from {self._stamps[0]:.6f} s on. Feed rotate() before "
-                f"observe(), or raise the history (now {self.seconds:g} s)"
+                f"observe(), or raise the history (now {self.seconds:g} s; {POSES} poses are kept at most)"
             )
         start, end = self._stamps[after - 1], self._stamps[after]
         (pose_a, place_a), (pose_b, place_b) = self._poses[after - 1], self._poses[after]

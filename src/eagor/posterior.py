@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
+from eagor._lazy import lazy
 from eagor._reprs import where
 from eagor.basins import basins
 from eagor.grids import ErpGrid, ErpWindow
@@ -17,7 +17,8 @@ from eagor.sphere import azimuth_elevation
 
 CELLS_PER_SIGMA = 3.0  # grid spacing against the width of the sharpest peak: integrals converge long before that
 CELLS_FOR_REGIONS = 8.0  # ... but the border of a region of 90 % is only as sharp as the cells that it cuts
-MAX_ROWS = 1024  # 0.18 degrees: nothing that a camera robot asks for is finer
+MAX_ROWS = 1024  # 0.18 degrees: nothing that a camera robot asks for is finer,
+MAX_CELLS = 1 << 18  # ... but thousands of nats make finer peaks: a window may have so many cells at any rate
 ERROR = 1e-4  # of the probability, per coarse cell, that the midpoint rule may miss before finer cells are used,
 SHARE = 0.01  # ... and the most that a coarse cell may hold: regions are only as exact as their cells are light
 PROMINENCE = 0.7  # nats: a peak counts as a mode if it stands out by a factor of two from the saddle around it
@@ -83,22 +84,25 @@ class _Part:
         cells = ErpWindow(grid, 0, 0, *grid.shape)
         return cls(cells, field, np.ones(grid.shape, dtype=bool), np.arange(field.size).reshape(grid.shape))
 
-    @cached_property
+    @lazy
     def _around(self) -> tuple[np.ndarray, np.ndarray]:
         """f with its neighbours to both sides, and with those above and below."""
         wraps = self.cells.cols == self.cells.whole.width
         wide = np.pad(self.field, ((0, 0), (1, 1)), mode="wrap" if wraps else "edge")
         return wide, np.pad(self.field, ((1, 1), (0, 0)), mode="edge")
 
-    @cached_property
+    @lazy
     def _slopes(self) -> tuple[np.ndarray, np.ndarray]:
         wide, tall = self._around
         return (wide[:, 2:] - wide[:, :-2]) / 2, (tall[2:] - tall[:-2]) / 2
 
     @property
     def spread(self) -> np.ndarray:
-        """The range of f within each cell."""
-        return np.maximum(np.hypot(*self._slopes), 1e-9)
+        """The range of f within each cell: no more to either side than f rises or falls to the next cell."""
+        (wide, tall), (side, down), f = self._around, self._slopes, self.field
+        side = np.minimum(np.abs(side), np.minimum(np.abs(wide[:, 2:] - f), np.abs(wide[:, :-2] - f)))
+        down = np.minimum(np.abs(down), np.minimum(np.abs(tall[2:] - f), np.abs(tall[:-2] - f)))
+        return np.maximum(np.hypot(side, down), 1e-9)
 
     @property
     def bend(self) -> np.ndarray:
@@ -127,25 +131,28 @@ class Posterior:
         """The grid of `coarse`."""
         return ErpGrid(self.rows, 2 * self.rows)
 
-    @cached_property
+    @lazy
     def coarse(self) -> np.ndarray:
         """f on `grid`."""
         return self.evaluate(self.grid)
 
-    @cached_property
+    @lazy
     def window(self) -> ErpWindow:
         """Where exp(f) is sharp, in cells as small as its sharpest peak asks for; the whole coarse grid if nowhere."""
         values, rows = self.coarse, self.rows
         _, sigma = refine(self.grid, values.reshape(-1), int(values.argmax()))
-        times = min(math.ceil(self.cells_per_sigma * math.pi / sigma / rows), max(1, MAX_ROWS // rows))
         part = _Part.whole(self.grid, values)
         mass = np.exp(values - values.max()) * self.grid.weights
         mass /= mass.sum()
         finer = (CELLS_PER_SIGMA / self.cells_per_sigma) ** 3
         rough = (mass * np.abs(part.bend) / 24 > ERROR * finer) | (mass > SHARE * finer)
-        return ErpWindow.around(rough, times) if times > 1 and rough.any() else part.cells
+        times = math.ceil(self.cells_per_sigma * math.pi / sigma / rows)
+        if times <= 1 or not rough.any():
+            return part.cells
+        size = math.prod(ErpWindow.around(rough, 1).shape)
+        return ErpWindow.around(rough, min(times, max(1, MAX_ROWS // rows, math.isqrt(MAX_CELLS // size))))
 
-    @cached_property
+    @lazy
     def _parts(self) -> tuple[_Part, ...]:
         """The cells that together cover the sphere: the window's, and the coarse ones outside of it."""
         whole = _Part.whole(self.grid, self.coarse)
@@ -163,22 +170,22 @@ class Posterior:
         """What `read` gives for all cells ``(n, ...)``."""
         return np.concatenate([read(part)[part.used] for part in self._parts])
 
-    @cached_property
+    @lazy
     def values(self) -> np.ndarray:
         """f of all cells ``(n,)``."""
         return self._all(lambda part: part.field)
 
-    @cached_property
+    @lazy
     def weights(self) -> np.ndarray:
         """Solid angles of all cells ``(n,)``."""
         return self._all(lambda part: part.cells.weights)
 
-    @cached_property
+    @lazy
     def log_total(self) -> float:
         """log of the integral of exp(f) over the sphere."""
         return log_integral(self.values, self.weights)
 
-    @cached_property
+    @lazy
     def probability(self) -> np.ndarray:
         """Probability of each cell ``(n,)``; sums to 1."""
         return np.exp(self.values - self.log_total) * self.weights
@@ -188,7 +195,7 @@ class Posterior:
         """By how many nats the best direction stands above a uniform belief."""
         return float(self.values.max()) - self.log_total + math.log(4 * math.pi)
 
-    @cached_property
+    @lazy
     def mode(self) -> np.ndarray:
         """The direction of highest density ``(3,)``."""
         return peak_on_grid(self.grid, self.coarse)
@@ -234,11 +241,13 @@ class Posterior:
         spread, bend = self._all(lambda part: part.spread), self._all(lambda part: part.bend)
         # A cell's mass is not its midpoint's: the second differences of exp(f) correct it.
         p, v, top = self.probability * (1 + np.clip(bend / 24, -0.5, 0.5)), self.values, float(self.values.max())
+        p /= p.sum()
         low, high = float(v.min()) - 1, top + 1
-        above, below = np.exp(spread / 2), np.exp(-spread / 2)
+        whole = -np.expm1(-spread)
         for _ in range(40):
             middle = (low + high) / 2
-            share = (above - np.exp(np.clip(middle - v, -spread / 2, spread / 2))) / (above - below)
+            # Over the cell's highest value: the range of f within a cell may be thousands of nats.
+            share = -np.expm1(np.clip(middle - v, -spread / 2, spread / 2) - spread / 2) / whole
             if float(np.sum(p * share)) >= mass:
                 low = middle
             else:

@@ -12,12 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from eagor._arrays import Array, akin, as_float, matched, namespace, to_numpy
+from eagor._lazy import lazy
 from eagor.belief import Belief, Reading
 from eagor.errors import EagorError, PoseError
 from eagor.evidence import Evidence
@@ -188,7 +189,7 @@ class RangedBelief(Reading):
         """
         return self._range_probabilities if about is None else self._ranges_near(about)
 
-    @cached_property
+    @lazy
     def _range_probabilities(self) -> np.ndarray:
         return self._ranges_near(None)
 

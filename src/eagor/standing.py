@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._lazy import given, lazy
 from eagor.belief import Belief
 from eagor.detection_set import resolved, tangent_frame
 from eagor.detector import STATED, UNLIKELY, Spread
@@ -60,7 +60,7 @@ class Standing:
         """Of the harmonics of `coarse`."""
         return self.coarse.degree
 
-    @lazy
+    @given
     def field(self) -> SphereField:
         """Over directions alone: log of the mean likelihood over the ranges."""
         grid = decoding_grid(self.degree)

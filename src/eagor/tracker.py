@@ -8,62 +8,27 @@ place there, and the belief is carried forward from it again when the next answe
 
 from __future__ import annotations
 
-import bisect
 import math
-from dataclasses import dataclass, field, replace
+import threading
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from eagor import checkpoint
 from eagor.cases import Cases
-from eagor.detector import Rates
-from eagor.errors import EagorError, PoseError, TimeError
-from eagor.estimate import Answer, Estimate, TrackerConfig, chosen
+from eagor.errors import EagorError, FormatError, PoseError, TimeError
+from eagor.estimate import Estimate, TrackerConfig, chosen
 from eagor.evidence import Evidence
-from eagor.looks import Look, Sight
-from eagor.poses import PoseHistory
+from eagor.looks import Sight
+from eagor.poses import HELD, PoseHistory
 from eagor.ranged import RangedBelief
 from eagor.standing import Standing
+from eagor.tracks import PENDING, Moment, State, Track
 
-SAME_MOMENT = 1e-3  # seconds: stamps no further apart are of one moment
-PENDING = 64  # looks that may wait for the next answer; more are taken in at once
-
-
-@dataclass(frozen=True, eq=False)
-class _State:
-    """What is believed of a target right after a look, about the place where the body was then."""
-
-    stamp: float
-    position: np.ndarray | None
-    cases: Cases
-    look: Look | None = None
-    rates: Rates | None = None
-    answer: Answer | None = None
-
-
-@dataclass(eq=False)
-class _Moment:
-    """Evidence of one moment, and where it was taken from; `firm` once a pose that covers it is known."""
-
-    stamp: float
-    looks: list[Evidence]
-    world_R_body: np.ndarray
-    position: np.ndarray | None
-    firm: bool
-    state: _State | None = None  # after it, once it is taken in
-
-
-@dataclass(eq=False)
-class _Track:
-    """The moments of one target by rising stamp, and the state before the first of them (None: nothing known)."""
-
-    moments: list[_Moment] = field(default_factory=list)
-    base: _State | None = None
-    trimmed: bool = False
-
-    def forget_from(self, place: int) -> None:
-        """The states from here on are to be made anew."""
-        for moment in self.moments[place:]:
-            moment.state = None
+TARGETS = 100  # that are followed at a time
 
 
 class DirectionTracker:
@@ -71,40 +36,65 @@ class DirectionTracker:
 
     Call `rotate` for every pose of the odometry, `observe` for every evidence as it arrives, `estimate` whenever an
     answer is wanted. Stamps are seconds on one clock. Without any pose the camera is taken to stand still.
+
+    Threads may share a tracker: they take turns. At most `TARGETS` targets are followed; for one more, the one that was
+    spoken of least recently is forgotten, with a warning.
     """
 
     def __init__(self, config: TrackerConfig | None = None) -> None:
         self.config = config or TrackerConfig()
         self._poses = PoseHistory(self.config.history)
-        self._tracks: dict[str, _Track] = {}
+        self._tracks: dict[str, Track] = {}
+        self._uses = 0
+        self._turn = threading.RLock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        with self._turn:
+            tracks = {name: track.copied() for name, track in self._tracks.items()}
+            return {"config": self.config, "_poses": self._poses.copied(), "_tracks": tracks, "_uses": self._uses}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _turn=threading.RLock())
 
     def __repr__(self) -> str:
-        return f"DirectionTracker({len(self._poses)} poses, targets: {', '.join(self._tracks) or 'none yet'})"
+        return f"DirectionTracker({len(self._poses)} poses, targets: {', '.join(self.targets) or 'none yet'})"
 
     @property
     def targets(self) -> tuple[str, ...]:
         """The targets that have had evidence."""
-        return tuple(self._tracks)
+        with self._turn:
+            return tuple(self._tracks)
 
     def rotate(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None) -> None:
         """A pose of the body: orientation ``(3, 3)``, and `position` ``(3,)`` in metres of the world where known.
 
         Raises `TimeError` if `stamp` lies before the pose before it, `RotationError` for what is no rotation,
         `PoseError` for a position that is not three finite numbers or that is missing after earlier ones were given, or
-        if the camera is not above the floor.
+        if the camera is not above the floor. One pose that lies an hour or more ahead of those before and after it has
+        a wrong stamp: it is left out when the next one comes, with a warning.
         """
         if position is not None:
             self._check_height(np.asarray(position, dtype=np.float64).reshape(-1))
-        self._poses.add(stamp, world_R_body, position)
-        for track in self._tracks.values():
-            self._place_again(track)
+        with self._turn:
+            wrong = self._poses.add(stamp, world_R_body, position)
+            for track in self._tracks.values():
+                if wrong is not None:
+                    track.cut(stamp, stamp + HELD)
+                self._place_again(track)
+        if wrong is not None:
+            warnings.warn(
+                f"the pose at t = {wrong:.3f} s was followed by one at {stamp:.3f} s, and lies over {HELD:g} s ahead "
+                "of all others: it and evidence of that time are left out. Check the clock that made its stamp",
+                stacklevel=2,
+            )
 
     def observe(self, evidence: Evidence, target: str = "target") -> None:
         """Add evidence about `target`, placed by its time of capture; it may be late and out of order.
 
         Evidence of one moment (views of one panorama) is one look. A look that is newer than the last pose is placed by
-        that pose until one comes that covers it. Raises `TimeError` without a stamp, or if it is older than the
-        history, and `PoseError` if no pose of that time is known any more.
+        that pose until one comes that covers it. Raises `TimeError` without a stamp, or if it is older than the history
+        or more than an hour (`eagor.poses.HELD`) ahead of the last pose, and `PoseError` if no pose of that time is
+        known any more.
         """
         if evidence.stamp is None:
             raise TimeError(
@@ -115,22 +105,32 @@ class DirectionTracker:
             evidence = evidence.with_detector(self.config.detector)
         elif self.config.calibration is not None:
             evidence = evidence.with_calibration(self.config.calibration)
-        track = self._tracks.get(target) or _Track()
-        place = bisect.bisect_left([moment.stamp for moment in track.moments], stamp - SAME_MOMENT)
-        if place < len(track.moments) and track.moments[place].stamp <= stamp + SAME_MOMENT:
-            track.moments[place].looks.append(evidence)
-        else:
-            if track.trimmed and track.base is not None and stamp < track.base.stamp:
-                raise TimeError(
-                    f"evidence of t = {stamp:.3f} s is older than the history, which starts at "
-                    f"{track.base.stamp:.3f} s; raise TrackerConfig.history (now {self.config.history:g} s) or drop it"
-                )
-            pose, position = self._poses.at(stamp)
-            track.moments.insert(place, _Moment(stamp, [evidence], pose, position, self._poses.covers(stamp)))
-        track.forget_from(place)
-        self._tracks[target] = track
-        if sum(moment.state is None for moment in track.moments[-PENDING - 1 :]) > PENDING:
-            self._take_in(track)
+        evidence = replace(evidence, source=None)  # for people and reports, and of any size
+        with self._turn:
+            self._poses.check_ahead(stamp)
+            track = self._tracks.get(target) or Track()
+            place, moment = track.place_of(stamp)
+            if moment is None:
+                pose, position = self._poses.at(stamp)
+                moment = Moment(stamp, [evidence], pose, position, self._poses.reach(stamp))
+                track.moments.insert(place, moment)
+            else:
+                moment.looks.append(evidence)
+            track.forget_from(place)
+            self._tracks[target] = track
+            self._use(track)
+            if len(track.moments) - track.taken_in > PENDING:
+                self._take_in(track)
+            dropped = None
+            if len(self._tracks) > TARGETS:
+                dropped = min(self._tracks, key=lambda name: self._tracks[name].used)
+                del self._tracks[dropped]
+        if dropped is not None:
+            warnings.warn(
+                f"{TARGETS} targets are followed, as many as there may be; for {target!r}, {dropped!r} is forgotten, "
+                "which was spoken of least recently. Call tracker.forget(name) for those that are done with",
+                stacklevel=2,
+            )
 
     def estimate(self, now: float, target: str = "target") -> Estimate:
         """The answer at time `now`, in the body frame of that time (the last known pose is held beyond its stamp).
@@ -138,53 +138,93 @@ class DirectionTracker:
         Raises `TimeError` if `now` lies before the newest evidence, `PoseError` if it lies before all known poses, and
         `EagorError` for a target without evidence while others have some: a name that is mistyped.
         """
-        pose, position = self._poses.at(now)
-        track = self._tracks.get(target)
-        if track is None:
-            if self._tracks and target != "target":
-                raise EagorError(
-                    f"there is no evidence about {target!r}; there is about {', '.join(map(repr, self._tracks))}"
+        with self._turn:
+            pose, position = self._poses.at(now)
+            if target not in self._tracks and (target == "target" or not self._tracks):
+                return Estimate(now, math.inf, self._blank(position), pose, self.config)
+            track = self._track(target)
+            self._use(track)
+            newest = track.newest
+            if newest is None:
+                return Estimate(now, math.inf, self._blank(position), pose, self.config)
+            if now < newest:
+                raise TimeError(
+                    f"asked for t = {now:.6f} s, but evidence up to {newest:.6f} s is already in; ask for that time or "
+                    f"later. If the stamp of that evidence is wrong, call tracker.reset({target!r})"
                 )
-            return Estimate(now, math.inf, self._blank(position), pose, self.config)
-        newest = track.moments[-1].stamp if track.moments else track.base.stamp  # type: ignore[union-attr]
-        if now < newest:
-            raise TimeError(
-                f"asked for t = {now:.6f} s, but evidence up to {newest:.6f} s is already in; "
-                "ask for that time or later"
-            )
-        state = self._take_in(track)
-        cases = self._advanced(state, now, position)
-        answer = state.answer
-        if cases is not state.cases and self.config.decode == "mode":
-            answer = chosen(cases.reading, state.answer, state.look.sight.repeats if state.look else 0.0)
-        return Estimate(now, now - state.stamp, cases, pose, self.config, answer, state.rates)
+            state = self._take_in(track)
+            cases = self._advanced(state, now, position)
+            answer = state.answer
+            if cases is not state.cases and self.config.decode == "mode":
+                answer = chosen(cases.reading, state.answer, state.look.sight.repeats if state.look else 0.0)
+            return Estimate(now, now - state.stamp, cases, pose, self.config, answer, state.rates)
 
-    def _place_again(self, track: _Track) -> None:
+    def save(self, path: str | Path) -> Path:
+        """Write all that is known to a file, whole or not at all, and return its path; `load` goes on from there.
+
+        Raises `StorageError` if the disk does not take it.
+        """
+        return checkpoint.save(Path(path), self.__getstate__())
+
+    @classmethod
+    def load(cls, path: str | Path) -> DirectionTracker:
+        """The tracker that `save` wrote. No code of the file is run.
+
+        Raises `FormatError` for a file that is not one, is damaged, or was saved by another version.
+        """
+        state = checkpoint.load(Path(path))
+        tracker = cls()
+        if not isinstance(state, dict) or state.keys() != tracker.__getstate__().keys():
+            raise FormatError(f"{path} holds no tracker; wanted a file of tracker.save")
+        tracker.__setstate__(state)
+        return tracker
+
+    def reset(self, target: str | None = None) -> None:
+        """Begin anew with `target`: nothing is known of it. Without a name: with all targets and poses (a new clock).
+
+        Raises `EagorError` for a target without evidence.
+        """
+        with self._turn:
+            if target is not None:
+                used = self._track(target).used
+                self._tracks[target] = Track(used=used)
+                return
+            self._poses = PoseHistory(self.config.history)
+            self._tracks.clear()
+
+    def forget(self, target: str) -> None:
+        """Follow `target` no longer. Raises `EagorError` for a target without evidence."""
+        with self._turn:
+            self._track(target)
+            del self._tracks[target]
+
+    def _track(self, target: str) -> Track:
+        if target not in self._tracks:
+            known = ", ".join(map(repr, self._tracks)) or "nothing yet"
+            raise EagorError(f"there is no evidence about {target!r}; there is about {known}")
+        return self._tracks[target]
+
+    def _use(self, track: Track) -> None:
+        self._uses += 1
+        track.used = self._uses
+
+    def _place_again(self, track: Track) -> None:
         """Place looks that came before their pose, now that there is a newer one."""
         for index, moment in enumerate(track.moments):
             if moment.firm:
                 continue
             pose, position = self._poses.at(max(moment.stamp, self._poses.first))
             moment.world_R_body, moment.position = pose, position
-            moment.firm = self._poses.covers(moment.stamp)
+            moment.firm = self._poses.reach(moment.stamp)
             track.forget_from(index)
 
-    def _take_in(self, track: _Track) -> _State:
+    def _take_in(self, track: Track) -> State:
         """The state after the newest look."""
-        state = track.base
-        for moment in track.moments:
-            if moment.state is None:
-                moment.state = self._added(state, moment)
-            state = moment.state
+        state = track.state(self.config.history, self._added)
         assert state is not None
-        # One that still waits for its pose by now waits no longer: no memory is endless.
-        old = sum(moment.stamp < state.stamp - self.config.history for moment in track.moments[:-1])
-        if old:
-            track.base, track.trimmed = track.moments[old - 1].state, True
-            del track.moments[:old]
         return state
 
-    def _added(self, state: _State | None, moment: _Moment) -> _State:
+    def _added(self, state: State | None, moment: Moment) -> State:
         """The state after one more look."""
         stamp, position = moment.stamp, moment.position
         sight = Sight.of(moment.looks, self.config.degree, stamp, moment.world_R_body, position)
@@ -199,9 +239,9 @@ class DirectionTracker:
         if position is None and state is not None:
             position = state.position
         answer = None if self.config.decode == "mean" else chosen(cases.reading, before, sight.repeats)
-        return _State(stamp, position, cases, look, rates, answer)
+        return State(stamp, position, cases, look, rates, answer)
 
-    def _advanced(self, state: _State, now: float, position: np.ndarray | None) -> Cases:
+    def _advanced(self, state: State, now: float, position: np.ndarray | None) -> Cases:
         """The cases carried to a later time and another place."""
         cases, height = state.cases, self._height(position)
         step = None

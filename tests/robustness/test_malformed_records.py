@@ -4,6 +4,7 @@ import copy
 import json
 
 import hstar_data
+import osr_data
 import pytest
 import synthetic_runs
 
@@ -82,3 +83,28 @@ def test_a_record_of_a_benchmark(found, capsys, command):
         assert (code, said.out) == (2, ""), (place, said)
         assert repr(bad[1]["key"]) in said.err
         assert place.replace("/", ".") in said.err
+
+
+@pytest.fixture(scope="module")
+def answered(tmp_path_factory):
+    home = tmp_path_factory.mktemp("answered")
+    words = ("--data", str(osr_data.write(home)), "--agent", "oracle", "--out", str(home / "run"))
+    assert main(["bench", "run", "osr", *words]) == 0
+    return home / "run"
+
+
+@pytest.mark.parametrize("command", ["report", "export"])
+@pytest.mark.parametrize("gone", ["skill", "tags", "scores", "question", "answer"])
+def test_a_record_that_lacks_what_its_own_benchmark_reads(answered, capsys, command, gone):
+    ledger = answered / "worker-0.jsonl"
+    whole = ledger.read_text()
+    records = [json.loads(line) for line in whole.splitlines()]
+    del records[1][gone]
+    ledger.write_text("".join(json.dumps(record) + "\n" for record in records))
+    capsys.readouterr()
+    code = main(["bench", command, str(answered)])
+    ledger.write_text(whole)
+    said = capsys.readouterr()
+    assert (code, said.out) == (2, "")
+    assert repr(records[1]["key"]) in said.err
+    assert f"there is no {gone}" in said.err

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from balls import with_balls
 from data import classes
 
+from eagor._lazy import lazy
 from eagor.grids import PatchGrid
 from eagor.queries import COLOURS
 from eagor.tasks.places import UNTARGETED
@@ -123,12 +123,12 @@ class Targets:
 
     rows: int
 
-    @cached_property
+    @lazy
     def grid(self) -> PatchGrid:
         """The cells."""
         return PatchGrid(self.rows, 2 * self.rows)
 
-    @cached_property
+    @lazy
     def _cells(self) -> tuple[np.ndarray, np.ndarray]:
         """Directions ``(n, 3)`` and their outer products ``(n, 9)``."""
         cells = self.grid.directions.reshape(-1, 3).astype(np.float32)

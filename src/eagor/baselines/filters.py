@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from eagor._arrays import to_numpy
 from eagor._checks import above, require, within
+from eagor._lazy import lazy
 from eagor._reprs import changed
 from eagor.baselines import maps
 from eagor.baselines.maps import GRID
@@ -219,7 +219,7 @@ class ParticleFilter:
     def log_density(self, directions: np.ndarray) -> np.ndarray:
         return maps.log_density(self._log_map, directions)
 
-    @cached_property
+    @lazy
     def _log_map(self) -> np.ndarray:
         """Log density of the smoothed particles on `GRID`; a share as large as the reborn lies anywhere."""
         x, y, _ = GRID.project(self.particles)

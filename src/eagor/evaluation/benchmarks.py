@@ -9,9 +9,9 @@ from typing import Any
 
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger
-from eagor.evaluation.shapes import PUBLISHED, checked
+from eagor.evaluation.shapes import checked, published
 from eagor.evaluation.workers import Engine, Outcome, Unit, carry_out
-from eagor.tasks.benchmark import Benchmark, Case, Record, load, read_options
+from eagor.tasks.benchmark import Benchmark, Case, Record, known, load, read_options
 
 KIND = "benchmark"  # in run.json: which kind of run this is
 
@@ -110,7 +110,8 @@ def read_run(folder: Path) -> tuple[dict[str, Any], Sequence[Record]]:
     for key in ("task", "data"):
         if not isinstance(settings.get(key), str):
             raise FormatError(f"{Path(folder) / ledger.RUN} does not name its {key}; restore it")
-    records = checked(ledger.read(folder), PUBLISHED)
+    more = getattr(load(settings["task"]), "record", {}) if settings["task"] in known() else {}
+    records = checked(ledger.read(folder), published(more))
     if not records:
         raise EagorError(f"{folder} has no records yet; run something into it first")
     return settings, records

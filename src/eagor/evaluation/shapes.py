@@ -97,6 +97,13 @@ PUBLISHED: Shape = {
     "error?": _or_null(NUMBER), "steps?": [{"would?": _or_null(WOULD)}],
 }  # fmt: skip
 
+_WORDS: dict[str, Shape] = {"text": TEXT, "texts": TAGS, "figures": {"*": FIGURE}}
+
+
+def published(more: Mapping[str, str]) -> Shape:
+    """The shape of a benchmark's records, with what it says `more` of them (`eagor.tasks.benchmark.Benchmark`)."""
+    return PUBLISHED | {name: _WORDS[kind] for name, kind in more.items()}
+
 
 def checked(records: Sequence[Record], shape: Shape) -> Sequence[Record]:
     """`records`, those with a result as `shape` says. Raises `FormatError`, which names the record and the place."""

@@ -41,7 +41,7 @@ from eagor.detector import DetectorModel
 from eagor.errors import EagorError, FormatError, QueryError, TimeError
 from eagor.evidence import Evidence
 from eagor.perception.records import Record, parse_record, read_records, write_record
-from eagor.tracker import SAME_MOMENT
+from eagor.tracks import SAME_MOMENT
 
 __all__ = ["Record", "ReplayPerception", "parse_record", "read_records", "write_record"]
 

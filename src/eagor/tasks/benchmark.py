@@ -141,7 +141,9 @@ class Benchmark(Protocol):
       "sure": whether it stopped because it was sure;
     - "steps": list of what happened, one object per turn; "answer": what was answered.
 
-    Anything else may stand in it too. A benchmark may also have ``causes``, {cause: what it means}, for reports.
+    Anything else may stand in it too. A benchmark may also have ``causes``, {cause: what it means}, for reports, and
+    ``record``, {field: "text", "texts" or "figures"}, of what else its figures and exports read in a record: whoever
+    reads a run then names the records that lack it ("field?": it may be missing).
     """
 
     @property

@@ -11,11 +11,12 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
+
+from eagor._lazy import lazy
 
 _REACH = 3
 
@@ -86,19 +87,19 @@ class CellGraph:
 
     free: np.ndarray
 
-    @cached_property
+    @lazy
     def nodes(self) -> np.ndarray:
         """Rows and columns ``(n, 2)`` of the free cells, in reading order."""
         return np.argwhere(self.free)
 
-    @cached_property
+    @lazy
     def index(self) -> np.ndarray:
         """Place of each cell in `nodes` ``(rows, cols)``, -1 for those that are not free."""
         index = np.full(self.free.shape, -1, dtype=np.int32)
         index[self.free] = np.arange(len(self.nodes), dtype=np.int32)
         return index
 
-    @cached_property
+    @lazy
     def edges(self) -> csr_array:
         """Lengths ``(n, n)`` of the steps between free cells."""
         reach = _REACH

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
 
+from eagor._lazy import lazy
 from eagor.errors import WorldError
 from eagor.worlds.footprints import beside
 from eagor.worlds.geodesics import CellGraph, Field, line_is_free, pulled
@@ -198,15 +198,15 @@ class Ground:
     def _spread(self, seeds: np.ndarray, offsets: np.ndarray) -> Field:
         return Field(self.origin, self.cell, self._graph.spread(seeds, offsets) * self.cell)
 
-    @cached_property
+    @lazy
     def _graph(self) -> CellGraph:
         return CellGraph(self.free)
 
-    @cached_property
+    @lazy
     def _centres(self) -> np.ndarray:
         return self.centres(self._graph.nodes)
 
-    @cached_property
+    @lazy
     def _bytes(self) -> bytes:
         return self.free.astype(np.uint8).tobytes()
 
@@ -259,11 +259,11 @@ class Ground:
             raise WorldError(f"({x:.3f}, {y:.3f}) is not free ground; start from a free point, such as snap() gives")
         return int(row), int(col)
 
-    @cached_property
+    @lazy
     def _frame(self) -> tuple[float, float, float]:
         return float(self.origin[0]), float(self.origin[1]), float(self.cell)
 
-    @cached_property
+    @lazy
     def _walls(self) -> Walls:
         return Walls(self._bytes, self.clearance.ravel().tolist(), self.free.shape[1])
 

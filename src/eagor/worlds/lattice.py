@@ -12,10 +12,10 @@ the triangle is half of a parallelogram, and is drawn back to the edge where it 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
+from eagor._lazy import lazy
 from eagor.worlds.scene import Scene
 
 STEP = 0.13  # metres between samples
@@ -64,7 +64,7 @@ class Lattice:
         """The number of slots."""
         return int(self.base[-1] + (self.cells[-1] + 1).prod())
 
-    @cached_property
+    @lazy
     def slots(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Triangle, i and j of every slot."""
         sizes = (self.cells.astype(np.int64) + 1).prod(axis=1)
@@ -73,7 +73,7 @@ class Lattice:
         j, i = np.divmod(within, self.cells[triangle, 0] + 1)
         return triangle, i, j
 
-    @cached_property
+    @lazy
     def frame(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Corner 0, e1, e2 and the unit normal of every triangle, ``(T, 3)`` float64 each (the normal may be 0)."""
         corners = self.scene.vertices[self.triangles].astype(np.float64)
@@ -82,14 +82,14 @@ class Lattice:
         length = np.linalg.norm(normal, axis=1, keepdims=True)
         return corners[:, 0], e1, e2, normal / np.maximum(length, 1e-20)
 
-    @cached_property
+    @lazy
     def areas(self) -> np.ndarray:
         """Square metres that each slot stands for, ``(S,)``."""
         _, e1, e2, _ = self.frame
         sizes = (self.cells + 1).prod(axis=1)
         return np.repeat(np.linalg.norm(np.cross(e1, e2), axis=1) / 2 / sizes, sizes)
 
-    @cached_property
+    @lazy
     def points(self) -> Points:
         """The slots, joined where they are the same point of the same smooth surface."""
         corner, e1, e2, _ = self.frame
@@ -123,7 +123,7 @@ class Lattice:
         facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-20)
         return Points(position, facing, index)
 
-    @cached_property
+    @lazy
     def links(self) -> tuple[np.ndarray, np.ndarray]:
         """Pairs of neighbouring points, as two index arrays."""
         triangle, i, j = self.slots

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
+from eagor._lazy import lazy
 from eagor.errors import GridError, PoseError
 from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.sphere import check_rotation
@@ -50,20 +51,20 @@ class Renderer:
         self.engine = engine
         self.cache = cache
 
-    @cached_property
+    @lazy
     def raycaster(self) -> Raycaster:
         """The scene's triangles, corners turned as in the lattice of light. Raises `WorldError`."""
         return make_raycaster(self.scene.vertices, self._lattice.triangles, self.engine)
 
-    @cached_property
+    @lazy
     def _lattice(self) -> Lattice:
         return Lattice.of(self.scene)
 
-    @cached_property
+    @lazy
     def _shader(self) -> Shader:
         return Shader(self.scene, self._lattice, light_of(self.scene, self._lattice, self.engine, self.cache))
 
-    @cached_property
+    @lazy
     def _owners(self) -> np.ndarray:
         """Instance of each triangle, and -1 in the last place, which index -1 means."""
         return np.append(self.scene.instance, -1).astype(np.int32)

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 
+from eagor._lazy import lazy
 from eagor.errors import WorldError
 
 STRUCTURE = ("wall", "floor", "ceiling", "door", "window")  # categories that are part of the building
@@ -135,7 +135,7 @@ class Scene:
             if values.min() < 0 or values.max() >= end:
                 raise WorldError(f"{name} of the scene point outside 0..{end - 1}")
 
-    @cached_property
+    @lazy
     def hash(self) -> str:
         """Sixteen hexadecimal digits that change with anything that can be hit, seen or named."""
         digest = hashlib.sha256()
@@ -152,7 +152,7 @@ class Scene:
         digest.update(str(self.daylight).encode())
         return digest.hexdigest()[:16]
 
-    @cached_property
+    @lazy
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest corner ``(3,)`` of everything."""
         return self.vertices.min(axis=0), self.vertices.max(axis=0)

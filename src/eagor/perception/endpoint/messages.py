@@ -7,13 +7,13 @@ import io
 import math
 from collections.abc import Set
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 from PIL import Image
 
 from eagor._checks import whole, within
+from eagor._lazy import lazy
 from eagor.errors import AnswerError
 from eagor.perception.vlm.boxes import without_thoughts
 from eagor.perception.vlm.presence import means
@@ -34,7 +34,7 @@ class Picture:
         """(height, width)."""
         return self.image.shape[0], self.image.shape[1]
 
-    @cached_property
+    @lazy
     def uri(self) -> str:
         """The picture as a data URI: PNG, exact to the bit, or JPEG, a fraction of its length."""
         how = {"compress_level": 1} if self.format == "png" else {"quality": 95, "subsampling": 0}

@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from scipy import ndimage
 
 from eagor._files import written
 from eagor._json import number, parsed, whole
+from eagor._lazy import lazy
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid
 from eagor.perception.transformers.attention import blurred, densities
@@ -104,7 +104,7 @@ class Observed:
         """Whether left and right of the picture meet."""
         return isinstance(self.grid, PatchGrid)
 
-    @cached_property
+    @lazy
     def near(self) -> np.ndarray:
         """Which cells ``(h, w)`` the target lies in: those within its radius, the nearest at least."""
         angle = np.asarray(angular_distance(self.grid.directions, unit(np.asarray(self.direction, dtype=float))))

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
+
+from eagor._lazy import lazy
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Layout:
         """Whether tokens are cells."""
         return len(self.blocks) == 1 and self.blocks[0] == Block(*self.shape)
 
-    @cached_property
+    @lazy
     def _shares(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
         """Per block, which share of a row of tokens lies in each row of cells ``(h, rows)``, and for columns."""
         height, width = self.shape

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 
+from eagor._lazy import lazy
 from eagor.grids import PerspectiveGrid
 from eagor.sphere import world_R_body
 
@@ -35,7 +36,7 @@ class View:
     yaw: float
     pitch: float
 
-    @cached_property
+    @lazy
     def world_R_view(self) -> np.ndarray:
         """The pose ``(3, 3)``: our frame of the world has x at yaw 0, y to the left, z up."""
         return world_R_body(-math.radians(self.yaw), -math.radians(self.pitch))

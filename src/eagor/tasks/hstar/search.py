@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 
 from eagor._checks import above, require, whole, within
+from eagor._lazy import lazy
 from eagor.belief import Belief
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid
@@ -138,7 +139,7 @@ class Search:
         rows = np.clip(y.astype(np.intp), 0, CELLS.height - 1)
         return 1 - self.stale[rows, x.astype(np.intp) % CELLS.width]
 
-    @cached_property
+    @lazy
     def probability(self) -> np.ndarray:
         """Of each cell of `CELLS` ``(H, W)``; sums to 1.
 

@@ -6,7 +6,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from eagor.errors import EagorError, FormatError
 from eagor.tasks.benchmark import Case, Figure, Option, Record, settled
@@ -51,6 +51,10 @@ class OsrBench:
     title = "OSR-Bench"
     work = "eagor.tasks.osr.play:work"
     agents, options, exports = AGENTS, OPTIONS, EXPORTS
+    record: ClassVar = {
+        "skill": "text", "tags": "texts", "scores": "figures", "question": "text", "answer": "text",
+        "lenient?": "figures",
+    }  # fmt: skip
 
     @property
     def figures(self) -> Sequence[Figure]:
@@ -163,7 +167,7 @@ def _score(record: Record) -> float | None:
 
 
 def _lenient(record: Record) -> float | None:
-    return next(iter(record["lenient"].values()))
+    return next(iter(record.get("lenient", {}).values()), None)
 
 
 def _by(labels: str) -> Callable[[Record], float | None]:

@@ -15,11 +15,12 @@ import os
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from eagor._json import parsed, shown
+from eagor._lazy import lazy
 from eagor.errors import FormatError
 from eagor.tasks.osr.layout import layout_of
 from eagor.tasks.osr.questions import Question, read
@@ -39,12 +40,12 @@ class Scene:
     questions: tuple[Question, ...]
     skipped: int = 0
 
-    @cached_property
+    @lazy
     def categories(self) -> tuple[str, ...]:
         """All names in the questions, in the order in which they first come."""
         return tuple(dict.fromkeys(name for question in self.questions for name in question.names))
 
-    @cached_property
+    @lazy
     def layout(self) -> dict[str, list[list[int]]] | None:
         """The published layout, None where the folder has none. Raises `FormatError` if it is not one."""
         path = self.folder / "cognitive_map.json"

@@ -9,7 +9,7 @@ from typing import Any
 
 from eagor._csv import as_csv
 from eagor._files import written
-from eagor.errors import EagorError
+from eagor.errors import EagorError, FormatError
 from eagor.tasks.benchmark import Record
 from eagor.tasks.osr.dataset import load
 from eagor.tasks.osr.scoring import MAP
@@ -66,4 +66,6 @@ def lmms_eval(settings: Mapping[str, Any], folder: Path) -> list[Path]:
 def _turn(case: str) -> tuple[int, str]:
     """The turn in a case's id, and the id, to sort by."""
     number = case.rsplit("/", 1)[-1].partition("-")[0]
+    if not number.isdecimal():
+        raise FormatError(f"the record of the case {case!r} names no turn; wanted an id such as scene/3-counting")
     return int(number), case

@@ -7,10 +7,10 @@ and grows outwards. Frame: x, y of the world, metres.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
+from eagor._lazy import lazy
 from eagor.worlds.apartment.families import Layout, Rectangle
 
 HALF_WALL = 0.055  # half the thickness of an inner wall
@@ -87,7 +87,7 @@ class Doorway(Opening):
     hinge: bool
     side: int
 
-    @cached_property
+    @lazy
     def leaf_box(self) -> Rectangle | None:
         """Bounds of the open leaf on the floor; None without one, or where it is closed."""
         if not self.leaf:

@@ -1,0 +1,169 @@
+"""Dataclasses with arrays in them, in a file: saved and loaded without pickle, so that no file can run code.
+
+A file is one line of JSON that says what it is, how long the rest is and its digest; one line of JSON with the
+structure, in which arrays and dataclasses stand as numbers; then the bytes of the arrays. Dataclasses are those of the
+modules that are registered here; each is made by its own constructor, which checks it, and its lazy values that were
+given by others are set. What is held in two places is saved once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor._arrays import to_numpy
+from eagor._files import open_regular, written
+from eagor._lazy import state_of
+from eagor.errors import FormatError
+
+VERSION = 1
+FORMAT = "eagor tracker"
+LONGEST = 1000  # bytes of the first line
+# Whose dataclasses may be in a file.
+MODULES = {
+    f"eagor.{name}"
+    for name in (
+        "belief", "calibration", "cases", "detection_set", "detector", "estimate", "evidence", "field", "grids",
+        "local", "looks", "motion", "poses", "ranged", "standing", "tracks", "turning",
+    )
+}  # fmt: skip
+
+
+def save(path: Path, state: Any) -> Path:
+    """Write `state` to `path`, whole or not at all. Raises `FormatError` for what cannot be saved, `StorageError`."""
+    writer = _Writer()
+    found = writer.put(state)
+    kinds = [{"dtype": array.dtype.str, "shape": array.shape} for array in writer.arrays]
+    text = json.dumps({"arrays": kinds, "nodes": writer.nodes, "state": found}, separators=(",", ":"))
+    body = b"".join([text.encode(), b"\n", *(array.tobytes() for array in writer.arrays)])
+    head = {"format": FORMAT, "version": VERSION, "bytes": len(body), "sha256": hashlib.sha256(body).hexdigest()}
+    return written(path, json.dumps(head).encode() + b"\n" + body)
+
+
+def load(path: Path) -> Any:
+    """What `save` wrote to `path`. Raises `FormatError` for any other file, one of another version, or a torn one."""
+    try:
+        with os.fdopen(open_regular(path), "rb") as file:
+            first = file.readline(LONGEST)
+            body = file.read() if first.startswith(b"{") else b""
+    except OSError as error:
+        raise FormatError(
+            f"{path} cannot be read ({error.strerror or error}); wanted a file of tracker.save"
+        ) from error
+    try:
+        head = json.loads(first)
+        known = head["format"] == FORMAT
+        version = head["version"]
+    except (ValueError, TypeError, KeyError, RecursionError):
+        head, known, version = {}, False, None
+    if not known:
+        raise FormatError(f"{path} is no saved tracker; wanted a file of tracker.save")
+    if version != VERSION:
+        raise FormatError(f"{path} is of version {version!r}; wanted {VERSION}: load it with the eagor that saved it")
+    if head.get("bytes") != len(body) or head.get("sha256") != hashlib.sha256(body).hexdigest():
+        raise FormatError(f"{path} is damaged: {len(body)} bytes, not the ones that were saved. Save it again")
+    text, _, data = body.partition(b"\n")
+    try:
+        return _Reader(json.loads(text), data).state
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError) as error:
+        raise FormatError(f"{path} was saved by another version of eagor: {error}. Load it with that one") from error
+
+
+class _Writer:
+    """Turns values into JSON, arrays and dataclasses into places in lists."""
+
+    def __init__(self) -> None:
+        self.arrays: list[np.ndarray] = []
+        self.nodes: list[list[Any]] = []
+        self._places: dict[int, list[Any]] = {}
+
+    def put(self, value: Any) -> Any:
+        """`value` as JSON: itself, or what it is and what is in it."""
+        if isinstance(value, np.generic):
+            value = value.item()
+        if value is None or isinstance(value, bool | int | float | str):
+            return value
+        if isinstance(value, bytes):
+            return ["bytes", value.hex()]
+        if isinstance(value, tuple | list):
+            return ["tuple" if isinstance(value, tuple) else "list", [self.put(each) for each in value]]
+        if isinstance(value, Mapping):
+            return ["dict", [[self.put(key), self.put(each)] for key, each in value.items()]]
+        if id(value) not in self._places:
+            self._places[id(value)] = self._added(value)
+        return self._places[id(value)]
+
+    def _added(self, value: Any) -> list[Any]:
+        kind = type(value)
+        if is_dataclass(value) and kind.__module__ in MODULES:
+            found = {each.name: getattr(value, each.name) for each in fields(value)}
+            found |= state_of(value) if hasattr(value, "__dict__") else {}
+            self.nodes.append(
+                [kind.__module__, kind.__qualname__, {key: self.put(each) for key, each in found.items()}]
+            )
+            return ["node", len(self.nodes) - 1]
+        array = to_numpy(value) if hasattr(value, "shape") else np.empty(0, dtype=object)
+        if array.dtype.kind not in "biufc":
+            raise FormatError(
+                f"a {kind.__module__}.{kind.__qualname__} cannot be saved; wanted numbers, text or arrays"
+            )
+        self.arrays.append(array)
+        return ["array", len(self.arrays) - 1]
+
+
+class _Reader:
+    """The way back."""
+
+    def __init__(self, found: dict[str, Any], data: bytes) -> None:
+        self.arrays: list[np.ndarray] = []
+        start = 0
+        for each in found["arrays"]:
+            dtype, shape = np.dtype(each["dtype"]), tuple(each["shape"])
+            if dtype.kind not in "biufc":
+                raise ValueError(f"an array of {dtype}")
+            count = math.prod(shape)
+            self.arrays.append(np.frombuffer(data, dtype, count, start).reshape(shape).copy())
+            start += count * dtype.itemsize
+        self.nodes: list[Any] = []
+        for module, name, values in found["nodes"]:
+            self.nodes.append(self._made(module, name, {key: self.get(each) for key, each in values.items()}))
+        self.state = self.get(found["state"])
+
+    def get(self, value: Any) -> Any:
+        """The value of which `value` is the JSON."""
+        if not isinstance(value, list):
+            return value
+        kind, inner = value
+        if kind in ("array", "node"):
+            return (self.arrays if kind == "array" else self.nodes)[inner]
+        if kind == "bytes":
+            return bytes.fromhex(inner)
+        if kind == "dict":
+            return {self.get(key): self.get(each) for key, each in inner}
+        found = [self.get(each) for each in inner]
+        return tuple(found) if kind == "tuple" else found
+
+    @staticmethod
+    def _made(module: str, name: str, values: dict[str, Any]) -> Any:
+        if module not in MODULES:
+            raise ValueError(f"{module} is not saved")
+        kind = getattr(import_module(module), name)
+        if not is_dataclass(kind) or not isinstance(kind, type):
+            raise ValueError(f"{module}.{name} is not saved")
+        names = {each.name for each in fields(kind)}
+        more = {key: values.pop(key) for key in [*values] if key not in names}
+        if names != values.keys() or not all(hasattr(kind, key) for key in more):
+            raise ValueError(f"{module}.{name} has other fields")
+        made = kind(**values)
+        if more:
+            made.__dict__.update(more)
+        return made

@@ -1,0 +1,155 @@
+"""What a tracker keeps of one target: its looks in order of capture, and what was believed after them.
+
+All of it is bounded. Looks older than the history, and more than `MOMENTS` of them, are folded into what is believed
+before the first that is kept: nothing of what they say is lost, and only a look that is older still comes too late.
+What is believed after a look is kept for the newest and for every `APART`-th of the others: a late look finds one to go
+on from a few looks before it.
+"""
+
+from __future__ import annotations
+
+import bisect
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from eagor.cases import Cases
+from eagor.detector import Rates
+from eagor.errors import TimeError
+from eagor.estimate import Answer
+from eagor.evidence import Evidence
+from eagor.looks import Look
+
+SAME_MOMENT = 1e-3  # seconds: stamps no further apart are of one moment
+PENDING = 64  # looks that may wait for the next answer; more are taken in at once
+MOMENTS = 128  # of a target that are kept
+VIEWS = 64  # of one moment
+NEWEST, APART = 3, 8  # moments whose states are kept
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What is believed of a target right after a look, about the place where the body was then."""
+
+    stamp: float
+    position: np.ndarray | None
+    cases: Cases
+    look: Look | None = None
+    rates: Rates | None = None
+    answer: Answer | None = None
+
+
+@dataclass(eq=False)
+class Moment:
+    """Evidence of one moment, and where it was taken from; `firm` once a pose at or after it is known.
+
+    `bare`: its state holds no more than is given.
+    """
+
+    stamp: float
+    looks: list[Evidence]
+    world_R_body: np.ndarray
+    position: np.ndarray | None
+    firm: bool
+    state: State | None = None  # after it, once it is taken in, and while it is kept
+    bare: bool = False
+
+
+@dataclass(eq=False)
+class Track:
+    """The moments of one target by rising stamp, and the state before the first of them (None: nothing known).
+
+    `trimmed`: whether moments were folded into `base`; `used`: when the target was last spoken of, as a running number.
+    """
+
+    moments: list[Moment] = field(default_factory=list)
+    base: State | None = None
+    trimmed: bool = False
+    used: int = 0
+
+    def copied(self) -> Track:
+        """The same, with moments of its own."""
+        return replace(self, moments=[replace(moment, looks=moment.looks.copy()) for moment in self.moments])
+
+    @property
+    def newest(self) -> float | None:
+        """The stamp of the newest look, None without any."""
+        if self.moments:
+            return self.moments[-1].stamp
+        return None if self.base is None else self.base.stamp
+
+    @property
+    def taken_in(self) -> int:
+        """How many of the moments are taken in."""
+        return next((i + 1 for i in reversed(range(len(self.moments))) if self.moments[i].state is not None), 0)
+
+    def place_of(self, stamp: float) -> tuple[int, Moment | None]:
+        """Where evidence of this time belongs, and the moment that it is of, if there is one.
+
+        Raises `TimeError` for what is older than all that is kept, and for one view too many of a moment.
+        """
+        place = bisect.bisect_left([moment.stamp for moment in self.moments], stamp - SAME_MOMENT)
+        if place < len(self.moments) and self.moments[place].stamp <= stamp + SAME_MOMENT:
+            moment = self.moments[place]
+            if len(moment.looks) >= VIEWS:
+                raise TimeError(
+                    f"{VIEWS} looks of t = {stamp:.3f} s are in already, as many as one moment may have; give each "
+                    "look its own time of capture"
+                )
+            return place, moment
+        if self.trimmed and self.base is not None and stamp < self.base.stamp:
+            raise TimeError(
+                f"evidence of t = {stamp:.3f} s is older than the history, which starts at {self.base.stamp:.3f} s; "
+                f"raise TrackerConfig.history, which keeps at most {MOMENTS} looks, or drop it"
+            )
+        return place, None
+
+    def forget_from(self, place: int) -> None:
+        """The states from here on are to be made anew."""
+        for moment in self.moments[place:]:
+            moment.state, moment.bare = None, False
+
+    def cut(self, last: float, until: float) -> None:
+        """Drop what is later than `until`; what is later than the pose at `last` waits for its pose again."""
+        for place in reversed(range(len(self.moments))):
+            moment = self.moments[place]
+            if moment.stamp <= last:
+                break
+            moment.firm = False
+            if moment.stamp > until:
+                del self.moments[place]
+
+    def state(self, history: float, added: Callable[[State | None, Moment], State]) -> State | None:
+        """The state after the newest look, each new one `added` to the one before it; None without any."""
+        known = self.taken_in
+        state = self.moments[known - 1].state if known else self.base
+        for place in range(known, len(self.moments)):
+            state = self.moments[place].state = added(state, self.moments[place])
+            if place >= NEWEST:
+                self._thin(place - NEWEST)
+        self._fold(history)
+        return state
+
+    def _thin(self, place: int) -> None:
+        """Keep the state only if none of the `APART` before it is kept, and without what is made when asked for."""
+        moment = self.moments[place]
+        if moment.state is None or moment.bare:
+            return
+        moment.bare = all(near.state is None for near in self.moments[max(0, place - APART + 1) : place])
+        # A copy is without such values, which are most of the memory.
+        moment.state = copy.deepcopy(moment.state) if moment.bare else None
+
+    def _fold(self, history: float) -> None:
+        """Fold what is too old, or too much, into the state before all others."""
+        old = len(self.moments) - MOMENTS
+        if self.moments:
+            # One that still waits for its pose by now waits no longer: no memory is endless.
+            begin = self.moments[-1].stamp - history
+            old = max(old, sum(moment.stamp < begin for moment in self.moments[:-1]))
+        while old > 0 and self.moments[old - 1].state is None:
+            old -= 1
+        if old > 0:
+            self.base, self.trimmed = self.moments[old - 1].state, True
+            del self.moments[:old]

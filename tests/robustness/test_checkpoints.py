@@ -1,0 +1,147 @@
+"""What is believed, from one process to another and from one day to the next."""
+
+import json
+import multiprocessing
+import pickle
+
+import numpy as np
+import pytest
+
+from eagor.belief import Belief
+from eagor.calibration import Calibration
+from eagor.detector import DetectorModel
+from eagor.errors import FormatError
+from eagor.estimate import TrackerConfig
+from eagor.evidence import Evidence
+from eagor.grids import ErpGrid, FisheyeGrid, PerspectiveGrid
+from eagor.motion import MotionModel
+from eagor.ranged import RangedBelief
+from eagor.sphere import world_R_body
+from eagor.tracker import DirectionTracker
+
+CONFIGS = {
+    "default": TrackerConfig(degree=7, floor=0.0, drift=0.01),
+    "paper": TrackerConfig.paper(),
+    "still": TrackerConfig(degree=5, ranges=[1.0, 2.0, 4.0], motion=MotionModel.still(), detector=DetectorModel()),
+}
+
+
+def looks(number, stamp):
+    """Evidence of every kind: a map, a map of a part, detections in views."""
+    rng = np.random.default_rng(number)
+    if number % 3 == 0:
+        covered = rng.random((16, 32)) > 0.3
+        return Evidence.from_response(rng.random((16, 32)) ** 4, ErpGrid(16, 32), None, stamp, coverage=covered)
+    if number % 3 == 1:
+        response = rng.random((8, 8)) ** 4
+        calibration = Calibration(spread=0.1)
+        return Evidence.from_response(response, PerspectiveGrid(8, 8, 1.2), calibration, stamp, source={"model": "x"})
+    grid = FisheyeGrid(32, 3.3) if number % 2 else None
+    return Evidence.from_points([[1.0, 0.1, 0.05]], scores=[0.9], grid=grid, stamp=stamp)
+
+
+def go_on(tracker, start, end):
+    for number in range(start, end):
+        stamp = 0.3 * number
+        tracker.rotate(stamp, world_R_body(0.02 * number), np.array([0.05 * number, 0.0, 1.2]))
+        tracker.observe(looks(number, stamp - 0.1 if number else stamp))
+        if number % 4 == 0:
+            tracker.observe(looks(2, stamp), target="chair")
+            tracker.estimate(stamp)
+    return tracker
+
+
+def told(tracker, now):
+    found = []
+    for target in tracker.targets:
+        e = tracker.estimate(now, target)
+        found += [e.presence, *e.direction, e.credible_angle, e.distance or 0.0, *(m.weight for m in e.modes)]
+        found += [*e.log_density(np.eye(3)), e.status == "tracking", e.held]
+    return found
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+@pytest.mark.parametrize("way", ["file", "pickle"])
+def test_a_tracker_goes_on_after_a_checkpoint_as_if_nothing_had_been(name, way, tmp_path):
+    tracker = go_on(DirectionTracker(CONFIGS[name]), 0, 14)
+    if way == "file":
+        path = tracker.save(tmp_path / "folder" / "tracker.eagor")
+        assert b"\0" in path.read_bytes()
+        found = DirectionTracker.load(str(path))
+        assert found.config.degree == tracker.config.degree
+    else:
+        found = pickle.loads(pickle.dumps(tracker))
+    assert found.targets == tracker.targets
+    assert repr(found.config) == repr(tracker.config)
+    np.testing.assert_allclose(told(found, 4.2), told(tracker, 4.2), rtol=1e-9, atol=1e-12)
+    for each in (found, tracker):
+        go_on(each, 14, 20)
+        each.observe(looks(2, 3.05))  # late
+    np.testing.assert_allclose(told(found, 6.5), told(tracker, 6.5), rtol=1e-9, atol=1e-12)
+
+
+def test_a_new_tracker_is_saved_too(tmp_path):
+    found = DirectionTracker.load(DirectionTracker().save(tmp_path / "new"))
+    assert found.estimate(0.0).direction is None
+    found.observe(looks(2, 0.0))
+
+
+def read_elsewhere(value):
+    """What another process reads out of it."""
+    if isinstance(value, Evidence):
+        return value.coefficients(5)
+    if isinstance(value, DirectionTracker):
+        return np.array(told(value, 9.0))
+    if isinstance(value, Belief | RangedBelief):
+        return np.array([*value.mode(), value.presence(), value.credible_region(0.9).area])
+    return np.array([*value.direction, value.presence, value.credible_angle])
+
+
+def test_everything_travels_to_another_process_after_it_was_read():
+    tracker = go_on(DirectionTracker(CONFIGS["default"]), 0, 6)
+    evidence = [looks(number, 1.0) for number in range(3)]
+    values = [
+        Belief.uniform(7).update(evidence[0]),
+        RangedBelief.uniform(5, [1.0, 2.0, 4.0]).update(evidence[2]),
+        *evidence,
+        tracker.estimate(2.0),
+        tracker,
+    ]
+    wanted = [read_elsewhere(value) for value in values]
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        found = pool.map(read_elsewhere, values)
+    for a, b in zip(found, wanted, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
+
+
+def test_files_that_are_no_whole_tracker_of_this_version_are_refused(tmp_path):
+    good = go_on(DirectionTracker(CONFIGS["paper"]), 0, 5).save(tmp_path / "good").read_bytes()
+    head, _, body = good.partition(b"\n")
+    newer = json.dumps(json.loads(head) | {"version": 2}).encode() + b"\n" + body
+    damaged = bytearray(good)
+    damaged[-7] ^= 1
+    wrong = {
+        "is no saved tracker": [b"", b"{}", b"[1]\n", b"PK\x03\x04", pickle.dumps(print), good[:20], b"{" * 5000],
+        "is of version 2; wanted 1": [newer],
+        "is damaged": [good[:-1], good[: len(good) // 2], head + b"\n", good + b"x", bytes(damaged)],
+    }
+    path = tmp_path / "bad"
+    for says, contents in wrong.items():
+        for content in contents:
+            path.write_bytes(content)
+            with pytest.raises(FormatError, match=says):
+                DirectionTracker.load(path)
+    for place in (tmp_path, tmp_path / "nothing"):
+        with pytest.raises(FormatError, match="cannot be read"):
+            DirectionTracker.load(place)
+
+
+def test_what_a_file_names_is_made_only_of_what_trackers_are_made_of(tmp_path):
+    import hashlib
+
+    for node in (["os", "system", {}], ["eagor.belief", "math", {}], ["eagor.belief", "Belief", {"more": 1}]):
+        body = json.dumps({"arrays": [], "nodes": [node], "state": ["node", 0]}).encode() + b"\n"
+        head = {"format": "eagor tracker", "version": 1, "bytes": len(body), "sha256": hashlib.sha256(body).hexdigest()}
+        (tmp_path / "made").write_bytes(json.dumps(head).encode() + b"\n" + body)
+        with pytest.raises(FormatError, match="another version"):
+            DirectionTracker.load(tmp_path / "made")
