@@ -328,7 +328,7 @@ def test_diffusion_does_not_know_the_neighbours_in_a_batch(kind, sigma):
         both = pytest.importorskip("torch").tensor(both)
     found = Belief(both).diffuse(sigma).log_ratio(FINE)
     alone = Belief(flat).diffuse(sigma).log_ratio(FINE)
-    limit = 0 if kind == "numpy" else 1e-2
+    limit = 1e-13 if kind == "numpy" else 1e-2  # products of matrices round otherwise in another batch
     assert np.abs(np.asarray(found[0]) - alone).max() <= limit
     assert np.abs(np.asarray(found[2]) - alone).max() <= limit
 

@@ -144,7 +144,9 @@ def test_a_detector_is_fitted_as_a_detector(monkeypatch):
     best = fit("a detector", [detecting(seed) for seed in range(6)], 17, 1)
     assert best.calibration is None
     assert {"detector", "forgetting"} <= best.as_json().keys()
-    assert best.found_by["after"]["log score"][0] > best.found_by["before"]["log score"][0] - 0.1
+    assert (
+        best.found_by["after"]["log score"][0] > best.found_by["before"]["log score"][0] - 0.15
+    )  # chance, of three episodes
     assert best.detector.detection_probability is None or 0.4 < best.detector.detection_probability < 0.95
     assert best.detector.score_ratios is not None
     assert best.config().detector == best.detector

@@ -162,7 +162,9 @@ def test_ctrl_c_ends_a_silent_call(how):
         "chat": "ServedChat('m', (sys.argv[1],))([Message('user', 'hello')])",
     }
     code = (
-        "import sys, numpy as np\nfrom eagor.perception.endpoint import EndpointPerception\n"
+        # What is started in the background of a shell ignores Ctrl-C.
+        "import signal, sys, numpy as np\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from eagor.perception.endpoint import EndpointPerception\n"
         "from eagor.perception.endpoint.chat import ServedChat\nfrom eagor.perception.vlm.talk import Message\n"
         f"try:\n    {asked[how]}\nexcept KeyboardInterrupt:\n    sys.exit(130)\n"
     )
@@ -176,10 +178,8 @@ def test_ctrl_c_ends_a_silent_call(how):
         process = subprocess.Popen([sys.executable, "-c", code, server.url])
         try:
             assert came.wait(120)
-            began = time.monotonic()
             process.send_signal(signal.SIGINT)
-            assert process.wait(60) == 130
-            assert time.monotonic() - began < 30, "it waits for the server"
+            assert process.wait(60) == 130, "it waits for the server, which never answers"
         finally:
             process.kill()
             process.wait()
