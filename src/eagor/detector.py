@@ -177,11 +177,12 @@ class Spread:
     scales: np.ndarray
     weights: np.ndarray
     otherwise: np.ndarray
+    doubted: bool = False  # whether others than the stated one were ever reckoned with
 
     @classmethod
     def unsure(cls) -> Spread:
         """Before any look: as stated, more or less."""
-        return cls(np.array(SCALES), np.array(SCALE_WEIGHTS), np.array(SCALE_WEIGHTS))
+        return cls(np.array(SCALES), np.array(SCALE_WEIGHTS), np.array(SCALE_WEIGHTS), True)
 
     def mixed(self, stands: float) -> Spread:
         """Its weights if the target stands with probability `stands`."""

@@ -129,7 +129,7 @@ class Standing:
 
     def detecting(self) -> Standing:
         """From the first set of detections on: their spread may differ from the stated one."""
-        if self.spread is not STATED:
+        if self.spread.doubted:
             return self
         spread = Spread.unsure()
         windows = tuple(window.like(window.values + spread.logs) for window in self.windows)
@@ -137,7 +137,7 @@ class Standing:
 
     def spreading(self, spread: Spread) -> Standing:
         """With other weights of the scales."""
-        if self.spread is STATED:
+        if not self.spread.doubted:
             return self
         found = replace(self, spread=spread)
         if "field" in self.__dict__:
@@ -158,7 +158,7 @@ class Standing:
         held += max(1 - held.sum(), 0.0) * self.spread.weights
         likely = stands * held / held.sum() + (1 - stands) * otherwise > UNLIKELY
         held, otherwise = held[likely], otherwise[likely]
-        spread = Spread(self.spread.scales[likely], held / held.sum(), otherwise / otherwise.sum())
+        spread = Spread(self.spread.scales[likely], held / held.sum(), otherwise / otherwise.sum(), True)
         if likely.all():
             return self.spreading(spread)
         return replace(
