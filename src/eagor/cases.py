@@ -1,11 +1,10 @@
-"""Is it here, does it stand, or does it wander? One filter over all there can be.
+"""Is it here, does it stand, or does it move? One filter over all there can be.
 
 The target is not here, or it stands where it is, or it wanders by so many degrees per root second, or it turns at a
-steady rate (`eagor.turning`). Each case that has a
-target holds a belief over directions, and is weighed by how it foretold what was seen; a Markov chain leads from case
-to case (a Bernoulli filter over several models of motion: interacting multiple models, Blom and Bar-Shalom, IEEE
-Transactions on Automatic Control 33(8), 1988; Ristic et al., IEEE Transactions on Signal Processing 61(13), 2013).
-Presence is what the cases with a target weigh together.
+steady rate (`eagor.turning`). Each case that has a target holds a belief over directions, and is weighed by how it
+foretold what was seen; a Markov chain leads from case to case (a Bernoulli filter over several models of motion:
+interacting multiple models, Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33(8), 1988; Ristic et al.,
+IEEE Transactions on Signal Processing 61(13), 2013). Presence is what the cases with a target weigh together.
 
 A wanderer is held as a density on a grid: there diffusion is exact and costs one product, since the heat kernel
 multiplies the coefficients of degree l by exp(-l (l + 1) sigma^2 / 2). A target that stands is held as the sum of all
@@ -101,6 +100,10 @@ class Cases:
         wandering = np.tensordot(shares[1 : 1 + len(self.wanderers)], self.wanderers, axes=1)
         elsewhere = SphereField(self.grid, np.log(np.maximum(wandering, 1e-300)))
         turning = self.turning if turns > 0 else None
+
+        def moves(wanders: np.ndarray, where: np.ndarray) -> np.ndarray:
+            return wanders if turning is None else wanders + turns * turning.density(where)
+
         fine = stands.patches
         if turning is not None:
             narrow = 2 * math.pi / self.grid.height
@@ -108,11 +111,9 @@ class Cases:
             fine += tuple(patch.like(stands.smooth(patch.directions)) for patch in new)
         patches = []
         for patch in fine:
-            moving = np.exp(elsewhere.smooth(patch.directions, 1))
-            if turning is not None:
-                moving = moving + turns * turning.density(patch.directions)
+            moving = moves(np.exp(elsewhere.smooth(patch.directions, 1)), patch.directions)
             patches.append(patch.like(np.logaddexp(patch.values, np.log(moving))))
-        moving = wandering + turns * (1.0 if turning is None else turning.density(self.grid.directions))
+        moving = moves(wandering, self.grid.directions)
         # As `logaddexp`, which takes ten times as long; only where patches lie the values may be as large.
         values = np.log(np.exp(np.minimum(stands.values, _LARGEST)) + np.maximum(moving, 1e-300))
         return SphereField(self.grid, values, tuple(patches))
@@ -152,7 +153,7 @@ class Cases:
         if not len(self.wanderers):
             return self.wanderers
         basis = RealHarmonics(grid.height // 2 - 1)  # a density is narrower than its logarithm: all that the grid holds
-        jumped = -math.expm1(-motion.jump * elapsed)
+        jumped = motion.jumped(elapsed)
         stands = self._standing_density() if flows[1, 2:].any() else 0.0
         sigmas = np.hypot(motion.wander, drift) * math.sqrt(elapsed)
         spread = basis.synthesise(basis.smooth(basis.analyse(self.wanderers, grid), sigmas[:, None]), grid)
@@ -166,7 +167,7 @@ class Cases:
         """What turns, after `elapsed` seconds, with what begins to."""
         if self.turning is None:
             return None
-        turned = self.turning.after(elapsed, -math.expm1(-motion.jump * elapsed), drift)
+        turned = self.turning.after(elapsed, motion.jumped(elapsed), drift)
         inflow = flows[:2, -1]
         total = float(inflow.sum() + flows[-1, -1])
         if total <= 0:

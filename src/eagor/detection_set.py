@@ -13,7 +13,6 @@ from eagor.detector import STATED, DetectorModel, Rates, Spread
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.peaks import decoding_grid
-from eagor.sphere import cross
 
 RESOLVED = math.radians(115)  # over degree + 1: the narrowest likelihood whose logarithm a degree holds without loss
 
@@ -241,8 +240,5 @@ def tangent_frames(directions: np.ndarray) -> np.ndarray:
 
 
 def tangent_frame(direction: np.ndarray) -> np.ndarray:
-    """Two unit vectors ``(2, 3)`` across a direction ``(3,)`` and each other."""
-    helper = np.array([0.0, 0.0, 1.0]) if abs(direction[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    first = cross(helper, direction)
-    first /= math.sqrt(float(first @ first))
-    return np.array([first, cross(direction, first)])
+    """The same ``(2, 3)`` for one direction ``(3,)``."""
+    return tangent_frames(direction[None])[0]

@@ -62,6 +62,10 @@ class MotionModel:
             return 0.0
         return self.start / (self.start + self.stop) if self.start + self.stop > 0 else 0.0
 
+    def jumped(self, elapsed: float) -> float:
+        """The probability that a moving target has turned up anywhere else within `elapsed` seconds."""
+        return -math.expm1(-self.jump * elapsed)
+
     def transitions(self, elapsed: float) -> np.ndarray:
         """Probabilities ``(2 + M, 2 + M)`` of going from case to case in `elapsed` seconds.
 

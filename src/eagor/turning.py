@@ -137,6 +137,8 @@ class Turning:
 
         And how likely that was for each scale ``(S,)``.
         """
+        from scipy.spatial.transform import Rotation
+
         count, amplitudes = len(seen.directions), seen.amplitudes
         spreads = np.concatenate([seen.covariances[None], seen.scaled]).reshape(-1, 3, 3)
         peaks = np.tile(seen.directions, (1 + len(seen.scaled), 1))
@@ -150,8 +152,6 @@ class Turning:
         owner = kept[0]
         gain = gains[owner] @ inverse[kept]
         change = np.einsum("mia,ma->mi", gains[owner], pull[kept])
-        from scipy.spatial.transform import Rotation
-
         detected = replace(
             self,
             weights=weights[kept],
