@@ -6,12 +6,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections import Counter
 from functools import partial
 
 import numpy as np
 import pytest
+from processes import wait_for
 
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger
@@ -289,14 +289,6 @@ def launch(tmp_path, config, workers, sleep):
     # A test run in the background of a shell ignores interrupts, and its children would too.
     heed = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     return subprocess.Popen(arguments, env={**os.environ, "PYTHONPATH": path}, preexec_fn=heed)
-
-
-def wait_for(what):
-    for _ in range(1200):
-        if what():
-            return
-        time.sleep(0.05)
-    raise AssertionError("waited for a minute in vain")
 
 
 def kept(folder):

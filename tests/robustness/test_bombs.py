@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from mutations import reads
 from PIL import Image
+from processes import limited
 
 from eagor.errors import FormatError, ImageError, WorldError
 from eagor.tasks.hstar import files
@@ -220,22 +221,18 @@ def test_an_archive_of_many_folders_is_read_folder_by_folder(tmp_path, monkeypat
     assert [scene.panorama.member for scene in found[:2]] == ["0/a.png", "1/a.png"]
 
 
-LIMITED = """
-import resource, sys, warnings
-warnings.simplefilter("ignore")
-from pathlib import Path
+IMPORTS = """
 import numpy, trimesh
 from eagor.errors import EagorError
 from eagor.worlds.glb import import_glb
 from eagor.worlds.objectnav import read_episodes
 from eagor.worlds.panorama import read_panorama
-
-size = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
-resource.setrlimit(resource.RLIMIT_AS, (size + (400 << 20), resource.RLIM_INFINITY))
+"""
+READERS = """
 readers = {"a.glb": import_glb, "b.glb": import_glb, "c.json.gz": read_episodes, "d.png": read_panorama}
 for name, read in readers.items():
     try:
-        read(Path(sys.argv[1]) / name)
+        read(folder / name)
     except EagorError as error:
         assert "MemoryError" not in str(error), error
         print(error)
@@ -252,12 +249,8 @@ def test_bombs_take_no_room(tmp_path):
         for _ in range(16):
             file.write(b" " * (64 << 20))
     (tmp_path / "d.png").write_bytes(sixteen_bits(9000))
-    done = subprocess.run(
-        [sys.executable, "-c", LIMITED, tmp_path],
-        capture_output=True, text=True, timeout=300, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert len(done.stdout.splitlines()) == 4, done.stdout
+    printed = limited(IMPORTS, READERS, tmp_path, 400)
+    assert len(printed) == 4, printed
 
 
 SPREAD = """

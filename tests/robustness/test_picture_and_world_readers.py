@@ -3,9 +3,7 @@
 import gzip
 import io
 import json
-import os
 import struct
-import subprocess
 import sys
 import zlib
 
@@ -15,6 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from mutations import as_text, damaged, reads, trees
 from PIL import Image
+from processes import limited
 
 from eagor.tasks.hstar.files import Stored, open_panorama
 from eagor.worlds.glb import export_glb, import_glb
@@ -107,9 +106,7 @@ def test_the_orientation_tag_does_not_turn_a_panorama(folder):
     assert np.abs(read_panorama(path).astype(int) - PIXELS).mean() < 8
 
 
-LIMITED = """
-import resource, sys, warnings
-warnings.simplefilter("ignore")
+IMPORTS = """
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.perception.records import parse_record
@@ -117,11 +114,8 @@ from eagor.tasks.osr.eyes import read_depth
 from eagor.worlds.glb import import_glb
 from eagor.worlds.panorama import read_panorama
 import numpy, trimesh
-from pathlib import Path
-
-size = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
-resource.setrlimit(resource.RLIMIT_AS, (size + (300 << 20), resource.RLIM_INFINITY))
-folder = Path(sys.argv[1])
+"""
+READERS = """
 for name, read in (("claims.png", read_panorama), ("claims.jpg", read_panorama), ("claims.glb", import_glb)):
     try:
         read(folder / name)
@@ -158,12 +152,8 @@ def test_no_room_is_made_for_what_a_file_only_claims(tmp_path):
     np.save(tmp_path / "depth.npy", np.ones((4, 8)))
     whole = (tmp_path / "depth.npy").read_bytes()
     (tmp_path / "depth.npy").write_bytes(whole.replace(b"(4, 8), }", b"(90000, 90000), }"))
-    done = subprocess.run(
-        [sys.executable, "-c", LIMITED, tmp_path],
-        capture_output=True, text=True, timeout=300, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert len(done.stdout.splitlines()) == 5, done.stdout
+    printed = limited(IMPORTS, READERS, tmp_path, 300)
+    assert len(printed) == 5, printed
 
 
 # Worlds

@@ -4,11 +4,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import hstar_data
 import pytest
+from processes import wait_for
 
 from eagor.evaluation import ledger
 
@@ -57,14 +57,6 @@ def members(session):
         if int(state[3]) == session and state[0] != "Z":
             found.append(int(stat.parent.name))
     return found
-
-
-def wait_for(what):
-    for _ in range(1200):
-        if what():
-            return
-        time.sleep(0.05)
-    raise AssertionError("waited for a minute in vain")
 
 
 def ended(run, number, whole_session=False):
