@@ -12,7 +12,8 @@ of 8 degrees, among 0.2 false alarms a look), so that exact Bayes can be compute
 - `walking`: the camera walks past the target as well, 0.25 m a look;
 - `moving`: a constant turn, random walks, jumps, against filters that know the motion, 45 looks. "Bayes, kind of motion
   unknown" is exact and has our prior (`ideal_floors.py`): no filter with it can be nearer. "told": `MotionModel` states
-  the kind of motion;
+  the motion; of a turn, whose axis and rate the ideal filter knows, the poses are given in axes that turn along, "told
+  that it turns" states neither;
 - `drift`: the camera yaws, and its odometry drifts by 1 degree a second; with detections of 8 and of 3 degrees.
 
 Error: degrees from the answer (where the density is highest) to the target, mean over all looks from the first
@@ -78,12 +79,13 @@ PARTICLES = {  # tuned on seeds 0 to 99
 MOVING = tuple(name for name in WORLDS if name not in ("turning", "walking") and not name.startswith("drift"))
 DRIFT = tuple(name for name in WORLDS if name.startswith("drift"))
 GROUPS = {"turning": ("turning",), "wrong": (), "few": (), "walking": ("walking",), "moving": MOVING, "drift": DRIFT}
-TOLD = {  # what a user would state who knows how the target moves, but not where to
-    "constant turn, 10 deg/s": MotionModel(wander=(), turn=(math.radians(6),), start=1, stop=0, jump=0),
+TOLD = {  # what a user would state who knows as much of the motion as the ideal filter does
+    "constant turn, 10 deg/s": MotionModel.still(),  # in axes that turn along
     "random walk, 2 deg/sqrt(s)": MotionModel(wander=(math.radians(2),), turn=(), start=1, stop=0, jump=0),
     "random walk, 10 deg/sqrt(s)": MotionModel(wander=(math.radians(10),), turn=(), start=1, stop=0, jump=0),
-    "jumps, every 15 s": MotionModel(wander=(math.radians(0.01),), turn=(), start=1, stop=0, jump=1 / 15),
+    "jumps, every 15 s": MotionModel(wander=(), turn=(math.radians(0.01),), start=1, stop=0, jump=1 / 15),
 }
+CIRCLING = MotionModel(wander=(), turn=(math.radians(6),), start=1, stop=0, jump=0)  # neither axis nor rate
 Factory = Callable[[Run, int], Contestant]
 
 
@@ -111,7 +113,11 @@ def contestants(world: str, wanted: set[str]) -> dict[str, Factory]:
         if "walk" in world:
             known["Bayes, kind of motion unknown"] = lambda run, seed: KindUnknown(TRUE)
         config = TrackerConfig(motion=TOLD[world])
-        return known | ours | {f"{OURS}, told": lambda run, seed: Tracker(TRUE, config=config)}
+        found = known | ours | {f"{OURS}, told": lambda run, seed: Tracker(TRUE, config=config, motion=run.motion)}
+        if "turn" in world:
+            circling = TrackerConfig(motion=CIRCLING)
+            found[f"{OURS}, told that it turns"] = lambda run, seed: Tracker(TRUE, config=circling)
+        return found
     if world != "turning":
         return known | ours
     found = known

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from ideal_filters import NEAR, PRIOR_RANGE, UNIFORM, Contestant, cells
-from ideal_worlds import Detector, near
+from ideal_worlds import Detector, Motion, near
 from scipy.stats import qmc
 
 import eagor
@@ -19,9 +19,19 @@ from eagor.sphere import unit
 
 
 class Tracker(Contestant):
-    """`DirectionTracker` by its public calls; a detector without P_D and clutter learns them."""
+    """`DirectionTracker` by its public calls; a detector without P_D and clutter learns them.
 
-    def __init__(self, detector: Detector, learn: bool = False, config: eagor.TrackerConfig | None = None) -> None:
+    `motion`: a turn that is known; poses are then given in axes that turn along.
+    """
+
+    def __init__(
+        self,
+        detector: Detector,
+        learn: bool = False,
+        config: eagor.TrackerConfig | None = None,
+        motion: Motion | None = None,
+    ) -> None:
+        self.motion = motion or Motion()
         spread = math.radians(detector.spread)
         self.model = (
             eagor.DetectorModel(spread=spread)
@@ -33,7 +43,7 @@ class Tracker(Contestant):
         self.tracker = eagor.DirectionTracker(config or eagor.TrackerConfig())
 
     def look(self, time: float, pose: np.ndarray, position: np.ndarray | None, detections: np.ndarray) -> None:
-        self.tracker.rotate(time, pose, position)
+        self.tracker.rotate(time, self.motion.turned(time).T @ pose, position)
         self.tracker.observe(eagor.Evidence.from_points(detections, detector=self.model, stamp=time))
         self.estimate = self.tracker.estimate(time)
         self.direction = self.estimate.direction

@@ -21,7 +21,7 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.detector import Rates
-from eagor.field import Patch, SphereField, blurred
+from eagor.field import Patch, SphereField, bent, blurred
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.local import REACH
@@ -174,7 +174,7 @@ class Cases:
             return turned
         patches = self.standing.field.patches
         masses = self.standing.masses()
-        widths = np.array([patch.half / REACH for patch in patches]).reshape(-1, 2)
+        widths = np.array([patch.spacing for patch in patches]).reshape(-1, 2)
         across = np.array([patch.frame[1:] for patch in patches]).reshape(-1, 2, 3) * widths[..., None]
         covariances = np.einsum("nai,naj->nij", across, across)
         tops = np.array([patch.directions.reshape(-1, 3)[int(patch.values.argmax())] for patch in patches])
@@ -328,7 +328,6 @@ def _drifted(standing: Standing, drift: float, elapsed: float) -> Standing:
     if patches:
         best = max(patches, key=lambda patch: float(patch.values.max()))
         shares = np.exp(best.values - best.values.max()) * best.weights
-        offsets = np.linspace(-1, 1, len(best.values))
-        u, v = (offsets * best.half[0])[:, None], (offsets * best.half[1])[None, :]
-        width = max(math.sqrt(float(np.sum(shares * (u * u + v * v)) / shares.sum() / 2)), 1e-3)
+        u, v = bent(np.linspace(-1, 1, len(best.values)), best.half, best.bend)[0]
+        width = max(math.sqrt(float(np.sum(shares * ((u * u)[:, None] + v * v)) / shares.sum() / 2)), 1e-3)
     return standing.scaled(width**2 / (width**2 + drift**2 * elapsed))

@@ -143,15 +143,16 @@ class Detections:
         seen = np.asarray(self.share(directions)) > 0
         return (drawn.max(axis=0).reshape(directions.shape[:-1]) * seen).astype(np.float32)
 
-    def densities(self, directions: np.ndarray, scales: np.ndarray, least: float = 0.0) -> np.ndarray:
+    def densities(self, directions: np.ndarray, scales: np.ndarray, least: np.ndarray | float = 0.0) -> np.ndarray:
         """The sum of s_i g(z_i | w) over the relative clutter ``(S, ...)`` at directions w ``(..., 3)``, per steradian.
 
         For each of `scales` ``(S,)`` all detections are taken to be as many times as wide, and none to be narrower than
-        `least` radians: it is widened as a likelihood, so that its mass is kept.
+        `least` radians (or ``(n,)``): it is widened as a likelihood, so that its mass is kept.
         """
         lengths = np.sqrt(np.einsum("nij,nij->ni", self.axes, self.axes))
         exponents = self._exponents(directions)
         found = np.empty((len(scales), exponents.shape[-1]))
+        least = np.reshape(least, (-1, 1))
         for row, scale in zip(found, scales.tolist(), strict=True):
             factors = 1 / np.maximum(scale, least * lengths)
             norms = bump_norms(lengths * factors)
@@ -173,7 +174,7 @@ class Detections:
         directions: np.ndarray,
         rates: Rates | None = None,
         share: np.ndarray | float | None = None,
-        least: float = 0.0,
+        least: np.ndarray | float = 0.0,
         spread: Spread = STATED,
     ) -> np.ndarray:
         """L ``(...)`` at directions ``(..., 3)``, both in the axes of the detections, with `rates` after `Rates.given`.
@@ -189,7 +190,7 @@ class Detections:
         directions: np.ndarray,
         rates: Rates | None = None,
         share: np.ndarray | float | None = None,
-        least: float = 0.0,
+        least: np.ndarray | float = 0.0,
     ) -> np.ndarray:
         """`ratio` ``(S, ...)`` for detections `scales` ``(S,)`` times as wide."""
         rates = self.rates.given(len(self)) if rates is None else rates

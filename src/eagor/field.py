@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Self
 
@@ -13,6 +13,7 @@ from eagor._lazy import lazy
 from eagor.grids import ErpGrid, ErpWindow
 
 MARGIN = 4  # cells beyond the border of the grid that interpolation needs
+EVEN = 1e-3  # a bend that is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,12 +21,14 @@ class Nodes:
     """Values ``(..., n, n)`` on the plane that touches the sphere in the direction ``frame[0]`` (gnomonic projection).
 
     `frame` ``(3, 3)``: that direction and the axes u, v of the plane, as rows. `half` ``(2,)``: how far the nodes reach
-    to both sides, in units of the plane (tangents of angles).
+    to both sides, in units of the plane (tangents of angles). `bend` b ``(2,)``: along each axis the node at t in
+    [-1, 1], evenly spaced, lies at sinh(b t) / sinh(b) of that: dense in the middle, far apart at the borders.
     """
 
     frame: np.ndarray
     half: np.ndarray
     values: np.ndarray
+    bend: np.ndarray = field(default_factory=lambda: np.full(2, EVEN))
 
     def like(self, values: np.ndarray) -> Self:
         """The same nodes with other values; what is known of the nodes is kept."""
@@ -38,12 +41,28 @@ class Nodes:
     @lazy
     def directions(self) -> np.ndarray:
         """Unit vectors ``(n, n, 3)`` of the nodes."""
-        return plane_directions(self.values.shape[-1], self.frame, self.half)
+        return plane_directions(self.values.shape[-1], self.frame, self.half, self.bend)
 
     @lazy
     def weights(self) -> np.ndarray:
         """Solid angles ``(n, n)`` of the nodes."""
-        return plane_weights(self.values.shape[-1], self.half)
+        return plane_weights(self.values.shape[-1], self.half, self.bend)
+
+    @property
+    def spacing(self) -> np.ndarray:
+        """How far apart the nodes in the middle are ``(2,)``, in units of the plane."""
+        return 2 / (self.values.shape[-1] - 1) * self.half * self.bend / np.sinh(self.bend)
+
+    def located(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The t ``(2, ...)`` of directions ``(..., 3)`` of any length, and the lengths ``(...)`` along the middle.
+
+        Where the latter is not above 0 the t have no meaning.
+        """
+        local = (self.frame @ directions.reshape(-1, 3).T).reshape(3, *directions.shape[:-1])
+        across = local[1:] / np.maximum(local[0], 1e-6)
+        shape = (2, *[1] * (across.ndim - 1))
+        scale, bend = (np.sinh(self.bend) / self.half).reshape(shape), self.bend.reshape(shape)
+        return np.arcsinh(across * scale) / bend, local[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +70,13 @@ class Patch(Nodes):
     """A part of a field on the sphere: values ``(n, n)``."""
 
     def places(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates ``(2, ...)`` in units of `half`, -1 to 1, of directions ``(..., 3)``, and which lie inside."""
-        found, ahead = on_plane(directions, self.frame, self.half)
+        """The t ``(2, ...)`` of directions ``(..., 3)``, -1 to 1, and which of them lie inside."""
+        found, ahead = self.located(directions)
         return found, (ahead > 0) & (np.abs(found).max(axis=0) <= 1)
 
     def cells(self, grid: ErpGrid) -> np.ndarray:
         """The flat indices ``(m,)`` of the cells of a grid whose middles lie inside."""
-        return _cells(grid, self.frame.tobytes(), self.half.tobytes())
+        return _cells(grid, self.frame.tobytes(), self.half.tobytes(), self.bend.tobytes())
 
     def at(self, places: np.ndarray) -> np.ndarray:
         """Values at coordinates ``(2, m)`` as `places` gives them, by a cubic spline."""
@@ -73,21 +92,17 @@ class Patch(Nodes):
 
 
 @lru_cache(maxsize=64)  # as many as a belief has patches, and some more: each is asked for again after every look
-def _cells(grid: ErpGrid, frame: bytes, half: bytes) -> np.ndarray:
-    patch = Patch(np.frombuffer(frame).reshape(3, 3), np.frombuffer(half), np.zeros((1, 1)))
+def _cells(grid: ErpGrid, frame: bytes, half: bytes, bend: bytes) -> np.ndarray:
+    patch = Patch(np.frombuffer(frame).reshape(3, 3), np.frombuffer(half), np.zeros((1, 1)), np.frombuffer(bend))
     directions = grid.directions.reshape(-1, 3)
     near = np.flatnonzero(directions @ patch.frame[0] > patch.least_ahead)
     return near[patch.places(directions.take(near, axis=0))[1]]
 
 
-def on_plane(directions: np.ndarray, frame: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates ``(2, ...)`` on the plane of `Nodes`, in units of `half`, and the lengths ``(...)`` along its middle.
-
-    `directions` ``(..., 3)`` may have any length. Where that is not above 0 the coordinates have no meaning.
-    """
-    local = (frame @ directions.reshape(-1, 3).T).reshape(3, *directions.shape[:-1])
-    safe = np.maximum(local[0], 1e-6)
-    return np.stack([local[1] / (safe * half[0]), local[2] / (safe * half[1])]), local[0]
+def bent(at: np.ndarray, half: np.ndarray, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the nodes at t = `at` ``(n,)`` lie on the plane, along each axis ``(2, n)``, and how fast they go by t."""
+    scale, steps = (half / np.sinh(bend))[:, None], bend[:, None] * at
+    return scale * np.sinh(steps), scale * bend[:, None] * np.cosh(steps)
 
 
 def blurred(patch: Patch, sigma: float, reach: float) -> Patch:
@@ -99,28 +114,25 @@ def blurred(patch: Patch, sigma: float, reach: float) -> Patch:
     at = np.linspace(-1, 1, len(patch.values))
     top = float(patch.values.max())
     mass = np.exp(patch.values - top) * patch.weights
-    kernels = [
-        np.exp(-0.5 * ((at[:, None] * wide - at[None, :] * narrow) / sigma) ** 2)
-        for wide, narrow in zip(half, patch.half, strict=True)
-    ]
-    density = kernels[0] @ mass @ kernels[1].T / (2 * math.pi * sigma**2)
-    return Patch(patch.frame, half, np.log(np.maximum(density, 1e-300)) + top)
+    new, old = bent(at, half, patch.bend)[0], bent(at, patch.half, patch.bend)[0]
+    first, second = np.exp(-0.5 * ((new[:, :, None] - old[:, None, :]) / sigma) ** 2)
+    density = first @ mass @ second.T / (2 * math.pi * sigma**2)
+    return Patch(patch.frame, half, np.log(np.maximum(density, 1e-300)) + top, patch.bend)
 
 
-def plane_directions(count: int, frame: np.ndarray, half: np.ndarray) -> np.ndarray:
+def plane_directions(count: int, frame: np.ndarray, half: np.ndarray, bend: np.ndarray) -> np.ndarray:
     """Unit vectors ``(count, count, 3)`` of nodes on the plane of a `Patch`; the first axis is u."""
-    at = np.linspace(-1, 1, count)
-    plane = frame[0] + (at * half[0])[:, None, None] * frame[1] + (at * half[1])[None, :, None] * frame[2]
+    (u, v), _ = bent(np.linspace(-1, 1, count), half, bend)
+    plane = frame[0] + u[:, None, None] * frame[1] + v[None, :, None] * frame[2]
     return plane / np.sqrt(np.einsum("...i,...i->...", plane, plane))[..., None]
 
 
-def plane_weights(count: int, half: np.ndarray) -> np.ndarray:
+def plane_weights(count: int, half: np.ndarray, bend: np.ndarray) -> np.ndarray:
     """Solid angles ``(count, count)`` of such nodes: du dv / (1 + u^2 + v^2)^(3/2), half of it at a border."""
-    at, share = np.linspace(-1, 1, count), np.ones(count)
-    share[[0, -1]] = 0.5
-    share *= 2 / (count - 1)
-    u, v = (at * half[0])[:, None], (at * half[1])[None, :]
-    return (share * half[0])[:, None] * (share * half[1]) * (1 + u * u + v * v) ** -1.5
+    share = np.full(count, 2 / (count - 1))
+    share[[0, -1]] /= 2
+    (u, v), (du, dv) = bent(np.linspace(-1, 1, count), half, bend)
+    return (share * du)[:, None] * (share * dv) * (1 + (u * u)[:, None] + v * v) ** -1.5
 
 
 @dataclass(frozen=True, eq=False)

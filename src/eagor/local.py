@@ -11,20 +11,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from eagor._lazy import lazy
-from eagor.field import Nodes, Patch, on_plane
+from eagor.detection_set import resolved, tangent_frame
+from eagor.field import EVEN, Nodes, Patch, bent
 from eagor.sphere import cross
 from eagor.splines import interpolated
 
 NODES = 11  # along each side
 RANGES = 12  # of the window, where distances are believed in
-REACH = 5.0  # standard deviations from the middle to a border
-WIDEST = math.tan(math.radians(25))  # beyond, its nodes would be further apart than the cells of the whole field
+REACH = 5.0  # standard deviations from the middle to a border, at least
+WIDEST = math.radians(25)  # ... but no further: beyond, its nodes would be further apart than those of the field
+SKIRTS = 3.3  # ... unless that has skirts there: these end so many standard deviations of what its degree holds away
+FURTHEST = math.radians(45)  # that a plane reaches
+_BENDS = np.linspace(EVEN, 5.0, 500)  # beyond, sums over the nodes miss some percent of a peak
+_RATIOS = np.sinh(_BENDS) / _BENDS  # of the spacing of nodes that are even to that in the middle
 DEEP = 4.5  # nats below the peak: what lies above, and hangs together with it, is the peak
 FAINT = 10.0  # nats below the likeliest range: what lies below is left out
 SLACK = 1.25  # a window that is larger than wanted by this factor is drawn anew
@@ -34,15 +39,26 @@ SLACK = 1.25  # a window that is larger than wanted by this factor is drawn anew
 class Window(Nodes):
     """Log-likelihood ratios ``(S, K, n, n)`` about one peak, in axes that do not turn, about the place of the body.
 
-    For each scale of the detector's spread that is reckoned with (`eagor.detector.Spread`) they are kept by themselves,
-    with the logarithm of its weight in them: place and spread are believed in jointly.
+    In the middle the nodes are about a standard deviation apart, towards the border ever further. For each scale of the
+    detector's spread that is reckoned with (`eagor.detector.Spread`) they are kept by themselves, with the logarithm of
+    its weight in them: place and spread are believed in jointly.
 
-    `frame`, `half`: as for `eagor.field.Nodes`. `logs` ``(K,)``: logarithms of the ranges, evenly spaced; None where
-    only directions are believed in (K = 1). `limits`: the least and the greatest logarithm of a range there is.
+    `frame`, `half`, `bend`: as for `eagor.field.Nodes`. `logs` ``(K,)``: logarithms of the ranges, evenly spaced; None
+    where only directions are believed in (K = 1). `limits`: the least and the greatest logarithm of a range there is.
+    `border`: no border is nearer to the middle, in units of the plane.
     """
 
     logs: np.ndarray | None = None
     limits: tuple[float, float] = (0.0, 1.0)
+    border: float = 0.0
+
+    @classmethod
+    def about(cls, centre: np.ndarray, width: float, degree: int) -> Window:
+        """A window for a peak at `centre` ``(3,)`` of this `width` (radians), in a field of this degree; values 0."""
+        border = math.tan(skirts(degree))
+        half, bend = _extent(np.full(2, width), border)
+        frame = np.concatenate([centre[None], tangent_frame(centre)])
+        return cls(frame, half, np.zeros((1, 1, NODES, NODES)), bend, border=border)
 
     @property
     def shares(self) -> np.ndarray:
@@ -76,9 +92,20 @@ class Window(Nodes):
 
     def patch(self, prior: np.ndarray | None = None) -> Patch:
         """The window as a part of a field over directions."""
-        found = Patch(self.frame, self.half, self.marginal(prior))
+        found = Patch(self.frame, self.half, self.marginal(prior), self.bend)
         found.__dict__["directions"], found.__dict__["weights"] = self.directions, self.weights
         return found
+
+    def finest(self, directions: np.ndarray) -> np.ndarray:
+        """Radians ``(n,)``: how far apart its nodes are at directions ``(n, 3)``: no narrower detection is held."""
+        at = np.clip(self.located(directions)[0], -1, 1)
+        return 2 / (NODES - 1) * bent(at, self.half, self.bend)[1].min(axis=0)
+
+    def holds(self, centre: np.ndarray, width: float) -> bool:
+        """Whether a detection of this `width` (radians) at `centre` ``(3,)`` lies on nodes that are near enough."""
+        at, ahead = self.located(centre)
+        inside = float(ahead) > 0 and float(np.abs(at).max()) <= 1
+        return inside and float(self.finest(centre[None])[0]) <= SLACK * width
 
     def points(self) -> np.ndarray:
         """The nodes ``(K, n, n, 3)``, metres."""
@@ -90,33 +117,34 @@ class Window(Nodes):
         row, column = divmod(int(values.argmax()), values.shape[1])
         return min(row, column) < 2 or max(row, column) > values.shape[0] - 3
 
-    def moved(self, step: np.ndarray, prior: np.ndarray | None = None) -> tuple[Window, np.ndarray | None]:
+    def moved(self, step: np.ndarray, prior: np.ndarray | None, border: float) -> tuple[Window, np.ndarray | None]:
         """After the body has moved by `step` ``(3,)`` metres, in the axes of the window.
 
-        With the nodes ``(K, n, n)`` that lie where the window did not reach: what is there is not known to it.
+        With the nodes ``(K, n, n)`` that lie where the window did not reach: what is there is not known to it. From now
+        on it reaches to `border` at least.
         """
         if self.logs is None:
             return self, None
-        return self._drawn(self._wanted(prior, step), step)
+        return self.drawn(replace(self, border=border)._wanted(prior, step), step)
 
-    def focused(self, prior: np.ndarray | None = None) -> tuple[Window, np.ndarray | None]:
-        """As fine as the peak is now, or itself where it is already; the nodes beyond as for `moved`."""
-        wanted = self._wanted(prior, None)
-        frame, half, logs = wanted
-        fits = (half * SLACK >= self.half).all() and (half <= self.half * 1.1).all()
-        centred = frame[0] @ self.frame[0] > math.cos(0.25 * math.atan(float(self.half.min())))
-        if fits and centred and (logs is None or self._spans(logs)):
+    def focused(self, prior: np.ndarray | None, border: float) -> tuple[Window, np.ndarray | None]:
+        """As fine as the peak is now, or itself where it is already; the nodes beyond and `border` as for `moved`."""
+        wanted = replace(self, border=border)._wanted(prior, None)
+        fits = (
+            wanted.border <= self.border
+            and (wanted.spacing * SLACK >= self.spacing).all()
+            and (wanted.half <= self.half * 1.1).all()
+        )
+        centred = wanted.frame[0] @ self.frame[0] > math.cos(1.25 * math.atan(float(self.spacing.min())))
+        if fits and centred and self._spans(wanted.logs):
             return self, None
-        return self._drawn(wanted, None)
+        return self.drawn(wanted, None)
 
-    def _spans(self, logs: np.ndarray) -> bool:
-        length = self.logs[-1] - self.logs[0]  # type: ignore[index]
-        return (logs[-1] - logs[0]) * SLACK >= length
+    def _spans(self, logs: np.ndarray | None) -> bool:
+        return self.logs is None or logs is None or (logs[-1] - logs[0]) * SLACK >= self.logs[-1] - self.logs[0]
 
-    def _wanted(
-        self, prior: np.ndarray | None, step: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """Frame, half widths and ranges of the window that fits the peak, after a `step`."""
+    def _wanted(self, prior: np.ndarray | None, step: np.ndarray | None) -> Window:
+        """The window, without values, that fits the peak after a `step`."""
         values = self.by_range if prior is None else self.by_range + prior
         mass = np.exp(values - values.max())
         mean = np.tensordot(self.shares, mass, axes=1)
@@ -152,18 +180,15 @@ class Window(Nodes):
         plane = (points @ axes.T) / np.maximum(ahead, 0.1)[:, None]
         covariance = (plane * shares[:, None]).T @ plane
         variances, turn = np.linalg.eigh(covariance)
-        spacing = self.half / (NODES - 1)
-        sigma = np.sqrt(np.maximum(variances, (0.2 * spacing.min()) ** 2))
+        sigma = np.sqrt(np.maximum(variances, (0.1 * self.spacing.min()) ** 2))
         across = turn[:, 0] @ axes
         frame = np.array([middle, across, cross(middle, across)])
-        return frame, np.minimum(REACH * sigma, WIDEST), logs
+        half, bend = _extent(sigma, self.border)
+        return Window(frame, half, np.zeros((1, 1, NODES, NODES)), bend, logs, self.limits, self.border)
 
-    def _drawn(
-        self, wanted: tuple[np.ndarray, np.ndarray, np.ndarray | None], step: np.ndarray | None
-    ) -> tuple[Window, np.ndarray | None]:
-        """The same field on another grid, and which of its nodes lie beyond this one."""
-        frame, half, logs = wanted
-        new = Window(frame, half, np.zeros((1, 1, NODES, NODES)), logs, self.limits)
+    def drawn(self, new: Window, step: np.ndarray | None = None) -> tuple[Window, np.ndarray | None]:
+        """The same field on the nodes of another window, and which of these lie beyond the own ones."""
+        logs = new.logs
         points, depth = new.directions, np.zeros(0)
         if logs is not None:
             points = np.exp(logs)[:, None, None, None] * new.directions
@@ -181,25 +206,36 @@ class Window(Nodes):
 
     def _places(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Indices ``(2, ...)`` of points ``(..., 3)``, held at the borders, and which lie beyond them."""
-        found, ahead = on_plane(points, self.frame, self.half)
+        found, ahead = self.located(points)
         beyond = (np.abs(found).max(axis=0) > 1.001) | (ahead <= 0)
         return (np.clip(found, -1, 1) + 1) * ((NODES - 1) / 2), beyond
+
+
+def skirts(degree: int) -> float:
+    """Radians: how far from a peak a field of this degree is wider than what was seen may have been."""
+    return min(SKIRTS * resolved(degree), FURTHEST)
 
 
 def with_own_peaks(windows: Sequence[Window], patches: Sequence[Patch]) -> set[int]:
     """Which windows have a peak inside, of two with the same one the finer; `patches`: the windows over directions."""
     found: list[int] = []
     tops: list[np.ndarray] = []
-    for i in sorted(range(len(windows)), key=lambda i: float(windows[i].half.max())):
+    for i in sorted(range(len(windows)), key=lambda i: float(windows[i].spacing.max())):
         window, values = windows[i], patches[i].values
         if window.peak_at_border(values):
             continue
         top = window.directions.reshape(-1, 3)[int(values.argmax())]
-        near = math.cos(math.atan(3 * float(window.half.max()) / (NODES - 1)))
+        near = math.cos(math.atan(1.5 * float(window.spacing.max())))
         if all(top @ other < near for other in tops):
             found.append(i)
             tops.append(top)
     return {*found}
+
+
+def _extent(sigma: np.ndarray, border: float) -> tuple[np.ndarray, np.ndarray]:
+    """Half widths and bends ``(2,)`` of a window about a peak of standard deviations `sigma` ``(2,)``."""
+    half = np.maximum(np.minimum(REACH * np.tan(np.minimum(sigma, 1.0)), math.tan(WIDEST)), border)
+    return half, np.interp(2 / (NODES - 1) * half / sigma, _RATIOS, _BENDS)
 
 
 def _summed(values: np.ndarray) -> np.ndarray:

@@ -17,7 +17,6 @@ from eagor.harmonics import RealHarmonics
 from eagor.peaks import decoding_grid, neighbours, refine
 
 SIGHTINGS = 4  # of a response map
-FINER = 0.8  # of the narrowest detection that a degree holds: so much narrower ones are held about peaks
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,9 +147,8 @@ class Look:
         amplitudes = self.rates.gain * self.world.area * self.world.ratios / self.world.clutter
         scales = self.spread.scales if len(self.spread.scales) > 1 else self.spread.scales[:0]
         scales = np.array([self.spread.precision**-0.5, *scales])[:, None, None]
-        # None narrower than the belief of a target that stands takes it to be: they are weighed against each other.
         lengths = np.linalg.norm(self.world.axes, axis=-1)
-        widths = np.maximum(scales / lengths, FINER * resolved(self.sight.degree))
+        widths = scales / lengths
         deviations = self.world.axes * (widths / lengths)[..., None]
         covariances = np.einsum("snai,snaj->snij", deviations, deviations)
         return Sightings(self.world.directions, amplitudes, covariances[0], SphereField(grid, beside), covariances[1:])
@@ -177,8 +175,8 @@ class Look:
         covariances = across * (widths**2)[:, None, None]
         return Sightings(directions, heights * 2 * np.pi * widths**2, covariances, beside, covariances[None][:0])
 
-    def at(self, directions: np.ndarray, least: float, scales: np.ndarray) -> np.ndarray:
-        """Log ratios ``(S, ...)`` at directions ``(..., 3)``, nothing narrower than `least` radians.
+    def at(self, directions: np.ndarray, least: np.ndarray, scales: np.ndarray) -> np.ndarray:
+        """Log ratios ``(S, ...)`` at directions ``(..., 3)``, no detection narrower than `least` ``(n,)`` radians.
 
         `scales` ``(S,)``: how many times as wide as their model says detections are taken to be.
         """

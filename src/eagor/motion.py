@@ -28,9 +28,9 @@ class MotionModel:
 
     wander: tuple[float, ...] = (math.radians(2.5), math.radians(10))
     turn: tuple[float, ...] = (math.radians(1.5), math.radians(8))
-    start: float = 0.005
-    stop: float = 0.02
-    jump: float = 0.03
+    start: float = 0.01
+    stop: float = 0.04
+    jump: float = 0.003
     birth: float = 0.0005
     death: float = 0.0005
 

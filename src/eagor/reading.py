@@ -9,7 +9,7 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.basins import basins
-from eagor.field import Patch, SphereField, plane_directions, plane_weights
+from eagor.field import Patch, SphereField, bent, plane_directions, plane_weights
 from eagor.peaks import refine
 from eagor.sphere import unit
 
@@ -49,8 +49,8 @@ class Reading:
             count = (patch.values.shape[0] - 1) * FINER + 1
             side = np.linspace(-1, 1, count)
             places = np.stack(np.meshgrid(side, side, indexing="ij")).reshape(2, -1)
-            cells = plane_directions(count, patch.frame, patch.half).reshape(-1, 3)
-            shares = field.owned(index, cells, plane_weights(count, patch.half).reshape(-1))
+            cells = plane_directions(count, patch.frame, patch.half, patch.bend).reshape(-1, 3)
+            shares = field.owned(index, cells, plane_weights(count, patch.half, patch.bend).reshape(-1))
             counts = shares > 0
             found.append((patch.at(places)[counts], shares[counts], cells[counts]))
         values, weights, directions = zip(*found, strict=True)
@@ -199,5 +199,5 @@ def _top_of_patch(patch: Patch, places: np.ndarray) -> np.ndarray:
         offset = np.array([huv * gv - hvv * gu, huv * gu - huu * gv]) / det
         if float(np.abs(offset).max()) < 1:
             at = at + offset * step
-    u, v = at * patch.half
+    u, v = np.diagonal(bent(at, patch.half, patch.bend)[0])
     return unit(patch.frame[0] + u * patch.frame[1] + v * patch.frame[2])

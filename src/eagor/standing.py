@@ -14,18 +14,19 @@ import numpy as np
 
 from eagor._lazy import given, lazy
 from eagor.belief import Belief
-from eagor.detection_set import resolved, tangent_frame
 from eagor.detector import STATED, UNLIKELY, Spread
 from eagor.field import SphereField
 from eagor.harmonics import RealHarmonics
 from eagor.heights import log_heights, with_heights
-from eagor.local import NODES, RANGES, REACH, WIDEST, Window, with_own_peaks
-from eagor.looks import FINER, Look
+from eagor.local import RANGES, REACH, Window, skirts, with_own_peaks
+from eagor.looks import Look
 from eagor.peaks import decoding_grid, neighbours, refine
 from eagor.ranged import NEAR, RangedBelief, mean_range, range_spread
 
 MOST = 4  # windows
 WORTH = 0.02  # of the belief: a peak that holds less gets no window,
+SPILL = 0.02  # of what a window holds
+NOTHING = 12.0  # nats below a peak: what the border of its window holds, and what lies beyond
 LEAST = 0.002  # ... and a window that holds less is closed
 WIDE = math.radians(14)  # a peak wider than this is well held by the field itself
 
@@ -81,7 +82,10 @@ class Standing:
             return self
         coarse = with_heights(self.coarse.predict(np.eye(3), step), height)
         found = Standing(coarse, (), height, self.spread)
-        return replace(found, windows=tuple(found._filled(*w.moved(step, self._prior(w))) for w in self.windows))
+        pairs = zip(self.windows, self._borders(), strict=True)
+        return replace(
+            found, windows=tuple(found._filled(*w.moved(step, self._prior(w), border)) for w, border in pairs)
+        )
 
     def ranged(self, ranges: np.ndarray, height: float | None) -> Standing:
         """The same over direction and range, from now on: what is known so far holds for all ranges alike."""
@@ -89,7 +93,7 @@ class Standing:
         logs = np.log(ranges)
         limits = float(logs[0]), float(logs[-1])
         windows = tuple(
-            Window(w.frame, w.half, np.repeat(w.values, RANGES, axis=1), np.linspace(*limits, RANGES), limits)
+            replace(w, values=np.repeat(w.values, RANGES, axis=1), logs=np.linspace(*limits, RANGES), limits=limits)
             for w in self.windows
         )
         return Standing(with_heights(found, height), windows, height, self.spread)
@@ -99,7 +103,7 @@ class Standing:
         if since is None or not since.any() or not isinstance(self.coarse, RangedBelief):
             windows, patches = [], []
             for window, patch in zip(self.windows, self.field.patches, strict=True):
-                found = share * look.at(window.directions, least_width(window, self.degree), self.spread.scales)
+                found = share * look.at(window.directions, _least(look, window), self.spread.scales)
                 windows.append(window.plus(found[:, None]))
                 if len(found) == 1:  # what is said of all ranges alike
                     patches.append(patch.like(patch.values + found[0]))
@@ -117,7 +121,7 @@ class Standing:
         for window in self.windows:
             points = window.points() + since
             points /= np.sqrt(np.einsum("...i,...i->...", points, points))[..., None]
-            found = look.at(points, least_width(window, self.degree), self.spread.scales)
+            found = look.at(points, _least(look, window), self.spread.scales)
             windows.append(window.plus(share * found))
         return replace(self, coarse=self.coarse.plus(carried), windows=tuple(windows))
 
@@ -171,13 +175,12 @@ class Standing:
         centres, widths = look.centres
         if not len(centres):
             return self
-        widths = np.maximum(widths, FINER * resolved(self.degree))
         widest = WIDE / self.spread.scales.min()
-        reached = self.field.smooth(centres, 1) + look.at(centres, 0.0, np.ones(1))[0] - self.log_mean
+        reached = self.field.smooth(centres, 1) + look.at(centres, np.zeros(1), np.ones(1))[0] - self.log_mean
         for centre, width, rise in zip(centres, widths, reached, strict=True):
             if width > widest or len(found.windows) >= 2 * MOST or math.exp(min(rise, 50.0)) * width**2 < LEAST:
                 continue
-            if any(patch.places(centre)[1] for patch in found.field.patches):
+            if any(window.holds(centre, width) for window in found.windows):
                 continue
             found = found._with_window(centre, width)
         return found
@@ -185,11 +188,12 @@ class Standing:
     def focused(self, fresh: bool = False) -> Standing:
         """With a window about each peak, as fine as the peak is now; `fresh` windows are fine enough."""
         found = self
+        borders = self._borders()
         windows = tuple(
             window
             if fresh or window.peak_at_border(patch.values)
-            else self._filled(*window.focused(self._prior(window)))
-            for window, patch in zip(self.windows, self.field.patches, strict=True)
+            else self._filled(*window.focused(self._prior(window), border))
+            for window, patch, border in zip(self.windows, self.field.patches, borders, strict=True)
         )
         if any(a is not b for a, b in zip(windows, self.windows, strict=True)):
             found = replace(self, windows=windows)
@@ -203,6 +207,22 @@ class Standing:
         alone = with_own_peaks(found.windows, found.field.patches)
         keep = [i for i in np.argsort(-masses, kind="stable") if masses[i] > LEAST and i in alone][:MOST]
         return found if len(keep) == len(found.windows) else found._kept(sorted(int(i) for i in keep))
+
+    def _borders(self) -> list[float]:
+        """How far each window has to reach: over the skirts of the field around it, as long as they hold something."""
+        found = [0.0] * len(self.windows)
+        if not any(window.border for window in self.windows):
+            return found
+        around, grid = skirts(self.degree), self.field.grid
+        for index, (window, mass) in enumerate(zip(self.windows, self.masses(), strict=True)):
+            if not window.border:
+                continue
+            cosine = grid.directions @ window.frame[0]
+            peak = math.atan(REACH * float(window.spacing.max()))
+            beside = (cosine > math.cos(around)) & (cosine < math.cos(peak))
+            held = np.exp(self.field.values[beside] - self.log_mean) @ grid.weights[beside] / (4 * math.pi)
+            found[index] = math.tan(around) if held > SPILL * mass else 0.0
+        return found
 
     def masses(self) -> np.ndarray:
         """The share of the belief in each window."""
@@ -231,14 +251,20 @@ class Standing:
         return self._with_window(peak, sigma)
 
     def _with_window(self, centre: np.ndarray, width: float) -> Standing:
-        """With a window about `centre` ``(3,)`` for a peak of this `width` (radians), drawn from the coarse field."""
-        frame = np.concatenate([centre[None], tangent_frame(centre)])
-        half = np.full(2, min(math.tan(min(REACH * width, 1.0)), WIDEST))
-        window = Window(frame, half, np.zeros((1, 1, NODES, NODES)))
+        """With a window about `centre` ``(3,)`` for a peak of this `width` (radians).
+
+        Drawn from the window that lies there, or from the coarse field.
+        """
+        window = Window.about(centre, width, self.degree)
         if isinstance(self.coarse, RangedBelief):
             limits = math.log(self.coarse.ranges[0]), math.log(self.coarse.ranges[-1])
             window = replace(window, logs=np.linspace(*limits, RANGES), limits=limits)
-        window = window.like(self._coarse_at(window.directions, window.logs))
+        inside = [w for w, patch in zip(self.windows, self.field.patches, strict=True) if patch.places(centre)[1]]
+        if inside:
+            finest = min(inside, key=lambda other: float(other.spacing.max()))
+            window = self._filled(*finest.drawn(window))
+        else:
+            window = window.like(self._coarse_at(window.directions, window.logs))
         found = replace(self, windows=(*self.windows, window))
         patch = window.patch(self._prior(window))
         found.__dict__["field"] = replace(self.field, patches=(*self.field.patches, patch))
@@ -259,6 +285,8 @@ class Standing:
         if beyond is None:
             return window
         nodes, values = beyond.any(axis=0), window.values.copy()
+        if values[..., nodes].max() < values.max() - NOTHING:
+            return window
         found = self._coarse_at(window.directions[nodes], window.logs)
         values[..., nodes] = np.where(beyond[:, nodes], found, values[..., nodes])
         return window.like(values)
@@ -288,11 +316,6 @@ class Standing:
         return log_heights(self.coarse, self.height, rise)
 
 
-def least_width(window: Window, degree: int) -> float:
-    """Radians: the narrowest detection that a window and the field around it hold together.
-
-    Narrower than its nodes are apart it would be lost between them. And where the window ends the field goes on, in
-    which each detection is as wide as a degree holds: a window that is much finer would count the skirts twice.
-    """
-    apart = 0.8 * math.atan(2 * float(window.half.min()) / (NODES - 1))
-    return max(apart, FINER * resolved(degree))
+def _least(look: Look, window: Window) -> np.ndarray:
+    """Radians ``(n,)``: the narrowest that a window holds of each detection of a look."""
+    return np.zeros(1) if look.world is None else window.finest(look.world.directions)

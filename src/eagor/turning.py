@@ -58,12 +58,10 @@ class Turning:
 
     def after(self, elapsed: float, jumped: float, drift: float) -> Turning:
         """After `elapsed` seconds in which a share `jumped` has turned up anywhere; `drift`: of the odometry."""
-        from scipy.spatial.transform import Rotation
-
         kept = replace(self, unseen=self.unseen * (1 - jumped) + jumped, weights=self.weights * (1 - jumped))
         if not len(self.weights):
             return kept
-        turned = Rotation.from_rotvec(self.turns * elapsed).as_matrix()
+        turned = _rotations(self.turns * elapsed)
         step = np.zeros((len(self.weights), 6, 6))
         step[:, :3, :3] = turned
         step[:, :3, 3:] = elapsed * np.eye(3) + 0.5 * elapsed**2 * _crosses(self.turns)  # of first order in the turn
@@ -137,8 +135,6 @@ class Turning:
 
         And how likely that was for each scale ``(S,)``.
         """
-        from scipy.spatial.transform import Rotation
-
         count, amplitudes = len(seen.directions), seen.amplitudes
         spreads = np.concatenate([seen.covariances[None], seen.scaled]).reshape(-1, 3, 3)
         peaks = np.tile(seen.directions, (1 + len(seen.scaled), 1))
@@ -155,7 +151,7 @@ class Turning:
         detected = replace(
             self,
             weights=weights[kept],
-            directions=Rotation.from_rotvec(change[:, :3]).apply(self.directions[owner]),
+            directions=np.einsum("nij,nj->ni", _rotations(change[:, :3]), self.directions[owner]),
             turns=self.turns[owner] + change[:, 3:],
             covariances=self.covariances[owner] - gain @ np.swapaxes(gains[owner], 1, 2),
         )
@@ -264,6 +260,13 @@ def _joined(*parts: Turning, unseen: float) -> Turning:
         for name in ("directions", "turns", "covariances")
     }
     return replace(parts[0], unseen=unseen / total, weights=weights[order] / total, **pick)
+
+
+def _rotations(vectors: np.ndarray) -> np.ndarray:
+    """Rotation matrices ``(n, 3, 3)`` about `vectors` ``(n, 3)`` by their lengths (Rodrigues' formula)."""
+    angles, crosses = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))[:, None, None], _crosses(vectors)
+    once, twice = np.sinc(angles / math.pi), 0.5 * np.sinc(angles / (2 * math.pi)) ** 2
+    return np.eye(3) + once * crosses + twice * (crosses @ crosses)
 
 
 def _crosses(vectors: np.ndarray) -> np.ndarray:

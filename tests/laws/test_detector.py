@@ -17,7 +17,6 @@ from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.motion import MotionModel
 from eagor.sphere import angular_distance, direction, rotation, unit
-from eagor.standing import FINER
 from eagor.tracker import DirectionTracker
 
 PD, ALARMS = 0.7, 0.2
@@ -89,18 +88,17 @@ def test_one_detection_gives_the_closed_form_in_a_belief(degree, spread):
 @pytest.mark.parametrize("spread", SPREADS)
 @pytest.mark.parametrize("degree", [7, 15, 31])
 def test_one_detection_gives_the_closed_form_in_a_tracker(spread, degree):
-    """There with its own spread, or the narrowest that a window holds; or as many times that as is reckoned with."""
+    """With its own spread (from 1/22 of what the degree resolves on), or as many times that as is reckoned with."""
     how = model(spread)
     estimate = tracked(one(WHERE, how, stamp=0.0), degree)
-    held = max(math.radians(spread), FINER * resolved(degree))
+    held = max(math.radians(spread), resolved(degree) / 22)
     angle = min(3 * held, math.pi)
     assert np.degrees(angular_distance(estimate.direction, WHERE)) < 0.02 * math.degrees(held) + 0.005
     assert estimate.presence == pytest.approx(Z / (Z + 1), abs=0.02)
-    unsure, least = Spread.unsure(), FINER * resolved(degree)
-    expected = [closed_form(max(scale * math.radians(spread), least), angle) for scale in unsure.scales]
+    unsure = Spread.unsure()
+    expected = [closed_form(max(scale * math.radians(spread), resolved(degree) / 22), angle) for scale in unsure.scales]
     found = estimate.within(angle) / estimate.presence
-    # Where a window is a little finer than the field around it, the skirts of both count: up to 3 % of the mass.
-    assert found == pytest.approx(float(unsure.weights @ expected), abs=0.02 if math.radians(spread) >= held else 0.04)
+    assert found == pytest.approx(float(unsure.weights @ expected), abs=0.02)
 
 
 def test_the_worked_number():

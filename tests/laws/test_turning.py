@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from eagor import DetectorModel, DirectionTracker, Evidence, MotionModel, TrackerConfig
-from eagor.detection_set import resolved
 from eagor.detector import Spread
 from eagor.grids import ErpGrid
-from eagor.looks import FINER, Look, Sight
+from eagor.looks import Look, Sight
 from eagor.sphere import angular_distance, rotation, unit
 from eagor.turning import Turning
 
@@ -94,7 +93,7 @@ def test_what_is_foretold_for_each_scale_of_the_spread_is_the_mean_of_its_ratio(
     seen = look([rotation((0, 1, 0), angle) @ circling(6) for angle in (0.1, 2.0)])
     seen = seen.sight.read(seen.rates, Spread.unsure())
     assert seen.world is not None
-    ratios = seen.world.ratios_by(seen.spread.scales, GRID.directions, seen.rates, 1.0, FINER * resolved(15))
+    ratios = seen.world.ratios_by(seen.spread.scales, GRID.directions, seen.rates, 1.0)
     expected = np.tensordot(ratios, before.density(GRID.directions) * GRID.weights, axes=2) / (4 * math.pi)
     assert np.allclose(before.updated(seen)[2], expected, rtol=0.06)
 
