@@ -80,9 +80,18 @@ TOLD = {signal.SIGTERM: (143, "", "eagor: terminated"), signal.SIGINT: (130, "",
     [(signal.SIGTERM, 1, False), (signal.SIGTERM, 2, False), (signal.SIGTERM, 2, True), (signal.SIGINT, 2, True)],
 )
 def test_a_run_that_is_ended_says_so_keeps_its_results_and_leaves_nobody(tmp_path, workers, number, whole_session):
-    out = tmp_path / "run"
+    check_end(tmp_path / "run", number, whole_session, workers)
+
+
+@pytest.mark.parametrize("whole_session", [False, True])
+def test_a_run_on_ray_leaves_none_of_its_servers(tmp_path, whole_session):
+    """A signal to the whole session ends some of them first, and Ray then waits for them."""
+    check_end(tmp_path / "run", signal.SIGTERM, whole_session, 2, "--engine", "ray")
+
+
+def check_end(out, number, whole_session, workers, *more):
     words = ("bench", "run", "waypoint", "--perception", "truth", "--methods", "vmf", "--rows", 32, "--episodes", 500)
-    run = begun(*words, "--workers", workers, "--out", out, "--json")
+    run = begun(*words, "--workers", workers, "--out", out, "--json", *more)
     wait_for(lambda: len(kept(out)) >= 2)
     before = kept(out)
     assert ended(run, number, whole_session) == TOLD[number]

@@ -14,10 +14,13 @@ import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from eagor.errors import EagorError
 from eagor.evaluation.units import Book, Unit, WorkError, attempt_unit, failure, head_of, load
+
+if TYPE_CHECKING:
+    import psutil
 
 PATIENCE = 2.0  # seconds that Ray has to end by itself
 STARTS = 3  # so many actors in a row that die before they are ready mean that none ever will be
@@ -37,12 +40,15 @@ def work_on_ray(book: Book, work: str, config: dict[str, Any], count: int, addre
     """
     try:
         ray: Any = importlib.import_module("ray")  # optional: the name is found at run time
+        import psutil
     except ImportError as error:
         raise EagorError(
             "--engine ray needs ray: pip install 'eagor[ray]' (the same version on all machines)"
         ) from error
     ours = not ray.is_initialized()
+    here, servers = psutil.Process(), []
     if ours:
+        others = here.children()
         heed = signal.getsignal(signal.SIGTERM)
         try:
             ray.init(address=address, log_to_driver=False, configure_logging=False)
@@ -53,23 +59,35 @@ def work_on_ray(book: Book, work: str, config: dict[str, Any], count: int, addre
         finally:
             with suppress(ValueError):  # not in the main thread
                 signal.signal(signal.SIGTERM, heed)  # Ray takes it, and then ends this process without a word
+        servers = [child for child in here.children() if child not in others]
     try:
         _work(ray, book, work, config, count)
     finally:
         if ours:
-            _shut_down(ray)
+            _shut_down(ray, servers)
 
 
-def _shut_down(ray: Any) -> None:
-    """End Ray here. Where a signal has ended its servers first, it would wait for them far longer than `PATIENCE`."""
-    node = getattr(ray._private.worker, "_global_node", None)
+def _shut_down(ray: Any, servers: list[psutil.Process]) -> None:
+    """End Ray here. Where a signal has ended some of its `servers` first, it would wait far longer than `PATIENCE`."""
     ending = threading.Thread(target=ray.shutdown, daemon=True)
     ending.start()
     ending.join(PATIENCE)
     if ending.is_alive():
         atexit.unregister(ray.shutdown)  # it would begin to wait once more
-        if node is not None:
-            node.kill_all_processes(check_alive=False, allow_graceful=False)
+        _kill(servers)
+
+
+def _kill(servers: list[psutil.Process]) -> None:
+    """Kill processes and all that they have started, whichever of them are still there."""
+    import psutil
+
+    doomed = [*servers]
+    for server in servers:
+        with suppress(psutil.NoSuchProcess):
+            doomed += server.children(recursive=True)
+    for process in doomed:
+        with suppress(psutil.NoSuchProcess):
+            process.kill()
 
 
 def _work(ray: Any, book: Book, work: str, config: dict[str, Any], count: int) -> None:
