@@ -78,10 +78,17 @@ class DirectionTracker:
             self._check_height(np.asarray(position, dtype=np.float64).reshape(-1))
         with self._turn:
             wrong = self._poses.add(stamp, world_R_body, position)
-            for track in self._tracks.values():
-                if wrong:
+            ahead = [name for name, track in self._tracks.items() if (track.newest or -math.inf) > stamp + HELD]
+            for name, track in self._tracks.items():
+                if wrong or name in ahead:
                     track.cut(stamp, stamp + HELD)
                 self._place_again(track)
+        if ahead and not wrong:
+            warnings.warn(
+                f"evidence about {', '.join(map(repr, ahead))} lies over {HELD:g} s ahead of the pose at "
+                f"t = {stamp:.3f} s: it is left out. Are both stamps of one clock?",
+                stacklevel=2,
+            )
         if wrong:
             warnings.warn(
                 f"the poses from t = {wrong[0]:.3f} s on ({len(wrong)}) were followed by one at {stamp:.3f} s, and lie "
