@@ -96,6 +96,19 @@ def test_files_and_models_that_settings_name_are_inputs(tmp_path):
     assert before["code"] == after["code"]
 
 
+def test_every_file_that_an_option_names_counts_whatever_its_name(tmp_path):
+    model, heads = tmp_path / "run=3, step:7?" / "model", tmp_path / "heads.json"
+    model.mkdir(parents=True)
+    for path in (model / "config.json", heads):
+        path.write_text("{}")
+    settings = {"perception": f"{model}?heads={heads}&pixels=3&note={'long' * 100}"}
+    for path in (model / "config.json", heads):
+        before = inputs.inputs_of(settings)["perception"]
+        path.write_text("[]")
+        assert inputs.inputs_of(settings)["perception"] != before
+    assert inputs.inputs_of({"perception": "::?x=&&"}).keys() == {"code"}
+
+
 def test_one_byte_of_a_models_weights_is_noticed(tmp_path):
     model = tmp_path / "model"
     (model / "templates").mkdir(parents=True)

@@ -30,15 +30,29 @@ def inputs_of(settings: Mapping[str, Any]) -> dict[str, Any]:
         if settings.get("data"):
             found["data"] = _folder(Path(settings["data"]))
         for name in ("perception", "model", "world"):
-            for part in re.split(r"[:?&=,]", str(settings.get(name) or "")):
-                place = Path(part).expanduser()
-                if part and (place / "config.json").is_file():
-                    found[name] = _contents(place)
-                elif part and place.is_file():
-                    found[name] = _digest([place])
+            if places := list(_places(str(settings.get(name) or ""))):
+                found[name] = " ".join(_contents(place) if place.is_dir() else _digest([place]) for place in places)
     except OSError as error:
         raise FormatError(f"{error.filename} cannot be read ({error.strerror}); a run goes by what it holds") from error
     return found
+
+
+def _places(text: str) -> Iterator[Path]:
+    """The files and model folders that stand in an option such as ``replay:FILE`` or ``FOLDER?heads=FILE``.
+
+    Their names may have in them what separates the parts of options: the longest that is there counts.
+    """
+    ends = [mark.start() for mark in re.finditer("[:?&=,@]", text)] + [len(text)]
+    start = 0
+    while start < len(text):
+        for end in reversed([each for each in ends if each > start]):
+            place = os.path.expanduser(text[start:end])
+            if os.path.isfile(place) or os.path.isfile(os.path.join(place, "config.json")):
+                yield Path(place)
+                break
+        else:
+            end = min(each for each in ends if each >= start)
+        start = end + 1
 
 
 @lru_cache(maxsize=1)
