@@ -66,7 +66,8 @@ def kill(who: str, run: subprocess.Popen[bytes], sessions: set[int], luck: rando
             return False
         victims = [luck.choice(workers)]
     else:
-        victims = [run.pid] if who == "parent" else list(alive(sessions))
+        # The parent first: it would record that others have died.
+        victims = [run.pid] if who == "parent" else sorted(alive(sessions), key=lambda one: one != run.pid)
     if run.poll() is not None:
         return False
     for victim in victims:
@@ -134,7 +135,7 @@ def main(options: argparse.Namespace, home: Path) -> None:
         check(not (there := left_behind(sessions)), f"processes were left behind: {there}")
         after = records(out)
         lost = [key for key, record in before.items() if after.get(key) != record]
-        check(not lost, f"records were lost or changed by a kill: {lost[:3]}")
+        check(not lost, f"records were lost or changed by a kill: {[(before[key], after.get(key)) for key in lost]}")
         if hit:
             kills, caught = kills + 1, caught + (0 < len(after) < len(wanted))
         if not hit or who == "worker":

@@ -183,7 +183,11 @@ class DirectionTracker:
         """
         state = checkpoint.load(Path(path))
         tracker = cls()
-        if not isinstance(state, dict) or state.keys() != tracker.__getstate__().keys():
+        blank = tracker.__getstate__()
+        alike = isinstance(state, dict) and {key: type(each) for key, each in state.items()} == {
+            key: type(each) for key, each in blank.items()
+        }
+        if not alike or not all(isinstance(track, Track) for track in state["_tracks"].values()):
             raise FormatError(f"{path} holds no tracker; wanted a file of tracker.save")
         tracker.__setstate__(state)
         return tracker
