@@ -108,3 +108,19 @@ def test_a_record_that_lacks_what_its_own_benchmark_reads(answered, capsys, comm
     assert (code, said.out) == (2, "")
     assert repr(records[1]["key"]) in said.err
     assert f"there is no {gone}" in said.err
+
+
+@pytest.mark.parametrize("scene", [-1, "\ud800", "../elsewhere", "a\nb", "a\\b"])
+def test_a_scene_that_no_file_can_be_named_after(answered, capsys, tmp_path, scene):
+    ledger = answered / "worker-0.jsonl"
+    whole = ledger.read_text()
+    records = [json.loads(line) for line in whole.splitlines()]
+    records[1]["cluster"] = scene
+    ledger.write_text("".join(json.dumps(record) + "\n" for record in records))
+    capsys.readouterr()
+    code = main(["bench", "export", str(answered), "--to", "osr-csv", "--out", str(tmp_path / "in" / "out")])
+    ledger.write_text(whole)
+    said = capsys.readouterr()
+    assert (code, said.out) == (2, "")
+    assert repr(records[1]["key"]) in said.err
+    assert not [*tmp_path.rglob("*.csv")]
