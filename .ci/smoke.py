@@ -1,4 +1,4 @@
-"""One use of what dependencies do for the package: a look, a world as GLB, a model on a server, a cluster."""
+"""One use of what dependencies do for the package: a look, a world as GLB, a report, a model on a server, a cluster."""
 
 import sys
 import tempfile
@@ -36,6 +36,9 @@ def smoke(folder: Path) -> None:
     environment = gymnasium.make("Eagor/WaypointFollowing-v0")
     environment.reset(seed=0)
     assert main(["doctor"]) == 0
+    run = ["bench", "run", "waypoint", "--episodes", "1", "--methods", "eagor", "vmf", "--rows", "32"]
+    assert main([*run, "--perception", "truth", "--out", str(folder / "waypoint")]) == 0
+    assert main(["bench", "report", str(folder / "waypoint")]) == 0
     with ContractServer(reddish) as server:
         look = load(f"endpoint:qwen@{server.url}?pixels=6272&seam=no")
         tracker = eagor.DirectionTracker(eagor.TrackerConfig())

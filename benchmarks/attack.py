@@ -37,6 +37,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # small data sets are made there
 
 from kills import left_behind
+from processes import sessions_of
 
 from eagor.cli import main as command
 from eagor.evaluation import ledger
@@ -91,10 +92,10 @@ def signals(home: Path, repeat: int) -> Iterator[str]:
                     )  # fmt: skip
                     while run.poll() is None and len(_kept(out)) < 2:
                         time.sleep(0.05)
-                    before, start = _kept(out), time.monotonic()
+                    before, sessions, start = _kept(out), sessions_of(run.pid), time.monotonic()
                     whom(run.pid, number)
                     _, error = run.communicate()
-                    if left := left_behind(run.pid):
+                    if left := left_behind(sessions):
                         yield f"{what}: left behind {left}"
                     took = time.monotonic() - start
                     slowest = max(slowest, took)

@@ -29,6 +29,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from processes import alive, sessions_of
+
 from eagor.evaluation import ledger
 
 PATIENCE = 60.0  # seconds that processes have to leave: nobody measures how long they take, only that they do
@@ -54,30 +58,16 @@ def begun(options: argparse.Namespace, out: Path) -> subprocess.Popen[bytes]:
     )
 
 
-def members(session: int) -> dict[int, str]:
-    """The processes of a session that are alive, with their command lines."""
-    found = {}
-    for place in Path("/proc").iterdir():
-        if not place.name.isdigit():
-            continue
-        try:
-            state = (place / "stat").read_text().rpartition(")")[2].split()
-            if int(state[3]) == session and state[0] != "Z":
-                found[int(place.name)] = (place / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-        except (OSError, ValueError, IndexError):
-            continue  # it has just ended
-    return found
-
-
-def kill(who: str, run: subprocess.Popen[bytes], luck: random.Random) -> bool:
+def kill(who: str, run: subprocess.Popen[bytes], sessions: set[int], luck: random.Random) -> bool:
     """Kill; False if there was nobody to be killed any more."""
     if who == "worker":
-        workers = [one for one, words in members(run.pid).items() if "--multiprocessing-fork" in words]
+        workers = [one for one, words in alive(sessions).items() if "--multiprocessing-fork" in words]
         if not workers:
             return False
         victims = [luck.choice(workers)]
     else:
-        victims = [run.pid] if who == "parent" else list(members(run.pid))
+        # The parent first: it would record that others have died.
+        victims = [run.pid] if who == "parent" else sorted(alive(sessions), key=lambda one: one != run.pid)
     if run.poll() is not None:
         return False
     for victim in victims:
@@ -88,10 +78,10 @@ def kill(who: str, run: subprocess.Popen[bytes], luck: random.Random) -> bool:
     return True
 
 
-def left_behind(session: int) -> dict[int, str]:
-    """What is still there of a session when everybody had time to leave."""
+def left_behind(sessions: set[int]) -> dict[int, str]:
+    """What is still there of these sessions when everybody had time to leave."""
     end = time.monotonic() + PATIENCE
-    while (there := members(session)) and time.monotonic() < end:
+    while (there := alive(sessions)) and time.monotonic() < end:
         time.sleep(0.05)
     return there
 
@@ -139,12 +129,13 @@ def main(options: argparse.Namespace, home: Path) -> None:
         before, who = records(out), options.who[kills % len(options.who)]
         run = begun(options, out)
         time.sleep(luck.uniform(0, long))
-        hit = kill(who, run, luck)
+        sessions = sessions_of(run.pid)
+        hit = kill(who, run, sessions, luck)
         _, said = run.communicate(timeout=10 * PATIENCE)  # ends when the last process of the run has left
-        check(not (there := left_behind(run.pid)), f"processes were left behind: {there}")
+        check(not (there := left_behind(sessions)), f"processes were left behind: {there}")
         after = records(out)
         lost = [key for key, record in before.items() if after.get(key) != record]
-        check(not lost, f"records were lost or changed by a kill: {lost[:3]}")
+        check(not lost, f"records were lost or changed by a kill: {[(before[key], after.get(key)) for key in lost]}")
         if hit:
             kills, caught = kills + 1, caught + (0 < len(after) < len(wanted))
         if not hit or who == "worker":

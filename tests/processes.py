@@ -1,4 +1,4 @@
-"""What tests of other processes share: waiting for something, and a reader with little memory."""
+"""What tests of other processes share: waiting for something, who is alive, and a reader with little memory."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -17,6 +18,38 @@ def wait_for(what: Callable[[], object]) -> None:
             return
         time.sleep(0.05)
     raise AssertionError("waited for a minute in vain")
+
+
+def sessions_of(process: int) -> set[int]:
+    """The sessions of a process that leads one and of all that it has started, and they have. Linux."""
+    family, sessions, grown = {process}, {process}, True
+    while grown:
+        found = [(pid, session) for pid, parent, session in _processes() if parent in family]
+        grown = not family.issuperset(pid for pid, _ in found)
+        family.update(pid for pid, _ in found)
+        sessions.update(session for _, session in found)
+    return sessions
+
+
+def alive(sessions: set[int]) -> dict[int, str]:
+    """The processes of these sessions that are alive, with their command lines. Linux."""
+    found = {}
+    for pid, _, session in _processes():
+        if session in sessions:
+            with suppress(OSError):  # it has just ended
+                found[pid] = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+    return found
+
+
+def _processes() -> Iterator[tuple[int, int, int]]:
+    """Each process that is alive, its parent and its session."""
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, parent, _, session = stat.read_text().rpartition(")")[2].split()[:4]
+        except (OSError, ValueError):
+            continue  # it has just ended
+        if state != "Z":
+            yield int(stat.parent.name), int(parent), int(session)
 
 
 def limited(imports: str, code: str, folder: Path, mebibytes: int) -> list[str]:

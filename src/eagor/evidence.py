@@ -32,6 +32,7 @@ from eagor.harmonics import RealHarmonics
 from eagor.sphere import unit
 
 SILENT = 1e-6  # a response below this is the rounding of zero, and must not be scaled up to a detection
+LATEST = 1e12  # seconds from zero: beyond, a clock counts parts of a second
 _LEAST_PEAK = 1e-30  # a maximum below this cannot be divided by in float32
 _BLOCK = 1 << 16  # values at a time: adding, checking and taking the logarithm stay in the cache
 
@@ -420,10 +421,13 @@ def _largest(response: Array) -> float:
 
 
 def checked_stamp(stamp: float) -> float:
-    """`stamp` as a float, seconds. Raises `TimeError` unless it is finite."""
+    """`stamp` as a float, seconds. Raises `TimeError` unless it is finite, and within `LATEST`."""
     stamp = float(stamp)
-    if not math.isfinite(stamp):
-        raise TimeError(f"stamp = {stamp!r}; wanted the time (of evidence: of its capture) in seconds, a finite number")
+    if not abs(stamp) <= LATEST:
+        raise TimeError(
+            f"stamp = {stamp!r}; wanted the time (of evidence: of its capture) in seconds, not in parts of one, a "
+            f"finite number of at most {LATEST:g}"
+        )
     return stamp
 
 

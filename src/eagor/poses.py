@@ -24,11 +24,15 @@ class PoseHistory:
 
     Orientation moves along the shortest turn, position along a line; the last pose is held beyond its stamp. Before
     any pose the body stands unturned at an unknown place.
+
+    Silences of more than `HELD` are no part of those seconds (`_awake` counts without them): what was before one is
+    kept until poses after it have gone on for as long, for only then is it sure that their stamps are right.
     """
 
     seconds: float
     _stamps: list[float] = field(default_factory=list)
     _poses: list[tuple[np.ndarray, np.ndarray | None]] = field(default_factory=list)
+    _awake: list[float] = field(default_factory=list)
 
     def __len__(self) -> int:
         return len(self._stamps)
@@ -44,7 +48,7 @@ class PoseHistory:
 
     def copied(self) -> PoseHistory:
         """The same poses, in lists of their own."""
-        return PoseHistory(self.seconds, self._stamps.copy(), self._poses.copy())
+        return PoseHistory(self.seconds, self._stamps.copy(), self._poses.copy(), self._awake.copy())
 
     def check_ahead(self, stamp: float) -> None:
         """Raise `TimeError` for a look that is further ahead of the poses than the last one can be relied on."""
@@ -55,16 +59,15 @@ class PoseHistory:
                 "stands still for long, give its pose again"
             )
 
-    def add(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None) -> float | None:
+    def add(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None) -> list[float]:
         """Append a pose; one with the stamp of the last replaces it. Errors as in `DirectionTracker.rotate`.
 
-        After a long silence nobody can tell a wrong stamp from a right one until the next pose comes. If that goes on
-        before the silence, the lone pose after it is left out, and its stamp returned.
+        After a long silence nobody can tell wrong stamps from right ones until time goes on before it. If it does, the
+        poses after the silence are left out, and their stamps returned.
         """
         stamp = checked_stamp(stamp)
-        back = self._stamps and stamp < self._stamps[-1]
-        lone = self._jumped(stamp) and (len(self) == 1 or stamp >= self._stamps[-2])
-        if back and not lone:
+        wrong = self._ahead(stamp)
+        if wrong == len(self) and self._stamps and stamp < self._stamps[-1]:
             raise TimeError(
                 f"pose at t = {stamp:.6f} s came after one at {self._stamps[-1]:.6f} s; time ran backwards. "
                 "Sort the poses, or call tracker.reset() where the clock was reset"
@@ -83,25 +86,30 @@ class PoseHistory:
                 f"the pose at t = {stamp:.6f} s has no position, earlier ones have; repeat the last known position "
                 "if it is lost for a while, or never give one"
             )
-        wrong = None
-        if back:
-            wrong = self._stamps.pop()
-            self._poses.pop()
+        left_out = self._stamps[wrong:]
+        self._drop(slice(wrong, None))
         if self._stamps and stamp == self._stamps[-1]:
             self._poses[-1] = (pose, place)
-            return wrong
+            return left_out
+        silence = stamp - self._stamps[-1] if self._stamps else 0.0
+        self._awake.append((self._awake[-1] if self._awake else 0.0) + (silence if silence <= HELD else 0.0))
         self._stamps.append(stamp)
         self._poses.append((pose, place))
         # One pose older than the history stays, so that its whole length can be interpolated.
-        newest = self._stamps[-2] if len(self) > 1 and self._jumped(self._stamps[-2]) else stamp
-        first = max(0, bisect.bisect_right(self._stamps, newest - self.seconds) - 1, len(self) - POSES)
-        del self._stamps[:first], self._poses[:first]
-        return wrong
+        old = bisect.bisect_right(self._awake, self._awake[-1] - self.seconds) - 1
+        self._drop(slice(max(0, old, len(self) - POSES)))
+        return left_out
 
-    def _jumped(self, since: float) -> bool:
-        """Whether the last pose came after a long silence: it lies far ahead of the one before it and of `since`."""
-        before = self._stamps[-2:-1] or [-math.inf]
-        return bool(self._stamps) and self._stamps[-1] > max(since, *before) + HELD
+    def _ahead(self, stamp: float) -> int:
+        """Where the poses begin that came after a long silence, and lie far ahead of this stamp too; else their end."""
+        first = bisect.bisect_right(self._stamps, stamp)
+        if first == len(self) or (first == 0 and len(self) > 1):
+            return len(self)
+        before = max(stamp, self._stamps[first - 1]) if first else stamp
+        return first if self._stamps[first] > before + HELD else len(self)
+
+    def _drop(self, which: slice) -> None:
+        del self._stamps[which], self._poses[which], self._awake[which]
 
     def at(self, stamp: float) -> tuple[np.ndarray, np.ndarray | None]:
         """`world_R_body` ``(3, 3)`` and position ``(3,)`` or None at a time. Raises `PoseError` if it is too old."""

@@ -70,21 +70,30 @@ class DirectionTracker:
 
         Raises `TimeError` if `stamp` lies before the pose before it, `RotationError` for what is no rotation,
         `PoseError` for a position that is not three finite numbers or that is missing after earlier ones were given, or
-        if the camera is not above the floor. One pose that lies an hour or more ahead of those before and after it has
-        a wrong stamp: it is left out when the next one comes, with a warning.
+        if the camera is not above the floor. Poses that lie an hour or more ahead of those before and after them have
+        wrong stamps: they are left out when time goes on before them, with a warning, unless they have gone on for as
+        long as the history.
         """
         if position is not None:
             self._check_height(np.asarray(position, dtype=np.float64).reshape(-1))
         with self._turn:
             wrong = self._poses.add(stamp, world_R_body, position)
-            for track in self._tracks.values():
-                if wrong is not None:
+            ahead = [name for name, track in self._tracks.items() if (track.newest or -math.inf) > stamp + HELD]
+            for name, track in self._tracks.items():
+                if wrong or name in ahead:
                     track.cut(stamp, stamp + HELD)
                 self._place_again(track)
-        if wrong is not None:
+        if ahead and not wrong:
             warnings.warn(
-                f"the pose at t = {wrong:.3f} s was followed by one at {stamp:.3f} s, and lies over {HELD:g} s ahead "
-                "of all others: it and evidence of that time are left out. Check the clock that made its stamp",
+                f"evidence about {', '.join(map(repr, ahead))} lies over {HELD:g} s ahead of the pose at "
+                f"t = {stamp:.3f} s: it is left out. Are both stamps of one clock?",
+                stacklevel=2,
+            )
+        if wrong:
+            warnings.warn(
+                f"the poses from t = {wrong[0]:.3f} s on ({len(wrong)}) were followed by one at {stamp:.3f} s, and lie "
+                f"over {HELD:g} s ahead of all others: they and evidence of that time are left out. Check the clock "
+                "that made their stamps",
                 stacklevel=2,
             )
 
@@ -174,7 +183,11 @@ class DirectionTracker:
         """
         state = checkpoint.load(Path(path))
         tracker = cls()
-        if not isinstance(state, dict) or state.keys() != tracker.__getstate__().keys():
+        blank = tracker.__getstate__()
+        alike = isinstance(state, dict) and {key: type(each) for key, each in state.items()} == {
+            key: type(each) for key, each in blank.items()
+        }
+        if not alike or not all(isinstance(track, Track) for track in state["_tracks"].values()):
             raise FormatError(f"{path} holds no tracker; wanted a file of tracker.save")
         tracker.__setstate__(state)
         return tracker

@@ -21,6 +21,7 @@ from eagor.errors import TimeError
 from eagor.estimate import Answer
 from eagor.evidence import Evidence
 from eagor.looks import Look
+from eagor.poses import HELD
 
 SAME_MOMENT = 1e-3  # seconds: stamps no further apart are of one moment
 PENDING = 64  # looks that may wait for the next answer; more are taken in at once
@@ -112,7 +113,12 @@ class Track:
             moment.state, moment.bare = None, False
 
     def cut(self, last: float, until: float) -> None:
-        """Drop what is later than `until`; what is later than the pose at `last` waits for its pose again."""
+        """Drop what is later than `until`; what is later than the pose at `last` waits for its pose again.
+
+        Where the state before the first look is later too, all that it says is gone, and the target begins anew.
+        """
+        if self.base is not None and self.base.stamp > until:
+            self.base, self.trimmed = None, False
         for place in reversed(range(len(self.moments))):
             moment = self.moments[place]
             if moment.stamp <= last:
@@ -144,10 +150,14 @@ class Track:
     def _fold(self, history: float) -> None:
         """Fold what is too old, or too much, into the state before all others."""
         old = len(self.moments) - MOMENTS
-        if self.moments:
-            # One that still waits for its pose by now waits no longer: no memory is endless.
-            begin = self.moments[-1].stamp - history
-            old = max(old, sum(moment.stamp < begin for moment in self.moments[:-1]))
+        # One that still waits for its pose by now waits no longer: no memory is endless.
+        awake = 0.0
+        for place in reversed(range(1, len(self.moments))):
+            silence = self.moments[place].stamp - self.moments[place - 1].stamp
+            awake += silence if silence <= HELD else 0.0  # as long as poses are kept
+            if awake > history:
+                old = max(old, place)
+                break
         while old > 0 and self.moments[old - 1].state is None:
             old -= 1
         if old > 0:

@@ -351,8 +351,10 @@ def test_ray_is_asked_for_by_name(tmp_path, config, monkeypatch):
 def test_ray_does_everything_and_outlives_its_workers(tmp_path, config, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([ENVIRONMENT["PYTHONPATH"], *sys.path]))  # what its workers import
     trouble = {3: "raise", 5: "die once", 7: "die"}
-    done = run_units(units(12, trouble), "units_of_work:squares", config, tmp_path / "run", 2, engine="ray")
-    assert done == Outcome(10, 2, 0)
+    given = [*units(12, trouble), Unit("square/unsent", "house 3", lambda: 0)]
+    done = run_units(given, "units_of_work:squares", config, tmp_path / "run", 2, engine="ray")
+    assert done == Outcome(10, 3, 0)
     found = {record["key"]: record for record in ledger.read(tmp_path / "run")}
+    assert "cannot be sent" in found["square/unsent"]["error"]
     assert found["square/5"]["attempt"] == 2
     assert "died" in found["square/7"]["error"]

@@ -1,5 +1,6 @@
 """What is believed, from one process to another and from one day to the next."""
 
+import hashlib
 import json
 import multiprocessing
 import pickle
@@ -136,12 +137,28 @@ def test_files_that_are_no_whole_tracker_of_this_version_are_refused(tmp_path):
             DirectionTracker.load(place)
 
 
-def test_what_a_file_names_is_made_only_of_what_trackers_are_made_of(tmp_path):
-    import hashlib
+def crafted(place, nodes, state):
+    """A whole file with its right digest that holds this."""
+    body = json.dumps({"arrays": [], "nodes": nodes, "state": state}).encode() + b"\n"
+    head = {"format": "eagor tracker", "version": 1, "bytes": len(body), "sha256": hashlib.sha256(body).hexdigest()}
+    place.write_bytes(json.dumps(head).encode() + b"\n" + body)
+    return place
 
+
+def test_what_a_file_names_is_made_only_of_what_trackers_are_made_of(tmp_path):
     for node in (["os", "system", {}], ["eagor.belief", "math", {}], ["eagor.belief", "Belief", {"more": 1}]):
-        body = json.dumps({"arrays": [], "nodes": [node], "state": ["node", 0]}).encode() + b"\n"
-        head = {"format": "eagor tracker", "version": 1, "bytes": len(body), "sha256": hashlib.sha256(body).hexdigest()}
-        (tmp_path / "made").write_bytes(json.dumps(head).encode() + b"\n" + body)
         with pytest.raises(FormatError, match="another version"):
-            DirectionTracker.load(tmp_path / "made")
+            DirectionTracker.load(crafted(tmp_path / "made", [node], ["node", 0]))
+
+
+def test_a_tracker_is_loaded_only_from_the_parts_of_one(tmp_path):
+    place = DirectionTracker().save(tmp_path / "saved")
+    whole = json.loads(place.read_bytes().split(b"\n")[1])
+    _, parts = whole["state"]
+    for number in range(len(parts)):
+        wrong = [[key, True if at == number else value] for at, (key, value) in enumerate(parts)]
+        with pytest.raises(FormatError, match="holds no tracker"):
+            DirectionTracker.load(crafted(tmp_path / "made", whole["nodes"], ["dict", wrong]))
+    parts[2][1] = ["dict", [["target", 1]]]
+    with pytest.raises(FormatError, match="holds no tracker"):
+        DirectionTracker.load(crafted(tmp_path / "made", whole["nodes"], ["dict", parts]))

@@ -10,6 +10,7 @@ import synthetic_runs
 
 from eagor.cli import main
 from eagor.errors import FormatError
+from eagor.evaluation.report import write_report
 from eagor.evaluation.tables import summarise
 
 GONE = object()
@@ -32,7 +33,7 @@ SIMULATED = [
     ("methods/eagor/metrics/L1", 1e308), ("methods/eagor/trace", []), ("methods/eagor/trace/error_deg", GONE),
     ("methods/eagor/trace/error_deg", []), ("methods/eagor/trace/error_deg/0", {}), ("truth", [1]),
     ("truth/pose/0", [1, 2]), ("truth/pose/0", [0, 0, 0, 0, 0, 0, 0]), ("truth/visible/1", "yes"), ("truth/leg", [{}]),
-    ("truth/azimuth_deg", [1.0]), ("seconds", "long"), ("looked", {"looks": 1}),
+    ("truth/azimuth_deg", [1.0]), ("seconds", "long"), ("looked", {"looks": 1}), ("truth", GONE), ("truth/leg", GONE),
 ]  # fmt: skip
 PUBLISHED = [
     ("case", GONE), ("case", []), ("cluster", {}), ("score", "x"), ("score", 7), ("tags", None), ("tags", [3]),
@@ -57,6 +58,23 @@ def test_a_record_of_a_simulated_task(walk, place, value):
         summarise(bad)
     assert repr(bad[1]["key"]) in str(refused.value)
     assert where in str(refused.value)
+
+
+@pytest.mark.parametrize("gone", ["pose", "true_azimuth_deg", "true_range_m", "visible"])
+def test_a_record_of_a_task_where_each_method_goes_its_own_way(gone):
+    records = synthetic_runs.navigation(apartments=2, each=1, methods=("vmf", "eagor"))
+    put(records[1], f"methods/{next(iter(records[1]['methods']))}/trace/{gone}", GONE)
+    with pytest.raises(FormatError, match=f"there is no .*{gone}") as refused:
+        summarise(records)
+    assert repr(records[1]["key"]) in str(refused.value)
+
+
+def test_a_record_that_lacks_what_only_pictures_need(walk, tmp_path):
+    bad = copy.deepcopy(walk)
+    for record in bad:
+        put(record, "episode/seed", GONE)
+    page = write_report(synthetic_runs.write_run(tmp_path / "run", bad)).read_text()
+    assert f"No pictures: the record &#x27;{bad[0]['key']}&#x27; does not hold all that they need" in page
 
 
 @pytest.fixture(scope="module")
@@ -108,3 +126,19 @@ def test_a_record_that_lacks_what_its_own_benchmark_reads(answered, capsys, comm
     assert (code, said.out) == (2, "")
     assert repr(records[1]["key"]) in said.err
     assert f"there is no {gone}" in said.err
+
+
+@pytest.mark.parametrize("scene", [-1, "\ud800", "../elsewhere", "a\nb", "a\\b"])
+def test_a_scene_that_no_file_can_be_named_after(answered, capsys, tmp_path, scene):
+    ledger = answered / "worker-0.jsonl"
+    whole = ledger.read_text()
+    records = [json.loads(line) for line in whole.splitlines()]
+    records[1]["cluster"] = scene
+    ledger.write_text("".join(json.dumps(record) + "\n" for record in records))
+    capsys.readouterr()
+    code = main(["bench", "export", str(answered), "--to", "osr-csv", "--out", str(tmp_path / "in" / "out")])
+    ledger.write_text(whole)
+    said = capsys.readouterr()
+    assert (code, said.out) == (2, "")
+    assert repr(records[1]["key"]) in said.err
+    assert not [*tmp_path.rglob("*.csv")]

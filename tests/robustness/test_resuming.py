@@ -2,11 +2,13 @@
 
 import json
 import shutil
+from textwrap import dedent
 
 import hstar_data
 import numpy as np
 import pytest
 from PIL import Image
+from processes import limited
 
 from eagor.cli import main
 from eagor.evaluation import inputs, ledger
@@ -92,3 +94,41 @@ def test_files_and_models_that_settings_name_are_inputs(tmp_path):
     after = inputs.inputs_of(settings)
     assert all(before[name] != after[name] for name in ("perception", "model"))
     assert before["code"] == after["code"]
+
+
+def test_every_file_that_an_option_names_counts_whatever_its_name(tmp_path):
+    model, heads = tmp_path / "run=3, step:7?" / "model", tmp_path / "heads.json"
+    model.mkdir(parents=True)
+    for path in (model / "config.json", heads):
+        path.write_text("{}")
+    settings = {"perception": f"{model}?heads={heads}&pixels=3&note={'long' * 100}"}
+    for path in (model / "config.json", heads):
+        before = inputs.inputs_of(settings)["perception"]
+        path.write_text("[]")
+        assert inputs.inputs_of(settings)["perception"] != before
+    assert inputs.inputs_of({"perception": "::?x=&&"}).keys() == {"code"}
+
+
+def test_one_byte_of_a_models_weights_is_noticed(tmp_path):
+    model = tmp_path / "model"
+    (model / "templates").mkdir(parents=True)
+    files = {"config.json": b"{}", "model.safetensors": bytes(3 << 20), "templates/chat.jinja": b"{{ a }}"}
+    for name, content in files.items():
+        (model / name).write_bytes(content)
+    before = inputs.inputs_of({"perception": str(model)})
+    assert inputs.inputs_of({"perception": str(model)}) == before
+    for name, content in files.items():
+        (model / name).write_bytes(content[:-1] + b"!")  # the size is the same
+        assert inputs.inputs_of({"perception": str(model)})["perception"] != before["perception"]
+        (model / name).write_bytes(content)
+    assert inputs.inputs_of({"perception": str(model)}) == before
+
+
+def test_weights_are_read_a_piece_at_a_time(tmp_path):
+    code = """
+        (folder / "config.json").write_text("{}")
+        with (folder / "model.safetensors").open("wb") as file:
+            file.truncate(300 << 20)
+        print(len(inputs_of({"model": str(folder)})["model"]))
+    """
+    assert limited("from eagor.evaluation.inputs import inputs_of\n", dedent(code), tmp_path, 100) == ["16"]

@@ -4,11 +4,10 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import hstar_data
 import pytest
-from processes import wait_for
+from processes import alive, sessions_of, wait_for
 
 from eagor.evaluation import ledger
 
@@ -46,24 +45,12 @@ def begun(*words, path=""):
     )
 
 
-def members(session):
-    """The processes of a session that are alive."""
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            state = stat.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue  # it has just ended
-        if int(state[3]) == session and state[0] != "Z":
-            found.append(int(stat.parent.name))
-    return found
-
-
 def ended(run, number, whole_session=False):
     """Send the signal; the exit code and what was said, once every process has left."""
+    sessions = sessions_of(run.pid)
     (os.killpg if whole_session else os.kill)(run.pid, number)
     out, said = run.communicate(timeout=60)
-    wait_for(lambda: not members(run.pid))
+    wait_for(lambda: not alive(sessions))
     assert "Traceback" not in said
     return run.returncode, out, said.splitlines()[-1]
 
@@ -80,9 +67,35 @@ TOLD = {signal.SIGTERM: (143, "", "eagor: terminated"), signal.SIGINT: (130, "",
     [(signal.SIGTERM, 1, False), (signal.SIGTERM, 2, False), (signal.SIGTERM, 2, True), (signal.SIGINT, 2, True)],
 )
 def test_a_run_that_is_ended_says_so_keeps_its_results_and_leaves_nobody(tmp_path, workers, number, whole_session):
-    out = tmp_path / "run"
+    check_end(tmp_path / "run", number, whole_session, workers)
+
+
+def test_a_run_on_ray_leaves_none_of_its_servers(tmp_path):
+    check_end(tmp_path / "run", signal.SIGTERM, True, 2, "--engine", "ray")
+
+
+@pytest.mark.parametrize("number", TOLD)
+def test_a_run_that_is_ended_while_ray_begins_leaves_nobody_either(tmp_path, number):
+    """Ray takes SIGTERM for itself then, and some of its servers wait a minute for one that has gone."""
+    words = ("bench", "run", "waypoint", "--perception", "truth", "--episodes", 500, "--workers", 2)
+    run = begun(*words, "--engine", "ray", "--out", tmp_path / "run", "--json")
+    wait_for(lambda: any("gcs_server" in each for each in alive(sessions_of(run.pid)).values()))
+    assert ended(run, number) == TOLD[number]
+
+
+def test_a_run_on_ray_that_is_killed_leaves_nobody(tmp_path):
+    words = ("bench", "run", "waypoint", "--perception", "truth", "--episodes", 500, "--workers", 2)
+    run = begun(*words, "--engine", "ray", "--out", tmp_path / "run", "--json")
+    wait_for(lambda: kept(tmp_path / "run"))
+    sessions = sessions_of(run.pid)
+    run.kill()
+    run.communicate()
+    wait_for(lambda: not alive(sessions))
+
+
+def check_end(out, number, whole_session, workers, *more):
     words = ("bench", "run", "waypoint", "--perception", "truth", "--methods", "vmf", "--rows", 32, "--episodes", 500)
-    run = begun(*words, "--workers", workers, "--out", out, "--json")
+    run = begun(*words, "--workers", workers, "--out", out, "--json", *more)
     wait_for(lambda: len(kept(out)) >= 2)
     before = kept(out)
     assert ended(run, number, whole_session) == TOLD[number]

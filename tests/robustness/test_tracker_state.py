@@ -54,12 +54,54 @@ def test_one_pose_from_far_in_the_future_is_left_out_when_time_goes_on(asked):
     tracker.observe(look(1.7e9, -AHEAD))
     if asked:
         tracker.estimate(1.7e9)
-    with pytest.warns(UserWarning, match=r"pose at t = 1700000000\.000 s .* left out"):
+    with pytest.warns(UserWarning, match=r"poses from t = 1700000000\.000 s on \(1\) .* left out"):
         tracker.rotate(4.0, np.eye(3), np.array([0.4, 0.0, 1.0]))
     other.rotate(4.0, np.eye(3), np.array([0.4, 0.0, 1.0]))
     for each in (tracker, other):
         each.observe(look(4.0))
     np.testing.assert_allclose(told(tracker.estimate(4.5)), told(other.estimate(4.5)), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [[1.7e9, 1.7e9 + 0.5], [1e12, 1e10, 1e8], [1e5, 1e7, 1e9, 1e11], list(1.7e9 + 0.5 * np.arange(20))],
+    ids=["two", "falling", "rising", "as long as the history"],
+)
+def test_any_number_of_poses_from_far_in_the_future_is_left_out(wrong):
+    tracker, other = followed(), followed()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for stamp in wrong:
+            tracker.rotate(stamp, world_R_body(1.0), np.array([5.0, 0.0, 1.0]))
+            tracker.observe(look(stamp, -AHEAD))
+            tracker.estimate(stamp)
+    for each in (tracker, other):
+        with warnings.catch_warnings(record=True, action="always") as told_of:
+            each.rotate(4.0, np.eye(3), np.array([0.4, 0.0, 1.0]))
+        assert len(told_of) == (each is tracker)
+        each.observe(look(4.0))
+    np.testing.assert_allclose(told(tracker.estimate(4.5)), told(other.estimate(4.5)), rtol=1e-6)
+
+
+def test_a_flood_of_evidence_under_wrong_stamps_costs_a_target_what_was_known():
+    tracker = followed(LIGHT)
+    tracker.rotate(1.7e9, np.eye(3), np.array([5.0, 0.0, 1.0]))
+    for number in range(2 * MOMENTS):
+        tracker.observe(look(1.7e9 + 0.01 * number, -AHEAD))
+    tracker.estimate(1.7e9 + 10)
+    with pytest.warns(UserWarning, match="left out"):
+        tracker.rotate(4.0, np.eye(3), np.array([0.4, 0.0, 1.0]))
+    assert tracker.estimate(4.0).direction is None
+    tracker.observe(look(4.0))
+    assert tracker.estimate(4.0).direction @ AHEAD > 0.9
+
+
+def test_after_a_long_sleep_that_went_on_time_does_not_run_backwards():
+    tracker = followed(LIGHT)
+    for stamp in 8000.0 + 0.5 * np.arange(30):
+        tracker.rotate(float(stamp), np.eye(3), np.array([0.4, 0.0, 1.0]))
+    with pytest.raises(TimeError, match=r"reset\(\)"):
+        tracker.rotate(4.0, np.eye(3), np.array([0.4, 0.0, 1.0]))
 
 
 def test_the_first_pose_may_be_the_wrong_one():
@@ -83,6 +125,23 @@ def test_without_poses_a_wrong_stamp_is_told_and_mended_by_a_reset():
     assert tracker.estimate(41.0).direction is None
     tracker.observe(look(41.0))
     assert tracker.estimate(41.0).direction is not None
+
+
+def test_evidence_from_far_in_the_future_is_left_out_when_the_first_pose_comes():
+    tracker = DirectionTracker(LIGHT)
+    tracker.observe(look(1.7e9, -AHEAD))
+    with pytest.warns(UserWarning, match=r"'target' lies over 3600 s ahead of the pose at t = 0\.000 s"):
+        tracker.rotate(0.0, np.eye(3))
+    tracker.observe(look(0.0))
+    assert tracker.estimate(0.0).direction @ AHEAD > 0.9
+
+
+@pytest.mark.parametrize("stamp", [1.7e18, -1e300, math.inf, math.nan])  # the first: nanoseconds
+def test_stamps_beyond_all_clocks_are_refused(stamp):
+    tracker = followed(LIGHT)
+    for call in (lambda: tracker.rotate(stamp, np.eye(3), AHEAD), lambda: look(stamp), lambda: tracker.estimate(stamp)):
+        with pytest.raises(TimeError, match=r"seconds, .* at most 1e\+12"):
+            call()
 
 
 def test_reset_and_forget():

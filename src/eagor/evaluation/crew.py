@@ -103,10 +103,8 @@ def _hand_out(book: Book, worker: _Worker, crew: list[_Worker]) -> None:
         except OSError:  # it has died; we hear of that soon
             book.give_back(unit, attempt)
             return
-        except Exception as error:  # the payload cannot be pickled: no worker will ever get it, so try the next unit
-            record = failure(unit, attempt, book.task, f"cannot be sent: {type(error).__name__}: {error}", 0.0)
-            book.ledger.append(record)
-            book.ended(unit, record)
+        except Exception as error:  # try the next unit
+            book.cannot_be_sent(unit, attempt, error)
         else:
             worker.unit, worker.attempt, worker.began = unit, attempt, time.perf_counter()
             return

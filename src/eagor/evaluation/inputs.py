@@ -9,14 +9,13 @@ import hashlib
 import os
 import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import eagor
 from eagor.errors import FormatError
-from eagor.perception.transformers.account import revision_of
 
 READ = (".json", ".jsonl", ".csv", ".tsv", ".txt")  # annotations: their content counts, of other files the size
 
@@ -31,15 +30,29 @@ def inputs_of(settings: Mapping[str, Any]) -> dict[str, Any]:
         if settings.get("data"):
             found["data"] = _folder(Path(settings["data"]))
         for name in ("perception", "model", "world"):
-            for part in re.split(r"[:?&=,]", str(settings.get(name) or "")):
-                place = Path(part).expanduser()
-                if part and (place / "config.json").is_file():
-                    found[name] = revision_of(str(place), None)
-                elif part and place.is_file():
-                    found[name] = _digest([place.read_bytes()])
+            if places := list(_places(str(settings.get(name) or ""))):
+                found[name] = " ".join(_contents(place) if place.is_dir() else _digest([place]) for place in places)
     except OSError as error:
         raise FormatError(f"{error.filename} cannot be read ({error.strerror}); a run goes by what it holds") from error
     return found
+
+
+def _places(text: str) -> Iterator[Path]:
+    """The files and model folders that stand in an option such as ``replay:FILE`` or ``FOLDER?heads=FILE``.
+
+    Their names may have in them what separates the parts of options: the longest that is there counts.
+    """
+    ends = [mark.start() for mark in re.finditer("[:?&=,@]", text)] + [len(text)]
+    start = 0
+    while start < len(text):
+        for end in reversed([each for each in ends if each > start]):
+            place = os.path.expanduser(text[start:end])
+            if os.path.isfile(place) or os.path.isfile(os.path.join(place, "config.json")):
+                yield Path(place)
+                break
+        else:
+            end = min(each for each in ends if each >= start)
+        start = end + 1
 
 
 @lru_cache(maxsize=1)
@@ -47,16 +60,22 @@ def _code() -> str:
     """All of this package, weights included: its version alone does not tell one checkout from another."""
     home = Path(eagor.__file__).parent
     files = (path for path in sorted(home.rglob("*")) if path.is_file() and "__pycache__" not in path.parts)
-    return _digest(part for path in files for part in (path.relative_to(home).as_posix().encode(), path.read_bytes()))
+    return _digest(part for path in files for part in (_name(path, home), path))
+
+
+def _contents(model: Path) -> str:
+    """All of a model's folder, each byte of its weights: this may read gigabytes, once a run."""
+    return _digest(part for path in _files(model) for part in (_name(path, model), path))
 
 
 def _folder(data: Path) -> dict[str, Any]:
     """Of a folder (or one file): how many files, the content of annotations, names and sizes of all others."""
-    annotations, others = [], []
+    annotations: list[bytes | Path] = []
+    others: list[bytes | Path] = []
     for path in _files(data) if data.is_dir() else [data]:
-        name = path.relative_to(data).as_posix().encode("utf-8", "surrogateescape")
+        name = _name(path, data)
         if path.suffix.lower() in READ:
-            annotations += [name, path.read_bytes()]
+            annotations += [name, path]
         else:
             others += [name, b"".join(_sizes(path))]
     count = (len(annotations) + len(others)) // 2
@@ -85,8 +104,18 @@ def _sizes(path: Path) -> Iterator[bytes]:
     yield str(path.stat().st_size).encode()
 
 
-def _digest(parts: Any) -> str:
+def _name(path: Path, home: Path) -> bytes:
+    return path.relative_to(home).as_posix().encode("utf-8", "surrogateescape")
+
+
+def _digest(parts: Iterable[bytes | Path]) -> str:
+    """Of bytes and of what files hold, which is read a piece at a time."""
     digest = hashlib.sha256()
     for part in parts:
-        digest.update(f"{len(part)}:".encode() + part)
+        if isinstance(part, bytes):
+            digest.update(f"{len(part)}:".encode() + part)
+            continue
+        with part.open("rb") as file:
+            digest.update(f"{part.stat().st_size}:".encode())
+            hashlib.file_digest(file, lambda: digest)
     return digest.hexdigest()[:16]

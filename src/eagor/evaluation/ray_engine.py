@@ -3,24 +3,26 @@
 Workers may be anywhere and share no disk, so they send their records back; the one ledger is written here, and a unit
 counts as done once its record is on this disk. An actor, or a whole machine, that dies takes its unit's attempt with
 it; the unit is tried again elsewhere. Ray's own authentication is left as the cluster has it.
+
+Ray itself is kept out of this process (`eagor.evaluation.ray_driver`): it takes over signals, and waits for a minute
+where one of its servers has gone.
 """
 
 from __future__ import annotations
 
-import atexit
-import importlib
-import signal
-import threading
-import time
-from collections.abc import Mapping
-from contextlib import suppress
+import multiprocessing
+import pickle
+import sys
+from importlib.util import find_spec
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 from eagor.errors import EagorError
-from eagor.evaluation.units import Book, Unit, WorkError, attempt_unit, failure, head_of, load
+from eagor.evaluation.ray_driver import OVER, READY, drive, end_session
+from eagor.evaluation.units import Book, Unit, WorkError, head_of
 
 PATIENCE = 2.0  # seconds that Ray has to end by itself
-STARTS = 3  # so many actors in a row that die before they are ready mean that none ever will be
 
 
 def work_on_ray(book: Book, work: str, config: dict[str, Any], count: int, address: str | None = None) -> None:
@@ -31,116 +33,78 @@ def work_on_ray(book: Book, work: str, config: dict[str, Any], count: int, addre
         work: ``"package.module:function"``; has to be importable on every machine, as eagor itself.
         config: settings for `work`; files that it names must be there under the same path.
         count: actors, one processor each.
-        address: of the cluster, such as ``auto`` or ``ray://head:10001``; None: RAY_ADDRESS, else this machine alone.
+        address: of the cluster, such as ``auto`` or ``ray://head:10001``; None: the one that this process has joined,
+            RAY_ADDRESS, else this machine alone.
 
     Raises as `eagor.evaluation.workers.run_units` does, and `EagorError` without ray, or where no cluster answers.
     """
-    try:
-        ray: Any = importlib.import_module("ray")  # optional: the name is found at run time
-    except ImportError as error:
+    if lacking := [name for name in ("ray", "psutil") if find_spec(name) is None]:
         raise EagorError(
-            "--engine ray needs ray: pip install 'eagor[ray]' (the same version on all machines)"
-        ) from error
-    ours = not ray.is_initialized()
-    if ours:
-        heed = signal.getsignal(signal.SIGTERM)
-        try:
-            ray.init(address=address, log_to_driver=False, configure_logging=False)
-        except (ConnectionError, ValueError, RuntimeError) as error:
-            raise EagorError(
-                f"no Ray cluster at {address or 'RAY_ADDRESS'} ({error}); start one with `ray start`"
-            ) from error
-        finally:
-            with suppress(ValueError):  # not in the main thread
-                signal.signal(signal.SIGTERM, heed)  # Ray takes it, and then ends this process without a word
+            f"--engine ray needs {' and '.join(lacking)}: pip install 'eagor[ray]' (the same version on all machines)"
+        )
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    arguments = (there, work, config, count, address or _joined(), book.task)
+    process = context.Process(target=drive, args=arguments, daemon=True)
+    begun = []
     try:
-        _work(ray, book, work, config, count)
+        process.start()
+        there.close()  # so that the line ends when the process does
+        _serve(book, here, begun)
+        process.join(PATIENCE)
+    except EOFError:
+        process.join(PATIENCE)
+        raise WorkError(
+            f"the process that talks to Ray ended (exit code {process.exitcode}); what it wrote to stderr says why"
+        ) from None
     finally:
-        if ours:
-            _shut_down(ray)
+        _end(process, bool(begun))
+        here.close()
 
 
-def _shut_down(ray: Any) -> None:
-    """End Ray here. Where a signal has ended its servers first, it would wait for them far longer than `PATIENCE`."""
-    node = getattr(ray._private.worker, "_global_node", None)
-    ending = threading.Thread(target=ray.shutdown, daemon=True)
-    ending.start()
-    ending.join(PATIENCE)
-    if ending.is_alive():
-        atexit.unregister(ray.shutdown)  # it would begin to wait once more
-        if node is not None:
-            node.kill_all_processes(check_alive=False, allow_graceful=False)
+def _joined() -> str | None:
+    """The address of the cluster that this process is part of already."""
+    ray: Any = sys.modules.get("ray")
+    return ray.get_runtime_context().gcs_address if ray is not None and ray.is_initialized() else None
 
 
-def _work(ray: Any, book: Book, work: str, config: dict[str, Any], count: int) -> None:
-    actor = ray.remote(num_cpus=1, max_restarts=0)(Worker)
-    crew: list[Any] = []  # actors that wait for a unit
-    starting: dict[Any, Any] = {}  # the promise that an actor is ready -> the actor
-    busy: dict[Any, tuple[Any, Unit, int, float]] = {}  # the promise of a record -> who does what since when
-    stillborn = 0
-    while book.left or busy:
-        while len(crew) + len(starting) + len(busy) < min(count, book.left + len(busy)):
-            new = actor.remote(work, config, book.task)
-            starting[new.ready.remote()] = new
-        while crew and (found := book.next(None, set())) is not None:
-            unit, attempt = found
-            worker = crew.pop()
-            busy[worker.do.remote(unit, attempt)] = (worker, unit, attempt, time.perf_counter())
-        done, _ = ray.wait([*starting, *busy], num_returns=1)
-        for promise in done:
-            if promise in starting:
-                worker = starting.pop(promise)
-                try:
-                    said = ray.get(promise)
-                except ray.exceptions.RayError as error:
-                    stillborn += 1
-                    if stillborn >= STARTS:
-                        raise WorkError(f"{STARTS} actors in a row died before they were ready: {error}") from error
-                    continue
-                if said is not None:
-                    raise WorkError(f"{work} cannot be set up on a worker: {said}")
-                stillborn = 0
-                crew.append(worker)
-                continue
-            worker, unit, attempt, began = busy.pop(promise)
-            try:
-                record = ray.get(promise)
-                crew.append(worker)
-            except ray.exceptions.RayError as error:
-                text = f"the worker died in this unit ({type(error).__name__})"
-                record = failure(unit, attempt, book.task, text, time.perf_counter() - began)
-            book.ledger.append(record)
-            book.ended(unit, head_of(record))
+def _serve(book: Book, line: Connection, begun: list[bool]) -> None:
+    """Answer what is asked about the book until all is done; `begun` is filled once Ray is there."""
+
+    def record(unit: Unit, found: dict[str, Any]) -> None:
+        book.ledger.append(found)
+        book.ended(unit, head_of(found))
+
+    answers = {"left": lambda: book.left, "next": lambda: _next(book), "record": record}
+    while True:
+        what, said = line.recv()
+        if what == READY:
+            begun.append(True)
+        elif what == OVER:
+            if said[0] is not None:
+                raise said[0]
+            return
+        else:
+            line.send(answers[what](*said))
 
 
-class Worker:
-    """What lives on the cluster: the work, set up once."""
-
-    def __init__(self, work: str, config: dict[str, Any], task: str | None) -> None:
-        self._task, self._fault = task, None
+def _next(book: Book) -> bytes:
+    """The next unit that can be sent, pickled with the number of its attempt; None, pickled, if there is none."""
+    while (found := book.next(None, set())) is not None:
         try:
-            self._do: Any = load(work, config)
+            return pickle.dumps(found)
         except Exception as error:
-            self._fault = f"{type(error).__name__}: {error}"
-
-    def ready(self) -> str | None:
-        """None, or what is wrong."""
-        return self._fault
-
-    def do(self, unit: Unit, attempt: int) -> dict[str, Any]:
-        """The record of one attempt."""
-        kept = _Kept()
-        attempt_unit(self._do, unit, attempt, self._task, kept)  # type: ignore[arg-type]
-        return kept.record
+            book.cannot_be_sent(*found, error)
+    return pickle.dumps(None)
 
 
-class _Kept:
-    """Takes the one record of an attempt, and checks that it can be written."""
-
-    record: dict[str, Any]
-
-    def append(self, record: Mapping[str, Any]) -> None:
-        from eagor.evaluation.lines import as_line
-
-        as_line(record)
-        self.record = dict(record)
+def _end(process: BaseProcess, begun: bool) -> None:
+    """End Ray: by itself if it can in time (a cluster elsewhere hears of it), else by force."""
+    if process.pid is None:
+        return
+    if begun and process.is_alive():
+        process.terminate()
+        process.join(PATIENCE)
+    process.kill()
+    process.join()
+    end_session(process.pid)

@@ -201,6 +201,9 @@ def _episodes(
             parts.append(_pictures(place, record, records, task))
         except (EagorError, ImportError, OSError) as error:
             parts.append(page.paragraph(f"No pictures: {error}", "note"))
+        except (KeyError, IndexError) as error:  # only pictures need it: its place, its balls
+            lacks = f"the record {record['key']!r} does not hold all that they need ({type(error).__name__}: {error})"
+            parts.append(page.paragraph(f"No pictures: {lacks}", "note"))
     return "".join(parts)
 
 

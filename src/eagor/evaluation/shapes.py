@@ -89,7 +89,16 @@ SIMULATED: Shape = {
     },
     "looked?": _LOOKED,
 }  # fmt: skip
-WALKED: Shape = {"methods": {"*": {"metrics": {"success": NUMBER, "spl": NUMBER, "mae": NUMBER}}}}
+WALKED: Shape = {
+    "methods": {
+        "*": {
+            "metrics": {"success": NUMBER, "spl": NUMBER, "mae": NUMBER},
+            "trace": {"pose": POSES, "true_azimuth_deg": NUMBERS, "true_range_m": NUMBERS, "visible": FLAGS},
+        }
+    }
+}
+WATCHED: Shape = {"truth": {}}  # all methods saw the same
+IN_LEGS: Shape = {"truth": {"leg": LABELS}}
 PUBLISHED: Shape = {
     "case": TEXT, "cluster": LABEL, "score": SHARE, "level?": TEXT, "tags?": TAGS, "views?": COUNT,
     "by_turn?": Kind(_all(SHARE.fits), "a list of numbers from 0 to 1"), "stated?": _or_null(SHARE),

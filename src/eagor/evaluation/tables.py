@@ -26,7 +26,7 @@ from eagor.evaluation.samples import (
     method_names,
     sample,
 )
-from eagor.evaluation.shapes import SIMULATED, WALKED, checked
+from eagor.evaluation.shapes import IN_LEGS, SIMULATED, WALKED, WATCHED, checked
 from eagor.tasks.task import Column, Task, known, load
 
 _WORDS = {True: "yes", False: "no"}
@@ -57,8 +57,9 @@ def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any
     """
     records = checked(list(records), SIMULATED)
     task = _task(records)
-    if task.walked:
-        checked(records, WALKED)
+    checked(records, WALKED if task.walked else WATCHED)
+    if any("leg" in record.get("truth", {}) for record in finished(records)):
+        checked(records, IN_LEGS)
     columns = task.columns
     good = finished(records)
     cells, samples = _cells(good, columns)

@@ -84,6 +84,12 @@ class Book:
         """`unit` has not been begun after all."""
         self._queues[unit.group].appendleft((unit, attempt))
 
+    def cannot_be_sent(self, unit: Unit, attempt: int, error: Exception) -> None:
+        """The payload of `unit` cannot be pickled: no worker will ever get it."""
+        record = failure(unit, attempt, self.task, f"cannot be sent: {type(error).__name__}: {error}", 0.0)
+        self.ledger.append(record)
+        self.ended(unit, record)
+
     def ended(self, unit: Unit, head: dict[str, Any]) -> None:
         """The attempt with this record (or its head) is over: count the unit, or have it tried again."""
         if head["status"] == "ok":

@@ -9,6 +9,7 @@ from typing import Any
 
 from eagor._csv import as_csv
 from eagor._files import written
+from eagor._json import shown
 from eagor.errors import EagorError, FormatError
 from eagor.tasks.benchmark import Record
 from eagor.tasks.osr.dataset import load
@@ -22,7 +23,8 @@ TASK = "eagor_osr"
 def csv_files(records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
     """Write ``<scene>_<suffix>_results.csv`` with the columns of the published runner; returns the files.
 
-    Scores are those of the run's labels. Raises `EagorError` without records.
+    Scores are those of the run's labels. Raises `EagorError` without records, `FormatError` for a record whose scene
+    can be no part of a file's name.
     """
     done = [record for record in records if record.get("status", "ok") == "ok"]
     if not done:
@@ -31,7 +33,7 @@ def csv_files(records: Sequence[Record], settings: Mapping[str, Any], folder: Pa
     model = settings.get("model") or settings["agent"]
     by_scene: dict[str, list[Record]] = {}
     for record in done:
-        by_scene.setdefault(record["cluster"], []).append(record)
+        by_scene.setdefault(_scene(record), []).append(record)
     files = []
     for scene, answers in sorted(by_scene.items()):
         path = folder / f"{scene}_{settings['suffix']}_results.csv"
@@ -61,6 +63,16 @@ def lmms_eval(settings: Mapping[str, Any], folder: Path) -> list[Path]:
     )
     metrics = ["direction_official", "direction_corrected", "distance", "counting", "map"]
     return write_task(folder, TASK, "eagor.tasks.osr.lmms", documents, metrics)
+
+
+def _scene(record: Record) -> str:
+    """The scene of a record: part of a file's name, and never of another folder's."""
+    scene = record["cluster"]
+    if not isinstance(scene, str) or not scene.isprintable() or "/" in scene or "\\" in scene:
+        raise FormatError(
+            f"the record {record['key']!r} has the cluster {shown(scene)}; wanted a scene's name, which a file can have"
+        )
+    return scene
 
 
 def _turn(case: str) -> tuple[int, str]:
