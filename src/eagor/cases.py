@@ -47,7 +47,7 @@ class Cases:
     `weights` ``(2 + M,)`` or, with `turning`, ``(3 + M,)`` sum to 1. `wanderers` ``(M, H, W)``: densities over a
     uniform one, on the decoding grid.
     `bias`: radians by which all looks together may lie beside the thing: the part of their error that repeats, as far
-    as it is left in their mean (`common`).
+    as it is the same in all of them (`common`).
     """
 
     weights: np.ndarray
@@ -259,7 +259,7 @@ class Cases:
         weights = np.exp(log - log.max())
         weights /= weights.sum()
         common = self._common(sight, passing, elapsed, repeated)
-        bias = sight.bias if sight.repeats_for is None else sight.bias * math.sqrt(common.left)
+        bias = sight.bias if sight.repeats_for is None else sight.bias * math.sqrt(common.alike)
         standing = standing.judged(float(weights[1]), spread)
         return Cases(weights, standing, wanderers, turning, bias, common), look, learnt
 

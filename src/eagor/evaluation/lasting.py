@@ -10,8 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-TIMES = 60  # that are tried, from one step to `LONGEST` of the longest lag
-LONGEST = 2.0
+TIMES, SHORTEST, LONGEST = 80, 0.5, 2.0  # that are tried: from so much of the shortest lag to so much of the longest
 MOST = 0.95  # share of mistakes that repeats
 ENOUGH = 12.0  # by how much a share, or that it falls, has to mend the sum of squares; of noise it does so rarely
 
@@ -28,7 +27,8 @@ def lasting(stamps: Sequence[np.ndarray], mistakes: Sequence[np.ndarray]) -> tup
     is fitted by least squares, each lag weighed by its number of pairs. Lags are rounded to the usual time between two
     looks, and the longest is half of the longest recording. It is assumed that the mistakes are stationary and that all
     quantities repeat and fade alike; a recording whose target is harder than that of others looks like mistakes that
-    last. Seconds are None where the correlation does not fall over these lags, or is none at all.
+    last. Seconds are at least half of the time between two looks, and None where the correlation does not fall over
+    these lags, or is none at all.
     """
     gaps = np.concatenate([np.zeros(0), *(np.diff(times) for times in stamps)])
     gaps = gaps[gaps > 0]
@@ -63,7 +63,7 @@ def _fitted(lags: np.ndarray, found: np.ndarray, pairs: np.ndarray) -> tuple[flo
     """Share and seconds for correlations `found` at `lags`; seconds None if a constant fits as well."""
     if not len(lags):
         return 0.0, None
-    times = np.append(np.geomspace(lags[0], LONGEST * lags[-1], TIMES), np.inf)
+    times = np.append(np.geomspace(SHORTEST * lags[0], LONGEST * lags[-1], TIMES), np.inf)
     curves = np.exp(-lags / times[:, None])
     shares = np.clip(curves @ (pairs * found) / (curves**2 @ pairs), 0, MOST)
     errors = np.square(found - shares[:, None] * curves) @ pairs
