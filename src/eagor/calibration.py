@@ -1,4 +1,4 @@
-"""How a response becomes a log-likelihood ratio: five numbers.
+"""How a response becomes a log-likelihood ratio: five numbers, and how long mistakes last.
 
     r = temperature * log((l + floor) / (neutral + floor))
 
@@ -15,6 +15,7 @@ import numpy as np
 from eagor._arrays import Array, namespace
 from eagor._checks import above, require, within
 from eagor.errors import ResponseError
+from eagor.repeating import SECONDS
 
 SPREADS = math.radians(1), math.radians(30)
 
@@ -30,6 +31,9 @@ class Calibration:
       detector that is wrong about a thing that stands there is wrong in the same direction again. Of each look at it
       the share 1 - persistence adds up; the rest counts only while it is the newest (what is new in a series of looks
       whose errors follow an autoregression of first order).
+    - `persists_for`: seconds after which a mistake has become another, because the view of what was mistaken has
+      changed: a look repeats the share persistence exp(-elapsed / persists_for) of the one `elapsed` seconds before it.
+      None: the next look repeats as much however late it comes.
     - `spread`: radians (standard deviation per axis) by which a response may lie beside what it means: the evidence
       about a direction is then the mean likelihood ratio around it. 0: every cell is taken at its word.
     - `scale_to_max`: divide each response by its own maximum first. Only the published profile does so: it turns
@@ -42,6 +46,7 @@ class Calibration:
     persistence: float = 0.0
     spread: float = 0.0
     scale_to_max: bool = False
+    persists_for: float | None = None
 
     def __post_init__(self) -> None:
         least, most = SPREADS
@@ -50,6 +55,7 @@ class Calibration:
             "neutral": (within(self.neutral, 0, 1), "a number from 0 to 1"),
             "temperature": (above(self.temperature, 0), "a number above 0"),
             "persistence": (within(self.persistence, 0, 1) and self.persistence < 1, "a number from 0, below 1"),
+            "persists_for": (self.persists_for is None or above(self.persists_for, 0), SECONDS),
             "spread": (
                 self.spread == 0 or within(self.spread, least, most),
                 f"0, or radians from {least:.4f} to {most:.4f} (1 to 30 degrees)",

@@ -29,6 +29,7 @@ from eagor.looks import Look, Sight
 from eagor.motion import MotionModel
 from eagor.peaks import decoding_grid
 from eagor.reading import Reading
+from eagor.repeating import NONE_YET, CommonError, share_after
 from eagor.standing import Standing
 from eagor.turning import Turning
 
@@ -45,7 +46,8 @@ class Cases:
 
     `weights` ``(2 + M,)`` or, with `turning`, ``(3 + M,)`` sum to 1. `wanderers` ``(M, H, W)``: densities over a
     uniform one, on the decoding grid.
-    `bias`: radians by which all looks together may lie beside the thing: the part of their error that repeats.
+    `bias`: radians by which all looks together may lie beside the thing: the part of their error that repeats, as far
+    as it is the same in all of them (`common`).
     """
 
     weights: np.ndarray
@@ -53,6 +55,7 @@ class Cases:
     wanderers: np.ndarray
     turning: Turning | None = None
     bias: float = 0.0
+    common: CommonError = NONE_YET
 
     @classmethod
     def prior(cls, motion: MotionModel, standing: Standing, presence: float = 0.5) -> Cases:
@@ -127,7 +130,7 @@ class Cases:
         self, elapsed: float, motion: MotionModel, drift: float, step: np.ndarray | None, height: float | None
     ) -> Cases:
         """After `elapsed` seconds, in which the body has moved by `step` ``(3,)`` metres; `drift`: of the odometry."""
-        standing = self.standing
+        standing, common = self.standing, self.common
         if step is not None and step.any():
             standing = standing.moved(step, height)
         if elapsed <= 0:
@@ -143,9 +146,10 @@ class Cases:
         if left > 0:
             standing = standing.spreading(replace(spread, otherwise=spread.mixed(left).weights))
         if newly.sum() > kept:  # it stands since now
-            standing = self._restarted(standing, newly)
+            standing, common = self._restarted(standing, newly), NONE_YET
         weights = flows.sum(axis=0)
-        return replace(self, weights=weights / weights.sum(), standing=standing, wanderers=wanderers, turning=turning)
+        weights = weights / weights.sum()
+        return replace(self, weights=weights, standing=standing, wanderers=wanderers, turning=turning, common=common)
 
     def _roamed(self, flows: np.ndarray, elapsed: float, motion: MotionModel, drift: float) -> np.ndarray:
         """The wanderers' densities after `elapsed` seconds, with what flows into each case from the others."""
@@ -226,9 +230,9 @@ class Cases:
         standing, before = self.standing, self.standing.log_mean
         if sight.detections is not None:
             standing = standing.detecting()
-        repeated = 0.0
-        if passing is not None and passing.sight.repeats > 0:
-            repeated = passing.sight.repeats
+        elapsed = 0.0 if passing is None else sight.stamp - passing.sight.stamp
+        repeated = 0.0 if passing is None else passing.sight.repeated(elapsed)
+        if passing is not None and repeated > 0:
             standing = standing.plus(passing, -repeated, since)
         look = sight.read(rates, standing.spread)
         learnt = rates
@@ -254,7 +258,15 @@ class Cases:
         log = np.log(np.maximum(self.weights, 1e-300)) + gains
         weights = np.exp(log - log.max())
         weights /= weights.sum()
-        return Cases(weights, standing.judged(float(weights[1]), spread), wanderers, turning, sight.bias), look, learnt
+        common = self._common(sight, passing, elapsed, repeated)
+        bias = sight.bias if sight.repeats_for is None else sight.bias * math.sqrt(common.alike)
+        standing = standing.judged(float(weights[1]), spread)
+        return Cases(weights, standing, wanderers, turning, bias, common), look, learnt
+
+    def _common(self, sight: Sight, passing: Look | None, elapsed: float, repeated: float) -> CommonError:
+        """What is in common to the errors of all looks, with one more; a share of the one before it is `repeated`."""
+        taken = repeated if passing is not None and passing.sight.tells else 0.0
+        return self.common.with_look(share_after(1.0, sight.repeats_for, elapsed), taken, sight.tells)
 
     def _otherwise(self, look: Look, turns: np.ndarray) -> np.ndarray:
         """The weights of the scales ``(S,)`` if the target does not stand, after a look.

@@ -33,7 +33,7 @@ MODULES = {
     f"eagor.{name}"
     for name in (
         "belief", "calibration", "cases", "detection_set", "detector", "estimate", "evidence", "field", "grids",
-        "local", "looks", "motion", "poses", "ranged", "standing", "tracks", "turning",
+        "local", "looks", "motion", "poses", "ranged", "repeating", "standing", "tracks", "turning",
     )
 }  # fmt: skip
 

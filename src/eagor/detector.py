@@ -23,6 +23,7 @@ import numpy as np
 from eagor._checks import above, require, within
 from eagor.errors import ResponseError
 from eagor.grids import ErpGrid
+from eagor.repeating import SECONDS
 
 CLUTTER_FLOOR = 1e-3  # relative density of false alarms: no place is so clean that one there would be a proof
 # The prior of what is learnt: probabilities of detection and mean numbers of false alarms, with their weights.
@@ -43,6 +44,9 @@ class DetectorModel:
     - `repeats`: share of the mistakes of a look that the next one repeats, in [0, 1): 0 for independent looks. A poster
       is taken for the target again, and what is overlooked once is overlooked again. Of a look that the next one
       repeats, the share 1 - repeats adds up.
+    - `repeats_for`: seconds after which a mistake has become another, because the view of the poster, or of the place
+      where the detector is blind, has changed: of a look that lies `elapsed` seconds back, the share
+      repeats exp(-elapsed / repeats_for) is repeated. None: the next look repeats as much however late it comes.
     - `score_ratios`: pairs (score, ratio), by rising score: how many times likelier a thing gives this score than a
       false alarm does; between them the logarithm is interpolated. None: the ratio is the score itself, so that a
       detection of score 1 counts in full.
@@ -56,6 +60,7 @@ class DetectorModel:
     repeats: float = 0.0
     score_ratios: tuple[tuple[float, float], ...] | None = None
     clutter: np.ndarray | None = field(default=None, compare=False, repr=False)
+    repeats_for: float | None = None
 
     def __post_init__(self) -> None:
         known, alarms = self.detection_probability, self.false_alarms_per_look
@@ -70,6 +75,7 @@ class DetectorModel:
                 "radians, from 0.01 to 60 degrees (given in degrees? use math.radians)",
             ),
             "repeats": (within(self.repeats, 0, 1) and self.repeats < 1, "a share from 0, below 1"),
+            "repeats_for": (self.repeats_for is None or above(self.repeats_for, 0), SECONDS),
             "score_ratios": (_is_curve(self.score_ratios), "pairs (score, ratio), scores rising, ratios above 0"),
         }
         require(self, wanted, ResponseError)
@@ -204,14 +210,15 @@ STATED = Spread(np.ones(1), np.ones(1), np.ones(1))
 
 @lru_cache(maxsize=1)
 def _names() -> dict[str, str]:
-    return {"pd": "detection_probability", "clutter": "false_alarms_per_look", "spread": "spread", "repeats": "repeats"}
+    same = {name: name for name in ("spread", "repeats", "repeats_for")}
+    return {"pd": "detection_probability", "clutter": "false_alarms_per_look", **same}
 
 
 def parse_model(text: str, base: DetectorModel | None = None) -> DetectorModel:
-    """The model that a line of text says: ``pd=0.7,clutter=0.2,spread=5,repeats=0.3``, the spread in degrees.
+    """The model that a line of text says: ``pd=0.7,clutter=0.2,spread=5,repeats=0.3,repeats_for=2``.
 
-    What is left out stays as in `base` (default: `DetectorModel()`); ``pd=?`` and ``clutter=?`` say "not known". Raises
-    `ResponseError`.
+    The spread is in degrees, `repeats_for` in seconds. What is left out stays as in `base` (default:
+    `DetectorModel()`); ``pd=?`` and ``clutter=?`` say "not known". Raises `ResponseError`.
     """
     found: dict[str, float | None] = {}
     for part in filter(None, (part.strip() for part in text.split(","))):

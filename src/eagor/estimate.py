@@ -126,8 +126,9 @@ class Answer:
 def chosen(reading: Reading, before: Answer | None, repeats: float = 0.0) -> Answer | None:
     """The answer: the heaviest mode, or the one `before` while no other holds 1 / (1 - repeats) times as much.
 
-    `repeats`: share of a look's mistakes that the next one repeats. Independent looks give the heaviest mode. Where one
-    mistake may make another mode heavier for many looks on end, an answer that jumps to and fro is of no use.
+    `repeats`: share of a look's mistakes that is repeated after the time that has passed: since the look before, or
+    since the newest look where none is new. Independent looks give the heaviest mode. Where one mistake may make
+    another mode heavier for many looks on end, an answer that jumps to and fro is of no use.
     """
     if float(np.ptp(reading.field.values)) < FLAT and not reading.field.patches:
         return None

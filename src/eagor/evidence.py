@@ -294,14 +294,19 @@ class Evidence:
 
     @property
     def repeats(self) -> float:
-        """The share of this look that the next one repeats."""
+        """The share of this look that the next one repeats, if it follows at once."""
         return self.calibration.persistence if self.detections is None else self.detections.model.repeats
 
     @property
-    def bias(self) -> float:
-        """Radians: the part of the spread of this look that the next one repeats, so that no number of looks mends it.
+    def repeats_for(self) -> float | None:
+        """Seconds in which that share fades; None: it does not."""
+        return self.calibration.persists_for if self.detections is None else self.detections.model.repeats_for
 
-        Of a spread with variance s^2 the share `repeats` is the same for all looks.
+    @property
+    def bias(self) -> float:
+        """Radians: the part of the spread of this look that the next one repeats, so that only time mends it.
+
+        Of a spread with variance s^2 the share `repeats` is the same for all looks within `repeats_for`.
         """
         spread = self.calibration.spread if self.detections is None else self.detections.model.spread
         return spread * math.sqrt(self.repeats)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from eagor.evidence import Evidence
 from eagor.field import SphereField
 from eagor.harmonics import RealHarmonics
 from eagor.peaks import decoding_grid, neighbours, refine
+from eagor.repeating import share_after
 
 SIGHTINGS = 4  # of a response map
 
@@ -33,7 +35,8 @@ class Sight:
     detections: Detections | None
     mapped: np.ndarray | None  # coefficients of the response maps
     repeats: float
-    bias: float  # radians: the part of the error of its directions that the next look repeats
+    repeats_for: float | None
+    bias: float  # radians: the part of the error of its directions that the next look repeats, if it follows at once
 
     @classmethod
     def of(
@@ -50,8 +53,18 @@ class Sight:
                 mapped = found if mapped is None else mapped + found
         if mapped is not None:
             mapped = RealHarmonics(degree).rotate(mapped, world_R_body)
-        repeats, bias = max(look.repeats for look in looks), max(look.bias for look in looks)
-        return cls(stamp, position, world_R_body, degree, joint, mapped, repeats, bias)
+        most = max(looks, key=lambda look: (look.repeats, math.inf if look.repeats_for is None else look.repeats_for))
+        bias = max(look.bias for look in looks)
+        return cls(stamp, position, world_R_body, degree, joint, mapped, most.repeats, most.repeats_for, bias)
+
+    @property
+    def tells(self) -> bool:
+        """Whether it says of any direction that the thing may be there: a set of no detections does not."""
+        return self.mapped is not None or (self.detections is not None and len(self.detections) > 0)
+
+    def repeated(self, elapsed: float) -> float:
+        """The share of it that a look repeats which is taken `elapsed` seconds later."""
+        return share_after(self.repeats, self.repeats_for, elapsed)
 
     def read(self, rates: Rates | None, spread: Spread = STATED) -> Look:
         """The look as log ratios, for a target that stands; `rates` and `spread` of the detector, from before it."""

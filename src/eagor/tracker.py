@@ -165,7 +165,8 @@ class DirectionTracker:
             cases = self._advanced(state, now, position)
             answer = state.answer
             if cases is not state.cases and self.config.decode == "mode":
-                answer = chosen(cases.reading, state.answer, state.look.sight.repeats if state.look else 0.0)
+                repeats = state.look.sight.repeated(now - state.stamp) if state.look else 0.0
+                answer = chosen(cases.reading, state.answer, repeats)
             return Estimate(now, now - state.stamp, cases, pose, self.config, answer, state.rates)
 
     def save(self, path: str | Path) -> Path:
@@ -251,7 +252,8 @@ class DirectionTracker:
         cases, look, rates = cases.updated(sight, rates, passing, since)
         if position is None and state is not None:
             position = state.position
-        answer = None if self.config.decode == "mean" else chosen(cases.reading, before, sight.repeats)
+        repeats = sight.repeated(0.0 if state is None else stamp - state.stamp)
+        answer = None if self.config.decode == "mean" else chosen(cases.reading, before, repeats)
         return State(stamp, position, cases, look, rates, answer)
 
     def _advanced(self, state: State, now: float, position: np.ndarray | None) -> Cases:

@@ -24,6 +24,7 @@ from eagor.evaluation.calibration import (
     score_ratios,
 )
 from eagor.evaluation.fitting import LEARNT, fit
+from eagor.evaluation.lasting import lasting
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid
 from eagor.motion import MotionModel
@@ -132,6 +133,47 @@ def test_what_a_detector_does_is_counted():
     assert counted([recording(0)]) is None, "response maps are not counted"
 
 
+def lagged(rng, count, share, seconds, step):
+    """Numbers of variance 1 whose correlation at lag t is share exp(-t / seconds)."""
+    kept, slow = math.exp(-step / seconds), rng.normal(size=count)
+    for k in range(1, count):
+        slow[k] = kept * slow[k - 1] + math.sqrt(1 - kept**2) * slow[k]
+    return math.sqrt(share) * slow + math.sqrt(1 - share) * rng.normal(size=count)
+
+
+def mistaking(seed, share, seconds, steps=80, pd=0.7, spread=0.08, step=0.25):
+    """A rolling camera and a detector that misses and errs with this share of mistakes that lasts for so long."""
+    rng = np.random.default_rng(seed)
+    offsets = spread * np.array([lagged(rng, steps, share, seconds, step) for _ in range(2)]).T
+    target, moments, slow = direction(rng.uniform(-3, 3), rng.uniform(-0.4, 0.2)), [], rng.random() < pd
+    left = unit(np.cross((0.0, 0.0, 1.0), target))
+    for k in range(steps):
+        slow = slow if rng.random() < math.exp(-step / seconds) else rng.random() < pd
+        found = slow if rng.random() < math.sqrt(share) else rng.random() < pd
+        turn = world_R_body(0.1 * k, 0.0, 0.2 * k)
+        at = unit(target + offsets[k, 0] * left + offsets[k, 1] * np.cross(target, left))
+        looks = [Evidence.from_points((turn.T @ at)[None][:found], stamp=step * k), None]
+        moments.append(Moment(step * k, turn, np.zeros(3), *looks))
+    return episode_of(seed, moments, target)
+
+
+@pytest.mark.parametrize(("share", "seconds"), [(0.5, 1.0), (0.6, 3.0), (0.0, 1.0), (0.5, 1e9)])
+def test_how_long_mistakes_last_is_counted(share, seconds):
+    """To a third of the time, and 0.1 of the share, on thirty recordings; None where it does not fall."""
+    model = counted([mistaking(seed, share, seconds) for seed in range(30)])
+    assert model.repeats == pytest.approx(share, abs=0.1)
+    if share == 0 or seconds > 20:
+        assert model.repeats_for is None
+    else:
+        assert model.repeats_for == pytest.approx(seconds, rel=0.35)
+
+
+def test_without_pairs_of_looks_nothing_lasts():
+    assert lasting([], []) == (0.0, None)
+    assert lasting([np.zeros(1)] * 3, [np.ones((1, 2))] * 3) == (0.0, None)
+    assert lasting([np.arange(9.0)], [np.full((9, 2), np.nan)]) == (0.0, None)
+
+
 def test_scores_tell_something_only_where_there_are_enough_of_both():
     rng = np.random.default_rng(0)
     assert score_ratios(rng.random(100), rng.random(5)) is None
@@ -189,6 +231,19 @@ def test_what_is_written_is_read_again(tmp_path):
     assert read_calibrated(tmp_path / "detector.json") == made
 
 
+def test_how_long_mistakes_last_is_written_and_files_without_it_are_read(tmp_path):
+    for calibration, detector in (
+        (Calibration(persistence=0.5, persists_for=2.5), None),
+        (None, DetectorModel(repeats=0.3, repeats_for=1.5)),
+    ):
+        made = Calibrated("scout", calibration, {}, {}, detector)
+        made.write(tmp_path / "file.json")
+        assert read_calibrated(tmp_path / "file.json") == made
+    assert from_json(GOOD, "it").calibration.persists_for is None
+    assert from_json(GOOD | {"calibration": READ | {"persists_for": None}}, "it").calibration.persists_for is None
+    assert from_json(GOOD | {"detector": {"repeats": 0.2}}, "it").detector == DetectorModel(repeats=0.2)
+
+
 READ = {"floor": 0.1, "neutral": 0.1, "temperature": 1, "persistence": 0.5, "spread": 0.1}
 GOOD = {"perception": "scout", "calibration": READ, "forgetting": {}}
 
@@ -203,6 +258,8 @@ GOOD = {"perception": "scout", "calibration": READ, "forgetting": {}}
         ({"forgetting": {"jump": -7}}, "jump"),
         ({"forgetting": {"wander": [0.1, "x"]}}, "no calibration"),
         ({"detector": {"spread": 9}}, "spread"),
+        ({"detector": {"repeats_for": 0}}, "repeats_for = 0.0; wanted seconds above 0"),
+        ({"calibration": READ | {"persists_for": -1}}, "persists_for"),
         ({"detector": {"recall": 0.9}}, "recall"),
         ({"calibration": None}, "neither"),
         ({"forgetting": None}, "no calibration"),

@@ -279,6 +279,9 @@ def test_what_is_stated_is_not_learnt_and_what_is_not_is():
         ({"spread": 5.0}, "degrees"),
         ({"spread": math.nan}, "spread"),
         ({"repeats": 1.0}, "repeats"),
+        ({"repeats_for": 0.0}, "repeats_for = 0.0; wanted seconds above 0"),
+        ({"repeats_for": math.inf}, "repeats_for"),
+        ({"repeats_for": "long"}, "repeats_for"),
         ({"score_ratios": ((0.5, 1.0), (0.2, 2.0))}, "score_ratios"),
         ({"score_ratios": ((0.5, 0.0),)}, "score_ratios"),
         ({"score_ratios": "high"}, "score_ratios"),
@@ -295,9 +298,11 @@ def test_a_model_is_said_in_a_line():
     assert parse_model("pd=0.7, clutter=0.2,spread=5,repeats=0.3") == DetectorModel(0.7, 0.2, math.radians(5), 0.3)
     base = DetectorModel(0.7, 0.2, 0.1, 0.3)
     assert parse_model("pd=?", base) == DetectorModel(None, 0.2, 0.1, 0.3)
+    assert parse_model("repeats=0.3,repeats_for=2.5") == DetectorModel(repeats=0.3, repeats_for=2.5)
+    assert parse_model("pd=0.5", DetectorModel(repeats_for=2.5)).repeats_for == 2.5
     assert parse_model("") == DetectorModel()
     assert DetectorModel(**model_as_json(base)) == base
-    for wrong in ("recall=0.5", "pd", "pd=", "pd=0.5,pd=0.6", "spread=?", "pd=many", "spread=500"):
+    for wrong in ("recall=0.5", "pd", "pd=", "pd=0.5,pd=0.6", "spread=?", "pd=many", "spread=500", "repeats_for=0"):
         with pytest.raises(ResponseError):
             parse_model(wrong)
 

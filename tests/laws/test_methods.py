@@ -164,6 +164,9 @@ def test_a_variant_varies_the_detector_of_the_perception():
     own = DetectorModel(0.6, 0.3, math.radians(4), 0.2)
     varied = make_method("eagor:pd=?,dspread=7,repeats=0", np.random.default_rng(0), detector=own)
     assert varied.tracker.config.detector == DetectorModel(None, 0.3, math.radians(7), 0.0)
+    varied = make_method("eagor:repeats_for=2.5,persists_for=3", np.random.default_rng(0), detector=own)
+    assert varied.tracker.config.detector == replace(own, repeats_for=2.5)
+    assert varied.tracker.config.calibration.persists_for == 3
     assert make_method("eagor:degree=7", np.random.default_rng(0), detector=own).tracker.config.detector is None
 
 

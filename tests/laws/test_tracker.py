@@ -1,6 +1,7 @@
 """Evidence late, early and out of order; poses at any rate; several targets; honest answers."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.motion import MotionModel
 from eagor.reading import NEAR
+from eagor.repeating import CommonError, share_after
 from eagor.sphere import angular_distance, direction, rotation, unit, world_R_body
 from eagor.tracker import DirectionTracker
 
@@ -119,6 +121,79 @@ def test_what_repeats_is_never_averaged_out():
         wanted = math.sqrt(2 * math.log(10)) * spread * math.sqrt(repeats)  # of a Gaussian, 90 % lie within 2.15 s
         assert angle > 0.95 * wanted
         assert angle < 2.3 * spread
+
+
+def turned_away(model, stamps, away=0.1):
+    """What is said after looks that are `away` apart in direction, in turns, at these stamps."""
+    tracker = DirectionTracker(TrackerConfig(**FLAT))
+    for index, stamp in enumerate(stamps):
+        tracker.observe(look(direction(away * (index % 2), 0.0), stamp, model))
+    return said(tracker.estimate(stamps[-1]))
+
+
+def test_looks_far_apart_in_time_are_independent():
+    fading, independent = replace(MODEL, repeats=0.6, repeats_for=0.5), MODEL
+    stamps = [0.0, 600.0, 1300.0]
+    assert np.allclose(turned_away(fading, stamps), turned_away(independent, stamps), atol=1e-9)
+    assert np.ptp(turned_away(fading, stamps) - turned_away(replace(MODEL, repeats=0.6), stamps)) > 0.1
+
+
+def test_looks_near_each_other_repeat_as_if_for_ever():
+    fading, lasting = replace(MODEL, repeats=0.6, repeats_for=1e7), replace(MODEL, repeats=0.6)
+    stamps = [0.0, 0.5, 1.0, 1.5]
+    assert np.allclose(turned_away(fading, stamps), turned_away(lasting, stamps), atol=1e-4)
+
+
+def test_a_response_map_fades_by_the_time_between_two_looks():
+    """Of looks alike the older counts 1 - persistence exp(-elapsed / persists_for), the newest in full."""
+    tracker = DirectionTracker(TrackerConfig(**FLAT))
+    response, calibration = np.random.default_rng(0).random(GRID.shape), Calibration(persistence=0.6, persists_for=2.0)
+    for stamp in (0.0, 1.0, 4.0):
+        tracker.observe(Evidence.from_response(response, GRID, calibration, stamp))
+    one = Evidence.from_response(response, GRID, calibration).coefficients(15)
+    held = tracker.estimate(4.0).cases.standing.coarse.coefficients
+    assert np.allclose(held, (3 - 0.6 * math.exp(-0.5) - 0.6 * math.exp(-1.5)) * one, atol=1e-9)
+
+
+def test_an_answer_is_held_to_while_a_mistake_may_be_repeated():
+    one, other = direction(0.5, 0.0), direction(-2.0, 0.1)
+    model = DetectorModel(0.7, 0.2, math.radians(8), 0.6, repeats_for=2.0)
+    for second, held in ((0.2, True), (30.0, False)):
+        tracker = DirectionTracker(TrackerConfig(**FLAT))
+        for stamp, scores in ((0.0, [0.9, 0.8]), (second, [0.85, 0.99])):
+            tracker.observe(Evidence.from_points([one, other], scores=scores, detector=model, stamp=stamp))
+        assert tracker.estimate(second).held == held
+        assert degrees(tracker.estimate(second).direction, one if held else other) < 1
+
+
+@pytest.mark.parametrize("repeated", [0.0, 0.3, 0.8])
+def test_what_errors_have_in_common_is_the_mean_correlation_of_pairs(repeated):
+    """Against the sum over all pairs of looks, with the weights that a belief gives them."""
+    rng = np.random.default_rng(0)
+    stamps, tells, lasts = np.cumsum(rng.exponential(0.5, 12)), rng.random(12) < 0.8, 2.0
+    tells[0], common, weights = True, CommonError(), np.zeros(12)
+    for k in range(12):
+        elapsed = stamps[k] - stamps[k - 1] if k else 0.0
+        taken = share_after(repeated, lasts, elapsed) if k and tells[k - 1] else 0.0
+        common = common.with_look(share_after(1.0, lasts, elapsed), taken, bool(tells[k]))
+        weights[k - 1] -= taken
+        weights[k] += float(tells[k])
+        pairs = np.outer(weights, weights) * ~np.eye(12, dtype=bool)
+        if pairs.any():
+            correlations = np.exp(-np.abs(stamps[:, None] - stamps) / lasts)
+            assert common.alike == pytest.approx(np.sum(pairs * correlations) / pairs.sum())
+        else:
+            assert common.alike == 1
+
+
+def test_a_pause_does_not_mend_what_looks_before_it_had_in_common():
+    """Twenty looks in two seconds err alike; one more after a pause is a small part of the whole."""
+    model, wide = replace(MODEL, repeats=0.5, repeats_for=2.0), []
+    tracker = DirectionTracker(TrackerConfig(**FLAT))
+    for stamp in [*(0.1 * k for k in range(20)), 60.0]:
+        tracker.observe(look(FORWARD, stamp, model))
+        wide.append(tracker.estimate(stamp).credible_angle)
+    assert wide[-1] > 0.85 * wide[-2]
 
 
 def test_what_was_not_looked_at_gains_nothing():

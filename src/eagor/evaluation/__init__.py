@@ -7,7 +7,8 @@
   `published`: the paper's figures to hold them against; `report`: the page, the Markdown and the CSV of a run;
 - `benchmarks`: runs of benchmarks with published data; `predictions`: what others answered; `scores`: records to
   figures; `published_search`; `benchmark_report`;
-- `calibration` and `fitting`: how a perception's responses are read; `labelled`: panoramas with labels.
+- `calibration` and `fitting`: how a perception's responses are read; `lasting`: how long its mistakes last;
+  `labelled`: panoramas with labels.
 
 `sheets`, `benchmark_sheets`, `figures`, `curves`, `parts`, `kernels`, `charts`, `scenes`, `page` and `export` are the
 reports' parts. Nothing heavy is imported here.

@@ -7,8 +7,9 @@ belief gave to the true direction, and the log of the probability that it gave t
 
 A perception gives response maps, which a `Calibration` reads, or detections, which a `DetectorModel` reads: `READING`
 and `DETECTING` are the numbers of each, `MOVING` those of `MotionModel`. What can be counted on the recordings is
-counted (`counted`): how scores are read, where the search for the spread begins, and the rates, which are stated or
-learnt with the belief, whichever scores better.
+counted (`counted`): how scores are read, in which time mistakes fade, where the searches for the spread and for the
+share of mistakes that repeats begin, and the rates, which are stated or learnt with the belief, whichever scores
+better.
 
 `eagor.evaluation.fitting` searches for the settings with the best score.
 """
@@ -24,9 +25,11 @@ from pathlib import Path
 import numpy as np
 
 from eagor._files import written
+from eagor.detection_set import Detections, tangent_frame
 from eagor.detector import DetectorModel
 from eagor.errors import EagorError, QueryError, WorldError
 from eagor.estimate import TrackerConfig
+from eagor.evaluation.lasting import lasting
 from eagor.evidence import Evidence
 from eagor.metrics import angular_error_deg
 from eagor.motion import MotionModel
@@ -36,7 +39,7 @@ from eagor.tasks import task as tasks
 from eagor.tasks.episodes import Slot
 from eagor.tasks.eyes import is_privileged
 from eagor.tasks.places import APARTMENT, DEVELOPMENT, load_place
-from eagor.tasks.play import MASS, Moment, Player, Recording
+from eagor.tasks.play import MASS, Player, Recording
 from eagor.tasks.rules import Camera, Disturbances, as_dict
 from eagor.tasks.tracking import TrackingEpisode
 from eagor.tracker import DirectionTracker
@@ -108,45 +111,84 @@ def counted(recordings: Sequence[Recording]) -> DetectorModel | None:
     """The detector's model with what can be counted on the recordings; None where they hold no detections.
 
     A detection within `HIT` of the target is right, every other one false. How often right ones have a score, over how
-    often false ones have it, is the ratio by which that score counts.
+    often false ones have it, is the ratio by which that score counts. The share of mistakes that repeats, and the time
+    in which it fades, are those by which misses and offsets of right detections correlate
+    (`eagor.evaluation.lasting`).
     """
-    looks = [
-        (moment.evidence.detections, direction, seen)
-        for recording in recordings
-        for moment, direction, seen in _timely(recording)
-        if moment.evidence is not None and moment.evidence.detections is not None
-    ]
+    looks = [look for recording in recordings for look in _timely(recording)]
     if not looks:
         return None
     right, false, offsets, found, visible = [], [], [], 0, 0
-    for detections, direction, seen in looks:
-        assert detections is not None
-        apart = np.asarray(angular_distance(detections.directions, direction)).reshape(-1)
+    for detections, at, seen in ((look.detections, look.direction, look.seen) for look in looks):
+        apart = np.asarray(angular_distance(detections.directions, at)).reshape(-1)
         near = (apart < HIT) & seen
         right.extend(detections.scores[near])
         false.extend(detections.scores[~near])
         offsets.extend(apart[near])
         found, visible = found + int(near.any()), visible + int(seen)
-    model = looks[0][0].model  # type: ignore[union-attr]
+    model, recall = looks[0].detections.model, (found + 0.5) / (visible + 1)
     spread = math.sqrt(float(np.mean(np.square(offsets))) / 2) if offsets else model.spread  # two axes
+    series = [[look for look in _timely(recording) if look.seen] for recording in recordings]
+    share, seconds = lasting(
+        [np.array([look.stamp for look in one]) for one in series],
+        [np.array([_mistakes(look, recall) for look in one]).reshape(-1, 3) for one in series],
+    )
     return replace(
         model,
-        detection_probability=short((found + 0.5) / (visible + 1)),
+        detection_probability=short(recall),
         false_alarms_per_look=short((len(false) + 0.5) / (len(looks) + 1)),
         spread=short(min(max(spread, DETECTING[1].low), DETECTING[1].high)),
         score_ratios=score_ratios(np.array(right), np.array(false)),
+        repeats=short(share),
+        repeats_for=None if seconds is None else short(seconds),
     )
 
 
-def _timely(recording: Recording) -> list[tuple[Moment, np.ndarray, bool]]:
-    """Each moment with the true direction, and whether the target was in sight, at the capture of what arrived then."""
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """Detections with what was true at their capture: the target's direction (body frame), and whether in sight."""
+
+    stamp: float
+    detections: Detections
+    direction: np.ndarray
+    seen: bool
+    world_R_body: np.ndarray
+
+
+def _timely(recording: Recording) -> list[_Look]:
+    """The looks of a recording that gave detections."""
     place = {moment.stamp: index for index, moment in enumerate(recording.moments)}
     found = []
     for moment in recording.moments:
-        stamp = moment.stamp if moment.evidence is None else moment.evidence.stamp
+        if moment.evidence is None or moment.evidence.detections is None:
+            continue
+        stamp = moment.evidence.stamp
         index = place.get(stamp, place[moment.stamp])  # type: ignore[arg-type]
-        found.append((moment, recording.directions[index], bool(recording.truth["visible"][index])))
+        then = recording.moments[index]
+        found.append(
+            _Look(
+                then.stamp,
+                moment.evidence.detections,
+                recording.directions[index],
+                bool(recording.truth["visible"][index]),
+                then.world_R_body,
+            )
+        )
     return found
+
+
+def _mistakes(look: _Look, recall: float) -> np.ndarray:
+    """What one look with the target in sight mistook ``(3,)``: missed or not, less the mean; and how far off it was.
+
+    How far off: of the right detection with the best score, to the left and up in axes of the world, which do not turn
+    with the body; NaN where the target was missed.
+    """
+    near = np.flatnonzero(np.asarray(angular_distance(look.detections.directions, look.direction)) < HIT)
+    if not len(near):
+        return np.array([recall, np.nan, np.nan])
+    best = near[look.detections.scores[near].argmax()]
+    true, said = look.world_R_body @ look.direction, look.world_R_body @ look.detections.directions[best]
+    return np.array([recall - 1, *(tangent_frame(true) @ said)])
 
 
 def score_ratios(right: np.ndarray, false: np.ndarray) -> tuple[tuple[float, float], ...] | None:

@@ -36,7 +36,7 @@ from eagor.evaluation.calibration import (
     score,
     short,
 )
-from eagor.perception.calibrated import Calibrated, calibration_of
+from eagor.perception.calibrated import Calibrated
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.methods import BASE
 from eagor.tasks.play import Recording
@@ -70,7 +70,7 @@ def fit(
     if not all(halves):
         raise EagorError(f"{len(recordings)} episodes of {len(seeds)} apartment; calibrating needs at least two")
     space = _Space.of(perception, halves[0])
-    start = space.start(halves[0])
+    start = space.start()
     with tempfile.TemporaryDirectory() as folder, _mapping(workers) as run:
         files = [Path(folder) / f"half-{half}" for half in (0, 1)]
         for file, half in zip(files, halves, strict=True):
@@ -93,25 +93,29 @@ def fit(
 
 @dataclass(frozen=True)
 class _Space:
-    """What is searched: the `parameters`, and the detector's model that was counted (None: response maps are read)."""
+    """What is searched: the `parameters`, and how looks are `read` before that.
+
+    That is a detector's model as it was counted, or the calibration that response maps have now. What is no parameter
+    stays as it is there.
+    """
 
     perception: str
     parameters: tuple[Parameter, ...]
-    counted: DetectorModel | None
+    read: Calibration | DetectorModel
 
     @classmethod
     def of(cls, perception: str, recordings: Sequence[Recording]) -> _Space:
         """The space of a perception that gave these recordings."""
         found = counted(recordings)
-        return cls(perception, (READING if found is None else DETECTING) + MOVING, found)
+        if found is not None:
+            return cls(perception, DETECTING + MOVING, found)
+        seen = (moment.evidence for recording in recordings for moment in recording.moments)
+        now = next(evidence.calibration for evidence in seen if evidence is not None)
+        return cls(perception, READING + MOVING, replace(now, scale_to_max=False))
 
-    def start(self, recordings: Sequence[Recording]) -> np.ndarray:
-        """Where the search begins ``(parameters,)``: how looks are read and targets move now; spreads as counted."""
-        read: Calibration | DetectorModel | None = self.counted
-        if read is None:
-            seen = (moment.evidence for recording in recordings for moment in recording.moments)
-            read = next(evidence.calibration for evidence in seen if evidence is not None)
-        values = {"stated": LEARNT, **vars(read), **motion_values(BASE.motion)}
+    def start(self) -> np.ndarray:
+        """Where the search begins ``(parameters,)``: how looks are read, as above, and how targets move now."""
+        values = {"stated": LEARNT, **vars(self.read), **motion_values(BASE.motion)}
         return np.array([parameter.place(values[parameter.name]) for parameter in self.parameters])
 
     def at(self, places: np.ndarray, found_by: dict[str, Any] | None = None) -> Calibrated:
@@ -119,9 +123,9 @@ class _Space:
         values = {p.name: short(p.value(float(place))) for p, place in zip(self.parameters, places, strict=True)}
         moving = {parameter.name: values.pop(parameter.name) for parameter in MOVING}
         forgetting = {"wander": (moving.pop("slow"), moving.pop("fast")), **moving}
-        if self.counted is None:
-            return Calibrated(self.perception, calibration_of(values), forgetting, found_by or {})
-        model = self.counted
+        if isinstance(self.read, Calibration):
+            return Calibrated(self.perception, replace(self.read, **values), forgetting, found_by or {})
+        model = self.read
         if values.pop("stated") < 1:
             model = replace(model, detection_probability=None, false_alarms_per_look=None)
         return Calibrated(self.perception, None, forgetting, found_by or {}, replace(model, **values))

@@ -18,6 +18,7 @@ from eagor.evidence import Evidence
 from eagor.perception import short_name
 
 READING = ("floor", "neutral", "temperature", "persistence", "spread")  # fields of `Calibration`
+LASTING = "persists_for"  # a field that need not be in a file
 FORGETTING = ("wander", "start", "stop", "jump", "birth", "death")  # fields of `MotionModel`: radians, rates per second
 
 
@@ -58,7 +59,9 @@ class Calibrated:
         """As it is stored."""
         parts: dict[str, Any] = {"perception": self.perception}
         if self.calibration is not None:
-            parts["calibration"] = {key: value for key, value in asdict(self.calibration).items() if key in READING}
+            told = asdict(self.calibration)
+            kept = READING if self.calibration.persists_for is None else (*READING, LASTING)
+            parts["calibration"] = {key: told[key] for key in kept}
         if self.detector is not None:
             parts["detector"] = model_as_json(self.detector)
         return parts | {"forgetting": self.forgetting, "found_by": self.found_by}
@@ -71,7 +74,7 @@ class Calibrated:
 def calibration_of(values: Mapping[str, float]) -> Calibration:
     """The calibration with these numbers. Raises `KeyError` if one of `READING` is missing."""
     floor, neutral, temperature, persistence, spread = (values[name] for name in READING)
-    return Calibration(floor, neutral, temperature, persistence, spread)
+    return Calibration(floor, neutral, temperature, persistence, spread, persists_for=values.get(LASTING))
 
 
 def detector_of(values: Mapping[str, Any]) -> DetectorModel:
@@ -99,8 +102,8 @@ def from_json(stored: Any, source: str) -> Calibrated:
             raise EagorError("has neither a calibration nor a detector")
         calibration = None
         if reading is not None:
-            _only(reading, READING)
-            calibration = calibration_of({key: number(value) for key, value in reading.items()})
+            _only(reading, (*READING, LASTING))
+            calibration = calibration_of({key: number(value) for key, value in reading.items() if value is not None})
         detector = None if model is None else detector_of(model)
         found = Calibrated(str(stored["perception"]), calibration, forgetting, {**stored.get("found_by", {})}, detector)
         found.config()  # complains about numbers that are out of range
