@@ -315,9 +315,12 @@ class Estimate:
 
     def _repr_html_(self) -> str:
         """A small picture, for notebooks."""
-        from eagor.thumbnail import estimate_html
+        from eagor import thumbnail
 
-        return estimate_html(self)
+        if self.direction is None:
+            return thumbnail.unknown_html(repr(self))
+        modes = [mode.direction for mode in self.modes]
+        return thumbnail.density_html(repr(self), self.log_density, *self.region(0.9), modes, self.direction)
 
 
 def _mode(direction: np.ndarray, weight: float) -> Mode:
