@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +30,7 @@ from eagor.cli.results import compare, export, failures, report
 from eagor.errors import EagorError
 
 if TYPE_CHECKING:
-    from eagor.evaluation.workers import Outcome
+    from eagor.evaluation.workers import Unit
 
 SEED = 2000
 PERCEPTION = "scout"
@@ -120,9 +119,9 @@ def _simulated(options: BenchRun) -> int:
     )
     out = options.out or Path("runs") / f"{options.task}-{short_name(perception)}-{seed}"
     units = wanted.units()
-    wanted.config()  # what cannot be is told before anything is said to go on
+    config = wanted.config()  # what cannot be is told before anything is said to go on
     terminal.log(f"{options.episodes} episodes, {len(methods)} methods; records go to {out}")
-    _play(partial(bench.start, wanted), out, options, len(units), "units")
+    _play(options, units, bench.WORK, config, out, "units")
     summary = tables.summarise(ledger.read(out))
     if options.json:
         terminal.emit({key: summary[key] for key in ("task", "episodes", "failed", "methods")} | {"out": str(out)})
@@ -162,7 +161,7 @@ def _published(options: BenchRun) -> int:
     out = options.out or Path("runs") / "-".join(part for part in parts if part)
     cases = wanted.cases(settings)
     terminal.log(f"{len(cases)} cases for the agent {settings['agent']}; records go to {out}")
-    _play(partial(benchmarks.start, wanted), out, options, len(cases), "cases")
+    _play(options, benchmarks.units(settings, cases), wanted.benchmark.work, settings, out, "cases")
     summary = scores.summarise(settings, benchmarks.read_run(out)[1])
     return _said(summary, out, options.json)
 
@@ -177,20 +176,21 @@ def _check(options: BenchRun, what: str, others: tuple[str, ...]) -> None:
         raise terminal.UsageError(f"--address {options.address} is of a Ray cluster; add --engine ray")
 
 
-def _play(start: Callable[..., Outcome], out: Path, options: BenchRun, count: int, what: str) -> None:
-    """Do what `out` has no record of yet; a bar goes on, and what could not be run is told."""
-    with terminal.progress(options.task, count) as advance:
+def _play(options: BenchRun, units: list[Unit], work: str, config: dict[str, Any], out: Path, what: str) -> None:
+    """Do those of `units` that `out` has no record of yet; a bar goes on, and what could not be run is told."""
+    from eagor.evaluation.workers import carry_out
+
+    with terminal.progress(options.task, len(units)) as advance:
 
         def done(record: dict[str, Any]) -> None:
             advance()
             if record["status"] == "failed":
                 terminal.warning(f"{record['key']} could not be run: {record['error']}")
 
-        outcome = start(
-            out, options.workers, options.retry_failed, done, options.engine, options.address, options.force
-        )
+        how = options.workers, done, options.retry_failed, options.engine, options.address, options.force
+        outcome = carry_out(units, work, config, out, *how)
     if outcome.skipped:
-        terminal.log(f"{outcome.skipped} of {count} {what} were already in {out}")
+        terminal.log(f"{outcome.skipped} of {len(units)} {what} were already in {out}")
 
 
 def _options(options: BenchRun | BenchScore) -> dict[str, Any]:
