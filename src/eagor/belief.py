@@ -77,10 +77,13 @@ class Reading:
         return f"{where(azimuth, elevation)}, 90 % within {math.degrees(posterior.cone(0.9)):.0f}°"
 
     def _repr_html_(self) -> str:
-        """A small picture, for notebooks."""
-        from eagor.thumbnail import belief_html
+        """A small picture, for notebooks; only the text of a batch, and of what is not finite."""
+        from eagor import thumbnail
 
-        return belief_html(self)
+        if self.batch_shape or not np.isfinite(self.posterior.coarse).all():
+            return thumbnail.text_html(repr(self))
+        region = self.credible_region(0.9)
+        return thumbnail.density_html(repr(self), self.log_density, region.threshold, region.area)
 
     @property
     def posterior(self) -> Posterior:

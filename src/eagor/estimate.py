@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 
@@ -86,6 +86,17 @@ class TrackerConfig:
         """The published recursion: degree 7, log(l + 1e-3) scaled to the frame's maximum, spherical mean."""
         published = Calibration.paper()
         return cls(degree=7, decode="mean", calibration=published, ranges=None, motion=MotionModel.still())
+
+    def fitted(
+        self, calibration: Calibration | None, detector: DetectorModel | None, forgetting: Mapping[str, Any]
+    ) -> TrackerConfig:
+        """This with what was fitted: how looks are read (None: as here), and fields of `motion`."""
+        return replace(
+            self,
+            calibration=calibration or self.calibration,
+            detector=detector or self.detector,
+            motion=replace(self.motion, **forgetting),
+        )
 
 
 def _are_ranges(ranges: Sequence[float] | None) -> bool:
@@ -305,9 +316,12 @@ class Estimate:
 
     def _repr_html_(self) -> str:
         """A small picture, for notebooks."""
-        from eagor.thumbnail import estimate_html
+        from eagor import thumbnail
 
-        return estimate_html(self)
+        if self.direction is None:
+            return thumbnail.unknown_html(repr(self))
+        modes = [mode.direction for mode in self.modes]
+        return thumbnail.density_html(repr(self), self.log_density, *self.region(0.9), modes, self.direction)
 
 
 def _mode(direction: np.ndarray, weight: float) -> Mode:

@@ -71,9 +71,13 @@ class Evidence:
 
     def _repr_html_(self) -> str:
         """A small picture, for notebooks."""
-        from eagor.thumbnail import evidence_html
+        from eagor import thumbnail
 
-        return evidence_html(self)
+        if self.detections is None:
+            return thumbnail.ratio_html(repr(self), *thumbnail.on_grid(self.log_ratio, self.grid, self.coverage))
+        values = np.log(self.detections.ratio(thumbnail.GRID.directions))
+        seen = np.asarray(self.detections.share(thumbnail.GRID.directions)) > 0
+        return thumbnail.ratio_html(repr(self), values, np.broadcast_to(seen, values.shape))
 
     @classmethod
     def from_detections(cls, detections: Detections, grid: Grid, stamp: float | None = None) -> Evidence:

@@ -9,16 +9,13 @@ import base64
 import html
 import io
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
-from eagor.grids import PatchGrid
-
-if TYPE_CHECKING:
-    from eagor.belief import Reading
-    from eagor.estimate import Estimate
-    from eagor.evidence import Evidence
+from eagor._arrays import Array, to_numpy
+from eagor.grids import Grid, PatchGrid
 
 GRID = PatchGrid(120, 240)
 HALF = 2 * math.pi  # steradians: the border of a larger region says nothing, and none is drawn
@@ -30,39 +27,52 @@ SIGNED = np.array([(33, 102, 172), (146, 197, 222), (247, 247, 247), (244, 165, 
 UNSEEN, LINES, BORDER, ANSWER = (120, 120, 120), (110, 110, 120), (255, 255, 255), (0, 229, 255)
 
 
-def estimate_html(estimate: Estimate) -> str:
-    """An estimate: its density, the border of its 90 % region, its candidates (rings) and its answer (dot)."""
-    if estimate.direction is None:
-        return _html(_blank(), repr(estimate))
-    border, area = estimate.region(0.9)
-    picture = _density(np.asarray(estimate.log_density(GRID.directions)), border, area)
-    for mode in estimate.modes:
-        _ring(picture, mode.direction, 6.5, 5.0, BORDER)
-    _ring(picture, estimate.direction, 3.0, 0.0, ANSWER)
-    return _html(picture, repr(estimate))
+def density_html(
+    text: str,
+    log_density: Callable[[np.ndarray], Array],
+    border: float,
+    area: float,
+    modes: Sequence[np.ndarray] = (),
+    answer: np.ndarray | None = None,
+) -> str:
+    """A density, the border of its 90 % region (a log density, steradians), candidates (rings), an answer (dot)."""
+    picture = _density(np.asarray(log_density(GRID.directions)), border, area)
+    for mode in modes:
+        _ring(picture, mode, 6.5, 5.0, BORDER)
+    if answer is not None:
+        _ring(picture, answer, 3.0, 0.0, ANSWER)
+    return _html(picture, text)
 
 
-def belief_html(belief: Reading) -> str:
-    """A belief: its density, and the border of its 90 % region; only the text of a batch, and of what is not finite."""
-    if belief.batch_shape or not np.isfinite(belief.posterior.coarse).all():
-        return f"<pre>{html.escape(repr(belief))}</pre>"
-    region = belief.credible_region(0.9)
-    picture = _density(np.asarray(belief.log_density(GRID.directions)), region.threshold, region.area)
-    return _html(picture, repr(belief))
+def unknown_html(text: str) -> str:
+    """Nothing is known."""
+    return _html(_blank(), text)
 
 
-def evidence_html(evidence: Evidence) -> str:
-    """A look (of a batch the first): red where it speaks for the target, blue where against, grey where not seen."""
-    found = evidence.detections
-    if found is not None:
-        values = np.log(found.ratio(GRID.directions))
-        seen = np.broadcast_to(np.asarray(found.share(GRID.directions)) > 0, values.shape)
-    else:
-        values, seen = _mapped(evidence)
+def text_html(text: str) -> str:
+    """The text alone."""
+    return f"<pre>{html.escape(text)}</pre>"
+
+
+def ratio_html(text: str, values: np.ndarray, seen: np.ndarray) -> str:
+    """Log ratios on `GRID`: red where they speak for the target, blue where against, grey where nobody looked."""
     most = max(float(np.abs(values[seen]).max(initial=0.0)), MOST)
     picture = _coloured((values / most + 1) / 2, SIGNED)
     picture[~seen] = UNSEEN
-    return _html(_ruled(picture), repr(evidence))
+    return _html(_ruled(picture), text)
+
+
+def on_grid(map_: Array, grid: Grid, coverage: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """A map on `grid` (of a batch the first) as it is read on `GRID`, and where it was looked at."""
+    values = np.asarray(to_numpy(map_), dtype=float)
+    values = values.reshape(-1, *values.shape[-2:])[0]
+    x, y, seen = grid.project(GRID.directions)
+    height, width = values.shape
+    column = np.where(seen, x, 0.0).astype(int) % width
+    row = np.clip(np.where(seen, y, 0.0).astype(int), 0, height - 1)
+    if coverage is not None:
+        seen = seen & (coverage[row, column] > 0)
+    return np.where(seen, values[row, column], 0.0), seen
 
 
 def undrawn(log_density: np.ndarray, weights: np.ndarray, border: float, area: float) -> str:
@@ -74,21 +84,6 @@ def undrawn(log_density: np.ndarray, weights: np.ndarray, border: float, area: f
         return "over half of the sphere"
     near = np.abs(log_density - border) < NEAR
     return "its border runs where all is alike" if float(weights[near].sum()) > ALIKE else ""
-
-
-def _mapped(evidence: Evidence) -> tuple[np.ndarray, np.ndarray]:
-    """The log ratios of a response map on `GRID`, and where it was looked at."""
-    from eagor._arrays import to_numpy
-
-    map_ = np.asarray(to_numpy(evidence.log_ratio), dtype=float)
-    map_ = map_.reshape(-1, *map_.shape[-2:])[0]
-    x, y, seen = evidence.grid.project(GRID.directions)
-    height, width = map_.shape
-    column = np.where(seen, x, 0.0).astype(int) % width
-    row = np.clip(np.where(seen, y, 0.0).astype(int), 0, height - 1)
-    if evidence.coverage is not None:
-        seen = seen & (evidence.coverage[row, column] > 0)
-    return np.where(seen, map_[row, column], 0.0), seen
 
 
 def _density(log_density: np.ndarray, border: float, area: float) -> np.ndarray:

@@ -110,6 +110,10 @@ def test_honest_beliefs_score_best():
     assert total(0.8) > total(0.02)
 
 
+def fitted(found, base):
+    return base.fitted(found.calibration, found.detector, found.forgetting)
+
+
 def test_the_fit_is_better_on_apartments_that_it_has_not_seen(monkeypatch):
     monkeypatch.setattr("eagor.evaluation.fitting.BASE", SMALL)
     rounds, trials = [], []
@@ -119,7 +123,7 @@ def test_the_fit_is_better_on_apartments_that_it_has_not_seen(monkeypatch):
     before, after = best.found_by["before"], best.found_by["after"]
     assert after["log score"][0] > before["log score"][0]
     assert best.found_by["judged by"] == [1, 3, 5, 7]
-    assert best.config().calibration == best.calibration
+    assert fitted(best, SMALL).calibration == best.calibration
 
 
 def test_what_a_detector_does_is_counted():
@@ -191,7 +195,7 @@ def test_a_detector_is_fitted_as_a_detector(monkeypatch):
     )  # chance, of three episodes
     assert best.detector.detection_probability is None or 0.4 < best.detector.detection_probability < 0.95
     assert best.detector.score_ratios is not None
-    assert best.config().detector == best.detector
+    assert fitted(best, SMALL).detector == best.detector
 
 
 def test_one_apartment_cannot_judge_itself():
@@ -222,7 +226,7 @@ def test_what_is_written_is_read_again(tmp_path):
     made.write(tmp_path / "new" / "file.json")
     found = read_calibrated(tmp_path / "new" / "file.json")
     assert found == made
-    config = found.config(TrackerConfig(degree=7))
+    config = fitted(found, TrackerConfig(degree=7))
     assert (config.degree, config.motion.jump, config.calibration) == (7, 0.2, made.calibration)
     assert config.motion.wander == (0.1, 0.3)
     model = DetectorModel(0.6, None, 0.1, 0.3, ((0.2, 0.5), (0.8, 4.0)))

@@ -203,7 +203,7 @@ def test_what_was_not_looked_at_is_grey_and_what_speaks_for_it_red():
     from eagor import thumbnail
 
     look = dict(things())["view"]
-    data = re.search(r"base64,([^\"]+)", thumbnail.evidence_html(look))
+    data = re.search(r"base64,([^\"]+)", look._repr_html_())
     with Image.open(io.BytesIO(base64.b64decode(data[1]))) as image:
         shown = np.asarray(image.convert("RGB")).astype(int)
     assert np.abs(shown[60, 10] - np.array(thumbnail.UNSEEN)).max() < 8

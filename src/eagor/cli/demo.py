@@ -2,55 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from eagor.cli import terminal
+from eagor.cli.demo_report import write_report
+from eagor.cli.demo_search import Search, play, summary
 from eagor.cli.looking import check_looks, checked_folder
 from eagor.cli.options import Demo
-from eagor.estimate import Estimate
-from eagor.evaluation.published import OURS, PAPERS
-from eagor.perception import load, rows_of
-from eagor.tasks.episodes import PER_PLACE, Slot
-from eagor.tasks.methods import DESCRIPTIONS, NAMES, TrackerMethod
-from eagor.tasks.places import APARTMENT, SEEDS
-from eagor.tasks.play import Player
-from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
-
-SPOKEN = {
-    "centroid": "the plain centroid",
-    "cent_circ": "the circular centroid",
-    "grid": "the published pixel grid",
-    "eagor_paper": "EAGOR as published",
-    "vmf": "the von Mises-Fisher filter",
-    "grid_filter": "the grid filter",
-    "particle_filter": "the particle filter",
-    "eagor": "our tracker",
-}
-PICTURE_ROWS = 320
-
-
-@dataclass(frozen=True, eq=False)
-class Search:
-    """What came of the episode: its record, each method's part of it, and our estimates step by step."""
-
-    slot: Slot
-    rules: NavigationRules
-    episode: dict[str, Any]
-    methods: dict[str, dict[str, Any]]
-    estimates: list[Estimate]
-
-    @property
-    def thing(self) -> str:
-        """What was looked for."""
-        return self.episode["query"]
+from eagor.tasks.episodes import PER_PLACE
+from eagor.tasks.methods import DESCRIPTIONS, NAMES
+from eagor.tasks.places import SEEDS
 
 
 def demo(options: Demo) -> int:
     """Run the command; returns its exit code."""
-    from eagor.cli.demo_report import write_report
-
     if not 0 <= options.seed < SEEDS:
         raise terminal.UsageError(f"--seed {options.seed}; wanted an apartment, 0 to {SEEDS - 1}")
     if not 0 <= options.episode < PER_PLACE:
@@ -67,49 +33,6 @@ def demo(options: Demo) -> int:
     return terminal.OK
 
 
-def play(seed: int, index: int, perception: str, say: bool = False) -> Search:
-    """Every method through one episode of navigation."""
-    rules, seeing = NavigationRules(), load(perception)
-    config = {
-        "task": "navigation",
-        "perception": perception,
-        "rules": as_dict(rules),
-        "camera": as_dict(Camera()),
-        "disturbances": as_dict(Disturbances()),
-        "rows": rows_of(seeing),
-    }
-    slot = Slot("navigation", APARTMENT, seed, index, index)
-    estimates: list[Estimate] = []
-    player = Player(config, seeing)
-    if say:
-        print(f"Building {APARTMENT} {seed} and looking for something to search ...", flush=True)
-    episode = player.plan(slot)
-    if say:
-        print(
-            f"A camera stands in {episode.scene}, {episode.shortest:.1f} m of walking from the {episode.query}, with "
-            f"its back to it. Each of {len(NAMES)} methods walks on its own, seeing through the same perception "
-            f"({perception}).",
-            flush=True,
-        )
-    found: dict[str, dict[str, Any]] = {}
-    record: dict[str, Any] = {}
-    with terminal.progress("searching", len(NAMES)) as advance:
-        for name in NAMES:
-            keep = _keeper(estimates) if name == OURS else None
-            record = player.play(slot, [name], keep)
-            found |= record["methods"]
-            advance()
-    return Search(slot, rules, record["episode"], found, estimates)
-
-
-def _keeper(estimates: list[Estimate]):
-    def keep(method: Any) -> None:
-        if isinstance(method, TrackerMethod):
-            estimates.append(method.estimate)
-
-    return keep
-
-
 def as_text(search: Search) -> list[str]:
     """One line per method."""
     lines = [f"{'':18}{'found':>7}{'steps':>7}{'walked':>9}{'SPL':>6}{'error':>9}"]
@@ -120,36 +43,6 @@ def as_text(search: Search) -> list[str]:
             f"{m['mae']:>7.1f} °"
         )
     return lines
-
-
-def summary(search: Search) -> list[str]:
-    """The result in plain words, from the numbers, whoever they favour."""
-    metrics = {name: part["metrics"] for name, part in search.methods.items()}
-    lines = [f"{_told(OURS, metrics, search)}; {_told('centroid', metrics, search, short=True)}."]
-    lines[0] = lines[0][0].upper() + lines[0][1:]
-    published = _told(PAPERS, metrics, search, short=True)
-    lines.append(f"{published[0].upper()}{published[1:]}, off by {metrics[PAPERS]['mae']:.0f} degrees on average; "
-                 f"ours by {metrics[OURS]['mae']:.0f}.")  # fmt: skip
-    faster = [n for n, m in metrics.items() if m["success"] and n != OURS and m["steps"] < metrics[OURS]["steps"]]
-    if metrics[OURS]["success"] and faster:
-        best = min(faster, key=lambda name: metrics[name]["steps"])
-        lines.append(f"The quickest was {SPOKEN[best]}, with {metrics[best]['steps']} steps.")
-    found = sum(bool(m["success"]) for m in metrics.values())
-    lines.append(
-        f"{found} of {len(metrics)} methods found it. One episode shows how it works, not who is better: for that, "
-        "see eagor bench."
-    )
-    return lines
-
-
-def _told(name: str, metrics: dict[str, Any], search: Search, short: bool = False) -> str:
-    m = metrics[name]
-    thing = "it" if short else f"the {search.thing}"
-    if m["success"]:
-        return f"{SPOKEN[name]} found {thing} in {m['steps']} steps"
-    return f"{SPOKEN[name]} gave up on {thing} after {m['steps']} steps" if not short else (
-        f"{SPOKEN[name]} gave up after {m['steps']}"
-    )  # fmt: skip
 
 
 def _as_json(search: Search, options: Demo, report: Path) -> dict[str, Any]:

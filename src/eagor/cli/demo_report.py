@@ -13,7 +13,7 @@ import numpy as np
 
 from eagor._files import written
 from eagor._version import __version__
-from eagor.cli.demo import PICTURE_ROWS, Search, summary
+from eagor.cli.demo_search import Search, summary
 from eagor.cli.looking import keep_picture
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import draw_errors, draw_map, draw_strip
@@ -40,8 +40,7 @@ td:last-child{color:var(--quiet);font-size:.92em;min-width:14rem}
 tr.ours{background:var(--ours)}.note{color:var(--quiet);font-size:.92em}
 @media (max-width:45rem){img{max-width:none;width:45rem}}
 """
-
-
+PICTURE_ROWS = 320  # of a panorama
 # In this order the methods have their colours, the same in both pictures.
 SHOWN = (OURS, PAPERS, *(name for name in NAMES if name not in (OURS, PAPERS)))
 

@@ -119,7 +119,7 @@ def tracker_config(
     """The tracker's configuration for ``--degree``, and for `calibrated`."""
     config = TrackerConfig(degree=checked_degree(degree))
     found = calibrated(perception, calibration, detector, force)
-    return config if found is None else found.config(config)
+    return config if found is None else config.fitted(found.calibration, found.detector, found.forgetting)
 
 
 def calibrated(perception: str, calibration: Path | None, detector: str | None, force: bool) -> Calibrated | None:

@@ -15,6 +15,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, arg, subcommand
 
+from eagor.errors import EagorError
+
 
 def _bare(metavar: str | None = None, help: str | None = None) -> Any:
     """An option whose default is nothing: what is then done stands in its text, and no "(default: None)" beside it."""
@@ -80,6 +82,17 @@ def given(options: Common, names: Sequence[str]) -> list[str]:
     """Those of `names` that are not what they are by default."""
     defaults = {field.name: field.default for field in fields(options)}
     return [name for name in names if getattr(options, name) != defaults[name]]
+
+
+def pairs_of(pairs: tuple[str, ...]) -> dict[str, str]:
+    """What was set with --set. Raises `EagorError` for what is no RULE=VALUE."""
+    found = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not (key and equals and value):
+            raise EagorError(f"--set {pair}; wanted RULE=VALUE, such as success_distance=0.5")
+        found[key] = value
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger
 from eagor.evaluation.shapes import checked, published
-from eagor.evaluation.workers import Engine, Outcome, Unit, carry_out
+from eagor.evaluation.workers import Unit
 from eagor.tasks.benchmark import Benchmark, Case, Record, known, load, read_options
 
 KIND = "benchmark"  # in run.json: which kind of run this is
@@ -72,26 +72,6 @@ class BenchmarkRun:
 def units(settings: Mapping[str, Any], cases: list[Case]) -> list[Unit]:
     """One unit of work per case."""
     return [Unit(f"{settings['task']}/{case.id}", case.group, case.payload) for case in cases]
-
-
-def start(
-    run: BenchmarkRun,
-    folder: Path,
-    workers: int = 1,
-    retry_failed: bool = False,
-    on_done: Callable[[dict[str, Any]], object] | None = None,
-    engine: Engine = "processes",
-    address: str | None = None,
-    force: bool = False,
-) -> Outcome:
-    """Do what `folder` has no record of yet, and record it.
-
-    Raises `EagorError` if the folder holds another run, or without `force` one of other inputs (it says what
-    differs), or for anything that `run` names and does not exist; `StorageError` if the disk does not take the results.
-    """
-    settings = run.settings()  # makes the perception or the model: one that cannot be made is no failure of a case
-    todo, work = units(settings, run.cases(settings)), run.benchmark.work
-    return carry_out(todo, work, settings, folder, workers, on_done, retry_failed, engine, address, force)
 
 
 def is_benchmark(folder: Path) -> bool:

@@ -25,6 +25,7 @@ from eagor._version import __version__
 from eagor.calibration import Calibration
 from eagor.detector import DetectorModel
 from eagor.errors import EagorError
+from eagor.estimate import TrackerConfig
 from eagor.evaluation.calibration import (
     DETECTING,
     MOVING,
@@ -153,7 +154,7 @@ def _rounds(
 
 
 def _trial(space: _Space, file: Path, places: np.ndarray) -> float:
-    config = space.at(places).config(BASE)
+    config = _config(space, places)
     return float(np.mean([score(recording, config).total for recording in _stored(file)]))
 
 
@@ -179,7 +180,12 @@ def _judged(space: _Space, file: Path, count: int, places: np.ndarray, run: Map)
 
 
 def _one(space: _Space, file: Path, places: np.ndarray, index: int) -> Score:
-    return score(_stored(file)[index], space.at(places).config(BASE), regions=True)
+    return score(_stored(file)[index], _config(space, places), regions=True)
+
+
+def _config(space: _Space, places: np.ndarray) -> TrackerConfig:
+    found = space.at(places)
+    return BASE.fitted(found.calibration, found.detector, found.forgetting)
 
 
 @lru_cache(maxsize=2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,8 @@ from eagor._json import number, parsed, shown
 from eagor.calibration import Calibration
 from eagor.detector import DetectorModel, model_as_json
 from eagor.errors import EagorError
-from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
+from eagor.motion import MotionModel
 from eagor.perception import short_name
 
 READING = ("floor", "neutral", "temperature", "persistence", "spread")  # fields of `Calibration`
@@ -36,14 +36,6 @@ class Calibrated:
     forgetting: dict[str, float | tuple[float, ...]] = field(default_factory=dict)
     found_by: dict[str, Any] = field(default_factory=dict)
     detector: DetectorModel | None = None
-
-    def config(self, base: TrackerConfig | None = None) -> TrackerConfig:
-        """`base` (default: the default tracker) with what was fitted."""
-        base = base or TrackerConfig()
-        read = {"calibration": self.calibration, "detector": self.detector}
-        told = {name: value for name, value in read.items() if value is not None}
-        motion = replace(base.motion, **self.forgetting)  # type: ignore[arg-type]
-        return replace(base, **told, motion=motion)  # type: ignore[arg-type]
 
     def reread(self, evidence: Evidence) -> Evidence:
         """A look read as this says, for who reads evidence without a tracker."""
@@ -94,7 +86,7 @@ def from_json(stored: Any, source: str) -> Calibrated:
     """The calibration in what `as_json` gave; `source` is for errors. Raises `EagorError` for anything else."""
     try:
         _only(stored["forgetting"], FORGETTING)
-        forgetting = {
+        forgetting: dict[str, Any] = {
             key: _rates(value) if key == "wander" else number(value) for key, value in stored["forgetting"].items()
         }
         reading, model = stored.get("calibration"), stored.get("detector")
@@ -106,7 +98,7 @@ def from_json(stored: Any, source: str) -> Calibrated:
             calibration = calibration_of({key: number(value) for key, value in reading.items() if value is not None})
         detector = None if model is None else detector_of(model)
         found = Calibrated(str(stored["perception"]), calibration, forgetting, {**stored.get("found_by", {})}, detector)
-        found.config()  # complains about numbers that are out of range
+        MotionModel(**forgetting)  # complains about rates that are out of range
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, EagorError):
             raise EagorError(f"{source}: {error}") from error

@@ -82,8 +82,10 @@ class Player:
         self.camera = from_dict(Camera, config["camera"])
         self.disturbances = from_dict(Disturbances, config["disturbances"])
         self.rules: Any = from_dict(self.task.rules, config["rules"])
-        given = config.get("calibrated")
-        self.ours = from_json(given, "the run's calibration").config(BASE) if given else BASE
+        self.ours = BASE
+        if given := config.get("calibrated"):
+            found = from_json(given, "the run's calibration")
+            self.ours = BASE.fitted(found.calibration, found.detector, found.forgetting)
         rows = None if is_privileged(perception) else int(config["rows"])
         self.env: PlaceEnv = self.task.environment(
             rules=self.rules, camera=self.camera, disturbances=self.disturbances, panorama=rows

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from eagor.worlds.raycast import Hits, checked_rays
+from eagor.worlds.rays import Hits, checked_rays
 
 _LEAF = 4  # triangles per leaf, at most
 _BATCH = 1 << 13  # rays that walk together: what they need stays in the cache

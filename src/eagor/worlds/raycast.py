@@ -1,48 +1,20 @@
-"""What a ray hits first: one small Protocol, two engines with the same answers.
+"""What a ray hits first: two engines with the same answers.
 
-`make_raycaster` takes triangles and gives back a `Raycaster`. The "embree" engine is Intel's Embree through the embreex
-wheel; the "numpy" engine (`eagor.worlds.bvh`) needs nothing but NumPy and is slower by one to two orders of magnitude.
-"auto" takes the first of the two that is there. Both see triangles from either side.
+`make_raycaster` takes triangles and gives back a `eagor.worlds.rays.Raycaster`. The "embree" engine is Intel's Embree
+through the embreex wheel; the "numpy" engine (`eagor.worlds.bvh`) needs nothing but NumPy and is slower by one to two
+orders of magnitude. "auto" takes the first of the two that is there. Both see triangles from either side.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
-
 import numpy as np
 
 from eagor.errors import WorldError
+from eagor.worlds.bvh import NumpyRaycaster
+from eagor.worlds.rays import Hits, Raycaster, checked_rays
 
 ENGINES = ("auto", "embree", "numpy")
 _FAR = np.float32(1e37)  # what embreex reports for a miss
-
-
-@dataclass(frozen=True, eq=False)
-class Hits:
-    """The first thing on each of n rays.
-
-    `distance` ``(n,)`` float32, in lengths of the ray's direction (metres for unit directions), inf where nothing is
-    hit; `triangle` ``(n,)`` int32, -1 where nothing is hit; `u` and `v` ``(n,)`` float32, the barycentric weights of
-    the triangle's corners 1 and 2 (corner 0 has 1 - u - v; 0 where nothing is hit).
-    """
-
-    distance: np.ndarray
-    triangle: np.ndarray
-    u: np.ndarray
-    v: np.ndarray
-
-
-class Raycaster(Protocol):
-    """Triangles that rays can be sent at. Rays are float32 arrays ``(n, 3)``, world frame, metres."""
-
-    def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
-        """The nearest triangle along each ray. Directions need not have unit length."""
-        ...
-
-    def occluded(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
-        """Whether anything lies within `reach` (in lengths of the direction, a number or ``(n,)``), bool ``(n,)``."""
-        ...
 
 
 def make_raycaster(
@@ -68,8 +40,6 @@ def make_raycaster(
     if engine not in ENGINES:
         raise WorldError(f"no ray engine {engine!r}; choose one of {', '.join(ENGINES)}")
     if engine == "numpy" or (engine == "auto" and not has_embree()):
-        from eagor.worlds.bvh import NumpyRaycaster
-
         return NumpyRaycaster(vertices, triangles)
     if not has_embree():
         raise WorldError(
@@ -114,14 +84,3 @@ class EmbreeRaycaster:
         # embreex writes into the array of limits and knows no infinity.
         limits = np.minimum(np.broadcast_to(np.asarray(reach, dtype=np.float32), len(origins)), _FAR)
         return self._scene.run(origins, directions, dists=limits, query="OCCLUDED") >= 0
-
-
-def checked_rays(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both as float32 ``(n, 3)``. Raises `WorldError` where their shapes differ."""
-    origins, directions = np.asarray(origins, dtype=np.float32), np.asarray(directions, dtype=np.float32)
-    if origins.shape != directions.shape or origins.ndim != 2 or origins.shape[1] != 3:
-        raise WorldError(
-            f"rays have origins {origins.shape} and directions {directions.shape}; wanted both (n, 3). One origin for "
-            "all rays: np.broadcast_to(origin, directions.shape)"
-        )
-    return origins, directions

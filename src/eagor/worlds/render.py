@@ -18,7 +18,8 @@ from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.sphere import check_rotation
 from eagor.worlds.lattice import Lattice
 from eagor.worlds.light import light_of
-from eagor.worlds.raycast import Raycaster, make_raycaster
+from eagor.worlds.raycast import make_raycaster
+from eagor.worlds.rays import Raycaster
 from eagor.worlds.scene import Scene
 from eagor.worlds.shading import Shader
 

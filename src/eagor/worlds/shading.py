@@ -12,7 +12,7 @@ import numpy as np
 
 from eagor._srgb import to_coded, to_linear
 from eagor.worlds.lattice import Lattice, unseen
-from eagor.worlds.raycast import Hits
+from eagor.worlds.rays import Hits
 from eagor.worlds.scene import Scene
 from eagor.worlds.sky import look_up, painted
 from eagor.worlds.texels import LEVELS, Texels

@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,8 +19,8 @@ from eagor.detections import WHOLE_SPHERE
 from eagor.detector import DetectorModel
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
-from eagor.grids import Grid, PatchGrid, PerspectiveGrid
-from eagor.perception.vlm.boxes import Box
+from eagor.grids import PatchGrid, PerspectiveGrid
+from eagor.perception.transformers.looker import Looker
 from eagor.perception.vlm.families import Extractor, Family, chosen, family_of
 from eagor.perception.vlm.found import Thing, detected, things, united
 from eagor.perception.vlm.prompts import phrase
@@ -33,24 +33,6 @@ __all__ = ["Looker", "TransformersPerception", "family_of"]
 
 _VIEW_FIELD = math.radians(100)
 _WHOLE = 0.95  # coverage at the corners of views, from which on everything counts as seen
-
-
-class Looker(Protocol):
-    """A loaded model that answers for images of one size; see `language.LanguageModel`."""
-
-    name: str
-    revision: str
-    family: Family
-
-    def size(self, aspect: float) -> tuple[int, int]: ...
-
-    def cells(self, aspect: float, extractor: Extractor) -> tuple[int, int]: ...
-
-    def look(
-        self, images: Sequence[np.ndarray], grids: Sequence[Grid], queries: Sequence[str], extractor: Extractor
-    ) -> tuple[np.ndarray, Any]: ...
-
-    def boxes(self, images: Sequence[np.ndarray], queries: Sequence[str]) -> tuple[list[list[list[Box]]], Any]: ...
 
 
 class TransformersPerception:

@@ -6,16 +6,14 @@ import sys
 import warnings
 from collections.abc import Sequence
 from contextlib import redirect_stdout
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from eagor._checks import within
 from eagor._json import whole
 from eagor.errors import EagorError
 from eagor.perception.transformers.account import revision_of
+from eagor.perception.transformers.looker import Looker
 from eagor.perception.vlm.families import Family, chosen, family_of
-
-if TYPE_CHECKING:
-    from eagor.perception.transformers import Looker
 
 
 def load_model(

@@ -12,6 +12,7 @@ from eagor.errors import EagorError, FormatError
 from eagor.tasks.benchmark import Case, Figure, Option, Record, settled
 from eagor.tasks.chat import shared_chat
 from eagor.tasks.hstar import data as published
+from eagor.tasks.hstar import exports
 from eagor.tasks.hstar.agents import AGENTS, LOOKING, SWEEP
 from eagor.tasks.hstar.camera import RESOLUTION
 from eagor.tasks.hstar.causes import CAUSES, cause_of
@@ -104,10 +105,8 @@ class HStar:
         }
 
     def export(self, to: str, records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
-        from eagor.tasks.hstar import exports
-
         if to == "lmms-eval":
-            return exports.lmms_eval(self, Path(settings["data"]), settings, folder)
+            return exports.lmms_eval(self.kind, Path(settings["data"]), settings, folder)
         if to == "hstar-txt":
             return exports.level_file(self.kind, records, folder)
         raise EagorError(f"{self.name} has no export {to!r}; it has {', '.join(EXPORTS)}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from eagor._files import written
 from eagor.errors import EagorError
@@ -14,26 +14,23 @@ from eagor.tasks.hstar.data import LEVELS, Kind, read_episodes
 from eagor.tasks.hstar.rules import MAX_TURNS
 from eagor.tasks.task_files import write_task
 
-if TYPE_CHECKING:
-    from eagor.tasks.hstar.bench import HStar
 
-
-def lmms_eval(benchmark: HStar, data: Path, settings: Mapping[str, Any], folder: Path) -> list[Path]:
+def lmms_eval(kind: Kind, data: Path, settings: Mapping[str, Any], folder: Path) -> list[Path]:
     """Write the task ``eagor_hstar_<kind>`` into `folder` (`eagor.tasks.task_files`); returns the files.
 
     The episodes hold the paths of their panoramas on this machine.
     """
-    levels = list(LEVELS[benchmark.kind])
+    levels = list(LEVELS[kind])
     kept = {key: settings[key] for key in ("turns", "window", "form", "resolution", "scoring") if key in settings}
     documents = (
         # The episode as text: a table of nested lists would have to agree on their types over all rows.
         {"id": episode.id, "task": episode.task, "level": episode.level_name, "levels": levels, **kept}
         | {"episode": json.dumps(episode.as_json())}
-        for episode in read_episodes(data, benchmark.kind)
+        for episode in read_episodes(data, kind)
     )
     metrics = ["success", *(f"success_{level}" for level in levels)]
     turns = int(settings.get("turns", MAX_TURNS))
-    return write_task(folder, f"eagor_hstar_{benchmark.kind}", "eagor.tasks.hstar.lmms", documents, metrics, turns)
+    return write_task(folder, f"eagor_hstar_{kind}", "eagor.tasks.hstar.lmms", documents, metrics, turns)
 
 
 def level_file(kind: Kind, records: Sequence[Record], folder: Path) -> list[Path]:

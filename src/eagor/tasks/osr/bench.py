@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 from eagor.errors import EagorError, FormatError
 from eagor.tasks.benchmark import Case, Figure, Option, Record, settled
 from eagor.tasks.chat import shared_chat
+from eagor.tasks.osr import exports
 from eagor.tasks.osr.agents import AGENTS, LOOKING, Reply
 from eagor.tasks.osr.dataset import SUFFIXES, Scene, load, load_kept
 from eagor.tasks.osr.eyes import DEPTH_FILE
@@ -134,8 +135,6 @@ class OsrBench:
         return judged(scene, question, Reply(told), settings)
 
     def export(self, to: str, records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
-        from eagor.tasks.osr import exports
-
         if to == "osr-csv":
             return exports.csv_files(records, settings, folder)
         if to == "lmms-eval":
