@@ -9,6 +9,7 @@ of 8 degrees, among 0.2 false alarms a look), so that exact Bayes can be compute
 - `turning`: the target stands, the camera turns at random where it stands, 30 looks;
 - `wrong`: the same looks, the filters' detector wrong by a factor 2 in one parameter at a time (P_D at most 0.95);
 - `few`: the same after one, two, three looks: what is claimed, against what the ideal filter claims;
+- `sharp`: as `turning`, with detections of 3 and of 1 degree;
 - `walking`: the camera walks past the target as well, 0.25 m a look;
 - `moving`: a constant turn, random walks, jumps, against filters that know the motion, 45 looks. "Bayes, kind of motion
   unknown" is exact and has our prior (`ideal_floors.py`): no filter with it can be nearer. "told": `MotionModel` states
@@ -76,9 +77,19 @@ PARTICLES = {  # tuned on seeds 0 to 99
     (20_000, "roughened"): Settings(0.12, shrunk=False),
     (20_000, "Liu-West"): Settings(0.15, shrunk=True),
 }
-MOVING = tuple(name for name in WORLDS if name not in ("turning", "walking") and not name.startswith("drift"))
 DRIFT = tuple(name for name in WORLDS if name.startswith("drift"))
-GROUPS = {"turning": ("turning",), "wrong": (), "few": (), "walking": ("walking",), "moving": MOVING, "drift": DRIFT}
+SHARP = tuple(name for name in WORLDS if name.startswith("turning, "))
+MOVING = tuple(name for name in WORLDS if name not in ("turning", "walking", *DRIFT, *SHARP))
+GROUPS = {
+    "turning": ("turning",),
+    "wrong": (),
+    "few": (),
+    "sharp": SHARP,
+    "walking": ("walking",),
+    "moving": MOVING,
+    "drift": DRIFT,
+}
+FINE = 256  # HEALPix sides for sharp detections: cells of 0.2 degrees
 TOLD = {  # what a user would state who knows as much of the motion as the ideal filter does
     "constant turn, 10 deg/s": MotionModel.still(),  # in axes that turn along
     "random walk, 2 deg/sqrt(s)": MotionModel(wander=(math.radians(2),), turn=(), start=1, stop=0, jump=0),
@@ -101,6 +112,17 @@ def contestants(world: str, wanted: set[str]) -> dict[str, Factory]:
             for (count, how), settings in PARTICLES.items()
         }
         return {IDEAL: lambda run, seed: Walked(TRUE), **ours, **particles}
+    if world in SHARP:
+        return {
+            IDEAL: lambda run, seed: StillOrKnown(run.detector, nside=FINE),
+            OURS: lambda run, seed: Tracker(run.detector),
+            "Belief, degree 15": lambda run, seed: Core(run.detector, 15),
+            "Belief, degree 31": lambda run, seed: Core(run.detector, 31),
+            "PyRecEst, 12,288 cells": lambda run, seed: RivalGrid(run.detector),
+            "PyRecEst, 5,000 directions": lambda run, seed: RivalParticles(
+                run.detector, seed, 5_000, PARTICLES[5_000, "Liu-West"], False
+            ),
+        }
     known: dict[str, Factory] = {IDEAL: lambda run, seed: StillOrKnown(run.detector, run.motion)}
     if world in DRIFT:
         unaware: dict[str, Factory] = {

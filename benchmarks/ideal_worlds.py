@@ -226,6 +226,8 @@ WORLDS: dict[str, World] = {
     "jumps, every 15 s": jumps,
     "drift, 1 deg/s": drift,
     "drift, 1 deg/s, error of 3 deg": lambda rng, detector: drift(rng, replace(detector, spread=3.0)),
+    "turning, error of 3 deg": lambda rng, detector: turning(rng, replace(detector, spread=3.0)),
+    "turning, error of 1 deg": lambda rng, detector: turning(rng, replace(detector, spread=1.0)),
 }
 
 
