@@ -15,7 +15,7 @@ import numpy as np
 from eagor._arrays import Array, namespace
 from eagor._checks import above, require, within
 from eagor.errors import ResponseError
-from eagor.repeating import SECONDS
+from eagor.repeating import METRES, SECONDS
 
 SPREADS = math.radians(1), math.radians(30)
 
@@ -34,6 +34,7 @@ class Calibration:
     - `persists_for`: seconds after which a mistake has become another, because the view of what was mistaken has
       changed: a look repeats the share persistence exp(-elapsed / persists_for) of the one `elapsed` seconds before it.
       None: the next look repeats as much however late it comes.
+    - `persists_within`: metres of the camera's way after which that is so. None: however far it goes.
     - `spread`: radians (standard deviation per axis) by which a response may lie beside what it means: the evidence
       about a direction is then the mean likelihood ratio around it. 0: every cell is taken at its word.
     - `scale_to_max`: divide each response by its own maximum first. Only the published profile does so: it turns
@@ -47,6 +48,7 @@ class Calibration:
     spread: float = 0.0
     scale_to_max: bool = False
     persists_for: float | None = None
+    persists_within: float | None = None
 
     def __post_init__(self) -> None:
         least, most = SPREADS
@@ -56,6 +58,7 @@ class Calibration:
             "temperature": (above(self.temperature, 0), "a number above 0"),
             "persistence": (within(self.persistence, 0, 1) and self.persistence < 1, "a number from 0, below 1"),
             "persists_for": (self.persists_for is None or above(self.persists_for, 0), SECONDS),
+            "persists_within": (self.persists_within is None or above(self.persists_within, 0), METRES),
             "spread": (
                 self.spread == 0 or within(self.spread, least, most),
                 f"0, or radians from {least:.4f} to {most:.4f} (1 to 30 degrees)",

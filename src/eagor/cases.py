@@ -29,7 +29,7 @@ from eagor.looks import Look, Sight
 from eagor.motion import MotionModel
 from eagor.peaks import decoding_grid
 from eagor.reading import Reading
-from eagor.repeating import NONE_YET, CommonError, share_after
+from eagor.repeating import NONE_YET, CommonError
 from eagor.standing import Standing
 from eagor.turning import Turning
 
@@ -231,7 +231,8 @@ class Cases:
         if sight.detections is not None:
             standing = standing.detecting()
         elapsed = 0.0 if passing is None else sight.stamp - passing.sight.stamp
-        repeated = 0.0 if passing is None else passing.sight.repeated(elapsed)
+        moved = 0.0 if since is None else float(np.linalg.norm(since))
+        repeated = 0.0 if passing is None else passing.sight.repeating.after(elapsed, moved)
         if passing is not None and repeated > 0:
             standing = standing.plus(passing, -repeated, since)
         look = sight.read(rates, standing.spread)
@@ -258,15 +259,11 @@ class Cases:
         log = np.log(np.maximum(self.weights, 1e-300)) + gains
         weights = np.exp(log - log.max())
         weights /= weights.sum()
-        common = self._common(sight, passing, elapsed, repeated)
-        bias = sight.bias if sight.repeats_for is None else sight.bias * math.sqrt(common.alike)
+        taken = repeated if passing is not None and passing.sight.tells else 0.0
+        common = self.common.with_look(sight.repeating.left(elapsed, moved), taken, sight.tells)
+        bias = sight.bias * math.sqrt(common.alike) if sight.repeating.fades else sight.bias
         standing = standing.judged(float(weights[1]), spread)
         return Cases(weights, standing, wanderers, turning, bias, common), look, learnt
-
-    def _common(self, sight: Sight, passing: Look | None, elapsed: float, repeated: float) -> CommonError:
-        """What is in common to the errors of all looks, with one more; a share of the one before it is `repeated`."""
-        taken = repeated if passing is not None and passing.sight.tells else 0.0
-        return self.common.with_look(share_after(1.0, sight.repeats_for, elapsed), taken, sight.tells)
 
     def _otherwise(self, look: Look, turns: np.ndarray) -> np.ndarray:
         """The weights of the scales ``(S,)`` if the target does not stand, after a look.

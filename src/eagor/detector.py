@@ -23,7 +23,7 @@ import numpy as np
 from eagor._checks import above, require, within
 from eagor.errors import ResponseError
 from eagor.grids import ErpGrid
-from eagor.repeating import SECONDS
+from eagor.repeating import METRES, SECONDS
 
 CLUTTER_FLOOR = 1e-3  # relative density of false alarms: no place is so clean that one there would be a proof
 # The prior of what is learnt: probabilities of detection and mean numbers of false alarms, with their weights.
@@ -47,6 +47,7 @@ class DetectorModel:
     - `repeats_for`: seconds after which a mistake has become another, because the view of the poster, or of the place
       where the detector is blind, has changed: of a look that lies `elapsed` seconds back, the share
       repeats exp(-elapsed / repeats_for) is repeated. None: the next look repeats as much however late it comes.
+    - `repeats_within`: metres of the camera's way after which that is so. None: however far it goes.
     - `score_ratios`: pairs (score, ratio), by rising score: how many times likelier a thing gives this score than a
       false alarm does; between them the logarithm is interpolated. None: the ratio is the score itself, so that a
       detection of score 1 counts in full.
@@ -61,6 +62,7 @@ class DetectorModel:
     score_ratios: tuple[tuple[float, float], ...] | None = None
     clutter: np.ndarray | None = field(default=None, compare=False, repr=False)
     repeats_for: float | None = None
+    repeats_within: float | None = None
 
     def __post_init__(self) -> None:
         known, alarms = self.detection_probability, self.false_alarms_per_look
@@ -76,6 +78,7 @@ class DetectorModel:
             ),
             "repeats": (within(self.repeats, 0, 1) and self.repeats < 1, "a share from 0, below 1"),
             "repeats_for": (self.repeats_for is None or above(self.repeats_for, 0), SECONDS),
+            "repeats_within": (self.repeats_within is None or above(self.repeats_within, 0), METRES),
             "score_ratios": (_is_curve(self.score_ratios), "pairs (score, ratio), scores rising, ratios above 0"),
         }
         require(self, wanted, ResponseError)
@@ -210,15 +213,15 @@ STATED = Spread(np.ones(1), np.ones(1), np.ones(1))
 
 @lru_cache(maxsize=1)
 def _names() -> dict[str, str]:
-    same = {name: name for name in ("spread", "repeats", "repeats_for")}
+    same = {name: name for name in ("spread", "repeats", "repeats_for", "repeats_within")}
     return {"pd": "detection_probability", "clutter": "false_alarms_per_look", **same}
 
 
 def parse_model(text: str, base: DetectorModel | None = None) -> DetectorModel:
-    """The model that a line of text says: ``pd=0.7,clutter=0.2,spread=5,repeats=0.3,repeats_for=2``.
+    """The model that a line of text says: ``pd=0.7,clutter=0.2,spread=5,repeats=0.3,repeats_for=2,repeats_within=1``.
 
-    The spread is in degrees, `repeats_for` in seconds. What is left out stays as in `base` (default:
-    `DetectorModel()`); ``pd=?`` and ``clutter=?`` say "not known". Raises `ResponseError`.
+    The spread is in degrees, `repeats_for` in seconds, `repeats_within` in metres. What is left out stays as in `base`
+    (default: `DetectorModel()`); ``pd=?`` and ``clutter=?`` say "not known". Raises `ResponseError`.
     """
     found: dict[str, float | None] = {}
     for part in filter(None, (part.strip() for part in text.split(","))):

@@ -29,6 +29,7 @@ from eagor.detector import DetectorModel
 from eagor.errors import ResponseError, TimeError
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
+from eagor.repeating import Repeating
 from eagor.sphere import unit
 
 SILENT = 1e-6  # a response below this is the rounding of zero, and must not be scaled up to a detection
@@ -302,15 +303,19 @@ class Evidence:
         return self.calibration.persistence if self.detections is None else self.detections.model.repeats
 
     @property
-    def repeats_for(self) -> float | None:
-        """Seconds in which that share fades; None: it does not."""
-        return self.calibration.persists_for if self.detections is None else self.detections.model.repeats_for
+    def repeating(self) -> Repeating:
+        """That share, and how it fades."""
+        if self.detections is None:
+            read = self.calibration
+            return Repeating(read.persistence, read.persists_for, read.persists_within)
+        model = self.detections.model
+        return Repeating(model.repeats, model.repeats_for, model.repeats_within)
 
     @property
     def bias(self) -> float:
-        """Radians: the part of the spread of this look that the next one repeats, so that only time mends it.
+        """Radians: the part of the spread of this look that the next one repeats: only time or distance mends it.
 
-        Of a spread with variance s^2 the share `repeats` is the same for all looks within `repeats_for`.
+        Of a spread with variance s^2 the share `repeats` is the same for all looks until it fades (`repeating`).
         """
         spread = self.calibration.spread if self.detections is None else self.detections.model.spread
         return spread * math.sqrt(self.repeats)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,7 +15,7 @@ from eagor.evidence import Evidence
 from eagor.field import SphereField
 from eagor.harmonics import RealHarmonics
 from eagor.peaks import decoding_grid, neighbours, refine
-from eagor.repeating import share_after
+from eagor.repeating import Repeating
 
 SIGHTINGS = 4  # of a response map
 
@@ -34,8 +33,7 @@ class Sight:
     degree: int
     detections: Detections | None
     mapped: np.ndarray | None  # coefficients of the response maps
-    repeats: float
-    repeats_for: float | None
+    repeating: Repeating
     bias: float  # radians: the part of the error of its directions that the next look repeats, if it follows at once
 
     @classmethod
@@ -53,18 +51,14 @@ class Sight:
                 mapped = found if mapped is None else mapped + found
         if mapped is not None:
             mapped = RealHarmonics(degree).rotate(mapped, world_R_body)
-        most = max(looks, key=lambda look: (look.repeats, math.inf if look.repeats_for is None else look.repeats_for))
+        most = max((look.repeating for look in looks), key=lambda found: (found.share, found.left(1.0, 1.0)))
         bias = max(look.bias for look in looks)
-        return cls(stamp, position, world_R_body, degree, joint, mapped, most.repeats, most.repeats_for, bias)
+        return cls(stamp, position, world_R_body, degree, joint, mapped, most, bias)
 
     @property
     def tells(self) -> bool:
         """Whether it says of any direction that the thing may be there: a set of no detections does not."""
         return self.mapped is not None or (self.detections is not None and len(self.detections) > 0)
-
-    def repeated(self, elapsed: float) -> float:
-        """The share of it that a look repeats which is taken `elapsed` seconds later."""
-        return share_after(self.repeats, self.repeats_for, elapsed)
 
     def read(self, rates: Rates | None, spread: Spread = STATED) -> Look:
         """The look as log ratios, for a target that stands; `rates` and `spread` of the detector, from before it."""

@@ -1,10 +1,10 @@
 """What looks have in common: mistakes that repeat, and how they fade.
 
 Of the mistakes of a look the next one repeats a share: a poster is taken for the target again, and what is overlooked
-once is overlooked again. In time the view of the poster changes, and the mistake becomes another. So the share that a
-look repeats of one `elapsed` seconds before it is
+once is overlooked again. In time, and as the camera moves, the view of the poster changes, and the mistake becomes
+another. So the share that a look repeats of one `elapsed` seconds and `moved` metres of the camera before it is
 
-    share * exp(-elapsed / lasts).
+    share * exp(-elapsed / seconds - moved / metres).
 """
 
 from __future__ import annotations
@@ -12,13 +12,33 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-SECONDS = "seconds above 0, or None if mistakes repeat however long it is"  # what `lasts` may be, for errors
+# What these may be, for errors.
+SECONDS = "seconds above 0, or None if mistakes repeat however long it is"
+METRES = "metres above 0, or None if mistakes repeat however far the camera moves"
 NO_PAIR = 1e-9  # of the squares: less is rounding
 
 
-def share_after(share: float, lasts: float | None, elapsed: float) -> float:
-    """What is left of a `share` of mistakes after `elapsed` seconds; `lasts`: seconds, None: mistakes never fade."""
-    return share if lasts is None else share * math.exp(-elapsed / lasts)
+@dataclass(frozen=True)
+class Repeating:
+    """Which share of the mistakes of a look is repeated, and in what time and way it fades; None: in none."""
+
+    share: float = 0.0
+    seconds: float | None = None
+    metres: float | None = None
+
+    @property
+    def fades(self) -> bool:
+        """Whether it does."""
+        return self.seconds is not None or self.metres is not None
+
+    def after(self, elapsed: float, moved: float = 0.0) -> float:
+        """The share that is repeated after `elapsed` seconds and `moved` metres."""
+        return self.share * self.left(elapsed, moved)
+
+    def left(self, elapsed: float, moved: float = 0.0) -> float:
+        """What is left of the share by then, in (0, 1]."""
+        faded = 0.0 if self.seconds is None else elapsed / self.seconds
+        return math.exp(-faded - (0.0 if self.metres is None else moved / self.metres))
 
 
 @dataclass(frozen=True)

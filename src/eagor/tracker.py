@@ -165,7 +165,7 @@ class DirectionTracker:
             cases = self._advanced(state, now, position)
             answer = state.answer
             if cases is not state.cases and self.config.decode == "mode":
-                repeats = state.look.sight.repeated(now - state.stamp) if state.look else 0.0
+                repeats = state.look.sight.repeating.after(now - state.stamp) if state.look else 0.0
                 answer = chosen(cases.reading, state.answer, repeats)
             return Estimate(now, now - state.stamp, cases, pose, self.config, answer, state.rates)
 
@@ -252,7 +252,8 @@ class DirectionTracker:
         cases, look, rates = cases.updated(sight, rates, passing, since)
         if position is None and state is not None:
             position = state.position
-        repeats = sight.repeated(0.0 if state is None else stamp - state.stamp)
+        moved = 0.0 if since is None else float(np.linalg.norm(since))
+        repeats = sight.repeating.after(0.0 if state is None else stamp - state.stamp, moved)
         answer = None if self.config.decode == "mean" else chosen(cases.reading, before, repeats)
         return State(stamp, position, cases, look, rates, answer)
 

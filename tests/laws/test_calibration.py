@@ -238,6 +238,7 @@ def test_what_is_written_is_read_again(tmp_path):
 def test_how_long_mistakes_last_is_written_and_files_without_it_are_read(tmp_path):
     for calibration, detector in (
         (Calibration(persistence=0.5, persists_for=2.5), None),
+        (Calibration(persistence=0.5, persists_within=0.7), None),
         (None, DetectorModel(repeats=0.3, repeats_for=1.5)),
     ):
         made = Calibrated("scout", calibration, {}, {}, detector)

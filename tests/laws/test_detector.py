@@ -281,6 +281,7 @@ def test_what_is_stated_is_not_learnt_and_what_is_not_is():
         ({"repeats": 1.0}, "repeats"),
         ({"repeats_for": 0.0}, "repeats_for = 0.0; wanted seconds above 0"),
         ({"repeats_for": math.inf}, "repeats_for"),
+        ({"repeats_within": -1.0}, "repeats_within = -1.0; wanted metres above 0"),
         ({"repeats_for": "long"}, "repeats_for"),
         ({"score_ratios": ((0.5, 1.0), (0.2, 2.0))}, "score_ratios"),
         ({"score_ratios": ((0.5, 0.0),)}, "score_ratios"),
@@ -299,6 +300,7 @@ def test_a_model_is_said_in_a_line():
     base = DetectorModel(0.7, 0.2, 0.1, 0.3)
     assert parse_model("pd=?", base) == DetectorModel(None, 0.2, 0.1, 0.3)
     assert parse_model("repeats=0.3,repeats_for=2.5") == DetectorModel(repeats=0.3, repeats_for=2.5)
+    assert parse_model("repeats_within=0.5").repeats_within == 0.5
     assert parse_model("pd=0.5", DetectorModel(repeats_for=2.5)).repeats_for == 2.5
     assert parse_model("") == DetectorModel()
     assert DetectorModel(**model_as_json(base)) == base

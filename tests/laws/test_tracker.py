@@ -18,7 +18,7 @@ from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.motion import MotionModel
 from eagor.reading import NEAR
-from eagor.repeating import CommonError, share_after
+from eagor.repeating import CommonError, Repeating
 from eagor.sphere import angular_distance, direction, rotation, unit, world_R_body
 from eagor.tracker import DirectionTracker
 
@@ -138,6 +138,23 @@ def test_looks_far_apart_in_time_are_independent():
     assert np.ptp(turned_away(fading, stamps) - turned_away(replace(MODEL, repeats=0.6), stamps)) > 0.1
 
 
+def test_looks_from_places_far_apart_are_independent():
+    """And from one place they repeat as ever: a poster is the same poster until it is seen from elsewhere."""
+
+    def walked(model, step):
+        tracker = DirectionTracker(TrackerConfig(ranges=None, motion=MotionModel.still()))
+        for stamp in range(4):
+            tracker.rotate(float(stamp), np.eye(3), np.array([step * stamp, 0.0, 0.0]))
+            tracker.observe(look(direction(0.2 * (stamp % 2), 0.0), float(stamp), model))
+        return said(tracker.estimate(3.0))
+
+    near, lasting = replace(MODEL, repeats=0.6, repeats_within=0.1), replace(MODEL, repeats=0.6)
+    assert np.allclose(walked(near, 50.0), walked(MODEL, 50.0), atol=1e-9)
+    assert np.allclose(walked(near, 0.0), walked(lasting, 0.0), atol=1e-9)
+    assert np.ptp(walked(near, 0.05) - walked(lasting, 0.05)) > 0.01
+    assert Repeating(0.5, 2.0, 1.0).after(1.0, 3.0) == pytest.approx(0.5 * math.exp(-0.5 - 3))
+
+
 def test_looks_near_each_other_repeat_as_if_for_ever():
     fading, lasting = replace(MODEL, repeats=0.6, repeats_for=1e7), replace(MODEL, repeats=0.6)
     stamps = [0.0, 0.5, 1.0, 1.5]
@@ -171,11 +188,12 @@ def test_what_errors_have_in_common_is_the_mean_correlation_of_pairs(repeated):
     """Against the sum over all pairs of looks, with the weights that a belief gives them."""
     rng = np.random.default_rng(0)
     stamps, tells, lasts = np.cumsum(rng.exponential(0.5, 12)), rng.random(12) < 0.8, 2.0
+    repeating = Repeating(repeated, lasts)
     tells[0], common, weights = True, CommonError(), np.zeros(12)
     for k in range(12):
         elapsed = stamps[k] - stamps[k - 1] if k else 0.0
-        taken = share_after(repeated, lasts, elapsed) if k and tells[k - 1] else 0.0
-        common = common.with_look(share_after(1.0, lasts, elapsed), taken, bool(tells[k]))
+        taken = repeating.after(elapsed) if k and tells[k - 1] else 0.0
+        common = common.with_look(repeating.left(elapsed), taken, bool(tells[k]))
         weights[k - 1] -= taken
         weights[k] += float(tells[k])
         pairs = np.outer(weights, weights) * ~np.eye(12, dtype=bool)

@@ -48,8 +48,8 @@ Detector = Annotated[
         "pd=P,clutter=N,spread=DEG",
         "How the detector errs, for perceptions that detect: probability that it finds what is in view, false alarms "
         "per look, spread in degrees; also repeats=SHARE of mistakes that the next look repeats, and "
-        "repeats_for=SECONDS in which that fades (default: it does not). What is left out, or ?, is learnt (default: "
-        "pd and clutter are).",
+        "repeats_for=SECONDS and repeats_within=METRES in which that fades (default: it does not). What is left out, "
+        "or ?, is learnt (default: pd and clutter are).",
     ),
 ]
 Force = Annotated[

@@ -18,7 +18,7 @@ from eagor.motion import MotionModel
 from eagor.perception import short_name
 
 READING = ("floor", "neutral", "temperature", "persistence", "spread")  # fields of `Calibration`
-LASTING = "persists_for"  # a field that need not be in a file
+LASTING = ("persists_for", "persists_within")  # fields that need not be in a file
 FORGETTING = ("wander", "start", "stop", "jump", "birth", "death")  # fields of `MotionModel`: radians, rates per second
 
 
@@ -52,7 +52,7 @@ class Calibrated:
         parts: dict[str, Any] = {"perception": self.perception}
         if self.calibration is not None:
             told = asdict(self.calibration)
-            kept = READING if self.calibration.persists_for is None else (*READING, LASTING)
+            kept = (*READING, *(name for name in LASTING if told[name] is not None))
             parts["calibration"] = {key: told[key] for key in kept}
         if self.detector is not None:
             parts["detector"] = model_as_json(self.detector)
@@ -66,7 +66,8 @@ class Calibrated:
 def calibration_of(values: Mapping[str, float]) -> Calibration:
     """The calibration with these numbers. Raises `KeyError` if one of `READING` is missing."""
     floor, neutral, temperature, persistence, spread = (values[name] for name in READING)
-    return Calibration(floor, neutral, temperature, persistence, spread, persists_for=values.get(LASTING))
+    seconds, metres = (values.get(name) for name in LASTING)
+    return Calibration(floor, neutral, temperature, persistence, spread, persists_for=seconds, persists_within=metres)
 
 
 def detector_of(values: Mapping[str, Any]) -> DetectorModel:
@@ -94,7 +95,7 @@ def from_json(stored: Any, source: str) -> Calibrated:
             raise EagorError("has neither a calibration nor a detector")
         calibration = None
         if reading is not None:
-            _only(reading, (*READING, LASTING))
+            _only(reading, (*READING, *LASTING))
             calibration = calibration_of({key: number(value) for key, value in reading.items() if value is not None})
         detector = None if model is None else detector_of(model)
         found = Calibrated(str(stored["perception"]), calibration, forgetting, {**stored.get("found_by", {})}, detector)

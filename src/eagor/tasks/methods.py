@@ -249,13 +249,14 @@ def _number(key: str, text: str) -> float:
 
 
 _READING = ("floor", "neutral", "temperature")
-_REPEATING = (*_READING, "persistence", "persists_for", "spread")
+_REPEATING = (*_READING, "persistence", "persists_for", "persists_within", "spread")
 _DETECTING = {  # of a detector's model, by their names here
     "pd": "detection_probability",
     "clutter": "false_alarms_per_look",
     "dspread": "spread",
     "repeats": "repeats",
     "repeats_for": "repeats_for",
+    "repeats_within": "repeats_within",
 }
 _KINDS = ("wander", "turn")  # of moving targets
 _MOVING = ("start", "stop", "jump", "birth", "death")
@@ -285,10 +286,10 @@ def tracker_config(
     - degree, decode; shells (0: directions only), heights (0: it is not known where the floor is);
     - of how targets move: wander (degrees per root second) and turn (degrees per second; several kinds are joined
       by +, 0: none), and start, stop, jump, birth, death (rates per second); drift (degrees per root second);
-    - of how response maps are read: floor, neutral, temperature, persistence, persists_for (seconds), spread
-      (degrees). They change `calibration` where the config has none of its own;
-    - of how detections are read: pd, clutter (?: to be learnt), dspread (degrees), repeats and repeats_for
-      (seconds). They change `detector` where the config has none of its own.
+    - of how response maps are read: floor, neutral, temperature, persistence, persists_for (seconds), persists_within
+      (metres), spread (degrees). They change `calibration` where the config has none of its own;
+    - of how detections are read: pd, clutter (?: to be learnt), dspread (degrees), repeats, repeats_for (seconds),
+      repeats_within (metres). They change `detector` where the config has none of its own.
     """
     if unknown := [key for key in settings if key not in _OURS]:
         raise KeyError(unknown[0])
