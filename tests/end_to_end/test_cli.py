@@ -777,7 +777,7 @@ def test_red_in_the_bedroom_is_ambiguous():
     middle = footstool_box()[1]
     assert found["status"] == "ambiguous"
     assert len(found["modes"]) >= 3
-    # Another red thing lies 18 degrees beside the footstool and looks smaller: the two are one candidate, with its top there.
+    # Another, smaller red thing lies 18 degrees beside the footstool: the two are one candidate, whose top is there.
     assert min(error_deg(mode, middle) for mode in found["modes"]) < 20
 
 
