@@ -24,12 +24,12 @@ from eagor.splines import interpolated
 
 NODES = 11  # along each side
 RANGES = 12  # of the window, where distances are believed in
-REACH = 5.0  # standard deviations from the middle to a border, at least
-WIDEST = math.radians(25)  # ... but no further: beyond, its nodes would be further apart than those of the field
-SKIRTS = 3.3  # ... unless that has skirts there: these end so many standard deviations of what its degree holds away
-FURTHEST = math.radians(45)  # that a plane reaches
-_BENDS = np.linspace(EVEN, 5.0, 500)  # beyond, sums over the nodes miss some percent of a peak
-_RATIOS = np.sinh(_BENDS) / _BENDS  # of the spacing of nodes that are even to that in the middle
+REACH = 5.0  # standard deviations from the middle to a border,
+WIDEST = math.radians(25)  # ... but no further: even nodes would be further apart than the cells of the whole field
+SKIRTS = 3.3  # standard deviations of the narrowest bump that a degree holds: where the skirts of one end
+FURTHEST = math.radians(45)  # that a plane is made to reach
+_BENDS = np.linspace(EVEN, 5.0, 500)  # with more of a bend, sums over the nodes are off by some percent
+_RATIOS = np.sinh(_BENDS) / _BENDS  # how much nearer to each other the nodes in the middle are than even ones
 DEEP = 4.5  # nats below the peak: what lies above, and hangs together with it, is the peak
 FAINT = 10.0  # nats below the likeliest range: what lies below is left out
 SLACK = 1.25  # a window that is larger than wanted by this factor is drawn anew

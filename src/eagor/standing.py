@@ -25,9 +25,9 @@ from eagor.ranged import NEAR, RangedBelief, mean_range, range_spread
 
 MOST = 4  # windows
 WORTH = 0.02  # of the belief: a peak that holds less gets no window,
-SPILL = 0.02  # of what a window holds
-NOTHING = 12.0  # nats below a peak: what the border of its window holds, and what lies beyond
 LEAST = 0.002  # ... and a window that holds less is closed
+SPILL = 0.02  # of what a window holds: skirts around it that hold less are left out
+NOTHING = 12.0  # nats below a peak: where the border of its window lies so deep, nothing is beyond
 WIDE = math.radians(14)  # a peak wider than this is well held by the field itself
 
 
