@@ -14,6 +14,7 @@ import numpy as np
 
 from eagor._arrays import Array, namespace
 from eagor._checks import above, require, within
+from eagor._reprs import changed
 from eagor.errors import ResponseError
 from eagor.repeating import METRES, SECONDS
 
@@ -65,6 +66,9 @@ class Calibration:
             ),
         }
         require(self, wanted, ResponseError)
+
+    def __repr__(self) -> str:
+        return changed(self)
 
     @classmethod
     def paper(cls) -> Calibration:
