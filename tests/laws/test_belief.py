@@ -334,7 +334,7 @@ def test_diffusion_does_not_know_the_neighbours_in_a_batch(kind, sigma):
 
 
 @given(SEEDS, st.floats(0.01, 0.1))
-@settings(max_examples=8, deadline=None, derandomize=True)  # one belief in thousands is off by a little more
+@settings(max_examples=8, deadline=None, derandomize=True)  # a rare belief is off by a little more
 def test_diffusion_of_any_belief_matches_the_heat_equation(seed, sigma):
     degree = 9
     c = field(degree, seed, width=0.15)
