@@ -98,6 +98,14 @@ TOLD = {  # what a user would state who knows as much of the motion as the ideal
 }
 CIRCLING = MotionModel(wander=(), turn=(math.radians(6),), start=1, stop=0, jump=0)  # neither axis nor rate
 Factory = Callable[[Run, int], Contestant]
+DIRECTIONS: dict[str, Factory] = {  # rivals that believe in directions alone
+    "Belief, degree 15": lambda run, seed: Core(run.detector, 15),
+    "Belief, degree 31": lambda run, seed: Core(run.detector, 31),
+    "PyRecEst, 12,288 cells": lambda run, seed: RivalGrid(run.detector),
+    "PyRecEst, 5,000 directions": lambda run, seed: RivalParticles(
+        run.detector, seed, 5_000, PARTICLES[5_000, "Liu-West"], False
+    ),
+}
 
 
 def contestants(world: str, wanted: set[str]) -> dict[str, Factory]:
@@ -116,12 +124,7 @@ def contestants(world: str, wanted: set[str]) -> dict[str, Factory]:
         return {
             IDEAL: lambda run, seed: StillOrKnown(run.detector, nside=FINE),
             OURS: lambda run, seed: Tracker(run.detector),
-            "Belief, degree 15": lambda run, seed: Core(run.detector, 15),
-            "Belief, degree 31": lambda run, seed: Core(run.detector, 31),
-            "PyRecEst, 12,288 cells": lambda run, seed: RivalGrid(run.detector),
-            "PyRecEst, 5,000 directions": lambda run, seed: RivalParticles(
-                run.detector, seed, 5_000, PARTICLES[5_000, "Liu-West"], False
-            ),
+            **DIRECTIONS,
         }
     known: dict[str, Factory] = {IDEAL: lambda run, seed: StillOrKnown(run.detector, run.motion)}
     if world in DRIFT:
@@ -146,14 +149,7 @@ def contestants(world: str, wanted: set[str]) -> dict[str, Factory]:
     if wanted & {"turning", "few"}:
         found |= ours
     if "turning" in wanted:
-        found |= {
-            "Belief, degree 15": lambda run, seed: Core(TRUE, 15),
-            "Belief, degree 31": lambda run, seed: Core(TRUE, 31),
-            "PyRecEst, 12,288 cells": lambda run, seed: RivalGrid(TRUE),
-            "PyRecEst, 5,000 directions": lambda run, seed: RivalParticles(
-                TRUE, seed, 5_000, PARTICLES[5_000, "Liu-West"], False
-            ),
-        }
+        found |= DIRECTIONS
     if "wrong" in wanted:
         for name, model in WRONG.items():
             found[f"{IDEAL}, {name}"] = lambda run, seed, model=model: StillOrKnown(model)

@@ -64,15 +64,15 @@ class Nodes:
         scale, bend = (np.sinh(self.bend) / self.half).reshape(shape), self.bend.reshape(shape)
         return np.arcsinh(across * scale) / bend, local[0]
 
-
-@dataclass(frozen=True, eq=False)
-class Patch(Nodes):
-    """A part of a field on the sphere: values ``(n, n)``."""
-
     def places(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The t ``(2, ...)`` of directions ``(..., 3)``, -1 to 1, and which of them lie inside."""
         found, ahead = self.located(directions)
         return found, (ahead > 0) & (np.abs(found).max(axis=0) <= 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Patch(Nodes):
+    """A part of a field on the sphere: values ``(n, n)``."""
 
     def cells(self, grid: ErpGrid) -> np.ndarray:
         """The flat indices ``(m,)`` of the cells of a grid whose middles lie inside."""

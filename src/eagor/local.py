@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -103,9 +103,7 @@ class Window(Nodes):
 
     def holds(self, centre: np.ndarray, width: float) -> bool:
         """Whether a detection of this `width` (radians) at `centre` ``(3,)`` lies on nodes that are near enough."""
-        at, ahead = self.located(centre)
-        inside = float(ahead) > 0 and float(np.abs(at).max()) <= 1
-        return inside and float(self.finest(centre[None])[0]) <= SLACK * width
+        return bool(self.places(centre)[1]) and float(self.finest(centre[None])[0]) <= SLACK * width
 
     def points(self) -> np.ndarray:
         """The nodes ``(K, n, n, 3)``, metres."""
@@ -125,11 +123,11 @@ class Window(Nodes):
         """
         if self.logs is None:
             return self, None
-        return self.drawn(replace(self, border=border)._wanted(prior, step), step)
+        return self.drawn(self._wanted(prior, step, border), step)
 
     def focused(self, prior: np.ndarray | None, border: float) -> tuple[Window, np.ndarray | None]:
         """As fine as the peak is now, or itself where it is already; the nodes beyond and `border` as for `moved`."""
-        wanted = replace(self, border=border)._wanted(prior, None)
+        wanted = self._wanted(prior, None, border)
         fits = (
             wanted.border <= self.border
             and (wanted.spacing * SLACK >= self.spacing).all()
@@ -143,8 +141,8 @@ class Window(Nodes):
     def _spans(self, logs: np.ndarray | None) -> bool:
         return self.logs is None or logs is None or (logs[-1] - logs[0]) * SLACK >= self.logs[-1] - self.logs[0]
 
-    def _wanted(self, prior: np.ndarray | None, step: np.ndarray | None) -> Window:
-        """The window, without values, that fits the peak after a `step`."""
+    def _wanted(self, prior: np.ndarray | None, step: np.ndarray | None, border: float) -> Window:
+        """The window, without values, that fits the peak after a `step`, and reaches to `border` at least."""
         values = self.by_range if prior is None else self.by_range + prior
         mass = np.exp(values - values.max())
         mean = np.tensordot(self.shares, mass, axes=1)
@@ -183,8 +181,8 @@ class Window(Nodes):
         sigma = np.sqrt(np.maximum(variances, (0.1 * self.spacing.min()) ** 2))
         across = turn[:, 0] @ axes
         frame = np.array([middle, across, cross(middle, across)])
-        half, bend = _extent(sigma, self.border)
-        return Window(frame, half, np.zeros((1, 1, NODES, NODES)), bend, logs, self.limits, self.border)
+        half, bend = _extent(sigma, border)
+        return Window(frame, half, np.zeros((1, 1, NODES, NODES)), bend, logs, self.limits, border)
 
     def drawn(self, new: Window, step: np.ndarray | None = None) -> tuple[Window, np.ndarray | None]:
         """The same field on the nodes of another window, and which of these lie beyond the own ones."""

@@ -187,14 +187,14 @@ class Standing:
 
     def focused(self, fresh: bool = False) -> Standing:
         """With a window about each peak, as fine as the peak is now; `fresh` windows are fine enough."""
-        found = self
-        borders = self._borders()
-        windows = tuple(
-            window
-            if fresh or window.peak_at_border(patch.values)
-            else self._filled(*window.focused(self._prior(window), border))
-            for window, patch, border in zip(self.windows, self.field.patches, borders, strict=True)
-        )
+        found, windows = self, self.windows
+        if not fresh:
+            windows = tuple(
+                window
+                if window.peak_at_border(patch.values)
+                else self._filled(*window.focused(self._prior(window), border))
+                for window, patch, border in zip(self.windows, self.field.patches, self._borders(), strict=True)
+            )
         if any(a is not b for a, b in zip(windows, self.windows, strict=True)):
             found = replace(self, windows=windows)
             patches = tuple(
@@ -259,7 +259,7 @@ class Standing:
         if isinstance(self.coarse, RangedBelief):
             limits = math.log(self.coarse.ranges[0]), math.log(self.coarse.ranges[-1])
             window = replace(window, logs=np.linspace(*limits, RANGES), limits=limits)
-        inside = [w for w, patch in zip(self.windows, self.field.patches, strict=True) if patch.places(centre)[1]]
+        inside = [other for other in self.windows if other.places(centre)[1]]
         if inside:
             finest = min(inside, key=lambda other: float(other.spacing.max()))
             window = self._filled(*finest.drawn(window))
@@ -297,7 +297,7 @@ class Standing:
             return None
         for window in self.windows:
             inside = window.directions @ about > math.cos(NEAR)
-            if window.patch().places(about)[1] and inside.any():
+            if window.places(about)[1] and inside.any():
                 prior = self._prior(window)
                 values = (window.by_range if prior is None else window.by_range + prior)[:, inside]
                 mass = np.exp(values - values.max()) @ window.weights[inside] * window.shares

@@ -115,7 +115,8 @@ def counted(recordings: Sequence[Recording]) -> DetectorModel | None:
     in which it fades, are those by which misses and offsets of right detections correlate
     (`eagor.evaluation.lasting`).
     """
-    looks = [look for recording in recordings for look in _timely(recording)]
+    timely = [_timely(recording) for recording in recordings]
+    looks = [look for one in timely for look in one]
     if not looks:
         return None
     right, false, offsets, found, visible = [], [], [], 0, 0
@@ -128,7 +129,7 @@ def counted(recordings: Sequence[Recording]) -> DetectorModel | None:
         found, visible = found + int(near.any()), visible + int(seen)
     model, recall = looks[0].detections.model, (found + 0.5) / (visible + 1)
     spread = math.sqrt(float(np.mean(np.square(offsets))) / 2) if offsets else model.spread  # two axes
-    series = [[look for look in _timely(recording) if look.seen] for recording in recordings]
+    series = [[look for look in one if look.seen] for one in timely]
     share, seconds = lasting(
         [np.array([look.stamp for look in one]) for one in series],
         [np.array([_mistakes(look, recall) for look in one]).reshape(-1, 3) for one in series],
