@@ -6,7 +6,7 @@
 
 Episodes of H*Bench's kind (ten views of 100 degrees, four starts per target): in the built-in apartments, one camera in
 each, and, where --samples names them, in the labelled photographs of `hstar_mini`. Every agent looks through `truth`
-(`eagor.tasks.hstar.truth`) with the same luck: 30 % misses and a false alarm in every fifth view, each kept from look
+(`eagor.tasks.hstar.looking`) with the same luck: 30 % misses and a false alarm in every fifth view, each kept from look
 to look with probability 0.3, 8 degrees of error. Success is strict. Development and report use other apartments and
 other luck; what was tuned was tuned on dev.
 
@@ -48,12 +48,10 @@ from eagor.statistics import bootstrap_interval, calibration_error, reliability,
 from eagor.tasks.hstar.agents import make_agent
 from eagor.tasks.hstar.apartments import spot, write_scene
 from eagor.tasks.hstar.camera import render_view
-from eagor.tasks.hstar.data import Episode, read_episodes
-from eagor.tasks.hstar.eyes import AnnotatedEye, open_eye
-from eagor.tasks.hstar.files import open_panorama
+from eagor.tasks.hstar.data import Episode, open_panorama, read_episodes
+from eagor.tasks.hstar.looking import CALIBRATION, TruthEye, annotated, open_eye
 from eagor.tasks.hstar.play import play
 from eagor.tasks.hstar.search import SearchRules
-from eagor.tasks.hstar.truth import CALIBRATION, TruthEye
 
 FIRST = {"dev": 1200, "report": 2200}  # apartment
 LUCK = {"dev": 0, "report": 1_000_000}
@@ -142,7 +140,7 @@ def fit(episodes: Sequence[Episode], noise: Noise, looks: int, trials: int) -> N
         for repetition in range(looks):
             for episode in episodes:
                 luck = [LUCK["dev"] + repetition, zlib.crc32(episode.id.encode())]
-                eye = AnnotatedEye(TruthEye(episode.yaw, episode.pitch, noise, luck, calibration))
+                eye = annotated(TruthEye(episode.yaw, episode.pitch, noise, luck, calibration))
                 bare = replace(rules, sure=1.0, shift=0.0, slope=1.0)  # states the share itself
                 records.append(play(episode, make_agent("eagor", episode, eye, bare, 10, 0), "strict"))
         said = [(step["would"]["p"], step["would"]["strict"]) for record in records for step in record["steps"]]

@@ -31,7 +31,7 @@ from typing import Any
 from eagor.evaluation import ledger
 from eagor.evaluation.benchmarks import BenchmarkRun, units
 from eagor.evaluation.workers import carry_out
-from eagor.tasks.hstar import agents, eyes
+from eagor.tasks.hstar import agents, looking
 from eagor.tasks.hstar.apartments import spot, write_scene
 from eagor.tasks.hstar.search import Search
 
@@ -39,9 +39,9 @@ FIRST = 1200  # apartments for development
 MANY = 3000
 PER_APARTMENT = 12  # episodes, at least
 PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
-    "reading the picture": ((eyes, "open_panorama"),),
-    "drawing the view": ((eyes, "render_view"),),
-    "perception": ((eyes.PixelEye, "look"), (eyes.AnnotatedEye, "look")),
+    "reading the picture": ((looking, "open_panorama"),),
+    "drawing the view": ((looking, "render_view"),),
+    "perception": ((looking.PixelEye, "__call__"), (looking.TruthEye, "look")),
     "belief": ((Search, "seen"),),
     "answer": ((Search, "answer"),),
     "next view": ((Search, "next_view"),),

@@ -12,7 +12,7 @@ from eagor.tasks.osr.apartments import conversation
 from eagor.tasks.osr.drawing import layout_from
 from eagor.tasks.osr.geometry import FloorLine
 from eagor.tasks.osr.layout import grid_of
-from eagor.tasks.osr.truth import Body, Room, write_room
+from eagor.tasks.osr.looking import Body, Room, write_room
 
 NAME = "ReplicaPano-made-here"
 CORNERS = np.array([[4.0, 3.5], [-4.0, 3.5], [-4.0, -3.5], [4.0, -3.5]])

@@ -18,15 +18,13 @@ from eagor.perception.endpoint.chat import ServedChat
 from eagor.tasks import benchmark
 from eagor.tasks.chat import IMAGE, Message, load_chat
 from eagor.tasks.hstar import data
+from eagor.tasks.hstar.agents import VlmAgent
 from eagor.tasks.hstar.bench import HOS, HPS
-from eagor.tasks.hstar.causes import CAUSES, cause_of
-from eagor.tasks.hstar.data import Episode, read_episodes
-from eagor.tasks.hstar.files import open_panorama
+from eagor.tasks.hstar.data import Episode, open_panorama, read_episodes
 from eagor.tasks.hstar.lmms import process_results
-from eagor.tasks.hstar.play import play, work
-from eagor.tasks.hstar.prompts import conversation, first_text, system_text
+from eagor.tasks.hstar.play import CAUSES, cause_of, play, work
+from eagor.tasks.hstar.prompts import first_text, system_text
 from eagor.tasks.hstar.rules import window_of
-from eagor.tasks.hstar.talking import VlmAgent
 from eagor.tasks.hstar.words import head_of, phrase_of, tag_of, thing_of
 
 MINI = Path(__file__).parents[2] / ".." / "shared" / "bench_samples" / "hstar_mini"
@@ -364,7 +362,7 @@ def test_served_models_are_asked_in_turn_and_see_the_pictures(servers):
     addresses = ",".join(f"http://127.0.0.1:{server.server_port}" for server in servers)
     chat = load_chat(f"@{addresses}?max_tokens=64&quality=90")
     image = np.zeros((36, 64, 3), dtype=np.uint8)
-    messages = conversation("be brief", [], f"look\n{IMAGE}\nwell?", image)
+    messages = [Message("system", "be brief"), Message("user", f"look\n{IMAGE}\nwell?", (image,))]
     said = [chat(messages) for _ in range(4)]
     assert [reply.text for reply in said] == ["64 x 36"] * 4
     assert said[0].prompt_tokens == 7

@@ -19,12 +19,11 @@ import pytest
 from eagor.errors import EagorError, FormatError
 from eagor.tasks.benchmark import check_benchmark, load
 from eagor.tasks.chat import IMAGE, Message, Said
-from eagor.tasks.osr.agents import Majority, Vlm
-from eagor.tasks.osr.dataset import SUFFIXES
-from eagor.tasks.osr.dataset import load as load_scenes
-from eagor.tasks.osr.eyes import BeliefLooker
+from eagor.tasks.osr.agents import Eagor, Majority, Vlm
+from eagor.tasks.osr.data import SUFFIXES
+from eagor.tasks.osr.data import load as load_scenes
 from eagor.tasks.osr.lmms import doc_to_text, doc_to_visual, process_results
-from eagor.tasks.osr.ours import Eagor
+from eagor.tasks.osr.looking import BeliefLooker
 from eagor.tasks.osr.play import work
 from eagor.tasks.osr.scoring import DIRECTION, MAP
 
@@ -220,8 +219,8 @@ def test_a_belief_sees_what_a_detector_boxes_and_ranges_it_by_its_foot(data: Pat
 
 
 def test_what_is_not_seen_is_guessed_and_said_so(data: Path) -> None:
-    from eagor.tasks.osr.eyes import Seen
     from eagor.tasks.osr.geometry import Sighting
+    from eagor.tasks.osr.looking import Seen
 
     (scene,) = load_scenes(data, "qa")
     twice = tuple(Sighting(name, 0.3 + k, -0.3, foot=-0.4) for k, name in enumerate(["tv", "tv", "sofa", "sofa"]))

@@ -14,9 +14,9 @@ from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.perception.noise import Noise
 from eagor.tasks.hstar.camera import View, inside
+from eagor.tasks.hstar.looking import LENS, TruthEye
 from eagor.tasks.hstar.rules import submit_succeeds
 from eagor.tasks.hstar.search import CELLS, PITCHES, YAWS, Search, SearchRules, _information, _prior, _weights
-from eagor.tasks.hstar.truth import LENS, TruthEye
 
 poses = st.tuples(st.integers(0, 359), st.sampled_from(PITCHES))
 boxes = st.tuples(st.integers(0, 359), st.integers(-50, 40))

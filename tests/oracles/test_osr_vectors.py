@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from eagor.tasks.osr import direction_label, distance_label, score
-from eagor.tasks.osr.dataset import SUFFIXES, load
+from eagor.tasks.osr.data import SUFFIXES, load
 from eagor.tasks.osr.layout import count_label, layout_of
 from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP
 

@@ -21,8 +21,8 @@ from PIL import Image
 from processes import limited
 
 from eagor.errors import FormatError, ImageError, WorldError
-from eagor.tasks.hstar import files
-from eagor.tasks.hstar.files import Stored, find_scenes, open_panorama
+from eagor.tasks.hstar import data as files
+from eagor.tasks.hstar.data import Stored, find_scenes, open_panorama
 from eagor.worlds.glb import import_glb
 from eagor.worlds.objectnav import read_episodes
 from eagor.worlds.panorama import read_panorama

@@ -15,7 +15,7 @@ from mutations import as_text, damaged, reads, trees
 from PIL import Image
 from processes import limited
 
-from eagor.tasks.hstar.files import Stored, open_panorama
+from eagor.tasks.hstar.data import Stored, open_panorama
 from eagor.worlds.glb import export_glb, import_glb
 from eagor.worlds.ground import Ground
 from eagor.worlds.objectnav import read_episodes
@@ -110,7 +110,7 @@ IMPORTS = """
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.perception.records import parse_record
-from eagor.tasks.osr.eyes import read_depth
+from eagor.tasks.osr.looking import read_depth
 from eagor.worlds.glb import import_glb
 from eagor.worlds.panorama import read_panorama
 import numpy, trimesh

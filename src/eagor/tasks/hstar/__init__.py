@@ -1,8 +1,7 @@
 """H*Bench: look around in a panorama through a camera that sees part of it, and name the direction of what is asked.
 
 Two halves: object search (HOS) and path search (HPS). `rules` and `camera` are the benchmark's own, quirks included;
-`data` reads its files; `search` is how we look around, `agents` who else does; `truth` is an eye of known quality;
-`play` runs an episode; `bench` is what `eagor bench` knows.
+`data` reads its files; `search` is how we look around; `bench` is what `eagor bench` knows.
 """
 
 from eagor.tasks.hstar.camera import View, render_view

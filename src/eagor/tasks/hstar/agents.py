@@ -1,4 +1,4 @@
-"""Who searches: ours, the fixed sweep, those that answer from single views, and those that do not look.
+"""Who searches: ours, the fixed sweep, the model alone, those that answer from single views, those that do not look.
 
 An agent is told where the camera looks, may look, and says what it does. At every turn it also says what it would
 submit if the episode ended there, so that success by turn needs no further runs.
@@ -6,7 +6,6 @@ submit if the episode ended there, so that success by turn needs no further runs
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -16,11 +15,16 @@ import numpy as np
 from eagor._arrays import to_numpy
 from eagor.baselines import Centroid, CircularCentroid, DirectionFilter, HistogramFilter
 from eagor.conventions import hstar_from_direction
+from eagor.coverage import looked_at
+from eagor.evidence import Evidence
+from eagor.tasks.chat import Chat, digest
 from eagor.tasks.hstar.camera import View
 from eagor.tasks.hstar.data import Episode
-from eagor.tasks.hstar.eyes import Eye, Look
+from eagor.tasks.hstar.looking import Eye, Look
+from eagor.tasks.hstar.prompts import Talk
 from eagor.tasks.hstar.rules import Action, window_of
 from eagor.tasks.hstar.search import Answer, Search, SearchRules
+from eagor.tasks.published import luck
 
 AGENTS = {
     "eagor": "one belief over all directions from every view; looks where most is to be learnt, submits when sure",
@@ -45,7 +49,7 @@ class Turn:
     """What an agent does: an action (None: an invalid one), what it would submit now, and what to keep of it."""
 
     action: Action | None
-    would: Answer | None
+    would: Answer
     notes: dict[str, Any] = field(default_factory=dict)
 
 
@@ -57,12 +61,11 @@ class Agent(Protocol):
         ...
 
 
-def submit(answer: Answer) -> Action:
-    """The submission of an answer."""
+def _submit(answer: Answer) -> Action:
     return Action("submit", answer.yaw, answer.pitch)
 
 
-def rotate(now: View, to: View) -> Action:
+def _rotate(now: View, to: View) -> Action:
     """The turn from one view to another, the short way around."""
     return Action("rotate", round((to.yaw - now.yaw + 180) % 360 - 180), round(to.pitch - now.pitch))
 
@@ -75,35 +78,70 @@ class EagorAgent:
         self.search = Search.begin(episode.kind, rules)
 
     def step(self, view: View, last: bool) -> Turn:
-        look = self._eye.look(view)
+        look = self._eye(view)
         self.search = self.search.seen(look.evidence, look.world_R_capture, view)
         answer = self.search.answer()
-        notes = _peak(look) | {"sure": answer.probability >= self._rules.sure}
-        if last or answer.probability >= self._rules.sure:
-            return Turn(submit(answer), answer, notes)
-        return Turn(rotate(view, self.search.next_view(view)), answer, notes)
+        sure = answer.probability >= self._rules.sure
+        action = _submit(answer) if last or sure else _rotate(view, self.search.next_view(view))
+        return Turn(action, answer, _peak(look) | {"sure": sure})
+
+
+class VlmAgent:
+    """Asks a `Chat`. What it would submit before it does is where the camera looks: that is what it turned it to."""
+
+    def __init__(self, episode: Episode, chat: Chat, form: str, window: int, resolution: int) -> None:
+        self._talk, self._chat = Talk(episode, form, window, resolution), chat
+
+    def step(self, view: View, last: bool) -> Turn:
+        self._talk.look(view)
+        messages = self._talk.messages()
+        said = self._chat(messages)
+        reply = self._talk.hear(said.text)
+        action = reply.action
+        notes: dict[str, Any] = {
+            "raw": said.text,
+            "prompt": digest(messages),
+            "format": reply.format_correct,
+            "valid": action is not None,
+            "pixels": list(messages[-1].images[0].shape[:2]),
+        }
+        if said.prompt_tokens is not None:
+            notes["tokens"] = [said.prompt_tokens, said.completion_tokens]
+        if action is not None and action.kind == "submit":
+            return Turn(action, Answer(action.yaw, action.pitch, float("nan")), notes)
+        return Turn(action, Answer(round(view.yaw) % 360, round(view.pitch), float("nan")), notes)
+
+
+class BlindAgent:
+    """Submits one direction at once."""
+
+    def __init__(self, yaw: float, pitch: float, probability: float = float("nan")) -> None:
+        self._answer = Answer(round(yaw) % 360, round(pitch), probability)
+
+    def step(self, view: View, last: bool) -> Turn:
+        return Turn(_submit(self._answer), self._answer)
+
+
+Reading = Callable[[Look], tuple[np.ndarray, bool]]  # the answer ``(3,)`` in the world, and whether to stop with it
 
 
 class SweepAgent:
     """Looks along `SWEEP`, keeps what `read` makes of it, and submits after `views` of them or when it is content."""
 
-    def __init__(self, episode: Episode, eye: Eye, reading: Reading, views: int = len(SWEEP)) -> None:
-        self._eye, self._reading, self._start = eye, reading, episode.start
+    def __init__(self, episode: Episode, eye: Eye, read: Reading, views: int = len(SWEEP)) -> None:
+        self._eye, self._read, self._start = eye, read, episode.start
         self._views, self._turn = min(views, len(SWEEP)), 0
 
     def step(self, view: View, last: bool) -> Turn:
-        look = self._eye.look(view)
-        direction, content = self._reading(look)
+        look = self._eye(view)
+        direction, content = self._read(look)
         yaw, pitch = hstar_from_direction(direction)
         answer = Answer(round(float(yaw)) % 360, round(float(pitch)), float("nan"))
         self._turn += 1
         if last or content or self._turn >= self._views:
-            return Turn(submit(answer), answer, _peak(look))
+            return Turn(_submit(answer), answer, _peak(look))
         to = View((self._start + SWEEP[self._turn][0]) % 360, SWEEP[self._turn][1])
-        return Turn(rotate(view, to), answer, _peak(look))
-
-
-Reading = Callable[[Look], tuple[np.ndarray, bool]]  # the answer ``(3,)`` in the world, and whether to stop with it
+        return Turn(_rotate(view, to), answer, _peak(look))
 
 
 class BestView:
@@ -122,22 +160,13 @@ class BestView:
 class PerView:
     """A per-frame baseline: content with the first view that responds."""
 
-    def __init__(self, baseline: DirectionFilter, always: bool = False) -> None:
-        self._baseline, self._always = baseline, always
+    def __init__(self, baseline: DirectionFilter) -> None:
+        self._baseline = baseline
 
     def __call__(self, look: Look) -> tuple[np.ndarray, bool]:
-        _, height = peak_of(look)
-        found = look.world_R_capture @ self._baseline.update(_without_floor(look)).direction()
-        if height < RESPONDS:
-            found = look.world_R_capture @ np.asarray(look.evidence.grid.directions[_middle(look)])
-        return found, self._always or height >= RESPONDS
-
-
-class SinglePeak:
-    """The peak of the view, whatever it is."""
-
-    def __call__(self, look: Look) -> tuple[np.ndarray, bool]:
-        return peak_of(look)[0], True
+        if peak_of(look)[1] >= RESPONDS:
+            return look.world_R_capture @ self._baseline.update(_without_floor(look)).direction(), True
+        return look.world_R_capture @ np.asarray(look.evidence.grid.directions[_middle(look)]), False
 
 
 class OnGrid:
@@ -147,100 +176,83 @@ class OnGrid:
         self._filter: HistogramFilter | None = None
 
     def __call__(self, look: Look) -> tuple[np.ndarray, bool]:
-        start = self._filter or HistogramFilter(calibration=look.evidence.calibration, mixing=1e-4)
+        calibration = look.evidence.calibration
+        start = self._filter or HistogramFilter(calibration=calibration, mixing=1e-4)
         turned = HistogramFilter(
-            start.log_map, look.world_R_capture.T, look.evidence.calibration, start.diffusion, start.mixing
+            start.log_map, look.world_R_capture.T, calibration, diffusion=start.diffusion, mixing=start.mixing
         )
         self._filter = turned.update(look.evidence)
         return look.world_R_capture @ self._filter.direction(), False
 
 
-class BlindAgent:
-    """Submits one direction at once."""
-
-    def __init__(self, answer: Answer) -> None:
-        self._answer = answer
-
-    def step(self, view: View, last: bool) -> Turn:
-        return Turn(submit(self._answer), self._answer)
+_READINGS: dict[str, Callable[[], Reading]] = {
+    "sweep": BestView,
+    "grid": OnGrid,
+    "centroid": lambda: PerView(Centroid()),
+    "cent-circ": lambda: PerView(CircularCentroid()),
+    "single": lambda: lambda look: (peak_of(look)[0], True),
+}
 
 
 def make_agent(name: str, episode: Episode, eye: Eye | None, rules: SearchRules, views: int, seed: int) -> Agent:
-    """The agent with this name for one episode; those in `LOOKING` need an eye."""
+    """The agent with this name, of those that ask no model, for one episode; those in `LOOKING` need an eye."""
     if eye is not None:
         if name == "eagor":
             return EagorAgent(episode, eye, rules)
-        readings: dict[str, Callable[[], Reading]] = {
-            "sweep": BestView,
-            "grid": OnGrid,
-            "centroid": lambda: PerView(Centroid()),
-            "cent-circ": lambda: PerView(CircularCentroid()),
-            "single": SinglePeak,
-        }
-        return SweepAgent(episode, eye, readings[name](), views)
+        return SweepAgent(episode, eye, _READINGS[name](), views)
     if name == "oracle":
-        window = window_of(episode.item)
-        yaw, pitch = window.centre
-        return BlindAgent(_inside(round(yaw) % 360, round(pitch)))
+        yaw, pitch = window_of(episode.item).centre
+        return BlindAgent(yaw, max(-90, min(90, pitch)), 1.0)
     if name == "random":
-        rng = np.random.default_rng([seed, zlib.crc32(episode.id.encode())])
-        return BlindAgent(Answer(int(rng.integers(360)), round(float(rng.normal(-10, 15))), float("nan")))
-    return BlindAgent(Answer(round(episode.start) % 360, 0, float("nan")))
+        rng = np.random.default_rng(luck(seed, episode.id))
+        return BlindAgent(int(rng.integers(360)), float(rng.normal(-10, 15)))
+    return BlindAgent(episode.start, 0)
 
 
 def peak_of(look: Look) -> tuple[np.ndarray, float]:
     """Where the response is highest ``(3,)``, in the world's frame, and how high; the middle of the view if flat."""
     response = _response(look)
-    height = float(response.max())
     if np.ptp(response[response >= 0]) < 1e-6:
         place = _middle(look)
     else:
         place = np.unravel_index(int(response.argmax()), response.shape)
-    return look.world_R_capture @ np.asarray(look.evidence.grid.directions[place]), max(height, 0.0)
-
-
-def _response(look: Look) -> np.ndarray:
-    """The response ``(H, W)``, -1 in cells that were not looked at."""
-    response = to_numpy(look.evidence.response).astype(np.float64)
-    return np.where(_looked_at(look), response, -1.0)
-
-
-def _looked_at(look: Look) -> np.ndarray:
-    from eagor.coverage import looked_at
-
-    seen = look.evidence.seen
-    if seen is None or not seen[-1]:
-        return np.ones(look.evidence.grid.shape, dtype=bool)
-    return looked_at(seen)
-
-
-def _middle(look: Look) -> tuple[int, int]:
-    """The cell in the middle of what was looked at."""
-    rows, columns = np.nonzero(_looked_at(look))
-    middle = rows.mean(), columns.mean()
-    nearest = int(np.argmin((rows - middle[0]) ** 2 + (columns - middle[1]) ** 2))
-    return int(rows[nearest]), int(columns[nearest])
-
-
-def _without_floor(look: Look) -> Any:
-    """The evidence with its lowest response taken as nothing: per-view means would lean towards the middle else."""
-    from eagor.evidence import Evidence
-
-    response = _response(look)
-    floor = float(response[response >= 0].min())
-    cleared = np.where(response < max(0.5 * response.max(), floor + 1e-6), 0.0, response)
-    return Evidence.from_response(np.clip(cleared, 0, 1), look.evidence.grid, look.evidence.calibration)
+    direction = look.world_R_capture @ np.asarray(look.evidence.grid.directions[place])
+    return direction, max(float(response.max()), 0.0)
 
 
 def _peak(look: Look) -> dict[str, Any]:
     """The strongest response of a look, for the record."""
     direction, height = peak_of(look)
     yaw, pitch = hstar_from_direction(direction)
-    peak = {"yaw": round(float(yaw), 1), "pitch": round(float(pitch), 1), "score": round(height, 3)}
-    found: dict[str, Any] = {"peak": peak}
-    source = getattr(look.evidence, "source", None)
+    found: dict[str, Any] = {
+        "peak": {"yaw": round(float(yaw), 1), "pitch": round(float(pitch), 1), "score": round(height, 3)}
+    }
+    source = look.evidence.source
     return found | ({"source": dict(source)} if source else {})
 
 
-def _inside(yaw: int, pitch: int) -> Answer:
-    return Answer(yaw, max(-90, min(90, pitch)), 1.0)
+def _looked_at(look: Look) -> np.ndarray:
+    seen = look.evidence.seen
+    if seen is None or not seen[-1]:
+        return np.ones(look.evidence.grid.shape, dtype=bool)
+    return looked_at(seen)
+
+
+def _response(look: Look) -> np.ndarray:
+    """The response ``(H, W)``, -1 in cells that were not looked at."""
+    return np.where(_looked_at(look), to_numpy(look.evidence.response).astype(np.float64), -1.0)
+
+
+def _middle(look: Look) -> tuple[int, int]:
+    """The cell in the middle of what was looked at."""
+    rows, columns = np.nonzero(_looked_at(look))
+    nearest = int(np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2))
+    return int(rows[nearest]), int(columns[nearest])
+
+
+def _without_floor(look: Look) -> Evidence:
+    """The evidence with its lowest response taken as nothing: per-view means would lean towards the middle else."""
+    response = _response(look)
+    floor = float(response[response >= 0].min())
+    cleared = np.where(response < max(0.5 * response.max(), floor + 1e-6), 0.0, response)
+    return Evidence.from_response(np.clip(cleared, 0, 1), look.evidence.grid, look.evidence.calibration)

@@ -17,10 +17,10 @@ import numpy as np
 
 from eagor.grids import ErpGrid
 from eagor.sphere import world_R_body
-from eagor.tasks.hstar.camera import View, visible_share
-from eagor.tasks.hstar.data import STARTS
-from eagor.tasks.hstar.files import ANNOTATION
+from eagor.tasks.hstar.camera import View, level_of
+from eagor.tasks.hstar.data import ANNOTATION, STARTS
 from eagor.tasks.places import APARTMENT, Place, load_place
+from eagor.tasks.published import any_yaw, save_panorama
 from eagor.tasks.rules import Camera
 
 ROWS = 128  # of the ids that boxes are read from: 1.4 degrees
@@ -45,16 +45,16 @@ def spot(seed: int, most: int = 4) -> Spot:
     """A camera in the apartment of this seed, with at most `most` targets. Raises `WorldError` where there is none."""
     place = load_place(APARTMENT, seed, Camera().radius)
     rng = np.random.default_rng([seed, 0x5EA])
-    best: tuple[tuple[dict[str, Any], ...], np.ndarray, float] = ((), np.zeros(3), 0.0)
+    best = Spot(f"apartment_{seed:04d}", place, np.zeros(3), 0.0, ())
     for _ in range(TRIES):
         position = np.array([*place.ground.sample(rng, CLEARANCE), HEIGHT])
-        yaw = float(rng.uniform(-math.pi, math.pi))
+        yaw = any_yaw(rng)
         items = tuple(_items(place, position, yaw, rng, most))
-        if len(items) > len(best[0]):
-            best = items, position, yaw
+        if len(items) > len(best.items):
+            best = Spot(best.name, place, position, yaw, items)
         if len(items) == most:
             break
-    return Spot(f"apartment_{seed:04d}", place, best[1], best[2], best[0])
+    return best
 
 
 def write_scene(spot: Spot, folder: Path, rows: int = 512) -> Path | None:
@@ -68,13 +68,11 @@ def write_scene(spot: Spot, folder: Path, rows: int = 512) -> Path | None:
         return None
     target = folder / spot.name
     target.mkdir(parents=True, exist_ok=True)
+    picture = target / f"{spot.name}.png"
     if rows:
-        pose = world_R_body(spot.yaw)
-        rgb = spot.place.renderer.panorama(spot.position, pose, rows, range=False, ids=False).rgb
-        assert rgb is not None
+        save_panorama(spot.place, spot.position, spot.yaw, rows, picture)
     else:
-        rgb = np.full((8, 16, 3), 128, dtype=np.uint8)
-    Image.fromarray(rgb).save(target / f"{spot.name}.png")
+        Image.new("RGB", (16, 8), (128, 128, 128)).save(picture)
     (target / ANNOTATION).write_text(json.dumps(list(spot.items), indent=1) + "\n", encoding="utf-8")
     return target
 
@@ -89,8 +87,7 @@ def _items(
     for index in sorted(rng.permutation(chosen)[:most].tolist()):
         left, right, low, high = _box(ids == index)
         item = {"task": f"Find the {names[index]}", "yaw": [left, right], "pitch": [low, high]}
-        shares = [visible_share(View(float(start), 0.0), (left, right), (low, high)) for start in STARTS]
-        levels = [0 if share >= 0.5 else 1 if share > 0 else 2 for share in shares]
+        levels = [level_of(View(float(start), 0.0), (left, right), (low, high)) for start in STARTS]
         yield item | {"initial yaw": list(STARTS), "level": levels}
 
 
@@ -101,10 +98,8 @@ def _box(mask: np.ndarray) -> tuple[float, float, float, float]:
     gaps = np.diff(np.append(columns, columns[0] + width))
     widest = int(gaps.argmax())
     first, last = columns[(widest + 1) % len(columns)], columns[widest]
-    grid = ErpGrid(height, width)
-    degrees = 360.0 / width
-    left = (first * degrees + 180.0) % 360.0
-    right = ((last + 1) * degrees + 180.0) % 360.0
-    high = math.degrees(grid.latitudes[rows[0]]) + 90.0 / height
-    low = math.degrees(grid.latitudes[rows[-1]]) - 90.0 / height
+    latitudes, degrees = ErpGrid(height, width).latitudes, 360.0 / width
+    left, right = ((edge * degrees + 180.0) % 360.0 for edge in (first, last + 1))
+    high = math.degrees(latitudes[rows[0]]) + 90.0 / height
+    low = math.degrees(latitudes[rows[-1]]) - 90.0 / height
     return round(float(left), 2), round(float(right), 2), round(low, 2), round(high, 2)

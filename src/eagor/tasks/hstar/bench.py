@@ -7,20 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from eagor._files import written
 from eagor._json import shown
 from eagor.errors import EagorError, FormatError
-from eagor.tasks.benchmark import Case, Figure, Option, Record, settled
-from eagor.tasks.chat import shared_chat
-from eagor.tasks.hstar import data as published
-from eagor.tasks.hstar import exports
+from eagor.tasks import published
+from eagor.tasks.benchmark import Case, Figure, Option, Record
+from eagor.tasks.hstar import data as files
+from eagor.tasks.hstar import lmms
 from eagor.tasks.hstar.agents import AGENTS, LOOKING, SWEEP
 from eagor.tasks.hstar.camera import RESOLUTION
-from eagor.tasks.hstar.causes import CAUSES, cause_of
 from eagor.tasks.hstar.data import LEVELS, Episode, Kind
-from eagor.tasks.hstar.eyes import open_perception
-from eagor.tasks.hstar.play import cluster_of, errors, identity, scores_of
+from eagor.tasks.hstar.looking import open_perception
+from eagor.tasks.hstar.play import CAUSES, judged
 from eagor.tasks.hstar.prompts import WINDOW
-from eagor.tasks.hstar.rules import MAX_TURNS, SCORINGS, checked_scoring, parse_action
+from eagor.tasks.hstar.rules import FARTHEST_ANSWER, FORMS, MAX_TURNS, SCORINGS, checked_scoring, parse_action
 from eagor.tasks.hstar.search import SearchRules
 
 OPTIONS = {
@@ -30,11 +30,10 @@ OPTIONS = {
     "degree": Option(SearchRules().degree, "of eagor's harmonics", tuple(range(3, 64))),
     "views": Option(len(SWEEP), "views of the fixed sweep", tuple(range(1, len(SWEEP) + 1))),
     "resolution": Option(RESOLUTION, "rows of a view; 1080 is official"),
-    "form": Option("free_think", "of the model's replies", ("free_think", "no_think", "grounding")),
+    "form": Option(FORMS[0], "of the model's replies", FORMS),
     "window": Option(WINDOW, "turns of conversation that the model is shown", tuple(range(1, 51))),
 }
 MOST_ROWS = 8640  # of a view: more is a mistake
-FARTHEST_ANSWER = 10**6  # degrees; more is a mistake
 EXPORTS = {
     "lmms-eval": "a folder of task files for lmms_eval --include_path, with the episodes and their panoramas' paths",
     "hstar-txt": "the published level file: level, successes, episodes; and at which step successes came",
@@ -64,56 +63,60 @@ class HStar:
         return found
 
     def info(self, data: Path) -> dict[str, Any]:
-        return published.info(data)
+        return files.info(data)
 
     def cases(self, data: Path, settings: Mapping[str, Any]) -> list[Case]:
-        found, siblings = [], _siblings(data)
-        for episode in published.read_episodes(data, self.kind):
-            others = [item for index, item in enumerate(siblings[episode.scene]) if index != episode.entry]
+        entries = {scene.name: scene.items for scene in files.read_scenes(data)}
+        found = []
+        for episode in files.read_episodes(data, self.kind):
+            others = [
+                {key: item[key] for key in ("task", "yaw", "pitch") if item.get(key) is not None}
+                for index, item in enumerate(entries[episode.scene])
+                if index != episode.entry
+            ]
             payload = {"episode": episode.as_json(), "siblings": others}
-            found.append(Case(episode.id, episode.scene, cluster_of(episode), payload))
+            found.append(Case(episode.id, episode.scene, episode.cluster, payload))
         return found
 
     def settle(self, settings: Mapping[str, Any]) -> dict[str, Any]:
-        found = settled(self, settings, LOOKING, "the annotations through noise, for studies")
-        if not 0 < found["sure"] <= 1:
-            raise EagorError(f"sure = {found['sure']}; wanted a probability above 0, at most 1")
-        if not 18 <= found["resolution"] <= MOST_ROWS:
-            raise EagorError(f"resolution = {found['resolution']}; wanted rows of a picture, 18 to {MOST_ROWS}")
-        if found["perception"]:
-            open_perception(found["perception"])
-        if found["model"]:
-            shared_chat(found["model"])
-        return found
+        truth = "the annotations through noise, for studies"
+        return published.settle(self, settings, LOOKING, truth, _check, lambda name, _: open_perception(name))
 
     def judge(self, case: Case, prediction: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
-        episode = Episode.from_json(case.payload["episode"])
-        scoring, siblings = checked_scoring(settings["scoring"]), case.payload["siblings"]
-        answer, reason = _submission(prediction, settings.get("form", "free_think"))
-        scores = scores_of(episode, answer)
-        cause = None
-        if not scores[scoring]:
-            cause = reason or cause_of(episode.item, [{"shown": 1.0}], answer, siblings, scoring)
-        return {
-            **identity(episode, siblings),
-            "score": scores[scoring],
-            "scores": scores,
-            "cause": cause,
-            "reason": reason or "submitted",
-            "answer": answer,
-            **errors(episode, answer),
-        }
+        answer, reason = _submission(prediction, settings.get("form", FORMS[0]))
+        episode, scoring = Episode.from_json(case.payload["episode"]), checked_scoring(settings["scoring"])
+        return judged(episode, answer, scoring, case.payload["siblings"], [{"shown": 1.0}], reason)
 
     def export(self, to: str, records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
-        if to == "lmms-eval":
-            return exports.lmms_eval(self.kind, Path(settings["data"]), settings, folder)
-        if to == "hstar-txt":
-            return exports.level_file(self.kind, records, folder)
-        raise EagorError(f"{self.name} has no export {to!r}; it has {', '.join(EXPORTS)}")
+        writers: dict[str, published.Export] = {
+            "lmms-eval": lambda _, settings, folder: lmms.write(self.kind, settings, folder),
+            "hstar-txt": lambda records, _, folder: level_file(self.kind, records, folder),
+        }
+        return published.export(self, to, writers, records, settings, folder)
 
 
 HOS = HStar("hos", "H*Bench: object search (HOS)")
 HPS = HStar("hps", "H*Bench: path search (HPS)")
+
+
+def level_file(kind: Kind, records: Sequence[Record], folder: Path) -> list[Path]:
+    """Write ``hstar_<kind>.txt``: per level its number, successes and episodes; then successes by step, 0 to 10.
+
+    The published evaluation writes these numbers; a success is counted at the turn of its submission. Raises
+    `EagorError` without records.
+    """
+    done = published.finished(records, "the level file counts a run's successes")
+    lines = []
+    for number, level in enumerate(LEVELS[kind]):
+        part = [record for record in done if record.get("level") == level]
+        if part:
+            lines.append(f"{number} {sum(record['score'] == 1 for record in part)} {len(part)}")
+    steps = [0] * (MAX_TURNS + 1)
+    for record in done:
+        if record["score"] == 1:
+            steps[min(int(record.get("views", 1)), MAX_TURNS)] += 1
+    text = "\n".join([*lines, f"step_success {' '.join(map(str, steps))}", ""])
+    return [written(Path(folder) / f"hstar_{kind}.txt", text)]
 
 
 def _at(level: str):
@@ -124,13 +127,11 @@ def _scored(way: str):
     return lambda record: record.get("scores", {}).get(way)
 
 
-def _siblings(data: Path) -> dict[str, list[dict[str, Any]]]:
-    """What is needed of the entries of each scene."""
-    kept = ("task", "yaw", "pitch")
-    return {
-        scene.name: [{key: item[key] for key in kept if item.get(key) is not None} for item in scene.items]
-        for scene in published.read_scenes(data)
-    }
+def _check(found: Mapping[str, Any]) -> None:
+    if not 0 < found["sure"] <= 1:
+        raise EagorError(f"sure = {found['sure']}; wanted a probability above 0, at most 1")
+    if not 18 <= found["resolution"] <= MOST_ROWS:
+        raise EagorError(f"resolution = {found['resolution']}; wanted rows of a picture, 18 to {MOST_ROWS}")
 
 
 def _submission(prediction: Mapping[str, Any], form: str) -> tuple[dict[str, int] | None, str | None]:

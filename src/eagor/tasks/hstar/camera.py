@@ -1,8 +1,8 @@
 """H*Bench's camera: 100 degrees wide, drawn pixel for pixel like the published environment draws it.
 
-Its conventions differ from ours by half a pixel, twice: the ray of column j is (j - w / 2) / f, and a panorama's column
-centres lie at whole numbers. `render_view` keeps both, because models are shown exactly this; `View.grid` describes
-the same pixels in our terms. Degrees in this module; yaw positive right, pitch positive up.
+Twice it is half a pixel away from our conventions: the ray of column j is (j - w / 2) / f, and a panorama's column
+centres lie at whole numbers. `render_view` keeps both, since models are shown exactly this; `View.grid` describes the
+same pixels in our terms. Degrees in this module; yaw positive right, pitch positive up.
 """
 
 from __future__ import annotations
@@ -14,14 +14,17 @@ from functools import lru_cache
 import numpy as np
 
 from eagor._lazy import lazy
+from eagor.conventions import direction_from_hstar
+from eagor.errors import ImageError
 from eagor.grids import PerspectiveGrid
 from eagor.sphere import world_R_body
+from eagor.tasks.hstar.rules import Action, turned
 
 HFOV_DEG = 100.0
 RESOLUTION = 1080  # rows; columns are rows // 9 * 16
 CROSS = (0, 255, 0)
 ARM = 10  # pixels of the cross to each side of the centre
-_BLOCK = 1 << 16  # pixels at a time: what is computed for them stays in the cache
+_BLOCK = 1 << 16  # pixels at a time: what is computed for them stays in the processor's cache
 
 
 def size_of(resolution: int = RESOLUTION) -> tuple[int, int]:
@@ -45,44 +48,52 @@ class View:
         """The view's cells in the world's frame."""
         return PerspectiveGrid(rows, columns, math.radians(HFOV_DEG), self.world_R_view)
 
+    def after(self, action: Action | None) -> View:
+        """Where the camera looks after `action`: only ``rotate`` moves it."""
+        if action is None or action.kind != "rotate":
+            return self
+        yaw, pitch = turned(self.yaw, self.pitch, action)
+        return View(float(yaw), float(pitch))
+
 
 def render_view(
     panorama: np.ndarray, yaw: float, pitch: float, resolution: int = RESOLUTION, cross: bool = True
 ) -> np.ndarray:
     """What the camera sees of a panorama ``(H, W, 3)`` uint8 of any proportions: ``(rows, columns, 3)`` uint8.
 
-    Bilinear, wrapped around both axes as published, and rounded; the published environment interpolates with weights in
-    steps of 1/32, so single pixels differ by a few levels from its own. With the green cross at the middle.
+    Bilinear, wrapped around both axes as published, and rounded, with the green cross at the middle. The published
+    environment interpolates with weights in steps of 1/32, so single pixels differ from its own by a few levels.
+    Raises `ImageError` for another array.
     """
+    panorama = np.asarray(panorama)
+    if panorama.ndim != 3 or panorama.shape[2] != 3 or panorama.dtype != np.uint8 or panorama.size == 0:
+        raise ImageError(f"a panorama is (H, W, 3) uint8; got shape {panorama.shape}, {panorama.dtype}")
     rows, columns = size_of(resolution)
-    packed = _packed(panorama)
-    height, width = packed.shape
-    flat = packed.reshape(-1)
+    height, width = panorama.shape[:2]
     longitude, latitude = _rays(rows, columns, float(pitch))
     x = longitude.reshape(-1) * np.float32(width / 360.0) + np.float32((0.5 + (yaw % 360.0) / 360.0) * width)
     y = latitude.reshape(-1) * np.float32(height / 180.0) + np.float32(height / 2)
     out = np.empty((rows * columns, 3), dtype=np.uint8)
     for start in range(0, rows * columns, _BLOCK):
         part = slice(start, start + _BLOCK)
-        out[part] = _sampled(flat, height, width, x[part], y[part])
+        out[part] = _sampled(panorama, x[part], y[part])
     out = out.reshape(rows, columns, 3)
     if cross:
-        draw_cross(out)
+        middle, centre = rows // 2, columns // 2
+        out[middle, max(0, centre - ARM) : centre + ARM + 1] = CROSS
+        out[max(0, middle - ARM) : middle + ARM + 1, centre] = CROSS
     return out
-
-
-def draw_cross(image: np.ndarray) -> None:
-    """Draw the green cross at the middle of `image` ``(rows, columns, 3)``, in place."""
-    rows, columns = image.shape[:2]
-    middle, centre = rows // 2, columns // 2
-    image[middle, max(0, centre - ARM) : centre + ARM + 1] = CROSS
-    image[max(0, middle - ARM) : middle + ARM + 1, centre] = CROSS
 
 
 def visible_share(view: View, yaw: tuple[float, float], pitch: tuple[float, float] | None) -> float:
     """How much of a box (degrees; without pitch a window of 10 degrees at the horizon) is in the view, 0 to 1."""
-    directions = box_points(yaw, pitch)
-    return float(inside(view, directions).mean())
+    return float(inside(view, box_points(yaw, pitch)).mean())
+
+
+def level_of(view: View, yaw: tuple[float, float], pitch: tuple[float, float]) -> int:
+    """0 if at least half of the box is in the view, 1 if some of it is, 2 if none."""
+    share = visible_share(view, yaw, pitch)
+    return 0 if share >= 0.5 else 1 if share > 0 else 2
 
 
 def inside(view: View, directions: np.ndarray) -> np.ndarray:
@@ -97,8 +108,6 @@ def inside(view: View, directions: np.ndarray) -> np.ndarray:
 
 def box_points(yaw: tuple[float, float], pitch: tuple[float, float] | None, steps: int = 24) -> np.ndarray:
     """Directions ``(n, 3)`` that sample a box evenly by solid angle."""
-    from eagor.conventions import direction_from_hstar
-
     width = (yaw[1] - yaw[0]) % 360.0
     low, high = pitch if pitch is not None else (-10.0, 10.0)
     parts = (np.arange(steps) + 0.5) / steps
@@ -120,57 +129,20 @@ def _rays(rows: int, columns: int, pitch: float) -> tuple[np.ndarray, np.ndarray
     return longitude, latitude
 
 
-@lru_cache(maxsize=1)
-def _packed_kept(holder: _Held) -> np.ndarray:
-    image = holder.image
-    packed = np.zeros((*image.shape[:2], 4), dtype=np.uint8)
-    packed[..., :3] = image
-    return packed.view(np.uint32)[..., 0]
-
-
-class _Held:
-    """An array that may be the key of a cache: it is equal to itself alone."""
-
-    __slots__ = ("image",)
-
-    def __init__(self, image: np.ndarray) -> None:
-        self.image = image
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Held) and other.image is self.image
-
-    def __hash__(self) -> int:
-        return id(self.image)
-
-
-def _packed(panorama: np.ndarray) -> np.ndarray:
-    """The panorama with one uint32 per pixel ``(H, W)``: one look-up fetches all its channels."""
-    image = np.asarray(panorama)
-    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or image.size == 0:
-        from eagor.errors import ImageError
-
-        raise ImageError(f"a panorama is (H, W, 3) uint8; got shape {image.shape}, {image.dtype}")
-    if image.flags.writeable:  # it may change: nothing is kept
-        return _packed_kept.__wrapped__(_Held(image))
-    return _packed_kept(_Held(image))
-
-
-def _sampled(flat: np.ndarray, height: int, width: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _sampled(panorama: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Bilinear values ``(n, 3)`` at pixel coordinates whose whole numbers are pixel centres, wrapped both ways."""
+    height, width = panorama.shape[:2]
+    pixels = panorama.reshape(-1, 3)
     left, top = np.floor(x), np.floor(y)
     right_share, lower_share = (x - left)[:, None], (y - top)[:, None]
-    column = left.astype(np.int64) % width
-    row = top.astype(np.int64) % height
-    beside = np.where(column + 1 == width, 0, column + 1)
-    below = np.where(row + 1 == height, 0, row + 1) * width
-    row = row * width
+    column, row = left.astype(np.int64), top.astype(np.int64)
 
-    def read(places: np.ndarray) -> np.ndarray:
-        return flat[places].view(np.uint8).reshape(-1, 4)[:, :3].astype(np.float32)
+    def across(row: np.ndarray) -> np.ndarray:
+        here, beside = (
+            np.take(pixels, row % height * width + each % width, axis=0).astype(np.float32)
+            for each in (column, column + 1)
+        )
+        return here + (beside - here) * right_share
 
-    upper = read(row + column)
-    upper += (read(row + beside) - upper) * right_share
-    lower = read(below + column)
-    lower += (read(below + beside) - lower) * right_share
-    upper += (lower - upper) * lower_share
-    return (upper + 0.5).astype(np.uint8)
+    upper, lower = across(row), across(row + 1)
+    return (upper + (lower - upper) * lower_share + 0.5).astype(np.uint8)

@@ -1,7 +1,8 @@
-"""H*Bench's published data: scenes with one panorama and annotations, and their episodes.
+"""H*Bench's published data: scenes with one panorama and annotations, in folders or in the zip archives as they are.
 
-Where they are is told in `eagor.tasks.hstar.files`. An entry with ``pitch`` is an object to find (HOS), one
-without a way to take (HPS); one episode per entry and start.
+``<anything>/<scene>/annotation.json`` beside the scene's panorama, which is the first ``*.png`` by name, else the first
+``*.jpg``. An entry with ``pitch`` is an object to find (HOS), one without a way to take (HPS); there is one episode per
+entry and start.
 """
 
 from __future__ import annotations
@@ -9,30 +10,69 @@ from __future__ import annotations
 import io
 import json
 import random
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+import zipfile
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
+from eagor._files import most_unpacked
 from eagor._json import number, parsed, shown
-from eagor.errors import EagorError, FormatError
-from eagor.tasks.hstar.files import Stored, find_scenes
+from eagor._lazy import lazy
+from eagor.errors import EagorError, FormatError, ImageError
+from eagor.tasks.hstar.camera import View, level_of
 from eagor.tasks.hstar.rules import FARTHEST, window_of
+from eagor.tasks.published import picture_size
 
 Kind = Literal["hos", "hps"]
+Box = tuple[tuple[float, float], tuple[float, float] | None]  # yaw and pitch, from and to, degrees
 
+ANNOTATION = "annotation.json"
 STARTS = (0, 90, 180, 270)  # degrees of yaw, where an entry names none
 SHUFFLE = 42  # the published environment shuffles its episodes with this seed
 LEVELS = {"hos": ("easy", "medium", "hard"), "hps": ("easy", "medium", "hard", "extreme")}
 
 
 @dataclass(frozen=True)
+class Stored:
+    """A file, or a member of a zip archive."""
+
+    path: str
+    member: str = ""
+
+    def read(self) -> bytes:
+        """What it holds. Raises whatever `zipfile` is led to by damage, `OSError`, or `FormatError` if it is a bomb."""
+        if not self.member:
+            return Path(self.path).read_bytes()
+        archive = _archive(self.path)
+        entry = archive.getinfo(self.member)
+        most = most_unpacked(entry.compress_size)
+        if entry.file_size > most:  # zipfile reads no more than that
+            raise FormatError(
+                f"it claims {entry.file_size} bytes, packed in {entry.compress_size}; wanted at most {most}"
+            )
+        return archive.read(self.member)
+
+    def __str__(self) -> str:
+        return f"{self.path}: {self.member}" if self.member else self.path
+
+
+@dataclass(frozen=True)
 class Scene:
-    """A folder of the data: its name, its picture, and its annotations as they stand in the file."""
+    """A folder of the data: its name, its picture, and its annotations."""
 
     name: str
     panorama: Stored
-    items: tuple[Mapping[str, Any], ...]
+    annotation: Stored
+
+    @lazy
+    def items(self) -> tuple[Mapping[str, Any], ...]:
+        """The annotations as they stand in the file. Raises `FormatError` where they are not what was wanted."""
+        return _items(self.annotation)
 
 
 @dataclass(frozen=True)
@@ -41,15 +81,12 @@ class Episode:
 
     Attributes:
         id: ``scene/entry/start``.
-        scene: name of the scene.
         entry: place of the target in annotation.json.
-        kind: ``hos`` or ``hps``.
         task: the words.
         yaw, pitch: the annotated box, degrees (pitch None in HPS), as written.
         start: yaw of the first view, degrees; its pitch is 0.
         level: 0, 1, ..., None where the file has none and it cannot be told.
-        panorama: where the picture is.
-        others: the boxes of the scene's other targets, ``(yaw, pitch)``: what an eye could take for it.
+        others: the boxes of the scene's other targets.
     """
 
     id: str
@@ -62,7 +99,7 @@ class Episode:
     start: float
     level: int | None
     panorama: Stored
-    others: tuple[tuple[tuple[float, float], tuple[float, float] | None], ...] = ()
+    others: tuple[Box, ...] = ()
 
     @property
     def item(self) -> dict[str, Any]:
@@ -75,6 +112,16 @@ class Episode:
         names = LEVELS[self.kind]
         return names[self.level] if self.level is not None and self.level < len(names) else "unknown"
 
+    @property
+    def cluster(self) -> str:
+        """What the starts in front of one target share."""
+        return f"{self.scene}/{self.entry}"
+
+    @property
+    def first_view(self) -> View:
+        """Where the camera looks at the start."""
+        return View(float(self.start), 0.0)
+
     def as_json(self) -> dict[str, Any]:
         """Plain JSON; `from_json` brings it back."""
         return json.loads(json.dumps(asdict(self)))
@@ -82,18 +129,95 @@ class Episode:
     @classmethod
     def from_json(cls, found: Mapping[str, Any]) -> Episode:
         """The episode that `as_json` wrote."""
-        values: dict[str, Any] = dict(found) | {"panorama": Stored(**found["panorama"]), "yaw": tuple(found["yaw"])}
-        values["pitch"] = None if found["pitch"] is None else tuple(found["pitch"])
-        values["others"] = tuple((tuple(y), None if p is None else tuple(p)) for y, p in found["others"])
-        return cls(**values)
+        (yaw, pitch), *others = (_box(*each) for each in ((found["yaw"], found["pitch"]), *found["others"]))
+        stored = Stored(**found["panorama"])
+        return cls(**dict(found) | {"panorama": stored, "yaw": yaw, "pitch": pitch, "others": tuple(others)})
+
+
+def find_scenes(data: Path) -> list[Scene]:
+    """All scenes in the folder (or archive) `data`, by name; those without a picture are left out, as published.
+
+    Scenes go by the name of their folder alone where that is unique, so that it does not depend on what is above.
+    Raises `FormatError` where there is none at all. Annotations are not read yet.
+    """
+    data = Path(data)
+    if not data.exists():
+        raise FormatError(f"there is no {data}; name the folder (or zip) with H*Bench's scenes")
+    found: list[Scene] = []
+    for folder in sorted({path.parent for path in data.rglob(ANNOTATION)} if data.is_dir() else ()):
+        picture = _picture(sorted(path.name for path in folder.iterdir() if path.is_file()))
+        if picture:
+            relative = folder.relative_to(data)
+            name = relative.as_posix() if relative.parts else data.name
+            found.append(Scene(name, Stored(str(folder / picture)), Stored(str(folder / ANNOTATION))))
+    extracted = {Path(scene.name).parts[0] for scene in found}
+    for archive in sorted(data.rglob("*.zip")) if data.is_dir() else [data]:
+        if not (data.is_dir() and archive.stem in extracted):  # else its folder lies beside it
+            found += _in_archive(archive)
+    if not found:
+        raise FormatError(
+            f"{data} has no scene; wanted folders with {ANNOTATION} and one .png or .jpg each, or hos_bench.zip and "
+            "hps_bench.zip as published"
+        )
+    last = Counter(scene.name.rpartition("/")[2] for scene in found)
+    short = [replace(one, name=end) if last[end := one.name.rpartition("/")[2]] == 1 else one for one in found]
+    return sorted(short, key=lambda scene: scene.name)
+
+
+def _in_archive(archive: Path) -> Iterator[Scene]:
+    try:
+        with zipfile.ZipFile(archive) as file:
+            names = sorted(name for name in file.namelist() if not name.startswith("__MACOSX"))
+    except Exception as error:  # zipfile raises whatever the damage leads it to
+        raise FormatError(f"{archive} is no zip archive that can be read ({error}); fetch it again") from error
+    folders: dict[str, list[str]] = {}
+    for name in names:
+        folder, slash, last = name.rpartition("/")
+        folders.setdefault(folder + slash, []).append(last)
+    for folder, inside in folders.items():
+        if ANNOTATION in inside and (picture := _picture(inside)):
+            name = f"{archive.stem}/{folder}".rstrip("/")
+            yield Scene(name, Stored(str(archive), folder + picture), Stored(str(archive), folder + ANNOTATION))
+
+
+def _picture(names: Iterable[str]) -> str | None:
+    for ending in (".png", ".jpg", ".jpeg"):
+        for name in names:
+            if name.lower().endswith(ending):
+                return name
+    return None
+
+
+@lru_cache(maxsize=4)
+def _archive(path: str) -> zipfile.ZipFile:
+    return zipfile.ZipFile(path)
+
+
+@lru_cache(maxsize=2)
+def open_panorama(panorama: Stored) -> np.ndarray:
+    """The picture ``(H, W, 3)`` uint8, whatever its proportions: columns span 360 degrees, rows 180.
+
+    Read-only: it is kept. Raises `ImageError` if it is not there or no picture.
+    """
+    from eagor.worlds.panorama import read_image
+
+    try:
+        data = panorama.read()
+        image = read_image(io.BytesIO(data), len(data))
+    except Exception as error:  # decoders raise whatever the damage leads them to
+        raise ImageError(
+            f"the panorama {panorama} cannot be read ({type(error).__name__}: {error}); fetch it again"
+        ) from error
+    image.setflags(write=False)
+    return image
 
 
 def read_scenes(data: Path) -> list[Scene]:
-    """All scenes in the folder (or archive) `data`, by name; those without a picture are left out, as published.
-
-    Raises `FormatError` where there is none at all, or an annotation.json is not what was wanted.
-    """
-    return [Scene(found.name, found.panorama, _items(found.annotation)) for found in find_scenes(data)]
+    """`find_scenes`, with annotations that can be read. Raises `FormatError` also where one is not what was wanted."""
+    scenes = find_scenes(data)
+    for scene in scenes:
+        _ = scene.items
+    return scenes
 
 
 def read_episodes(data: Path, kind: Kind) -> list[Episode]:
@@ -112,40 +236,25 @@ def read_episodes(data: Path, kind: Kind) -> list[Episode]:
 
 def info(data: Path) -> dict[str, Any]:
     """What the folder holds: counts, sizes of pictures, and what is unusual about it. Raises `FormatError`."""
-    from PIL import Image
-
-    from eagor.worlds.panorama import FORMATS
-
     scenes = read_scenes(data)
     episodes = [episode for scene in scenes for episode in _episodes(scene)]
     items = [item for scene in scenes for item in scene.items]
-    sizes: list[tuple[int, int]] = []
-    unreadable: list[str] = []
-    for scene in scenes:
-        try:
-            stored = scene.panorama
-            with Image.open(io.BytesIO(stored.read()) if stored.member else stored.path, formats=FORMATS) as file:
-                sizes.append(file.size)
-        except Exception:
-            unreadable.append(scene.name)
+    sizes = [_size(scene.panorama) for scene in scenes]
+    widths, heights = zip(*filter(None, sizes), strict=True) if any(sizes) else ((), ())
+    counts = Counter((episode.kind, episode.level_name) for episode in episodes)
     levels = {
-        kind: {
-            name: count
-            for name in (*LEVELS[kind], "unknown")
-            if (count := sum(e.kind == kind and e.level_name == name for e in episodes))
-        }
-        for kind in ("hos", "hps")
+        kind: {name: counts[kind, name] for name in (*LEVELS[kind], "unknown") if counts[kind, name]} for kind in LEVELS
     }
     return {
         "benchmark": "H*Bench",
         "scenes": len(scenes),
         "targets": len(items),
-        "episodes": {kind: sum(e.kind == kind for e in episodes) for kind in ("hos", "hps")},
+        "episodes": {kind: sum(episode.kind == kind for episode in episodes) for kind in LEVELS},
         "levels": {kind: found for kind, found in levels.items() if found},
-        "widths": [min(w for w, _ in sizes), max(w for w, _ in sizes)] if sizes else None,
-        "heights": [min(h for _, h in sizes), max(h for _, h in sizes)] if sizes else None,
-        "not_2_to_1": sum(w != 2 * h for w, h in sizes),
-        "unreadable": unreadable,
+        "widths": [min(widths), max(widths)] if widths else None,
+        "heights": [min(heights), max(heights)] if heights else None,
+        "not_2_to_1": sum(w != 2 * h for w, h in zip(widths, heights, strict=True)),
+        "unreadable": [scene.name for scene, size in zip(scenes, sizes, strict=True) if size is None],
         "without_initial_yaw": sum("initial yaw" not in item for item in items),
         "without_level": sum("level" not in item for item in items),
         "windows_across_yaw_0": sum(window_of(item).wraps for item in items),
@@ -153,38 +262,42 @@ def info(data: Path) -> dict[str, Any]:
     }
 
 
+def _size(stored: Stored) -> tuple[int, int] | None:
+    if not stored.member:
+        return picture_size(Path(stored.path))
+    try:
+        return picture_size(io.BytesIO(stored.read()))
+    except Exception:  # zipfile raises whatever the damage leads it to
+        return None
+
+
 def _episodes(scene: Scene) -> Iterator[Episode]:
-    for entry, item in enumerate(scene.items):
-        pitch = tuple(item["pitch"]) if item.get("pitch") is not None else None
-        kind: Kind = "hos" if pitch is not None else "hps"
-        others = tuple(
-            (tuple(other["yaw"]), tuple(other["pitch"]) if other.get("pitch") is not None else None)
-            for index, other in enumerate(scene.items)
-            if index != entry
-        )
-        seen: dict[str, int] = {}
+    boxes = [_box(item["yaw"], item.get("pitch")) for item in scene.items]
+    for entry, (item, (yaw, pitch)) in enumerate(zip(scene.items, boxes, strict=True)):
+        others = tuple(box for index, box in enumerate(boxes) if index != entry)
+        kind: Kind = "hps" if pitch is None else "hos"
+        seen: Counter[str] = Counter()
         for start, level in _starts(item):
             name = f"{scene.name}/{entry}/{start:g}"
-            seen[name] = seen.get(name, 0) + 1
+            seen[name] += 1
             name += f"-{seen[name]}" if seen[name] > 1 else ""
-            if level is None and kind == "hos":
-                level = _level(item, start)
-            task, yaw = str(item["task"]), tuple(item["yaw"])
-            yield Episode(name, scene.name, entry, kind, task, yaw, pitch, start, level, scene.panorama, others)
+            if level is None and pitch is not None:
+                level = level_of(View(start, 0.0), yaw, pitch)
+            yield Episode(name, scene.name, entry, kind, item["task"], yaw, pitch, start, level, scene.panorama, others)
+
+
+def _box(yaw: Iterable[float], pitch: Iterable[float] | None) -> Any:
+    return tuple(yaw), None if pitch is None else tuple(pitch)
 
 
 def _starts(item: Mapping[str, Any]) -> list[tuple[float, int | None]]:
     """Starts with their levels; the shorter of two lists decides, as published."""
-    level = item.get("level")
-    if "initial yaw" not in item:
-        starts: list[float] = list(STARTS)
-    else:
-        given = item["initial yaw"]
-        if not isinstance(given, list):
-            raise FormatError(f"initial yaw is {shown(given)}; wanted a list of angles in degrees")
-        starts = [number(start) for start in given]
-        if any(abs(start) > FARTHEST for start in starts):
-            raise FormatError(f"initial yaw is {shown(given)}; wanted angles of at most {FARTHEST:g} degrees")
+    given, level = item.get("initial yaw", list(STARTS)), item.get("level")
+    if not isinstance(given, list):
+        raise FormatError(f"initial yaw is {shown(given)}; wanted a list of angles in degrees")
+    starts = [number(start) if "initial yaw" in item else start for start in given]
+    if any(abs(start) > FARTHEST for start in starts):
+        raise FormatError(f"initial yaw is {shown(given)}; wanted angles of at most {FARTHEST:g} degrees")
     levels = level if isinstance(level, list) else [level] * len(starts)
     return [(start, None if one is None else _rank(one)) for start, one in zip(starts, levels, strict=False)]
 
@@ -196,26 +309,17 @@ def _rank(level: Any) -> int:
     return int(found)
 
 
-def _level(item: Mapping[str, Any], start: float) -> int:
-    """0 if at least half of the target's box is in the first view, 1 if some of it is, 2 if none."""
-    from eagor.tasks.hstar.camera import View, visible_share
-
-    share = visible_share(View(start, 0.0), tuple(item["yaw"]), tuple(item["pitch"]))
-    return 0 if share >= 0.5 else 1 if share > 0 else 2
-
-
 def _items(where: Stored) -> tuple[Mapping[str, Any], ...]:
-    name = str(where)
     try:
         text = where.read()
     except Exception as error:  # zipfile raises whatever the damage leads it to
-        raise FormatError(f"{name} cannot be read ({type(error).__name__}: {error}); fetch it again") from None
+        raise FormatError(f"{where} cannot be read ({type(error).__name__}: {error}); fetch it again") from None
     try:
         found = parsed(text.decode("utf-8-sig"))
     except ValueError as error:
-        raise FormatError(f"{name} is no JSON ({error}); restore it from the published archive") from None
+        raise FormatError(f"{where} is no JSON ({error}); restore it from the published archive") from None
     if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):
-        raise FormatError(f"{name} is no list of objects; wanted [{{task, yaw, pitch, initial yaw, level}}, ...]")
+        raise FormatError(f"{where} is no list of objects; wanted [{{task, yaw, pitch, initial yaw, level}}, ...]")
     for index, item in enumerate(found):
         try:
             if not isinstance(item.get("task"), str):
@@ -223,5 +327,5 @@ def _items(where: Stored) -> tuple[Mapping[str, Any], ...]:
             window_of(item)
             _starts(item)
         except (EagorError, TypeError, ValueError) as error:
-            raise FormatError(f"{name}, entry {index}: {error}") from None
+            raise FormatError(f"{where}, entry {index}: {error}") from None
     return tuple(found)

@@ -1,4 +1,4 @@
-"""H*Bench as a task of lmms-eval: what the exported task files call (`output_type: generate_until_agentic`).
+"""H*Bench as a task of lmms-eval (`output_type: generate_until_agentic`): its files, and the functions that they call.
 
 lmms-eval shows its model one text and some pictures at a time, so every turn carries the whole conversation that the
 model may see: the system message, then the last turns, whose pictures come first and are named in the text. Nothing is
@@ -9,22 +9,40 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from eagor._json import number, parsed
 from eagor.tasks.chat import IMAGE
-from eagor.tasks.hstar.camera import RESOLUTION, View, render_view
-from eagor.tasks.hstar.data import Episode
-from eagor.tasks.hstar.files import open_panorama
-from eagor.tasks.hstar.prompts import WINDOW, first_text, next_text, system_text
-from eagor.tasks.hstar.rules import MAX_TURNS, Action, parse_action, submit_succeeds, turned
+from eagor.tasks.hstar.camera import RESOLUTION
+from eagor.tasks.hstar.data import LEVELS, Episode, Kind, read_episodes
+from eagor.tasks.hstar.prompts import WINDOW, Talk
+from eagor.tasks.hstar.rules import FORMS, MAX_TURNS, Action, submit_succeeds
+from eagor.tasks.task_files import write_task
 
 Doc = Mapping[str, Any]
 
 
+def write(kind: Kind, settings: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Write the task ``eagor_hstar_<kind>`` into `folder` (`eagor.tasks.task_files`); returns the files.
+
+    The episodes hold the paths of their panoramas on this machine.
+    """
+    levels = list(LEVELS[kind])
+    kept = {key: settings[key] for key in ("turns", "window", "form", "resolution", "scoring") if key in settings}
+    documents = (
+        # The episode as text: a table of nested lists would have to agree on their types over all rows.
+        {"id": episode.id, "task": episode.task, "level": episode.level_name, "levels": levels, **kept}
+        | {"episode": json.dumps(episode.as_json())}
+        for episode in read_episodes(Path(settings["data"]), kind)
+    )
+    metrics = ["success", *(f"success_{level}" for level in levels)]
+    return write_task(folder, f"eagor_hstar_{kind}", __name__, documents, metrics, _turns(settings))
+
+
 def doc_to_visual(doc: Doc) -> list[Any]:
     """The first view, as a PIL image in a list."""
-    return [_picture(doc, _start(doc))]
+    return _flat(_talked(doc, ())[0])[0]
 
 
 def doc_to_text(
@@ -40,15 +58,17 @@ def doc_to_text(
     When it is over the last output is JSON: {"submit": [yaw, pitch] or null, "turns", "replies", "success"}.
     """
     if not round_idx or not previous_output:
-        return _conversation(doc, [])[1]
+        return _flat(_talked(doc, ())[0])[1]
     replies = [previous_output] if isinstance(previous_output, str) else [str(reply) for reply in previous_output]
-    turns = _replayed(doc, replies)
-    last = turns[-1][2]
-    state = {"state": {"turns": len(turns)}, "invalid_steps": sum(action is None for _, _, action in turns)}
-    over = (last is not None and last.kind == "submit") or len(turns) >= int(doc.get("turns", MAX_TURNS))
-    if over:
-        return [], None, True, [*replies[:-1], json.dumps(_outcome(doc, replies))], state
-    pictures, text = _conversation(doc, replies)
+    talk, actions = _talked(doc, replies)
+    state = {"state": {"turns": len(replies)}, "invalid_steps": actions.count(None)}
+    last = actions[-1]
+    submitted = (last.yaw, last.pitch) if last is not None and last.kind == "submit" else None
+    if submitted or len(replies) >= _turns(doc):
+        good = bool(submitted and submit_succeeds(talk.episode.item, *submitted, _scoring(doc)))
+        outcome = {"submit": submitted, "turns": len(replies), "replies": list(replies), "success": good}
+        return [], None, True, [*replies[:-1], json.dumps(outcome)], state
+    pictures, text = _flat(talk)
     return pictures, text, False, replies, state
 
 
@@ -63,11 +83,10 @@ def process_results(doc: Doc, results: Sequence[str]) -> dict[str, Any]:
     episode = _episode(doc)
     try:
         yaw, pitch = map(number, parsed(results[0])["submit"])
-        submitted = yaw, pitch
     except (ValueError, TypeError, LookupError):  # nothing was submitted, or it is not our JSON but a model's words
-        submitted = None
-    way = str(doc.get("scoring", "official"))
-    good = float(submitted is not None and submit_succeeds(episode.item, *submitted, way))
+        good = 0.0
+    else:
+        good = float(submit_succeeds(episode.item, yaw, pitch, _scoring(doc)))
     return {"success": good} | {
         f"success_{level}": good if level == episode.level_name else None for level in doc["levels"]
     }
@@ -83,55 +102,35 @@ def _episode(doc: Doc) -> Episode:
     return Episode.from_json(json.loads(doc["episode"]))
 
 
-def _start(doc: Doc) -> View:
-    return View(float(_episode(doc).start), 0.0)
+def _turns(settings: Mapping[str, Any]) -> int:
+    return int(settings.get("turns", MAX_TURNS))
 
 
-def _picture(doc: Doc, view: View) -> Any:
+def _scoring(doc: Doc) -> str:
+    return str(doc.get("scoring", "official"))
+
+
+def _talked(doc: Doc, replies: Sequence[str]) -> tuple[Talk, list[Action | None]]:
+    """The conversation at the turn after `replies`, and the action of each."""
+    window, resolution = int(doc.get("window", WINDOW)), int(doc.get("resolution", RESOLUTION))
+    talk, actions = Talk(_episode(doc), str(doc.get("form", FORMS[0])), window, resolution), []
+    view = talk.episode.first_view
+    talk.look(view)
+    for reply in replies:
+        actions.append(talk.hear(reply).action)
+        view = view.after(actions[-1])
+        talk.look(view)
+    return talk, actions
+
+
+def _flat(talk: Talk) -> tuple[list[Any], str]:
+    """The pictures of a conversation, and all of its text, which names them."""
     from PIL import Image
 
-    resolution = int(doc.get("resolution", RESOLUTION))
-    return Image.fromarray(render_view(open_panorama(_episode(doc).panorama), view.yaw, view.pitch, resolution))
-
-
-def _replayed(doc: Doc, replies: Sequence[str]) -> list[tuple[View, str, Action | None]]:
-    """For each reply: where the camera looked, the action's text, and the action."""
-    view, found = _start(doc), []
-    for reply in replies:
-        parsed = parse_action(reply, str(doc.get("form", "free_think")))
-        action = parsed.action
-        found.append((view, parsed.actions[0] if parsed.actions else "", action))
-        if action is not None and action.kind == "rotate":
-            view = View(*map(float, turned(view.yaw, view.pitch, action)))
-    return found
-
-
-def _conversation(doc: Doc, replies: Sequence[str]) -> tuple[list[Any], str]:
-    """The pictures and the text of the turn after `replies`."""
-    episode, form = _episode(doc), str(doc.get("form", "free_think"))
-    turns = _replayed(doc, replies)
-    view = _start(doc)
-    users = [(view, first_text(episode.task, form))]
-    for before, text, action in turns:
-        view = before
-        if action is not None and action.kind == "rotate":
-            view = View(*map(float, turned(before.yaw, before.pitch, action)))
-        users.append((view, next_text(episode.task, form, action, text, view.yaw, view.pitch)))
-    first = max(0, len(users) - int(doc.get("window", WINDOW)))
-    parts, pictures = [system_text(episode.kind, form)], []
-    for index in range(first, len(users)):
-        seen, text = users[index]
-        pictures.append(_picture(doc, seen))
-        parts.append(text.replace(IMAGE, f"(picture {len(pictures)})", 1))
-        if index < len(replies):
-            parts.append(f"Your answer was:\n{replies[index]}")
+    parts: list[str] = []
+    pictures: list[Any] = []
+    for message in talk.messages():
+        pictures += [Image.fromarray(image) for image in message.images]
+        text = message.text.replace(IMAGE, f"(picture {len(pictures)})", 1) if message.images else message.text
+        parts.append(f"Your answer was:\n{text}" if message.role == "assistant" else text)
     return pictures, "\n\n".join(parts)
-
-
-def _outcome(doc: Doc, replies: Sequence[str]) -> dict[str, Any]:
-    episode = _episode(doc)
-    action = _replayed(doc, replies)[-1][2]
-    submitted = [action.yaw, action.pitch] if action is not None and action.kind == "submit" else None
-    way = str(doc.get("scoring", "official"))
-    good = bool(submitted and submit_succeeds(episode.item, submitted[0], submitted[1], way))
-    return {"submit": submitted, "turns": len(replies), "replies": list(replies), "success": good}

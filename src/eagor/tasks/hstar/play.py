@@ -1,29 +1,38 @@
-"""One episode from its first view to its submission, and the record of it."""
+"""One episode from its first view to its submission, the record of it, and why it failed."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from eagor.conventions import direction_from_hstar
-from eagor.perception.calibrated import Calibrated
 from eagor.sphere import angular_distance
-from eagor.tasks.chat import Chat, shared_chat
-from eagor.tasks.eyes import recalibration
-from eagor.tasks.hstar.agents import LOOKING, Agent, make_agent
-from eagor.tasks.hstar.camera import View, visible_share
-from eagor.tasks.hstar.causes import cause_of
+from eagor.tasks.chat import shared_chat
+from eagor.tasks.hstar.agents import LOOKING, RESPONDS, Agent, VlmAgent, make_agent
+from eagor.tasks.hstar.camera import visible_share
 from eagor.tasks.hstar.data import Episode
-from eagor.tasks.hstar.eyes import Eye, open_eye, open_perception
-from eagor.tasks.hstar.rules import MAX_TURNS, SCORINGS, Action, checked_scoring, submit_succeeds, turned, window_of
+from eagor.tasks.hstar.looking import open_eye, open_perception
+from eagor.tasks.hstar.rules import MAX_TURNS, SCORINGS, Scoring, checked_scoring, submit_succeeds, window_of
 from eagor.tasks.hstar.search import SearchRules
-from eagor.tasks.hstar.talking import VlmAgent
-from eagor.tasks.hstar.words import tag_of
+from eagor.tasks.hstar.words import head_of, tag_of
+from eagor.tasks.published import reader
+
+# In the order in which they are asked; the first that fits is the cause.
+CAUSES = {
+    "format": "no valid submission: replies could not be read",
+    "budget": "no submission within the turns",
+    "wrong_instance": "submitted another annotated target with the same noun",
+    "stopped_wrongly": "an answer at an earlier turn would have succeeded",
+    "never_in_view": "no part of the target was ever in view",
+    "fusion_error": "some view's strongest response was at the target, the answer was not",
+    "missed": "the target was in view and nothing responded there",
+    "false_detection": "something else responded, or was taken for it",
+}
+NEAR = 25.0  # degrees from an answer: a response there is what was taken for the target
 
 
 def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
@@ -31,35 +40,23 @@ def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str,
     agent = settings["agent"]
     perception = open_perception(settings["perception"]) if agent in LOOKING else None
     chat = shared_chat(settings["model"]) if agent == "vlm" else None
-    calibrated = recalibration(settings)
+    rules, read = SearchRules(degree=settings["degree"], sure=settings["sure"]), reader(settings)
 
     def do(payload: Mapping[str, Any]) -> dict[str, Any]:
-        episode = Episode.from_json(payload["episode"])
-        eye = None
+        episode, eye = Episode.from_json(payload["episode"]), None
         if perception is not None:
-            eye = open_eye(perception, episode, settings["seed"], settings["resolution"])
-            eye = _Recalibrated(eye, calibrated) if calibrated else eye
-        player = open_agent(episode, settings, eye, chat)
+            eye = open_eye(perception, episode, settings["seed"], settings["resolution"], read)
+        if chat is not None:
+            player: Agent = VlmAgent(episode, chat, settings["form"], settings["window"], settings["resolution"])
+        else:
+            player = make_agent(agent, episode, eye, rules, settings["views"], settings["seed"])
         return play(episode, player, settings["scoring"], settings["turns"], payload.get("siblings", ()))
 
     return do
 
 
-def open_agent(episode: Episode, settings: Mapping[str, Any], eye: Eye | None, chat: Chat | None = None) -> Agent:
-    """The agent that `settings` name, for one episode."""
-    if settings["agent"] == "vlm":
-        assert chat is not None
-        return VlmAgent(episode, chat, settings["form"], settings["window"], settings["resolution"])
-    rules = SearchRules(degree=settings["degree"], sure=settings["sure"])
-    return make_agent(settings["agent"], episode, eye, rules, settings["views"], settings["seed"])
-
-
 def play(
-    episode: Episode,
-    agent: Agent,
-    scoring: str = "official",
-    turns: int = MAX_TURNS,
-    siblings: Any = (),
+    episode: Episode, agent: Agent, scoring: str = "official", turns: int = MAX_TURNS, siblings: Any = ()
 ) -> dict[str, Any]:
     """The record of one episode; see `eagor.tasks.benchmark.Benchmark` for what every record has.
 
@@ -73,106 +70,111 @@ def play(
     Each step has "turn", "view" (yaw, pitch), "shown" (how much of the target is in view), "action" (as text, None:
     invalid), "would" (what it would submit: yaw, pitch, official, strict, p), "ms", and what the agent noted.
     """
-    scoring = checked_scoring(scoring)
-    item, view = episode.item, View(float(episode.start), 0.0)
+    way, view = checked_scoring(scoring), episode.first_view
     steps: list[dict[str, Any]] = []
-    answer: Action | None = None
-    last: dict[str, Any] = {}
-    for number in range(1, turns + 1):
+    answer = None
+    while answer is None and len(steps) < turns:
         began = time.perf_counter()
-        turn = agent.step(view, number == turns)
-        last = dict(turn.notes)
-        would = None
-        if turn.would is not None:
-            p = turn.would.probability
-            would = {
-                "yaw": turn.would.yaw,
-                "pitch": turn.would.pitch,
-                **{way: submit_succeeds(item, turn.would.yaw, turn.would.pitch, way) for way in SCORINGS},
-                "p": None if math.isnan(p) else round(p, 4),
-            }
+        turn = agent.step(view, len(steps) + 1 == turns)
+        yaw, pitch, p = turn.would.yaw, turn.would.pitch, turn.would.probability
+        succeeds = {each: submit_succeeds(episode.item, yaw, pitch, each) for each in SCORINGS}
         steps.append(
             {
-                "turn": number,
+                "turn": len(steps) + 1,
                 "view": {"yaw": view.yaw, "pitch": view.pitch},
                 "shown": round(visible_share(view, episode.yaw, episode.pitch), 3),
                 "action": None if turn.action is None else str(turn.action),
-                "would": would,
+                "would": {"yaw": yaw, "pitch": pitch, **succeeds, "p": None if math.isnan(p) else round(p, 4)},
                 "ms": round(1000 * (time.perf_counter() - began), 2),
-                **last,
+                **turn.notes,
             }
         )
-        if turn.action is None:
-            continue
-        if turn.action.kind == "submit":
-            answer = turn.action
-            break
-        view = View(*map(float, turned(view.yaw, view.pitch, turn.action)))
-    submitted = None if answer is None else {"yaw": answer.yaw, "pitch": answer.pitch}
-    scores = scores_of(episode, submitted)
-    by_turn = [int(bool(step["would"] and step["would"][scoring])) for step in steps]
-    by_turn += [int(scores[scoring])] * (turns - len(steps))
-    stated = steps[-1]["would"]["p"] if answer is not None and steps[-1]["would"] else None
-    return {
-        **identity(episode, siblings),
-        "scoring": scoring,
-        "score": scores[scoring],
-        "scores": scores,
-        "cause": None if scores[scoring] else cause_of(item, steps, submitted, siblings, scoring),
-        "by_turn": by_turn,
+        if turn.action is not None and turn.action.kind == "submit":
+            answer = {"yaw": turn.action.yaw, "pitch": turn.action.pitch}
+        view = view.after(turn.action)
+    record = judged(episode, answer, way, siblings, steps)
+    by_turn = [int(step["would"][way]) for step in steps]
+    return record | {
+        "scoring": way,
+        "by_turn": by_turn + [int(record["score"])] * (turns - len(steps)),
         "views": len(steps),
-        "stated": stated,
-        "sure": bool(last.get("sure", False)) and answer is not None,
-        "reason": "submitted" if answer is not None else cause_of(item, steps, None, (), scoring),
-        "answer": submitted,
-        **errors(episode, submitted),
+        "stated": steps[-1]["would"]["p"] if answer is not None else None,
+        "sure": bool(steps[-1].get("sure", False)) and answer is not None,
         "steps": steps,
     }
 
 
-def identity(episode: Episode, siblings: Any = ()) -> dict[str, Any]:
-    """What a record says of its episode."""
+def judged(
+    episode: Episode,
+    answer: Mapping[str, Any] | None,
+    scoring: Scoring,
+    siblings: Any,
+    steps: Sequence[Mapping[str, Any]],
+    reason: str | None = None,
+) -> dict[str, Any]:
+    """The part of a record that goes by the submission (None: none, for the `reason`), with the errors in degrees."""
+    scores = dict.fromkeys(SCORINGS, 0.0)
+    errors: dict[str, float | None] = {"yaw_error": None, "pitch_error": None, "error": None}
+    if answer is not None:
+        at = answer["yaw"], answer["pitch"]
+        scores = {way: float(submit_succeeds(episode.item, *at, way)) for way in SCORINGS}
+        middle = window_of(episode.item).centre
+        turn = abs((at[0] - middle[0] + 180.0) % 360.0 - 180.0)
+        lift = None if episode.pitch is None else round(abs(at[1] - middle[1]), 2)
+        errors = {"yaw_error": round(turn, 2), "pitch_error": lift, "error": round(_apart(at, middle), 2)}
+    reason = reason or ("submitted" if answer is not None else cause_of(episode.item, steps, None, (), scoring))
+    cause = None
+    if not scores[scoring]:
+        cause = reason if answer is None else cause_of(episode.item, steps, answer, siblings, scoring)
     return {
         "case": episode.id,
-        "cluster": cluster_of(episode),
+        "cluster": episode.cluster,
         "level": episode.level_name,
         "tags": [tag_of(episode.item, siblings)],
         "words": episode.task,
         "start": episode.start,
         "target": {"yaw": list(episode.yaw), "pitch": None if episode.pitch is None else list(episode.pitch)},
+        "score": scores[scoring],
+        "scores": scores,
+        "cause": cause,
+        "reason": reason,
+        "answer": answer,
+        **errors,
     }
 
 
-def cluster_of(episode: Episode) -> str:
-    """What the four starts of one target share."""
-    return f"{episode.scene}/{episode.entry}"
+def cause_of(
+    item: Mapping[str, Any],
+    steps: Sequence[Mapping[str, Any]],
+    answer: Mapping[str, Any] | None,
+    others: Sequence[Mapping[str, Any]],
+    scoring: Scoring,
+) -> str:
+    """The cause of a failure, one of `CAUSES`.
 
-
-def scores_of(episode: Episode, answer: Mapping[str, Any] | None) -> dict[str, float]:
-    """1 or 0 for a submission (None: none) in degrees, by each way of scoring."""
+    `item` and `others` are entries of annotation.json, the target and the rest of its scene; `steps` and `answer` (None
+    if there was none) those of the record.
+    """
     if answer is None:
-        return dict.fromkeys(SCORINGS, 0.0)
-    return {way: float(submit_succeeds(episode.item, answer["yaw"], answer["pitch"], way)) for way in SCORINGS}
+        return "format" if any(step.get("valid") is False for step in steps) else "budget"
+    at = answer["yaw"], answer["pitch"]
+    same = [other for other in others if head_of(str(other["task"])) == head_of(str(item["task"]))]
+    if any(window_of(other).contains(*at, "strict") for other in same):
+        return "wrong_instance"
+    if any((step.get("would") or {}).get(scoring) for step in steps):
+        return "stopped_wrongly"
+    if all(step["shown"] == 0 for step in steps):
+        return "never_in_view"
+    peaks = [step["peak"] for step in steps if "peak" in step]
+    if not peaks:
+        return "false_detection"
+    loud = [(peak["yaw"], peak["pitch"]) for peak in peaks if peak["score"] >= RESPONDS]
+    if any(window_of(item).contains(*peak, "strict") for peak in loud):
+        return "fusion_error"
+    return "false_detection" if any(_apart(peak, at) <= NEAR for peak in loud) else "missed"
 
 
-def errors(episode: Episode, answer: Mapping[str, Any] | None) -> dict[str, float | None]:
-    """Degrees between the submission and the middle of the target: in yaw, in pitch, and on the great circle."""
-    if answer is None:
-        return {"yaw_error": None, "pitch_error": None, "error": None}
-    yaw, pitch = window_of(episode.item).centre
-    turn = abs((answer["yaw"] - yaw + 180.0) % 360.0 - 180.0)
-    ends = direction_from_hstar(np.array([answer["yaw"], yaw]), np.array([answer["pitch"], pitch]))
-    apart = float(np.degrees(angular_distance(ends[0], ends[1])))
-    lift = None if episode.pitch is None else round(abs(answer["pitch"] - pitch), 2)
-    return {"yaw_error": round(turn, 2), "pitch_error": lift, "error": round(apart, 2)}
-
-
-class _Recalibrated:
-    """An eye whose evidence is read with another calibration or detector."""
-
-    def __init__(self, eye: Eye, calibrated: Calibrated) -> None:
-        self._eye, self._calibrated = eye, calibrated
-
-    def look(self, view: View) -> Any:
-        look = self._eye.look(view)
-        return replace(look, evidence=self._calibrated.reread(look.evidence))
+def _apart(a: tuple[float, float], b: tuple[float, float]) -> float:
+    """Degrees between two directions (yaw, pitch) on the great circle."""
+    ends = direction_from_hstar(*np.array([a, b], dtype=np.float64).T)
+    return float(np.degrees(angular_distance(ends[0], ends[1])))

@@ -8,13 +8,12 @@ angles), so figures of models that were tuned on the published wording can diffe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 
 from eagor.tasks.chat import IMAGE, Message
-from eagor.tasks.hstar.rules import Action
+from eagor.tasks.hstar.camera import View, render_view
+from eagor.tasks.hstar.data import Episode, open_panorama
+from eagor.tasks.hstar.rules import Reply, parse_action
 
 WINDOW = 5  # turns of conversation that the published runner keeps; its paper finds two to be enough
 
@@ -53,12 +52,42 @@ _EXAMPLE = (
 _POSES = ("(315,0)", "(285,-5)")
 
 
-@dataclass(frozen=True, eq=False)
-class Exchange:
-    """A turn that is over: what was shown and said, what the model replied."""
+class Talk:
+    """The conversation about one episode, turn by turn: `look`, send the `messages`, `hear` the reply."""
 
-    user: Message
-    reply: str
+    def __init__(self, episode: Episode, form: str, window: int, resolution: int) -> None:
+        self.episode, self.form, self.window, self.resolution = episode, form, window, resolution
+        self._shown: list[tuple[View, str]] = []  # for each turn where the camera looks, and what is said with it
+        self._pictures: dict[int, np.ndarray] = {}
+        self._said: list[str] = []
+        self._last: Reply | None = None
+
+    def look(self, view: View) -> None:
+        """Begin a turn at this view."""
+        task = self.episode.task
+        text = first_text(task, self.form) if self._last is None else next_text(task, self.form, self._last, view)
+        self._shown.append((view, text))
+
+    def hear(self, said: str) -> Reply:
+        """The reply to the `messages`, understood."""
+        self._said.append(said)
+        self._last = parse_action(said, self.form)
+        return self._last
+
+    def messages(self) -> list[Message]:
+        """The system message and the last `window` turns, the present one included."""
+        found = [Message("system", system_text(self.episode.kind, self.form))]
+        for turn in range(max(0, len(self._shown) - self.window), len(self._shown)):
+            view, text = self._shown[turn]
+            if turn not in self._pictures:
+                self._pictures[turn] = self.picture(view)
+            found.append(Message("user", text, (self._pictures[turn],)))
+            found += [Message("assistant", said) for said in self._said[turn : turn + 1]]
+        return found
+
+    def picture(self, view: View) -> np.ndarray:
+        """What the model is shown of a view ``(rows, columns, 3)``."""
+        return render_view(open_panorama(self.episode.panorama), view.yaw, view.pitch, self.resolution)
 
 
 def system_text(kind: str, form: str) -> str:
@@ -71,31 +100,22 @@ def system_text(kind: str, form: str) -> str:
         lines += [f"image_{index + 1}", _reply(thought, action, form)]
     lines += ["Round 4:", "Env_feedback: Success"]
     shortest = _reply(*_EXAMPLE[0], form)
-    return f"{_GOAL[kind]}\n{_ACTIONS}\n\n" + "\n".join(lines) + f"\n{form_text(form)}\ne.g. {shortest}"
-
-
-def form_text(form: str) -> str:
-    """How replies have to look; stands at the end of every turn."""
-    rules = f"You can take 1 action(s) at a time.\n{_MANNER[form]}"
-    return f"{rules}\nYour response should be in the format of:\n{_FORMAT[form]}"
+    return f"{_GOAL[kind]}\n{_ACTIONS}\n\n" + "\n".join(lines) + f"\n{_form_text(form)}\ne.g. {shortest}"
 
 
 def first_text(task: str, form: str) -> str:
     """What is said with the first view."""
-    return f"[initial observation]:\n{IMAGE}\nHuman Instruction: {task}\nDecide your next action.\n{form_text(form)}"
+    return f"[initial observation]:\n{_instruction(task, form)}"
 
 
-def next_text(task: str, form: str, action: Action | None, text: str, yaw: float, pitch: float) -> str:
-    """What is said with a later view: what was understood, what came of it, where the camera looks now.
-
-    `action` is the one that was carried out (None: none was), `text` how it stood in the reply.
-    """
-    valid = f"[{text!r}]" if action is not None else "[]"
-    said = succeeded(f"({yaw:g},{pitch:g})") if action is not None else "Last action is not executed successfully."
+def next_text(task: str, form: str, reply: Reply, view: View) -> str:
+    """What is said with a later view: what was understood of the reply, what came of it, where the camera looks now."""
+    valid, said = "[]", "Last action is not executed successfully."
+    if reply.action is not None:
+        valid, said = f"[{reply.actions[0]!r}]", succeeded(f"({view.yaw:g},{view.pitch:g})")
     return (
         f"After your answer, the extracted valid action is {valid}.\nThe environment feedback is: {said}\ndone: False\n"
-        f"After that, the observation is:\n{IMAGE}\nHuman Instruction: {task}\nDecide your next action.\n"
-        f"{form_text(form)}"
+        f"After that, the observation is:\n{_instruction(task, form)}"
     )
 
 
@@ -104,14 +124,14 @@ def succeeded(pose: str) -> str:
     return f"Last action executed successfully, your current direction (yaw,pitch) is {pose}"
 
 
-def conversation(
-    system: str, past: Sequence[Exchange], text: str, image: np.ndarray, window: int = WINDOW
-) -> list[Message]:
-    """The system message and the last `window` turns, the present one included."""
-    messages = [Message("system", system)]
-    for exchange in past[max(0, len(past) - (window - 1)) :] if window > 1 else ():
-        messages += [exchange.user, Message("assistant", exchange.reply)]
-    return [*messages, Message("user", text, (image,))]
+def _instruction(task: str, form: str) -> str:
+    return f"{IMAGE}\nHuman Instruction: {task}\nDecide your next action.\n{_form_text(form)}"
+
+
+def _form_text(form: str) -> str:
+    """How replies have to look; stands at the end of every turn."""
+    rules = f"You can take 1 action(s) at a time.\n{_MANNER[form]}"
+    return f"{rules}\nYour response should be in the format of:\n{_FORMAT[form]}"
 
 
 def _reply(thought: str, action: str, form: str) -> str:

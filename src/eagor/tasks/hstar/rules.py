@@ -1,8 +1,8 @@
 """The rules of H*Bench: what counts as success, which replies count as actions, and how the camera obeys them.
 
 Yaw in degrees: 0 is the middle of the panorama, positive to the RIGHT, 0 to 360. Pitch in degrees, positive up, -90 to
-90. (`eagor.conventions.direction_from_hstar` leads to our frame.) Written after the behaviour of the published
-environment (H*Bench, humanoid-vstar/hstar at 7a52247), quirks included, and held to vectors that it produced.
+90. Written after the behaviour of the published environment (H*Bench, humanoid-vstar/hstar at 7a52247), quirks
+included, and held to vectors that it produced.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from eagor.errors import EagorError, FormatError
 
 Scoring = Literal["official", "strict"]
 SCORINGS: tuple[Scoring, ...] = get_args(Scoring)
-Form = Literal["free_think", "no_think", "grounding"]
+FORMS = ("free_think", "no_think", "grounding")
 
 MAX_TURNS = 10
 YAW_TOLERANCE = {"hos": 30, "hps": 10}  # degrees to both sides of a narrower target's middle
 PITCH_TOLERANCE = 20
 SEPARATOR = "|"
 FARTHEST = 3600.0  # degrees in an annotation; more is a mistake
+FARTHEST_ANSWER = 10**6  # degrees in an answer
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Window:
     @property
     def width(self) -> float:
         """Degrees of yaw."""
-        return (self.yaw[1] - self.yaw[0]) % 360.0 if self.yaw[0] != self.yaw[1] else 0.0
+        return (self.yaw[1] - self.yaw[0]) % 360.0
 
     @property
     def centre(self) -> tuple[float, float]:
@@ -90,19 +91,13 @@ class Reply(Mapping[str, Any]):
         return read_action(self.actions[0]) if len(self.actions) == 1 else None
 
     def __getitem__(self, key: str) -> Any:
-        if key not in _REPLY:
-            raise KeyError(key)
-        return getattr(self, key)
+        return vars(self)[key]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(_REPLY)
+        return iter(vars(self))
 
     def __len__(self) -> int:
-        return len(_REPLY)
-
-
-_LARGEST = 10**6  # degrees in a reply
-_REPLY = ("think_content", "actions", "format_correct")
+        return len(vars(self))
 
 
 def normalised(yaw: float) -> float:
@@ -133,14 +128,8 @@ def window_of(item: Mapping[str, Any]) -> Window:
 def submit_succeeds(item: Mapping[str, Any], yaw: float, pitch: float, scoring: str = "official") -> bool:
     """Whether submitting (yaw, pitch), degrees, finds the target of one entry of annotation.json.
 
-    Args:
-        item: with ``yaw`` [left, right] and, in HOS, ``pitch`` [low, high]; without pitch it is one of HPS.
-        yaw: positive to the right, any whole turn.
-        pitch: positive up.
-        scoring: ``official``, as the published environment decides; ``strict``, the same without its quirk of
-            forgetting the pitch where the window crosses yaw 0.
-
-    Raises `EagorError` for another scoring, `FormatError` for an item without usable angles.
+    `item` has ``yaw`` [left, right] and, in HOS, ``pitch`` [low, high]. `scoring`: see `Window.contains`. Raises
+    `EagorError` for another scoring, `FormatError` for an item without usable angles.
     """
     return window_of(item).contains(yaw, pitch, checked_scoring(scoring))
 
@@ -152,14 +141,25 @@ def checked_scoring(scoring: str) -> Scoring:
     return scoring  # type: ignore[return-value]
 
 
+# What the published patterns have between their lazy dots, in order. One search after the other finds what the whole
+# pattern would, in time that grows with the text alone: where the first of a mark leads nowhere, no later one does.
+_MARKS = {
+    "free_think": ("<think>", r"</think>\s*<answer>"),
+    "no_think": ("<answer>",),
+    "grounding": (r"<think>\s*<observation>", r"</observation>\s*<reasoning>", r"</reasoning>\s*</think>\s*<answer>"),
+}
+_THOUGHT = ("<think>", "</think>", "<answer>")
+_END = "</answer>"
+
+
 def parse_action(text: str, form: str = "free_think") -> Reply:
     """What a model's reply says, in one of the three published forms.
 
     ``free_think`` takes the first ``<answer>`` wherever it stands; the others want their form kept. Of several actions
     (parted by ``|``) the first counts. Raises `EagorError` for another form.
     """
-    if form not in _MARKS:
-        raise EagorError(f"the form of replies is {form!r}; wanted one of {', '.join(_MARKS)}")
+    if form not in FORMS:
+        raise EagorError(f"the form of replies is {form!r}; wanted one of {', '.join(FORMS)}")
     text = text.replace("<image>", "")
     whole = text.strip()
     kept = _along(whole, _MARKS[form], at_start=True)
@@ -175,21 +175,6 @@ def parse_action(text: str, form: str = "free_think") -> Reply:
         return Reply("", [], kept is not None)
     actions = [part.strip() for part in read[1].split(SEPARATOR) if part.strip()]
     return Reply(read[0], actions[:1], kept is not None)
-
-
-# What the published patterns have between their lazy dots, in order. One search after the other finds what the whole
-# pattern would, in time that grows with the text alone: where the first of a mark leads nowhere, no later one does.
-_MARKS = {
-    "free_think": ("<think>", r"</think>\s*<answer>"),
-    "no_think": ("<answer>",),
-    "grounding": (
-        r"<think>\s*<observation>",
-        r"</observation>\s*<reasoning>",
-        r"</reasoning>\s*</think>\s*<answer>",
-    ),
-}
-_THOUGHT = ("<think>", "</think>", "<answer>")
-_END = "</answer>"
 
 
 def _along(text: str, marks: tuple[str, ...], at_start: bool = False) -> list[re.Match[str]] | None:
@@ -227,8 +212,8 @@ def read_action(text: str) -> Action | None:
                 yaw, pitch = int(parts[0].strip()), int(parts[1].strip())
             except (ValueError, IndexError):
                 return None
-            if max(abs(yaw), abs(pitch)) > _LARGEST:  # means the same, and a float can hold it
-                yaw, pitch = yaw % 360, max(-_LARGEST, min(_LARGEST, pitch))
+            if max(abs(yaw), abs(pitch)) > FARTHEST_ANSWER:  # means the same, and a float can hold it
+                yaw, pitch = yaw % 360, max(-FARTHEST_ANSWER, min(FARTHEST_ANSWER, pitch))
             return Action(kind, yaw, pitch)
     return None
 

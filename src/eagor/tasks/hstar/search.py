@@ -37,14 +37,12 @@ class SearchRules:
     - `sure`: probability of success from which on it submits.
     - `hit`, `alarm`: what planning expects of a look: the probability that a target in view answers, and that
       something else does.
-    - `repeats`: how much of a look repeats the look before it where both look: the errors of a model stay where they
-      are for a while. Of the look before that one it repeats `repeats` squared, and so on: it is better to come back.
-    - `tilt`, `height`: standard deviation and mean of the target's elevation beforehand, degrees: things are found
-      around the horizon and a little below it, and with `elsewhere` of that density anywhere. `tilt` 0: every direction
-      is as likely.
+    - `repeats`: how much of a look repeats the look before it where both look, since the errors of a model stay where
+      they are for a while. Of the look before that one it repeats `repeats` squared, and so on.
+    - `tilt`, `height`: standard deviation and mean of the target's elevation beforehand, degrees; `elsewhere` of that
+      density lies anywhere. `tilt` 0: every direction is as likely.
     - `shift`, `slope`: what is stated for a window that holds the share p of the belief, logit(stated) = shift + slope
-      logit(p) (Platt 1999). Looks are read cautiously, since their errors repeat themselves, so that belief lingers all
-      around long after the window that holds most of it is right most of the time.
+      logit(p) (Platt 1999): looks are read cautiously, so that belief is less sure than it might be.
 
     The defaults were found on development apartments (random trials, as ``benchmarks/search.py --fit`` makes them),
     `shift` and `slope` by the log score of what was stated at each of ten turns.
@@ -143,8 +141,7 @@ class Search:
     def probability(self) -> np.ndarray:
         """Of each cell of `CELLS` ``(H, W)``; sums to 1.
 
-        The belief counts where something was looked at; a field of finite degree rings a little beyond, and that is
-        nobody's observation.
+        The belief counts where something was looked at: what its finite degree rings beyond is nobody's observation.
         """
         field = np.asarray(self.belief.log_ratio(CELLS)) * self.shown
         found = np.exp(field - field.max()) * _prior(self.rules, self.kind)
@@ -156,14 +153,16 @@ class Search:
         mass = _window_mass(p, self.kind)
         best = mass >= mass.max() - 1e-9
         row, column = np.unravel_index(int(np.argmax(np.where(best, _blurred(p), -1.0))), p.shape)
-        rows, columns = _around(int(row), int(column), self.kind)
-        part = p[np.ix_(rows, columns % p.shape[1])]
-        yaw_deg = -np.degrees(CELLS.longitudes)[columns % p.shape[1]]
-        offset = (yaw_deg - yaw_deg[len(columns) // 2] + 180.0) % 360.0 - 180.0
-        yaw = yaw_deg[len(columns) // 2] + float((part * offset).sum() / part.sum())
+        high, wide = _reach(self.kind)
+        rows = np.arange(max(0, row - high), min(CELLS.height, row + high + 1))
+        columns = np.arange(column - wide, column + wide + 1) % CELLS.width
+        part = p[np.ix_(rows, columns)]
+        yaws = -np.degrees(CELLS.longitudes)[columns]
+        offset = (yaws - yaws[wide] + 180.0) % 360.0 - 180.0
+        yaw = yaws[wide] + float((part * offset).sum() / part.sum())
         pitch = float((part * np.degrees(CELLS.latitudes)[rows][:, None]).sum() / part.sum())
-        pitch = 0.0 if self.kind == "hps" else pitch
-        return Answer(round(yaw) % 360, max(-90, min(90, round(pitch))), self.rules.stated(float(mass[row, column])))
+        pitch = 0 if self.kind == "hps" else max(-90, min(90, round(pitch)))
+        return Answer(round(yaw) % 360, pitch, self.rules.stated(float(mass[row, column])))
 
     def information(self) -> np.ndarray:
         """Nats that the outcome of each view would tell about where the target is, ``(len(PITCHES), len(YAWS))``."""
@@ -196,22 +195,15 @@ def _information(p: np.ndarray, new: np.ndarray, shown: np.ndarray, hit: float, 
     silent = (1 - reported[:, 0]) * (1 - alarm)
     outcome = -(there * np.log(there)).sum(axis=1) - silent * np.log(silent)
     spread = -float((np.exp(even) * even).sum())  # entropy of where a false report is
-    given = _entropy(1 - share, alarm, spread) + _binary(share, alarm, even[None])
+
+    def without(left: np.ndarray) -> np.ndarray:
+        """Entropy of what is said when no true report comes, which is as likely as `left`: nothing, or a false one."""
+        return -_xlog(left * (1 - alarm)) - _xlog(left * alarm) + left * alarm * spread
+
+    false = (1 - share) * alarm * np.exp(even[None])  # in the cell of the true report
+    given = without(1 - share) + (-_xlog(share + false) + _xlog(false))
     out = 1.0 - here.sum(axis=1)
-    elsewhere = float(_entropy(np.ones(1), alarm, spread)[0])
-    return outcome - (here * given).sum(axis=1) - out * elsewhere
-
-
-def _entropy(left: np.ndarray, alarm: float, spread: float) -> np.ndarray:
-    """Entropy of what a look says when no true report comes: none, or a false one; `left` is how likely that is."""
-    quiet, loud = left * (1 - alarm), left * alarm
-    return -_xlog(quiet) - _xlog(loud) + loud * spread
-
-
-def _binary(share: np.ndarray, alarm: float, even: np.ndarray) -> np.ndarray:
-    """What a true report with probability `share` adds to the entropy, where a false one could be in the same cell."""
-    false = (1 - share) * alarm * np.exp(even)
-    return -_xlog(share + false) + _xlog(false)
+    return outcome - (here * given).sum(axis=1) - out * float(without(np.ones(1))[0])
 
 
 def _xlog(x: np.ndarray) -> np.ndarray:
@@ -273,28 +265,13 @@ def _reach(kind: str) -> tuple[int, int]:
 
 def _window_mass(p: np.ndarray, kind: str) -> np.ndarray:
     """The probability within the window around each cell; cells at the window's border count half."""
-    rows, columns = _reach(kind)
-    kernel = np.ones(2 * columns + 1)
-    kernel[[0, -1]] = 0.5
-    wide = np.zeros_like(p)
-    for shift, weight in zip(range(-columns, columns + 1), kernel, strict=True):
-        wide += weight * np.roll(p, shift, axis=1)
+    from scipy.ndimage import convolve1d
+
+    tall, wide = (np.r_[0.5, np.ones(2 * reach - 1), 0.5] for reach in _reach(kind))
+    found = convolve1d(p, wide, axis=1, mode="wrap")
     if kind == "hps":
-        return np.broadcast_to(wide.sum(axis=0), p.shape)
-    tall = np.zeros_like(p)
-    for shift in range(-rows, rows + 1):
-        weight = 0.5 if abs(shift) == rows else 1.0
-        low, high = max(0, -shift), p.shape[0] - max(0, shift)
-        tall[low:high] += weight * wide[low + shift : high + shift]
-    return tall
-
-
-def _around(row: int, column: int, kind: str) -> tuple[np.ndarray, np.ndarray]:
-    rows, columns = _reach(kind)
-    return (
-        np.arange(max(0, row - rows), min(CELLS.height, row + rows + 1)),
-        np.arange(column - columns, column + columns + 1),
-    )
+        return np.broadcast_to(found.sum(axis=0), p.shape)
+    return convolve1d(found, tall, axis=0, mode="constant")
 
 
 def _blurred(p: np.ndarray) -> np.ndarray:

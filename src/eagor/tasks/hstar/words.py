@@ -54,7 +54,7 @@ def phrase_of(task: str) -> str:
 
 def head_of(task: str) -> str:
     """The noun that names the thing, singular and lower case: "chair"."""
-    words = re.findall(r"[A-Za-z][A-Za-z-]*", phrase_of(task).lower())
+    words = re.findall(r"[a-z][a-z-]*", phrase_of(task).lower())
     return singular(words[-1]) if words else thing_of(task).lower()
 
 
@@ -68,13 +68,11 @@ def tag_of(item: Mapping[str, Any], others: Sequence[Mapping[str, Any]] = ()) ->
     task = str(item["task"])
     phrase = phrase_of(task)
     branded = any(word[:1].isupper() for word in phrase.split()) and not phrase.isupper()
-    if _TEXT.search(thing_of(task).lower()) or branded or phrase.isupper() or _tiny(item):
-        return "ocr_fine"
-    if any(head_of(str(other["task"])) == head_of(task) for other in others):
-        return "multi_instance"
-    return "plain" if head_of(task) in COMMON or singular(head_of(task)) in COMMON else "rare"
-
-
-def _tiny(item: Mapping[str, Any]) -> bool:
     yaw, pitch = item["yaw"], item.get("pitch")
-    return pitch is not None and (yaw[1] - yaw[0]) % 360.0 < FINE and pitch[1] - pitch[0] < FINE
+    tiny = pitch is not None and (yaw[1] - yaw[0]) % 360.0 < FINE and pitch[1] - pitch[0] < FINE
+    if _TEXT.search(thing_of(task).lower()) or branded or phrase.isupper() or tiny:
+        return "ocr_fine"
+    head = head_of(task)
+    if any(head_of(str(other["task"])) == head for other in others):
+        return "multi_instance"
+    return "plain" if head in COMMON or singular(head) in COMMON else "rare"

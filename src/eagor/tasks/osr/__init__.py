@@ -4,8 +4,6 @@
 `eagor.tasks.osr.layout`.
 """
 
-from __future__ import annotations
-
 from eagor.tasks.osr.layout import direction_label, distance_label, swapped
 from eagor.tasks.osr.scoring import lenient, score, score_map
 

@@ -1,4 +1,4 @@
-"""Who answers the questions of OSR-Bench."""
+"""Who answers the questions of OSR-Bench: `eagor` from geometry, a model, and the marks to measure by."""
 
 from __future__ import annotations
 
@@ -6,19 +6,22 @@ import json
 import zlib
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
 
 import numpy as np
 
+from eagor._lazy import lazy
 from eagor.tasks.chat import Chat, Message
-from eagor.tasks.osr.dataset import Scene
-from eagor.tasks.osr.layout import DIRECTIONS, NO_CANDIDATE, NO_OBJECT, NO_POSITION, NOT_UNIQUE, layout_of
-from eagor.tasks.osr.prompts import Form, map_turn, next_turn, plain_turn
-from eagor.tasks.osr.questions import Question
+from eagor.tasks.osr.data import Question, Scene
+from eagor.tasks.osr.drawing import Drawings, draw, layout_from
+from eagor.tasks.osr.geometry import SURE, Placed, direction_between, nearest, place, place_on_circle
+from eagor.tasks.osr.layout import DIRECTIONS, NO_CANDIDATE, NO_OBJECT, NO_POSITION, NOT_UNIQUE, Layout, layout_of
+from eagor.tasks.osr.looking import Looker, Seen
+from eagor.tasks.osr.prompts import next_text, plain_text, with_picture
 from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP
+from eagor.tasks.published import luck
 
-Labels = Literal["official", "corrected"]
 AGENTS = {
     "eagor": "bearings from a belief, ranges from floor contacts, and geometry",
     "vlm": "asks the model, with the map or without it (--set suffix=...)",
@@ -47,11 +50,16 @@ class Agent(Protocol):
         ...
 
 
+def map_text(layout: Layout) -> str:
+    """A layout in the form that the benchmark asks for: {"name": [[x, y], ...]}, x the column and y the row."""
+    return json.dumps({name: [[column, row] for row, column in where] for name, where in layout.items()})
+
+
 @dataclass(frozen=True)
 class Oracle:
     """Says the label."""
 
-    labels: Labels = "official"
+    labels: str = "official"
 
     def answer(self, scene: Scene, question: Question) -> Reply:
         truth = question.truth(self.labels)
@@ -79,24 +87,28 @@ class Majority:
     """Says what is the most frequent answer to such questions in the other scenes; of choices, the likeliest."""
 
     scenes: Sequence[Scene]
-    labels: Labels = "official"
+    labels: str = "official"
     negative: bool = False
-    _counts: dict[str, dict[str, Counter[str]]] = field(default_factory=dict)
 
     def answer(self, scene: Scene, question: Question) -> Reply:
-        if not self._counts:
-            for each in self.scenes:
-                for other in each.questions:
-                    if other.skill != MAP:
-                        counts = self._counts.setdefault(other.skill, {}).setdefault(each.id, Counter())
-                        counts[str(other.truth(self.labels))] += 1
-        told: Counter[str] = Counter()
-        for name, counts in self._counts.get(question.skill, {}).items():
-            if name != scene.id:
-                told.update(counts)
+        told = self._told("", question.skill) - self._told(scene.id, question.skill)
         fits = set(question.names[1:]) | {NO_CANDIDATE} if question.skill == DISTANCE else set(told)
         ranked = sorted((word for word in told if word in fits), key=lambda word: (-told[word], word))
         return Reply(ranked[0]) if ranked else Constant(self.negative).answer(scene, question)
+
+    def _told(self, scene: str, skill: str) -> Counter[str]:
+        return self._counts.get((scene, skill), Counter())
+
+    @lazy
+    def _counts(self) -> dict[tuple[str, str], Counter[str]]:
+        """How often each answer is right, by scene ("" for all of them) and skill."""
+        counts: dict[tuple[str, str], Counter[str]] = {}
+        for scene in self.scenes:
+            for question in scene.questions:
+                if question.skill != MAP:
+                    for group in ("", scene.id):
+                        counts.setdefault((group, question.skill), Counter())[str(question.truth(self.labels))] += 1
+        return counts
 
 
 @dataclass(frozen=True)
@@ -106,24 +118,20 @@ class Random:
     seed: int = 0
 
     def answer(self, scene: Scene, question: Question) -> Reply:
-        rng = np.random.default_rng([self.seed, zlib.crc32(question.id.encode())])
+        rng = np.random.default_rng(luck(self.seed, question.id))
         if question.skill == MAP:
-            return Reply(
-                map_text({name: [rng.integers(0, 10, 2).tolist()] for name in question.names or scene.categories})
-            )
+            names = question.names or scene.categories
+            return Reply(map_text({name: [rng.integers(0, 10, 2).tolist()] for name in names}))
         if question.skill == DISTANCE and len(question.names) > 1:
             return Reply(str(rng.choice(question.names[1:])))
-        if question.skill == COUNTING:
-            return Reply(str(rng.integers(0, 6)))
-        return Reply(str(rng.choice(DIRECTIONS)))
+        return Reply(str(rng.integers(0, 6) if question.skill == COUNTING else rng.choice(DIRECTIONS)))
 
 
 class Vlm:
     """Asks a model as the benchmark's runner does; where the scene asks for a map, after it has drawn one."""
 
-    def __init__(self, chat: Chat, form: Form = "vanilla") -> None:
-        self._chat = chat
-        self._form: Form = form
+    def __init__(self, chat: Chat, form: str = "vanilla") -> None:
+        self._chat, self._form = chat, form
         self._drawn: tuple[str, list[Message], str] | None = None  # the last scene's map: it is asked for once
 
     def answer(self, scene: Scene, question: Question) -> Reply:
@@ -131,34 +139,136 @@ class Vlm:
 
         mapped = scene.map_question
         if mapped is None:
-            image = read_panorama(scene.picture)
-            return Reply(self._chat(plain_turn(question.text, image, self._form)).text)
+            text = plain_text(question.text, self._form)
+            return Reply(self._chat(with_picture(text, read_panorama(scene.picture))).text)
         if self._drawn is None or self._drawn[0] != scene.id:
-            asked = map_turn(mapped.text, read_panorama(scene.picture))
+            asked = with_picture(mapped.text, read_panorama(scene.picture))
             self._drawn = scene.id, asked, self._chat(asked).text
         _, asked, drawn = self._drawn
         if question.skill == MAP:
             return Reply(drawn)
-        return Reply(self._chat(next_turn(asked, drawn, question.text, self._form)).text, notes={"map": drawn})
+        further = Message("user", next_text(question.text, self._form))
+        return Reply(self._chat([*asked, Message("assistant", drawn), further]).text, notes={"map": drawn})
 
 
-def map_text(layout: dict[str, list[list[int]]]) -> str:
-    """A layout in the form that the benchmark asks for: {"name": [[x, y], ...]}, x the column and y the row."""
-    return json.dumps({name: [[column, row] for row, column in where] for name, where in layout.items()})
+@dataclass(frozen=True, eq=False)
+class Around:
+    """One scene as it was seen: things on the floor, and layouts drawn of them."""
+
+    scene: str
+    seen: Seen
+    placed: tuple[Placed, ...]
+    drawings: Drawings
+
+    def members(self, name: str) -> list[int]:
+        """The things of this name, the likeliest first."""
+        found = [k for k, each in enumerate(self.placed) if each.name == name]
+        return sorted(found, key=lambda k: -self.placed[k].weight)
+
+    def notes(self, names: Sequence[str]) -> dict[str, Any]:
+        """How the things with these names were seen and placed."""
+        found = [
+            {
+                "name": name,
+                "azimuth_deg": round(float(np.degrees(self.seen.things[k].azimuth)), 1),
+                "elevation_deg": round(float(np.degrees(self.seen.things[k].elevation)), 1),
+                "xy": [round(value, 2) for value in self.placed[k].xy],
+                "range_from": self.placed[k].source,
+            }
+            for name in dict.fromkeys(names)
+            for k in self.members(name)
+        ]
+        notes: dict[str, Any] = {"things": found}
+        if any(each["range_from"] not in SURE for each in found):
+            notes["guessed"] = True
+        if strange := [name for name in names if name in self.seen.strange]:
+            notes["strange"] = strange
+        return notes
 
 
-def error_for(names: Sequence[str], count: Counter[str], skill: str) -> str | None:
-    """The error that is the answer where `names` were not seen as the question wants them; None where they were."""
-    if count[names[0]] > 1:
-        return NOT_UNIQUE
-    if not count[names[0]]:
-        return NO_POSITION
-    if answerable(names, count, skill):
-        return None
-    return NO_OBJECT if skill == DIRECTION else NO_CANDIDATE
+def laid_out(scene: str, seen: Seen, ranges: str = "floor", seed: int = 0) -> Around:
+    """What was seen in the scene of this name, on the floor and drawn; `ranges` as in `Eagor`."""
+    if ranges == "unit":
+        seen = replace(seen, walls=None)
+    placed = place_on_circle(seen.things) if ranges == "unit" else place(seen.things, seen.height, seen.walls)
+    return Around(scene, seen, tuple(placed), draw(placed, seen.walls, np.random.default_rng(luck(seed, scene))))
 
 
-def answerable(names: Sequence[str], count: Counter[str], skill: str) -> bool:
-    """Whether enough of `names` was seen: P, O and Q; or the category and one of the choices."""
-    enough = all if skill == DIRECTION else any
-    return count[names[0]] > 0 and enough(count[name] > 0 for name in names[1:])
+class Eagor:
+    """Answers from geometry.
+
+    Args:
+        look: gives the sightings of a scene.
+        reading: "cells": the likeliest label under the benchmark's rounding (`eagor.tasks.osr.drawing`); "metres": the
+            answer of the places as they are; "auto": cells where the foot of the walls is known, metres else (then
+            nobody knows how a layout would lie in the room, and guessing it costs more than rounding does).
+        ranges: "floor" or "depth": as `place` has it, with a depth cue where the looker gives one; "unit": all
+            things equally far away, which is what directions alone can tell.
+        negative: whether questions may ask about what is not there; only then are errors answered.
+        seed: of the drawings.
+    """
+
+    def __init__(
+        self, look: Looker, reading: str = "auto", ranges: str = "floor", negative: bool = False, seed: int = 0
+    ) -> None:
+        self._look, self._reading, self._ranges, self._negative, self._seed = look, reading, ranges, negative, seed
+        self._kept: Around | None = None
+
+    def answer(self, scene: Scene, question: Question) -> Reply:
+        around, skill, names = self.around(scene), question.skill, question.names
+        count = Counter(each.name for each in around.placed)
+        if skill == MAP:
+            places = {name: [around.placed[k].xy for k in around.members(name)] for name in names or scene.categories}
+            return Reply(map_text(layout_from({name: where for name, where in places.items() if where})))
+        if not names:
+            return Reply(_guess(question), None, {"problem": "the question was not understood"})
+        notes, first = around.notes(names), count[names[0]]
+        if skill == COUNTING:
+            return Reply(str(first), None, notes)
+        enough = (all if skill == DIRECTION else any)(count[name] for name in names[1:])  # O and Q; one of the choices
+        if self._negative and not (first == 1 and enough):
+            missing = NO_OBJECT if skill == DIRECTION else NO_CANDIDATE
+            return Reply(NOT_UNIQUE if first > 1 else missing if first else NO_POSITION, None, notes)
+        if not (first and enough):
+            notes["problem"] = "not seen: " + ", ".join(name for name in names if not count[name])
+            return Reply(_guess(question), None, notes)
+        if skill == DIRECTION:
+            found, stated, shares = self.where(around, *names)
+            notes["shares"] = {word: round(share, 3) for word, share in list(shares.items())[:4]}
+            return Reply(found or _guess(question), stated, notes)
+        return Reply(*self._closest(around, names[0], names[1:]), notes)
+
+    def around(self, scene: Scene) -> Around:
+        """The scene as it is seen: looked at once, for all names in its questions."""
+        if self._kept is None or self._kept.scene != scene.id:
+            self._kept = laid_out(scene.id, self._look(scene, scene.categories), self._ranges, self._seed)
+        return self._kept
+
+    def where(self, around: Around, P: str, O: str, Q: str) -> tuple[str, float | None, dict[str, float]]:
+        """Where the nearest Q is for one at P who faces the nearest O; how sure that is; and the share of each label.
+
+        All three must be there; of several P the likeliest is taken.
+        """
+        start, facing, asked = around.members(P)[0], around.members(O), around.members(Q)
+        shares, placed = around.drawings.directions(start, facing, asked), around.placed
+        plain = direction_between(placed[start], [placed[k] for k in facing], [placed[k] for k in asked])
+        return *self._chosen(around, plain, shares), shares
+
+    def _closest(self, around: Around, name: str, choices: Sequence[str]) -> tuple[str, float | None]:
+        start, placed = around.members(name)[0], around.placed
+        groups = {name: members for name in choices if (members := around.members(name))}
+        plain = nearest(placed[start], [placed[k] for members in groups.values() for k in members]).name
+        return self._chosen(around, plain, around.drawings.nearest(start, groups))
+
+    def _chosen(self, around: Around, plain: str, shares: dict[str, float]) -> tuple[str, float | None]:
+        """The answer of the places as they are, or that of most drawings, and its share."""
+        rounded = self._reading == "cells" or (self._reading == "auto" and around.seen.walls is not None)
+        best = max(shares, key=lambda word: (shares[word], word == plain)) if rounded and shares else plain
+        return best, shares.get(best)
+
+
+def _guess(question: Question) -> str:
+    """An answer to a question about what was not seen: ahead, on either side; the first choice; none."""
+    if question.skill == DIRECTION:
+        return ("Front Left", "Front Right")[zlib.crc32(question.id.encode()) % 2]
+    return question.names[1] if question.skill == DISTANCE and len(question.names) > 1 else "0"

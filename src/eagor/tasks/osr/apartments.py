@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,11 +19,11 @@ import numpy as np
 from eagor.sphere import world_R_body
 from eagor.tasks.osr.drawing import layout_from
 from eagor.tasks.osr.geometry import FloorLine
-from eagor.tasks.osr.layout import count_label, direction_label, distance_label, grid_of
-from eagor.tasks.osr.questions import counting, direction, distance, mapping
+from eagor.tasks.osr.layout import Layout, count_label, direction_label, distance_label, grid_of
+from eagor.tasks.osr.looking import Body, Room, write_room
 from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP
-from eagor.tasks.osr.truth import Body, Room, write_room
 from eagor.tasks.places import APARTMENT, Place, load_place
+from eagor.tasks.published import any_yaw, save_panorama
 from eagor.tasks.rules import Camera
 from eagor.worlds.raycast import make_raycaster
 from eagor.worlds.rays import Raycaster
@@ -55,10 +56,7 @@ class View:
     @property
     def counts(self) -> dict[str, int]:
         """How many things of each category are there."""
-        found: dict[str, int] = {}
-        for body in self.room.bodies:
-            found[body.name] = found.get(body.name, 0) + 1
-        return found
+        return dict(Counter(body.name for body in self.room.bodies))
 
 
 def views(seed: int, height: float = 1.5) -> Iterator[View]:
@@ -73,7 +71,7 @@ def views(seed: int, height: float = 1.5) -> Iterator[View]:
             spot = _spot(place, room.name, rng)
             if spot is None:
                 break
-            found = _view(place, room.name, spot, height, float(rng.uniform(-math.pi, math.pi)), f"{seed:04d}_{number}")
+            found = _view(place, room.name, spot, height, any_yaw(rng), f"{seed:04d}_{number}")
             if len(found.counts) >= LEAST:
                 yield found
                 break
@@ -85,15 +83,11 @@ def write_scene(view: View, folder: Path, rows: int = 512, questions: int = 5, s
     `rows` of the picture, 0 for none. `questions`: at most so many of each kind, drawn with `seed`. Files with and
     without the map's question are written, and those with absent categories too.
     """
-    from PIL import Image
-
     name = f"EagorApartment-{view.id}"
     target = folder / name
     target.mkdir(parents=True, exist_ok=True)
     if rows:
-        frame = view.place.renderer.panorama(view.position, world_R_body(view.yaw), rows, range=False, ids=False)
-        assert frame.rgb is not None
-        Image.fromarray(frame.rgb).save(target / "rgb.png")
+        save_panorama(view.place, view.position, view.yaw, rows, target / "rgb.png")
     grid = grid_of(view.layout)
     whole = {"cognitive_map": grid, "class_count": view.counts}
     (target / "cognitive_map.json").write_text(json.dumps(whole), encoding="utf-8")
@@ -111,11 +105,7 @@ def write_scene(view: View, folder: Path, rows: int = 512, questions: int = 5, s
 
 
 def conversation(
-    layout: Mapping[str, Sequence[Sequence[int]]],
-    counts: Mapping[str, int],
-    names: Sequence[str],
-    most: int,
-    rng: np.random.Generator,
+    layout: Layout, counts: Mapping[str, int], names: Sequence[str], most: int, rng: np.random.Generator
 ) -> Iterator[dict[str, object]]:
     """The turns about one layout: the map, then at most `most` questions of each kind over `names`.
 
@@ -123,11 +113,9 @@ def conversation(
     are there, questions that would be answered by an error are not asked.
     """
     names = list(names)
-    turn = {"turn_id": 0, "question": mapping(names), "answer": grid_of(layout), "skills_tested": MAP}
-    yield turn
-    asked: list[tuple[str, str, str]] = []
-    for name in rng.permutation(names)[:most]:
-        asked.append((COUNTING, counting(str(name)), count_label(counts, str(name))))
+    asked: list[tuple[str, str, object]] = [(MAP, mapping(names), grid_of(layout))]
+    for name in rng.permutation(names)[:most].tolist():
+        asked.append((COUNTING, counting(name), count_label(counts, name)))
     singles = [name for name in names if counts.get(name) == 1] or names
     complete = all(name in layout for name in names)
     if len(counts) >= LEAST:
@@ -135,7 +123,7 @@ def conversation(
             kept = 0
             for _ in range(2 * most if complete else most):
                 first = str(rng.choice(singles))
-                others = [str(name) for name in rng.permutation([name for name in names if name != first])]
+                others = rng.permutation([name for name in names if name != first]).tolist()
                 if kind == DISTANCE:
                     question, answer = distance(first, others[:4]), distance_label(layout, first, others[:4])
                 else:
@@ -145,14 +133,46 @@ def conversation(
                     continue
                 kept += 1
                 asked.append((kind, question, answer))
-    for number, (skill, question, answer) in enumerate(asked, start=1):
+    for number, (skill, question, answer) in enumerate(asked):
         yield {"turn_id": number, "question": question, "answer": answer, "skills_tested": skill}
+
+
+def counting(name: str) -> str:
+    """The published question how many there are."""
+    return f"How many {name}(s) are in this room?"
+
+
+def distance(name: str, choices: Sequence[str]) -> str:
+    """The published question which of the choices is nearest."""
+    return (
+        f"Measuring from the closest point of each object, which of these objects ({', '.join(choices)}) is the "
+        f"closest to the {name} in this PANORAMA?"
+    )
+
+
+def direction(P: str, O: str, Q: str) -> str:
+    """The published question in which direction Q lies for one who stands by P and faces O."""
+    return (
+        f"If I am standing by the {P} and facing the closest {O}, is the closest {Q} to my front, back, left, right, "
+        "front-left, front-right, back-left, or back-right in this PANORAMA?"
+    )
+
+
+def mapping(names: Sequence[str]) -> str:
+    """The question for the map, in our words, with the list of categories and the format as the benchmark has them."""
+    return (
+        "[Task] This PANORAMA shows a room all around. Draw its plan: say where the middle of each object lies on a "
+        "10x10 grid that covers the whole room. [Rule] Care only about the categories in this scene: "
+        f"{{{', '.join(names)}}}. List every instance of each of them, keep their positions to one another, put what "
+        "is near the camera near the middle of the grid and what is far away near its edges, and place an object that "
+        "is partly hidden where all of it must be. [Output] One JSON object with integer coordinates from 0 to 9: "
+        '{"category name": [[x_1, y_1], ...], ...}'
+    )
 
 
 def _spot(place: Place, room: str, rng: np.random.Generator) -> np.ndarray | None:
     """A free place ``(2,)`` in the room, away from things; None if there is none."""
-    ground = place.ground
-    inside = next(each for each in place.scene.rooms if each.name == room)
+    ground, inside = place.ground, next(each for each in place.scene.rooms if each.name == room)
     free = np.argwhere(ground.free & (ground.clearance >= CLEARANCE))
     x, y = ground.centres(free).T[..., None]
     x0, y0, x1, y1 = inside.rectangles.T

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
+from eagor._csv import as_csv
+from eagor._files import written
+from eagor._json import shown
 from eagor.errors import EagorError, FormatError
-from eagor.tasks.benchmark import Case, Figure, Option, Record, settled
-from eagor.tasks.chat import shared_chat
-from eagor.tasks.osr import exports
+from eagor.tasks import published
+from eagor.tasks.benchmark import Case, Figure, Option, Record
+from eagor.tasks.osr import lmms
 from eagor.tasks.osr.agents import AGENTS, LOOKING, Reply
-from eagor.tasks.osr.dataset import SUFFIXES, Scene, load, load_kept
-from eagor.tasks.osr.eyes import DEPTH_FILE
-from eagor.tasks.osr.play import TRUTH, judged, open_looker
+from eagor.tasks.osr.data import SUFFIXES, Scene, load, load_kept
+from eagor.tasks.osr.looking import DEPTH_FILE, FILE, HEIGHT, TRUTH, open_looker
+from eagor.tasks.osr.play import judged
 from eagor.tasks.osr.prompts import FORMS
 from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS
-from eagor.tasks.osr.truth import FILE, HEIGHT
 
 OPTIONS = {
     "labels": Option(
@@ -28,7 +29,7 @@ OPTIONS = {
     ),
     "suffix": Option(SUFFIXES[0], "which of the published files", SUFFIXES),
     "skill": Option("all", "questions of one kind only", ("all", *SKILLS)),
-    "prompt": Option("vanilla", "what the model is asked for: a brief answer, or its thoughts first", FORMS),
+    "prompt": Option(FORMS[0], "what the model is asked for: a brief answer, or its thoughts first", FORMS),
     "range": Option("floor", "where eagor takes ranges from; unit: nowhere", ("floor", "depth", "unit")),
     "reading": Option(
         "auto",
@@ -43,6 +44,29 @@ EXPORTS = {
     "osr-csv": "the table of answers and scores that the published runner writes, one file for each scene",
     "lmms-eval": "a folder of task files for lmms_eval --include_path, with the questions and their pictures' paths",
 }
+COLUMNS = ("image_id", "model", "turn_id", "skills_tested", "question", "model_answer", "ground_truth", "score")
+
+Reader = Callable[[Record], float | None]
+
+
+def _score(record: Record) -> float | None:
+    return record["score"]
+
+
+def _lenient(record: Record) -> float | None:
+    return next(iter(record.get("lenient", {}).values()), None)
+
+
+def _by(labels: str) -> Reader:
+    return lambda record: record["scores"].get(labels)
+
+
+def _of(skill: str, read: Reader = _score) -> Reader:
+    return lambda record: read(record) if record["skill"] == skill else None
+
+
+def _tagged(tag: str) -> Reader:
+    return lambda record: record["score"] if tag in record["tags"] else None
 
 
 class OsrBench:
@@ -56,28 +80,22 @@ class OsrBench:
         "skill": "text", "tags": "texts", "scores": "figures", "question": "text", "answer": "text",
         "lenient?": "figures",
     }  # fmt: skip
-
-    @property
-    def figures(self) -> Sequence[Figure]:
-        return (
-            Figure("overall", "Overall", "mean over the kinds of questions", _score, lambda record: record["skill"]),
-            Figure("direction", "Direction", "relative direction, by the labels of the run", _of(DIRECTION, _score)),
-            Figure("direction_official", "official", "by the published labels", _of(DIRECTION, _by("official"))),
-            Figure(
-                "direction_corrected", "corrected", "with left and right put right", _of(DIRECTION, _by("corrected"))
-            ),
-            Figure("direction_clear", "clear", "both products above one squared cell", _tagged("clear")),
-            Figure("direction_border", "border", "a product of at most one squared cell", _tagged("near a border")),
-            Figure("direction_lenient", "lenient", "whatever the form of the answer", _of(DIRECTION, _lenient)),
-            Figure("distance", "Distance", "which is the closest", _of(DISTANCE, _score)),
-            Figure("counting", "Counting", "how many, with the partial credit of the benchmark", _of(COUNTING, _score)),
-            Figure("map", "Map F1", "the map, by the benchmark's rule", _of(MAP, _score)),
-        )
+    figures = (
+        Figure("overall", "Overall", "mean over the kinds of questions", _score, lambda record: record["skill"]),
+        Figure("direction", "Direction", "relative direction, by the labels of the run", _of(DIRECTION)),
+        Figure("direction_official", "official", "by the published labels", _of(DIRECTION, _by("official"))),
+        Figure("direction_corrected", "corrected", "with left and right put right", _of(DIRECTION, _by("corrected"))),
+        Figure("direction_clear", "clear", "both products above one squared cell", _tagged("clear")),
+        Figure("direction_border", "border", "a product of at most one squared cell", _tagged("near a border")),
+        Figure("direction_lenient", "lenient", "whatever the form of the answer", _of(DIRECTION, _lenient)),
+        Figure("distance", "Distance", "which is the closest", _of(DISTANCE)),
+        Figure("counting", "Counting", "how many, with the partial credit of the benchmark", _of(COUNTING)),
+        Figure("map", "Map F1", "the map, by the benchmark's rule", _of(MAP)),
+    )
 
     def info(self, data: Path) -> dict[str, Any]:
         """Counts and oddities of each kind of file that is there."""
         found: dict[str, Any] = {}
-        sizes: Counter[str] = Counter()
         seen: dict[str, Scene] = {}
         for suffix in SUFFIXES:
             try:
@@ -96,11 +114,9 @@ class OsrBench:
             }
         if not found:
             load(Path(data))  # says what is wrong
-        for scene in seen.values():
-            sizes[_size(scene)] += 1
         return {
             "files": found,
-            "pictures": dict(sizes),
+            "pictures": dict(Counter(_size(scene.image) for scene in seen.values())),
             "with_true_places": sum((scene.folder / FILE).is_file() for scene in seen.values()),
             "with_depth": sum((scene.folder / DEPTH_FILE).is_file() for scene in seen.values()),
         }
@@ -115,15 +131,7 @@ class OsrBench:
 
     def settle(self, settings: Mapping[str, Any]) -> dict[str, Any]:
         truth = f"the true places, for data that has a {FILE} in each scene"
-        found = settled(self, settings, LOOKING, truth)
-        if found["camera_height"] <= 0:
-            raise EagorError(f"camera_height = {found['camera_height']}; wanted metres above the floor, above 0")
-        if found["perception"]:
-            _check_files(settings["data"], found["perception"], found)
-            open_looker(found["perception"], found)
-        if found["model"]:
-            shared_chat(found["model"])
-        return found
+        return published.settle(self, settings, LOOKING, truth, _check, open_looker)
 
     def judge(self, case: Case, prediction: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
         told = next((prediction[key] for key in ("text", "answer", "model_answer") if key in prediction), None)
@@ -131,27 +139,74 @@ class OsrBench:
             raise FormatError(f'the prediction for {case.id} has the keys {sorted(prediction)}; wanted "text": words')
         scenes = load_kept(str(settings["data"]), settings["suffix"])
         scene = next(scene for scene in scenes if scene.id == case.payload["scene"])
-        question = next(question for question in scene.questions if question.id == case.payload["question"])
-        return judged(scene, question, Reply(told), settings)
+        return judged(scene, scene.by_id[case.payload["question"]], Reply(told), settings)
 
     def export(self, to: str, records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
-        if to == "osr-csv":
-            return exports.csv_files(records, settings, folder)
-        if to == "lmms-eval":
-            return exports.lmms_eval(settings, folder)
-        raise EagorError(f"{self.name} has no export {to!r}; it has {', '.join(EXPORTS)}")
+        writers: dict[str, published.Export] = {
+            "osr-csv": csv_files,
+            "lmms-eval": lambda _, settings, folder: lmms.write(settings, folder),
+        }
+        return published.export(self, to, writers, records, settings, folder)
 
 
 OSR = OsrBench()
 
 
-def _check_files(data: Any, perception: str, options: Mapping[str, Any]) -> None:
-    """Raise `FormatError` where scenes lack a file that all of them would be answered from."""
-    truth = perception.partition(":")[0] == TRUTH
-    wanted = FILE if truth else DEPTH_FILE if options["range"] == "depth" else None
+def csv_files(records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Write ``<scene>_<suffix>_results.csv`` with the columns of the published runner; returns the files.
+
+    Scores are those of the run's labels. Raises `EagorError` without records, `FormatError` for a record whose scene
+    can be no part of a file's name.
+    """
+    model = settings.get("model") or settings["agent"]
+    by_scene: dict[str, list[Record]] = {}
+    for record in published.finished(records, "the tables hold a run's answers"):
+        by_scene.setdefault(_scene(record), []).append(record)
+    files = []
+    for scene, answers in sorted(by_scene.items()):
+        rows: list[tuple[Any, ...]] = [COLUMNS]
+        for record in sorted(answers, key=lambda each: _turn(each["case"])):
+            turn, image = _turn(record["case"])[0], f"data/{scene}/rgb.png"
+            said = (record["question"], record["answer"], record.get("truth", ""), record["score"])
+            rows.append((image, model, turn, record["skill"], *said))
+        files.append(written(Path(folder) / f"{scene}_{settings['suffix']}_results.csv", as_csv(rows, "\r\n")))
+    return files
+
+
+def _scene(record: Record) -> str:
+    """The scene of a record: part of a file's name, and never of another folder's."""
+    scene = record["cluster"]
+    if not isinstance(scene, str) or not scene.isprintable() or "/" in scene or "\\" in scene:
+        raise FormatError(
+            f"the record {record['key']!r} has the cluster {shown(scene)}; wanted a scene's name, which a file can have"
+        )
+    return scene
+
+
+def _turn(case: str) -> tuple[int, str]:
+    """The turn in a case's id, and the id, to sort by."""
+    number = case.rsplit("/", 1)[-1].partition("-")[0]
+    if not number.isdecimal():
+        raise FormatError(f"the record of the case {case!r} names no turn; wanted an id such as scene/3-counting")
+    return int(number), case
+
+
+def _size(image: Path | None) -> str:
+    if image is None:
+        return "missing"
+    size = published.picture_size(image)
+    return "unreadable" if size is None else f"{size[0]} x {size[1]}"
+
+
+def _check(found: Mapping[str, Any]) -> None:
+    """Raise `EagorError` where the camera is nowhere, or scenes lack a file that all of them would be answered from."""
+    if found["camera_height"] <= 0:
+        raise EagorError(f"camera_height = {found['camera_height']}; wanted metres above the floor, above 0")
+    truth = (found["perception"] or "").partition(":")[0] == TRUTH
+    wanted = FILE if truth else DEPTH_FILE if found["perception"] and found["range"] == "depth" else None
     if wanted is None:
         return
-    scenes = load_kept(str(data), options["suffix"])
+    scenes = load_kept(str(found["data"]), found["suffix"])
     without = [scene.id for scene in scenes if not (scene.folder / wanted).is_file()]
     if without:
         why = "the perception truth reads" if truth else "range=depth reads"
@@ -159,39 +214,3 @@ def _check_files(data: Any, perception: str, options: Mapping[str, Any]) -> None
             f"{len(without)} of {len(scenes)} scenes have no {wanted}, which {why}, such as {without[0]}; "
             "give the folder of those that have it, or choose another way"
         )
-
-
-def _score(record: Record) -> float | None:
-    return record["score"]
-
-
-def _lenient(record: Record) -> float | None:
-    return next(iter(record.get("lenient", {}).values()), None)
-
-
-def _by(labels: str) -> Callable[[Record], float | None]:
-    return lambda record: record["scores"].get(labels)
-
-
-def _of(skill: str, read: Callable[[Record], float | None]) -> Callable[[Record], float | None]:
-    return lambda record: read(record) if record["skill"] == skill else None
-
-
-def _tagged(tag: str) -> Callable[[Record], float | None]:
-    return lambda record: record["score"] if tag in record["tags"] else None
-
-
-def _size(scene: Scene) -> str:
-    if scene.image is None:
-        return "missing"
-    from PIL import Image
-
-    from eagor.worlds.panorama import FORMATS
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            with Image.open(scene.image, formats=FORMATS) as picture:
-                return f"{picture.width} x {picture.height}"
-        except Exception:  # decoders raise whatever the damage leads them to
-            return "unreadable"

@@ -29,6 +29,7 @@ NO_OBJECT = "The orienting object or querying object is not found in the picture
 NO_CANDIDATE = "None of the candidates were found in the picture."
 ERRORS = (NO_POSITION, NOT_UNIQUE, NO_OBJECT, NO_CANDIDATE)
 DIRECTIONS = ("Front", "Back", "Left", "Right", "Front Left", "Front Right", "Back Left", "Back Right")
+_SIDES = {"Left": "Right", "Right": "Left"}
 
 
 def direction_label(map: Layout, P: str, O: str, Q: str) -> str:
@@ -45,13 +46,11 @@ def direction_label(map: Layout, P: str, O: str, Q: str) -> str:
 
 def steps(layout: Layout, P: str, O: str, Q: str) -> tuple[Cell, Cell] | str:
     """The steps (rows, columns) from P to the nearest O and to the nearest Q, or the error that is the answer."""
-    start = position(layout, P)
+    start = _position(layout, P)
     if isinstance(start, str):
         return start
-    facing, asked = cells(layout, O), cells(layout, Q)
-    if not facing or not asked:
-        return NO_OBJECT
-    return _step(start, closest(start, facing)), _step(start, closest(start, asked))
+    facing, asked = _ranked(start, cells(layout, O)), _ranked(start, cells(layout, Q))
+    return (facing[0], asked[0]) if facing and asked else NO_OBJECT
 
 
 def products(v1: Sequence[float], v2: Sequence[float]) -> tuple[float, float]:
@@ -71,15 +70,11 @@ def distance_label(layout: Layout, category: str, choices: Iterable[str]) -> str
 
     Raises `FormatError` for what is no layout.
     """
-    start = position(layout, category)
+    start = _position(layout, category)
     if isinstance(start, str):
         return start
-    best, found = math.inf, NO_CANDIDATE
-    for choice in choices:
-        where = cells(layout, choice)
-        if where and (away := _square(start, closest(start, where))) < best:
-            best, found = away, choice
-    return found
+    away = {choice: _square(_ranked(start, where)[0]) for choice in choices if (where := cells(layout, choice))}
+    return min(away, key=lambda choice: away[choice], default=NO_CANDIDATE)
 
 
 def count_label(counts: Mapping[str, int], category: str) -> str:
@@ -87,12 +82,11 @@ def count_label(counts: Mapping[str, int], category: str) -> str:
     return str(counts.get(category, 0))
 
 
-def position(layout: Layout, name: str) -> Cell | str:
-    """The one cell of `name`, or the error that is the answer if there is none or more than one."""
-    found = cells(layout, name)
-    if not found:
-        return NO_POSITION
-    return found[0] if len(found) == 1 else NOT_UNIQUE
+def is_tied(layout: Layout, P: str, name: str) -> bool:
+    """Whether several cells of `name` are equally near to P, so that the smallest angle decides."""
+    start = _position(layout, P)
+    near = [] if isinstance(start, str) else _ranked(start, cells(layout, name))[:2]
+    return len(near) == 2 and _square(near[0]) == _square(near[1])
 
 
 def cells(layout: Layout, name: str) -> list[Cell]:
@@ -105,31 +99,30 @@ def cells(layout: Layout, name: str) -> list[Cell]:
     return sorted(found)
 
 
-def closest(start: Cell, where: Sequence[Cell]) -> Cell:
-    """The cell of `where` nearest to `start`; of equally near ones that with the smallest angle.
+def _position(layout: Layout, name: str) -> Cell | str:
+    """The one cell of `name`, or the error that is the answer if there is none or more than one."""
+    found = cells(layout, name)
+    if len(found) == 1:
+        return found[0]
+    return NOT_UNIQUE if found else NO_POSITION
+
+
+def _ranked(start: Cell, where: Iterable[Cell]) -> list[Cell]:
+    """The steps from `start` to each of `where`, the nearest first; of equally near ones that with the smallest angle.
 
     Angles go from the direction of growing columns to that of growing rows, from 0 up to a full turn.
     """
-    return min(where, key=lambda cell: (_square(start, cell), _angle(start, cell)))
+    ways = [(row - start[0], column - start[1]) for row, column in where]
+    return sorted(ways, key=lambda way: (_square(way), math.atan2(*way) % (2 * math.pi)))
 
 
-def is_tied(layout: Layout, P: str, name: str) -> bool:
-    """Whether several cells of `name` are equally near to P, so that the smallest angle decides."""
-    start = position(layout, P)
-    where = cells(layout, name)
-    if isinstance(start, str) or len(where) < 2:
-        return False
-    near = sorted(_square(start, cell) for cell in where)
-    return near[0] == near[1]
+def _square(way: Cell) -> int:
+    return way[0] ** 2 + way[1] ** 2
 
 
 def swapped(answer: str) -> str:
     """`answer` with left and right exchanged; any other answer as it is."""
-    other = {"left": "right", "right": "left", "Left": "Right", "Right": "Left"}
-    first, *second = answer.split(" ")
-    if answer in DIRECTIONS:
-        return " ".join(other.get(word, word) for word in (first, *second))
-    return answer
+    return " ".join(_SIDES.get(word, word) for word in answer.split(" ")) if answer in DIRECTIONS else answer
 
 
 def mirrored(grid: Grid) -> Grid:
@@ -159,16 +152,3 @@ def grid_of(layout: Layout, size: int = SIZE) -> Grid:
             if 0 <= row < size and 0 <= column < size:
                 grid[row][column].append(name)
     return grid
-
-
-def _step(start: Cell, end: Cell) -> Cell:
-    return end[0] - start[0], end[1] - start[1]
-
-
-def _square(start: Cell, end: Cell) -> int:
-    return (end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2
-
-
-def _angle(start: Cell, end: Cell) -> float:
-    rows, columns = _step(start, end)
-    return math.atan2(rows, columns) % (2 * math.pi)

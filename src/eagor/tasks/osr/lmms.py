@@ -1,15 +1,39 @@
-"""What the exported task files for lmms-eval call."""
+"""OSR-Bench as a task of lmms-eval: its files, and the functions that they call."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from eagor.tasks.chat import IMAGE
-from eagor.tasks.osr.prompts import asked
-from eagor.tasks.osr.questions import Question
+from eagor.tasks.osr.data import Question, load
+from eagor.tasks.osr.prompts import plain_text
 from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, score
+from eagor.tasks.task_files import write_task
+
+TASK = "eagor_osr"
+METRICS = {DISTANCE: "distance", COUNTING: "counting", MAP: "map"}
+BY_LABELS = ("direction_official", "direction_corrected")
+
+
+def write(settings: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Write the task ``eagor_osr`` into `folder` (`eagor.tasks.task_files`); returns the files.
+
+    Each question is asked alone, so that files with a map give their map's question as one of them. The questions hold
+    the paths of their pictures on this machine. Raises `FormatError` where a picture is missing.
+    """
+    pictures = {scene: str(scene.picture.resolve()) for scene in load(Path(settings["data"]), settings["suffix"])}
+    documents = (
+        {"id": question.id, "scene": scene.id, "turn": question.turn, "skill": question.skill}
+        | {"question": question.text, "image": picture, "prompt": settings["prompt"]}
+        | {"answer": json.dumps(question.answer) if question.skill == MAP else question.answer}
+        for scene, picture in pictures.items()
+        for question in scene.questions
+        if settings["skill"] in ("all", question.skill)
+    )
+    return write_task(folder, TASK, __name__, documents, (*BY_LABELS, *METRICS.values()))
 
 
 def doc_to_visual(doc: Mapping[str, Any]) -> list[Any]:
@@ -24,7 +48,7 @@ def doc_to_visual(doc: Mapping[str, Any]) -> list[Any]:
 
 def doc_to_text(doc: Mapping[str, Any], settings: Mapping[str, Any] | None = None) -> str:
     """The words of the question, with the instructions for the form of the answer."""
-    text = doc["question"] if doc["skill"] == MAP else asked(doc["question"], doc["prompt"])
+    text = doc["question"] if doc["skill"] == MAP else plain_text(doc["question"], doc["prompt"])
     return text.replace(IMAGE, "").strip()
 
 
@@ -37,12 +61,11 @@ def process_results(doc: Mapping[str, Any], results: Sequence[str]) -> dict[str,
     """The scores of one reply, under the names of the metrics that it belongs to."""
     skill, think = doc["skill"], doc["prompt"] == "think"
     truth = json.loads(doc["answer"]) if skill == MAP else doc["answer"]
+    if skill != DIRECTION:
+        return {METRICS[skill]: score(skill, truth, results[0], think)}
     question = Question(doc["id"], doc["scene"], doc["turn"], skill, doc["question"], truth)
-    official = score(skill, truth, results[0], think)
-    if skill == DIRECTION:
-        corrected = score(skill, question.corrected, results[0], think)
-        return {"direction_official": official, "direction_corrected": corrected}
-    return {{DISTANCE: "distance", COUNTING: "counting", MAP: "map"}[skill]: official}
+    truths = zip(BY_LABELS, (truth, question.corrected), strict=True)
+    return {metric: score(skill, each, results[0], think) for metric, each in truths}
 
 
 def mean(values: Sequence[float]) -> float:

@@ -8,14 +8,11 @@ name, or "the exact error message if applicable" without saying which messages t
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
 from eagor.tasks.chat import IMAGE, Message
 
-Form = Literal["vanilla", "think"]
-FORMS: tuple[Form, ...] = ("vanilla", "think")
+FORMS = ("vanilla", "think")
 
 _BEFORE = "Answer this question about the PANORAMA, using where the centers of its objects are:"
 _DIRECTIONS = "front, back, left, right, front-left, front-right, back-left or back-right"
@@ -35,21 +32,16 @@ _AFTER = {
 }
 
 
-def map_turn(question: str, image: np.ndarray) -> list[Message]:
-    """The conversation that asks for the map."""
-    return [Message("user", f"{question}\n{IMAGE}", (image,))]
-
-
-def asked(question: str, form: Form) -> str:
+def plain_text(question: str, form: str) -> str:
     """The words for a question without a map."""
-    return f"{_BEFORE} {question} {_AFTER[form]}"
+    return f"{_BEFORE} {next_text(question, form)}"
 
 
-def plain_turn(question: str, image: np.ndarray, form: Form) -> list[Message]:
-    """The conversation that asks one question without a map."""
-    return [Message("user", f"{asked(question, form)}\n{IMAGE}", (image,))]
+def next_text(question: str, form: str) -> str:
+    """The words for a question after the map was asked for and given."""
+    return f"{question} {_AFTER[form]}"
 
 
-def next_turn(before: list[Message], reply: str, question: str, form: Form) -> list[Message]:
-    """The conversation that asks one question after the map was asked for and given."""
-    return [*before, Message("assistant", reply), Message("user", f"{question} {_AFTER[form]}")]
+def with_picture(text: str, image: np.ndarray) -> list[Message]:
+    """The conversation that shows the panorama and asks for one thing."""
+    return [Message("user", f"{text}\n{IMAGE}", (image,))]

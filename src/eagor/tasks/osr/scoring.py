@@ -81,9 +81,7 @@ def _counted(said: str, true: str) -> float:
     if number is None or len(number.group()) > 4000:  # more digits than Python reads: as good as infinitely many
         return 0.0
     count, wanted = int(number.group()), int(true)
-    if count == wanted:
-        return 1.0
-    return max(0.0, 1 - abs(count - wanted) / max(count, wanted))
+    return 1.0 if count == wanted else max(0.0, 1 - abs(count - wanted) / max(count, wanted))
 
 
 @dataclass(frozen=True)
@@ -115,11 +113,9 @@ def score_map(truth: Grid, reply: str) -> MapScore:
     said = read_map(reply)
     if said is None:
         return MapScore()
-    grid, best = grid_of(said), MapScore(f1=-1.0)
-    for quarter in range(4):
-        found = _compared(there, layout_of(turned(grid, quarter)), 90 * quarter)
-        best = max(best, found, key=lambda each: each.f1)  # the first of equal ones
-    return best
+    grid = grid_of(said)
+    turns = [_compared(there, layout_of(turned(grid, quarter)), 90 * quarter) for quarter in range(4)]
+    return max(turns, key=lambda each: each.f1)  # the first of equal ones
 
 
 def read_map(reply: str) -> dict[str, list[list[int]]] | None:
@@ -170,13 +166,7 @@ def _compared(there: dict[str, list[list[int]]], said: dict[str, list[list[int]]
         return MapScore(rotation=rotation)
     named = sum(map(len, said.values()))
     precision, recall = right / named, right / sum(map(len, there.values()))
+    f1 = 2 * precision * recall / (precision + recall) if right else 0.0
     strange = [name for name in said if name not in there]
-    return MapScore(
-        precision,
-        recall,
-        2 * precision * recall / (precision + recall) if right else 0.0,
-        total / pairs,
-        len(strange) / len(said),
-        sum(len(said[name]) for name in strange) / named,
-        rotation,
-    )
+    astray = sum(len(said[name]) for name in strange) / named
+    return MapScore(precision, recall, f1, total / pairs, len(strange) / len(said), astray, rotation)

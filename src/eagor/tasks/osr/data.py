@@ -1,4 +1,4 @@
-"""The published files of OSR-Bench: folders of scenes with JSON, or one CSV.
+"""The published files of OSR-Bench: folders of scenes with JSON, or one CSV; and what their questions ask.
 
 ``<scene>/rgb.png``, ``<scene>/cognitive_map.json`` and ``<scene>/<scene>_<suffix>.json`` with a suffix of `SUFFIXES`,
 at any depth below the folder that is given. The data set's hosted edition puts the questions into CSV files (columns
@@ -12,22 +12,77 @@ from __future__ import annotations
 import ast
 import csv
 import os
+import re
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from eagor._json import parsed, shown
 from eagor._lazy import lazy
 from eagor.errors import FormatError
-from eagor.tasks.osr.layout import layout_of
-from eagor.tasks.osr.questions import Question, read
-from eagor.tasks.osr.scoring import MAP, SKILLS
+from eagor.tasks.osr.layout import layout_of, mirrored, swapped
+from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS
 
 SUFFIXES = ("qa_without_cogmap", "qa", "qa_with_negative", "qa_with_negative_without_cogmap")
 WITHOUT = "_without_cogmap"
+# The words of each kind of question, with the names of things in groups: one name, or several parted by commas.
+_WORDS = {
+    DIRECTION: r"standing by the (.+?) and facing the closest (.+?), is the closest (.+?) to my front",
+    DISTANCE: r"which of these objects \((?P<several>[^)]*)\) is the closest to the (?P<first>.+?) in this PANO",
+    MAP: r"in this scene: \{(?P<several>[^}]*)\}",
+    COUNTING: r"How many (.+?)\(s\) are in this room",
+}
+
+
+@dataclass(frozen=True)
+class Question:
+    """One question of one picture, with the published answer: text, or the grid of a map.
+
+    `id`: of the scene, the kind of file and the turn, such as "scene/qa/18".
+    """
+
+    id: str
+    scene: str
+    turn: int
+    skill: str
+    text: str
+    answer: Any
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What it is about; none where the words are not those of the benchmark.
+
+        The category counted; the category and then the choices; P, O and Q; or all categories of the map.
+        """
+        skill, names = read(self.text) or ("", ())
+        return names if skill == self.skill else ()
+
+    @property
+    def corrected(self) -> Any:
+        """The answer that is right in the room: with left and right exchanged, which the published ones have wrong."""
+        if self.skill == MAP:
+            return mirrored(self.answer)
+        return swapped(self.answer) if self.skill == DIRECTION else self.answer
+
+    def truth(self, labels: str) -> Any:
+        """The answer by the labels "official" or "corrected"."""
+        return self.corrected if labels == "corrected" else self.answer
+
+
+def read(text: str) -> tuple[str, tuple[str, ...]] | None:
+    """The skill that `text` asks for, and the names in it; None where it is no question of this benchmark."""
+    for skill, words in _WORDS.items():
+        if found := re.search(words, text):
+            groups = found.groupdict()
+            if not groups:
+                return skill, found.groups()
+            listed = tuple(name.strip() for name in groups["several"].split(",") if name.strip())
+            return skill, ((groups["first"], *listed) if "first" in groups else listed)
+    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +96,11 @@ class Scene:
     skipped: int = 0
 
     @lazy
+    def by_id(self) -> dict[str, Question]:
+        """The questions by their ids."""
+        return {question.id: question for question in self.questions}
+
+    @lazy
     def categories(self) -> tuple[str, ...]:
         """All names in the questions, in the order in which they first come."""
         return tuple(dict.fromkeys(name for question in self.questions for name in question.names))
@@ -50,15 +110,11 @@ class Scene:
         """The published layout, None where the folder has none. Raises `FormatError` if it is not one."""
         path = self.folder / "cognitive_map.json"
         if not path.is_file():
-            grid = next((question.answer for question in self.questions if question.skill == MAP), None)
-            return None if grid is None else layout_of(grid)
+            return None if self.map_question is None else layout_of(self.map_question.answer)
         entry = _json(path)
         if not isinstance(entry, dict) or "cognitive_map" not in entry:
             raise FormatError(f'{path} has no "cognitive_map"; wanted {{"cognitive_map": 10 x 10 lists of names, ...}}')
-        try:
-            return layout_of(entry["cognitive_map"])
-        except FormatError as error:
-            raise FormatError(f"{path}: {error}") from None
+        return _layout_in(entry["cognitive_map"], str(path))
 
     @property
     def picture(self) -> Path:
@@ -83,22 +139,21 @@ def load(data: Path, suffix: str = SUFFIXES[0]) -> tuple[Scene, ...]:
         raise FormatError(f"there is no kind of file {suffix!r}; known are {', '.join(SUFFIXES)}")
     if not data.exists():
         raise FormatError(f"there is no folder {data}; give the one that holds the scenes of OSR-Bench")
-    files = _files(data, suffix)
-    scenes = [_scene(path, suffix) for path in files]
+    files = _found(data, suffix)
+    if suffix.endswith(WITHOUT):
+        have = {path.parent for path in files}
+        files += [path for path in _found(data, suffix.removesuffix(WITHOUT)) if path.parent not in have]
+    scenes = sorted([_scene(path, suffix) for path in files] or _tables(data, suffix), key=lambda scene: scene.id)
     if not scenes:
-        scenes = list(_tables(data, suffix))
-    if not scenes:
-        there = sorted({kind for kind in SUFFIXES if _found(data, kind)})
-        hint = (
-            f"it has files of the kind {', '.join(there)}: choose with --set suffix=KIND"
-            if there
-            else "is it OSR-Bench?"
+        there = sorted(kind for kind in SUFFIXES if _found(data, kind))
+        hint = f"it has files of the kind {', '.join(there)}: choose with --set suffix=KIND"
+        raise FormatError(
+            f"{data} has no <scene>_{suffix}.json and no CSV with questions; {hint if there else 'is it OSR-Bench?'}"
         )
-        raise FormatError(f"{data} has no <scene>_{suffix}.json and no CSV with questions; {hint}")
-    doubled = {scene.id for scene in scenes if sum(other.id == scene.id for other in scenes) > 1}
-    if doubled:
-        raise FormatError(f"{data} has several scenes {sorted(doubled)[0]!r}; give the folder of one copy of the data")
-    return tuple(sorted(scenes, key=lambda scene: scene.id))
+    for scene, other in pairwise(scenes):
+        if scene.id == other.id:
+            raise FormatError(f"{data} has several scenes {scene.id!r}; give the folder of one copy of the data")
+    return tuple(scenes)
 
 
 @lru_cache(maxsize=2)
@@ -111,36 +166,28 @@ def _found(data: Path, suffix: str) -> list[Path]:
     return sorted(data.rglob(f"*_{suffix}.json"))
 
 
-def _files(data: Path, suffix: str) -> list[Path]:
-    found = _found(data, suffix)
-    if not suffix.endswith(WITHOUT):
-        return found
-    have = {path.parent for path in found}
-    return found + [path for path in _found(data, suffix.removesuffix(WITHOUT)) if path.parent not in have]
-
-
 def _scene(path: Path, suffix: str) -> Scene:
     entry = _json(path)
     turns = entry.get("conversation") if isinstance(entry, dict) else None
     if not isinstance(turns, list):
         raise FormatError(f'{path} has no list "conversation"; wanted the JSON of OSR-Bench')
     name = path.parent.name
-    questions, skipped = _questions(turns, name, suffix, str(path))
+    questions, skipped = _questions(((f"turn {k}", k, turn) for k, turn in enumerate(turns)), name, suffix, path)
     return Scene(name, path.parent, _image(path.parent, str(entry.get("image_id", ""))), questions, skipped)
 
 
 def _questions(
-    turns: Iterable[Any], scene: str, suffix: str, where: str, lines: Sequence[int] = ()
+    turns: Iterable[tuple[str, int, Any]], scene: str, suffix: str, path: Path
 ) -> tuple[tuple[Question, ...], int]:
-    """The questions, and how many had no answer; `lines` of the file that the turns stand on, where it has lines."""
+    """The questions, and how many had no answer; `turns` with where in the file they stand, and their number."""
     found: list[Question] = []
     skipped, taken = 0, {}
-    for number, turn in enumerate(turns):
-        place = f"{where}, line {lines[number]}" if lines else f"{where}, turn {number}"
+    for where, number, turn in turns:
+        place = f"{path}, {where}"
         if not isinstance(turn, dict) or not isinstance(turn.get("question"), str) or "answer" not in turn:
             raise FormatError(f"{place}: {shown(turn)}; wanted an object with question and answer")
         asked = read(turn["question"])
-        skill = turn.get("skills_tested") or turn.get("follow_up") or (asked.skill if asked else None)
+        skill = turn.get("skills_tested") or turn.get("follow_up") or (asked[0] if asked else None)
         if skill not in SKILLS:
             raise FormatError(f"{place}: the skill is {shown(skill)}; known are {', '.join(SKILLS)}")
         if skill == MAP and suffix.endswith(WITHOUT):
@@ -153,11 +200,10 @@ def _questions(
             index = int(turn.get("turn_id", number))
         except (TypeError, ValueError, OverflowError):
             raise FormatError(f"{place}: turn_id = {shown(turn['turn_id'])}; wanted a number") from None
-        if skill == MAP:
-            answer = _grid(answer, place)
+        answer = _grid(answer, place) if skill == MAP else str(answer)
         again = taken[index] = taken.get(index, 0) + 1
         identity = f"{scene}/{suffix}/{index}" + (f"-{again}" if again > 1 else "")
-        found.append(Question(identity, scene, index, skill, turn["question"], answer if skill == MAP else str(answer)))
+        found.append(Question(identity, scene, index, skill, turn["question"], answer))
     return tuple(found), skipped
 
 
@@ -171,11 +217,15 @@ def _grid(answer: Any, where: str) -> Any:
                 answer = ast.literal_eval(answer)
             except (ValueError, SyntaxError, MemoryError, RecursionError):
                 raise FormatError(f"{where}: the map is {answer[:40]!r}; wanted rows of lists of names") from None
+    _layout_in(answer, where)
+    return answer
+
+
+def _layout_in(grid: Any, where: str) -> dict[str, list[list[int]]]:
     try:
-        layout_of(answer)
+        return layout_of(grid)
     except FormatError as error:
         raise FormatError(f"{where}: {error}") from None
-    return answer
 
 
 def _image(folder: Path, image_id: str) -> Path | None:
@@ -189,15 +239,13 @@ def _image(folder: Path, image_id: str) -> Path | None:
 
 def _tables(data: Path, suffix: str) -> Iterator[Scene]:
     """The scenes of CSV files: those named after the suffix, or else all that have the right columns."""
-    named = sorted(data.rglob(f"*{suffix}.csv")) if data.is_dir() else [data]
+    paths = sorted(data.rglob(f"*{suffix}.csv")) if data.is_dir() else [data]
     if data.is_dir() and suffix == "qa":
-        named = [path for path in named if path.stem == "qa" or path.stem.endswith("_qa")]
-    if not named and suffix == "qa_without_cogmap":
-        named = sorted(data.rglob("qa.csv"))
-    for path in named:
-        if path.suffix != ".csv":
-            continue
-        rows: dict[str, list[tuple[int, dict[str, Any]]]] = {}
+        paths = [path for path in paths if path.stem == "qa" or path.stem.endswith("_qa")]
+    if not paths and suffix == "qa_without_cogmap":
+        paths = sorted(data.rglob("qa.csv"))
+    for path in (path for path in paths if path.suffix == ".csv"):
+        rows: dict[str, list[tuple[str, int, dict[str, Any]]]] = {}
         csv.field_size_limit(min(sys.maxsize, 2**31 - 1))
         try:
             with path.open(newline="", encoding="utf-8-sig") as file:
@@ -205,15 +253,14 @@ def _tables(data: Path, suffix: str) -> Iterator[Scene]:
                 for row in reader:
                     if missing := {"image_id", "question", "answer"} - {key for key in row if key}:
                         raise FormatError(f"{path} has no column {', '.join(sorted(missing))}")
-                    rows.setdefault(str(row["image_id"]), []).append(
-                        (reader.line_num, {k: v for k, v in row.items() if v is not None})
-                    )
+                    turns = rows.setdefault(str(row["image_id"]), [])
+                    given = {key: value for key, value in row.items() if value is not None}
+                    turns.append((f"line {reader.line_num}", len(turns), given))
         except (OSError, UnicodeError, csv.Error) as error:
             raise FormatError(f"{path} cannot be read as CSV ({error})") from None
-        for image_id, found in rows.items():
-            lines, turns = zip(*found, strict=True)
+        for image_id, turns in rows.items():
             name = PurePosixPath(image_id).parent.name or PurePosixPath(image_id).stem
-            questions, skipped = _questions(turns, name, suffix, str(path), lines)
+            questions, skipped = _questions(turns, name, suffix, path)
             image = _image(path.parent, image_id)
             yield Scene(name, image.parent if image else path.parent / name, image, questions, skipped)
 

@@ -1,0 +1,181 @@
+"""What looks at a view: any perception, or `truth`, a detector of known quality that is made from the annotations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from eagor.calibration import Calibration
+from eagor.detections import MIN_SPREAD
+from eagor.errors import EagorError, QueryError
+from eagor.evidence import Evidence
+from eagor.grids import PerspectiveGrid
+from eagor.perception import Perception
+from eagor.perception.noise import Noise
+from eagor.perception.partial import look_at_view
+from eagor.perception.truth import Report, displaced, drawn
+from eagor.sphere import world_R_body
+from eagor.tasks.eyes import shared
+from eagor.tasks.hstar.camera import HFOV_DEG, View, box_points, inside, render_view
+from eagor.tasks.hstar.data import Episode, open_panorama
+from eagor.tasks.hstar.words import head_of, phrase_of, thing_of
+from eagor.tasks.published import luck
+
+# Found on development apartments (benchmarks/search.py --fit).
+CALIBRATION = Calibration(floor=0.125, neutral=0.124, temperature=2.59)
+LENS = PerspectiveGrid(27, 48, math.radians(HFOV_DEG))  # the cells of truth's response: 2 degrees in the middle
+WHOLE = 0.5  # share of a box in view from which on it is found as well as if it were whole
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What one look says: the evidence, and the pose ``(3, 3)`` of the frame that it is in."""
+
+    evidence: Evidence
+    world_R_capture: np.ndarray
+
+
+Eye = Callable[[View], Look]  # looks at the views of one episode
+
+
+def open_perception(spec: str) -> Perception | Noise:
+    """What `spec` names: a perception, or the noise of ``truth``, ``truth:ideal``, ``truth:miss=0.3,spread=4``.
+
+    A perception is made once per process. Raises `EagorError` if it cannot be made, and what a server has against it.
+    """
+    name, _, text = spec.partition(":")
+    return Noise.parse(text) if name == "truth" else shared(spec)
+
+
+def open_eye(
+    perception: Any,
+    episode: Episode,
+    seed: int,
+    resolution: int,
+    read: Callable[[Evidence], Evidence] = lambda evidence: evidence,
+) -> Eye:
+    """`perception`, as `open_perception` returned it, for one episode; `seed` is of truth's mistakes.
+
+    `read` changes how its evidence is calibrated. Raises `EagorError` where it is neither.
+    """
+    if isinstance(perception, Noise):
+        look = annotated(TruthEye(episode.yaw, episode.pitch, perception, luck(seed, episode.id)))
+    elif isinstance(perception, Perception):
+        look = PixelEye(perception, episode, resolution)
+    else:
+        raise EagorError(f"the perception is a {type(perception).__name__}; wanted what open_perception returns")
+
+    def read_look(view: View) -> Look:
+        found = look(view)
+        return replace(found, evidence=read(found.evidence))
+
+    return read_look
+
+
+class PixelEye:
+    """A perception that is shown the view, drawn as the benchmark draws it, without the cross.
+
+    It is asked for the thing in the task's words; one that knows only single nouns is asked for less and less.
+    """
+
+    def __init__(self, perception: Perception, episode: Episode, resolution: int) -> None:
+        self._perception, self._episode, self._resolution = perception, episode, resolution
+        self._queries = list(dict.fromkeys((thing_of(episode.task), phrase_of(episode.task), head_of(episode.task))))
+
+    def __call__(self, view: View) -> Look:
+        image = render_view(open_panorama(self._episode.panorama), view.yaw, view.pitch, self._resolution, cross=False)
+        pitch, hfov = math.radians(view.pitch), math.radians(HFOV_DEG)
+        while True:
+            try:
+                evidence = look_at_view(self._perception, image, pitch, hfov, self._queries[0])
+                return Look(evidence, world_R_body(-math.radians(view.yaw)))
+            except QueryError:
+                if len(self._queries) == 1:
+                    raise
+                del self._queries[0]
+
+
+def annotated(eye: TruthEye) -> Eye:
+    """`eye` as an agent uses one; nothing is drawn for it."""
+    return lambda view: Look(eye.look(view), view.world_R_view)
+
+
+class TruthEye:
+    """Looks at views of one episode, and remembers its mistakes from look to look: an agent apart from any model.
+
+    The noise is that of simulated worlds (`eagor.perception.noise.Noise`), with these differences: a view shows part of
+    the sphere; what counts is how much of the target's box it shows; and nothing but the targets is annotated, so that
+    a false alarm is somewhere in the view, and stays there in the world for as long as it lasts.
+
+    Each look draws the same amount of randomness whatever it shows, so that agents that look elsewhere meet the same
+    luck look by look.
+    """
+
+    def __init__(
+        self,
+        yaw: tuple[float, float],
+        pitch: tuple[float, float] | None,
+        noise: Noise,
+        seed: int | list[int],
+        calibration: Calibration = CALIBRATION,
+    ) -> None:
+        self._points = box_points(yaw, pitch)
+        self._noise, self._calibration = noise, calibration
+        self._rng = np.random.default_rng(seed)
+        self._started = False
+        self._luck = np.zeros((2, 2))  # of the target and of the false alarm: reported or not, and the score
+        self._error = np.zeros((2, 3))  # standard normal, in the world's axes
+        self._place = np.zeros(2)  # of the false alarm in its view, 0 to 1
+        self._alarm: np.ndarray | None = None  # where it is in the world, once a view had it
+
+    def look(self, view: View) -> Evidence:
+        """The next look: evidence on `LENS`, in the view's own frame."""
+        response = drawn(self.reports(view), LENS, self._noise.floor)
+        return Evidence.from_response(response, LENS, self._calibration)
+
+    def reports(self, view: View) -> list[Report]:
+        """The next look as the list of what is reported, in the view's own frame."""
+        self._advance()
+        noise, found = self._noise, []
+        shown = inside(view, self._points)
+        seen = min(1.0, float(shown.mean()) / WHOLE)
+        if shown.any() and self._luck[0, 0] < (1 - noise.miss) * seen:
+            centre, covariance = _moments(self._points[shown] @ view.world_R_view)
+            error = view.world_R_view.T @ self._error[0] * noise.spread
+            found.append(self._report("found", 0, centre, covariance, error))
+        if self._luck[1, 0] < noise.false_alarm:
+            if self._alarm is None:
+                x, y = self._place * (LENS.width, LENS.height)
+                self._alarm = view.world_R_view @ LENS.unproject(np.array(x), np.array(y))
+            if inside(view, self._alarm[None])[0]:
+                at = self._alarm @ view.world_R_view
+                found.append(self._report("false alarm", 1, at, np.zeros((3, 3)), np.zeros(3)))
+        return found
+
+    def _advance(self) -> None:
+        """Go on by one look: mistakes are kept, or drawn anew."""
+        drawn_now, error = self._rng.random((2, 5)), self._rng.standard_normal((2, 3))
+        anew = drawn_now[:, 0] >= self._noise.persistence if self._started else np.ones(2, dtype=bool)
+        self._luck[anew], self._error[anew] = drawn_now[anew, 1:3], error[anew]
+        if anew[1]:
+            self._place, self._alarm = drawn_now[1, 3:5], None
+        self._started = True
+
+    def _report(self, kind: str, row: int, centre: np.ndarray, covariance: np.ndarray, error: np.ndarray) -> Report:
+        placed, carry = displaced(centre, error)
+        width = self._noise.spread**2 + MIN_SPREAD**2  # as detections are drawn: less is lost to a belief
+        covariance = carry @ covariance @ carry.T + width * (np.eye(3) - np.outer(placed, placed))
+        score = self._noise.weakest + (1 - self._noise.weakest) * float(self._luck[row, 1])
+        return Report(kind, None, placed, covariance, score)
+
+
+def _moments(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean direction ``(3,)`` of points ``(n, 3)``, and their covariance ``(3, 3)`` in the tangent plane there."""
+    centre = points.mean(axis=0)
+    centre /= np.linalg.norm(centre)
+    offsets = points - (points @ centre)[:, None] * centre
+    return centre, offsets.T @ offsets / len(points)

@@ -1,0 +1,102 @@
+"""What the benchmarks with published data have in common: H*Bench and OSR-Bench."""
+
+from __future__ import annotations
+
+import math
+import warnings
+import zlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from eagor.errors import EagorError
+from eagor.evidence import Evidence
+from eagor.sphere import world_R_body
+from eagor.tasks.benchmark import Benchmark, Record, settled
+from eagor.tasks.chat import shared_chat
+from eagor.tasks.eyes import recalibration
+from eagor.tasks.places import Place
+
+Export = Callable[[Sequence[Record], Mapping[str, Any], Path], list[Path]]
+
+
+def settle(
+    benchmark: Benchmark,
+    settings: Mapping[str, Any],
+    looking: Sequence[str],
+    truth: str,
+    check: Callable[[dict[str, Any]], None],
+    look: Callable[[Any, dict[str, Any]], object],
+) -> dict[str, Any]:
+    """`Benchmark.settle`: see `settled`. `check` raises for numbers that make no sense; `look` makes the perception."""
+    found = settled(benchmark, settings, looking, truth)
+    check(found)
+    if found["perception"]:
+        look(found["perception"], found)
+    if found["model"]:
+        shared_chat(found["model"])
+    return found
+
+
+def export(
+    benchmark: Benchmark,
+    to: str,
+    writers: Mapping[str, Export],
+    records: Sequence[Record],
+    settings: Mapping[str, Any],
+    folder: Path,
+) -> list[Path]:
+    """`Benchmark.export` by the writer of this name. Raises `EagorError` where there is none."""
+    if to not in writers:
+        raise EagorError(f"{benchmark.name} has no export {to!r}; it has {', '.join(benchmark.exports)}")
+    return writers[to](records, settings, folder)
+
+
+def finished(records: Iterable[Record], wanted: str) -> list[Record]:
+    """The records of cases that were done. Raises `EagorError` with what is `wanted` where there are none."""
+    done = [record for record in records if record.get("status", "ok") == "ok"]
+    if not done:
+        raise EagorError(f"{wanted}; name a run with results")
+    return done
+
+
+def reader(settings: Mapping[str, Any]) -> Callable[[Evidence], Evidence]:
+    """How the looks of a run are read: as its settings have it, else as the perception does."""
+    calibrated = recalibration(settings)
+    return calibrated.reread if calibrated is not None else lambda evidence: evidence
+
+
+def luck(seed: int, case: str) -> list[int]:
+    """What chance in one case is seeded with: it depends on no other case."""
+    return [seed, zlib.crc32(case.encode())]
+
+
+def picture_size(file: Path | IO[bytes]) -> tuple[int, int] | None:
+    """Width and height of a picture, None where it cannot be read."""
+    from PIL import Image
+
+    from eagor.worlds.panorama import FORMATS
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            with Image.open(file, formats=FORMATS) as picture:
+                return picture.size
+        except Exception:  # decoders raise whatever the damage leads them to
+            return None
+
+
+def save_panorama(place: Place, position: np.ndarray, yaw: float, rows: int, path: Path) -> None:
+    """Draw what a camera at `position` ``(3,)`` sees of a place, with so many rows."""
+    from PIL import Image
+
+    rgb = place.renderer.panorama(position, world_R_body(yaw), rows, range=False, ids=False).rgb
+    assert rgb is not None
+    Image.fromarray(rgb).save(path)
+
+
+def any_yaw(rng: np.random.Generator) -> float:
+    """An angle (radians), all alike."""
+    return float(rng.uniform(-math.pi, math.pi))
