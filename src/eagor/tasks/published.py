@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -14,44 +14,9 @@ import numpy as np
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.sphere import world_R_body
-from eagor.tasks.benchmark import Benchmark, Record, settled
-from eagor.tasks.chat import shared_chat
+from eagor.tasks.benchmark import Record
 from eagor.tasks.eyes import recalibration
 from eagor.tasks.places import Place
-
-Export = Callable[[Sequence[Record], Mapping[str, Any], Path], list[Path]]
-
-
-def settle(
-    benchmark: Benchmark,
-    settings: Mapping[str, Any],
-    looking: Sequence[str],
-    truth: str,
-    check: Callable[[dict[str, Any]], None],
-    look: Callable[[Any, dict[str, Any]], object],
-) -> dict[str, Any]:
-    """`Benchmark.settle`: see `settled`. `check` raises for numbers that make no sense; `look` makes the perception."""
-    found = settled(benchmark, settings, looking, truth)
-    check(found)
-    if found["perception"]:
-        look(found["perception"], found)
-    if found["model"]:
-        shared_chat(found["model"])
-    return found
-
-
-def export(
-    benchmark: Benchmark,
-    to: str,
-    writers: Mapping[str, Export],
-    records: Sequence[Record],
-    settings: Mapping[str, Any],
-    folder: Path,
-) -> list[Path]:
-    """`Benchmark.export` by the writer of this name. Raises `EagorError` where there is none."""
-    if to not in writers:
-        raise EagorError(f"{benchmark.name} has no export {to!r}; it has {', '.join(benchmark.exports)}")
-    return writers[to](records, settings, folder)
 
 
 def finished(records: Iterable[Record], wanted: str) -> list[Record]:

@@ -10,8 +10,8 @@ from typing import Any
 from eagor._files import written
 from eagor._json import shown
 from eagor.errors import EagorError, FormatError
-from eagor.tasks import published
-from eagor.tasks.benchmark import Case, Figure, Option, Record
+from eagor.tasks.benchmark import Case, Figure, Option, Record, settled
+from eagor.tasks.chat import shared_chat
 from eagor.tasks.hstar import data as files
 from eagor.tasks.hstar import lmms
 from eagor.tasks.hstar.agents import AGENTS, LOOKING, SWEEP
@@ -22,6 +22,7 @@ from eagor.tasks.hstar.play import CAUSES, judged
 from eagor.tasks.hstar.prompts import WINDOW
 from eagor.tasks.hstar.rules import FARTHEST_ANSWER, FORMS, MAX_TURNS, SCORINGS, checked_scoring, parse_action
 from eagor.tasks.hstar.search import SearchRules
+from eagor.tasks.published import finished
 
 OPTIONS = {
     "scoring": Option("official", "what counts as success", SCORINGS),
@@ -55,12 +56,15 @@ class HStar:
 
     @property
     def figures(self) -> Sequence[Figure]:
-        found = [Figure("overall", "Overall", "success of all episodes", lambda record: record["score"])]
-        for level in LEVELS[self.kind]:
-            found.append(Figure(level, level.capitalize(), f"success of episodes of level {level}", _at(level)))
-        found.append(Figure("official", "Official", "success by the published rule", _scored("official")))
-        found.append(Figure("strict", "Strict", "success with the pitch always counted", _scored("strict")))
-        return found
+        return (
+            Figure("overall", "Overall", "success of all episodes", lambda record: record["score"]),
+            *(
+                Figure(level, level.capitalize(), f"success of episodes of level {level}", _at(level))
+                for level in LEVELS[self.kind]
+            ),
+            Figure("official", "Official", "success by the published rule", _scored("official")),
+            Figure("strict", "Strict", "success with the pitch always counted", _scored("strict")),
+        )
 
     def info(self, data: Path) -> dict[str, Any]:
         return files.info(data)
@@ -79,8 +83,16 @@ class HStar:
         return found
 
     def settle(self, settings: Mapping[str, Any]) -> dict[str, Any]:
-        truth = "the annotations through noise, for studies"
-        return published.settle(self, settings, LOOKING, truth, _check, lambda name, _: open_perception(name))
+        found = settled(self, settings, LOOKING, "the annotations through noise, for studies")
+        if not 0 < found["sure"] <= 1:
+            raise EagorError(f"sure = {found['sure']}; wanted a probability above 0, at most 1")
+        if not 18 <= found["resolution"] <= MOST_ROWS:
+            raise EagorError(f"resolution = {found['resolution']}; wanted rows of a picture, 18 to {MOST_ROWS}")
+        if found["perception"]:
+            open_perception(found["perception"])
+        if found["model"]:
+            shared_chat(found["model"])
+        return found
 
     def judge(self, case: Case, prediction: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
         answer, reason = _submission(prediction, settings.get("form", FORMS[0]))
@@ -88,11 +100,11 @@ class HStar:
         return judged(episode, answer, scoring, case.payload["siblings"], [{"shown": 1.0}], reason)
 
     def export(self, to: str, records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
-        writers: dict[str, published.Export] = {
-            "lmms-eval": lambda _, settings, folder: lmms.write(self.kind, settings, folder),
-            "hstar-txt": lambda records, _, folder: level_file(self.kind, records, folder),
-        }
-        return published.export(self, to, writers, records, settings, folder)
+        if to == "lmms-eval":
+            return lmms.write(self.kind, settings, folder)
+        if to == "hstar-txt":
+            return level_file(self.kind, records, folder)
+        raise EagorError(f"{self.name} has no export {to!r}; it has {', '.join(EXPORTS)}")
 
 
 HOS = HStar("hos", "H*Bench: object search (HOS)")
@@ -105,7 +117,7 @@ def level_file(kind: Kind, records: Sequence[Record], folder: Path) -> list[Path
     The published evaluation writes these numbers; a success is counted at the turn of its submission. Raises
     `EagorError` without records.
     """
-    done = published.finished(records, "the level file counts a run's successes")
+    done = finished(records, "the level file counts a run's successes")
     lines = []
     for number, level in enumerate(LEVELS[kind]):
         part = [record for record in done if record.get("level") == level]
@@ -125,13 +137,6 @@ def _at(level: str):
 
 def _scored(way: str):
     return lambda record: record.get("scores", {}).get(way)
-
-
-def _check(found: Mapping[str, Any]) -> None:
-    if not 0 < found["sure"] <= 1:
-        raise EagorError(f"sure = {found['sure']}; wanted a probability above 0, at most 1")
-    if not 18 <= found["resolution"] <= MOST_ROWS:
-        raise EagorError(f"resolution = {found['resolution']}; wanted rows of a picture, 18 to {MOST_ROWS}")
 
 
 def _submission(prediction: Mapping[str, Any], form: str) -> tuple[dict[str, int] | None, str | None]:

@@ -98,12 +98,7 @@ def level_of(view: View, yaw: tuple[float, float], pitch: tuple[float, float]) -
 
 def inside(view: View, directions: np.ndarray) -> np.ndarray:
     """Which directions ``(n, 3)`` of the world the view shows, bool ``(n,)``."""
-    rays = directions @ view.world_R_view
-    rows, columns = size_of()
-    half = math.tan(math.radians(HFOV_DEG) / 2)
-    ahead = rays[:, 0] > 1e-9
-    across = np.abs(rays[:, 1]) <= half * rays[:, 0]
-    return ahead & across & (np.abs(rays[:, 2]) <= half * rows / columns * rays[:, 0])
+    return view.grid(*size_of()).project(directions)[2]
 
 
 def box_points(yaw: tuple[float, float], pitch: tuple[float, float] | None, steps: int = 24) -> np.ndarray:

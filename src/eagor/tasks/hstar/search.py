@@ -20,7 +20,8 @@ from eagor.belief import Belief
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid
 from eagor.peaks import decoding_grid
-from eagor.tasks.hstar.camera import HFOV_DEG, View, inside, size_of
+from eagor.perception.partial import coverage
+from eagor.tasks.hstar.camera import HFOV_DEG, View, size_of
 from eagor.tasks.hstar.rules import PITCH_TOLERANCE, YAW_TOLERANCE
 
 STEP = 5  # degrees: cells of the map that is planned and decided on
@@ -210,16 +211,9 @@ def _xlog(x: np.ndarray) -> np.ndarray:
     return x * np.log(np.maximum(x, 1e-300))
 
 
-@lru_cache(maxsize=256)
 def _shares(pitch: int) -> np.ndarray:
     """How much of each cell ``(H, W)`` a view at yaw 0 and this pitch shows, 0 to 1."""
-    offsets = (np.arange(5) + 0.5) / 5
-    x = (np.arange(CELLS.width)[:, None] + offsets).reshape(-1)
-    y = (np.arange(CELLS.height)[:, None] + offsets).reshape(-1, 1)
-    shown = inside(View(0.0, pitch), CELLS.unproject(x, y).reshape(-1, 3))
-    found = shown.reshape(CELLS.height, 5, CELLS.width, 5).mean(axis=(1, 3))
-    found.setflags(write=False)
-    return found
+    return coverage(*CELLS.shape, *size_of(), math.radians(HFOV_DEG), math.radians(pitch))
 
 
 @lru_cache(maxsize=256)

@@ -114,8 +114,7 @@ def conversation(
     """
     names = list(names)
     asked: list[tuple[str, str, object]] = [(MAP, mapping(names), grid_of(layout))]
-    for name in rng.permutation(names)[:most].tolist():
-        asked.append((COUNTING, counting(name), count_label(counts, name)))
+    asked += [(COUNTING, counting(name), count_label(counts, name)) for name in rng.permutation(names)[:most].tolist()]
     singles = [name for name in names if counts.get(name) == 1] or names
     complete = all(name in layout for name in names)
     if len(counts) >= LEAST:

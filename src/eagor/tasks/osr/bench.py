@@ -11,8 +11,8 @@ from eagor._csv import as_csv
 from eagor._files import written
 from eagor._json import shown
 from eagor.errors import EagorError, FormatError
-from eagor.tasks import published
-from eagor.tasks.benchmark import Case, Figure, Option, Record
+from eagor.tasks.benchmark import Case, Figure, Option, Record, settled
+from eagor.tasks.chat import shared_chat
 from eagor.tasks.osr import lmms
 from eagor.tasks.osr.agents import AGENTS, LOOKING, Reply
 from eagor.tasks.osr.data import SUFFIXES, Scene, load, load_kept
@@ -20,6 +20,7 @@ from eagor.tasks.osr.looking import DEPTH_FILE, FILE, HEIGHT, TRUTH, open_looker
 from eagor.tasks.osr.play import judged
 from eagor.tasks.osr.prompts import FORMS
 from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS
+from eagor.tasks.published import finished, picture_size
 
 OPTIONS = {
     "labels": Option(
@@ -130,8 +131,15 @@ class OsrBench:
         ]
 
     def settle(self, settings: Mapping[str, Any]) -> dict[str, Any]:
-        truth = f"the true places, for data that has a {FILE} in each scene"
-        return published.settle(self, settings, LOOKING, truth, _check, open_looker)
+        found = settled(self, settings, LOOKING, f"the true places, for data that has a {FILE} in each scene")
+        if found["camera_height"] <= 0:
+            raise EagorError(f"camera_height = {found['camera_height']}; wanted metres above the floor, above 0")
+        if found["perception"]:
+            _check_files(found)
+            open_looker(found["perception"], found)
+        if found["model"]:
+            shared_chat(found["model"])
+        return found
 
     def judge(self, case: Case, prediction: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
         told = next((prediction[key] for key in ("text", "answer", "model_answer") if key in prediction), None)
@@ -142,11 +150,11 @@ class OsrBench:
         return judged(scene, scene.by_id[case.payload["question"]], Reply(told), settings)
 
     def export(self, to: str, records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
-        writers: dict[str, published.Export] = {
-            "osr-csv": csv_files,
-            "lmms-eval": lambda _, settings, folder: lmms.write(settings, folder),
-        }
-        return published.export(self, to, writers, records, settings, folder)
+        if to == "osr-csv":
+            return csv_files(records, settings, folder)
+        if to == "lmms-eval":
+            return lmms.write(settings, folder)
+        raise EagorError(f"{self.name} has no export {to!r}; it has {', '.join(EXPORTS)}")
 
 
 OSR = OsrBench()
@@ -160,7 +168,7 @@ def csv_files(records: Sequence[Record], settings: Mapping[str, Any], folder: Pa
     """
     model = settings.get("model") or settings["agent"]
     by_scene: dict[str, list[Record]] = {}
-    for record in published.finished(records, "the tables hold a run's answers"):
+    for record in finished(records, "the tables hold a run's answers"):
         by_scene.setdefault(_scene(record), []).append(record)
     files = []
     for scene, answers in sorted(by_scene.items()):
@@ -194,16 +202,14 @@ def _turn(case: str) -> tuple[int, str]:
 def _size(image: Path | None) -> str:
     if image is None:
         return "missing"
-    size = published.picture_size(image)
+    size = picture_size(image)
     return "unreadable" if size is None else f"{size[0]} x {size[1]}"
 
 
-def _check(found: Mapping[str, Any]) -> None:
-    """Raise `EagorError` where the camera is nowhere, or scenes lack a file that all of them would be answered from."""
-    if found["camera_height"] <= 0:
-        raise EagorError(f"camera_height = {found['camera_height']}; wanted metres above the floor, above 0")
-    truth = (found["perception"] or "").partition(":")[0] == TRUTH
-    wanted = FILE if truth else DEPTH_FILE if found["perception"] and found["range"] == "depth" else None
+def _check_files(found: Mapping[str, Any]) -> None:
+    """Raise `FormatError` where scenes lack a file that all of them would be answered from."""
+    truth = found["perception"].partition(":")[0] == TRUTH
+    wanted = FILE if truth else DEPTH_FILE if found["range"] == "depth" else None
     if wanted is None:
         return
     scenes = load_kept(str(found["data"]), found["suffix"])

@@ -1,11 +1,9 @@
 """Places on the floor drawn as the benchmark's layouts, and the answer that is the likeliest label.
 
-The labels of OSR-Bench are read off layouts of whole cells. Somebody who knew all places exactly, but not how the
-layout was laid over them, would still meet the published answers (with left and right corrected) only nineteen times
-in twenty: near the border between two answers, rounding decides. The rounding is part of the benchmark, so it is
-modelled: layouts are drawn as often as it takes, along the walls in each of the four ways (or, where no wall is known,
-any way), with places that are uncertain drawn anew each time; the label that most of them have is the answer, and its
-share is how sure it is.
+The labels of OSR-Bench are read off layouts of whole cells. Near the border between two answers rounding decides: who
+knew all places exactly would meet the published answers (left and right corrected) nineteen times in twenty. So the
+rounding is modelled: layouts are drawn along the walls in each of the four ways (any way where no wall is known), with
+places that are uncertain drawn anew each time. The label that most have is the answer, its share how sure it is.
 """
 
 from __future__ import annotations
@@ -18,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eagor.tasks.osr.geometry import FloorLine, Placed
-from eagor.tasks.osr.layout import SIZE, named, swapped
+from eagor.tasks.osr.layout import SIZE, named, products, swapped
 
 DRAWS = 16  # for each of the four ways
 
@@ -34,13 +32,12 @@ class Drawings:
         """The share of each answer, left and right as in the room, for the thing P and those that are O and Q."""
         start = self.cells[:, P]
         facing, asked = self._nearest(start, O), self._nearest(start, Q)
-        dot = np.sign((facing * asked).sum(axis=1)).astype(int)
-        cross = np.sign(facing[:, 0] * asked[:, 1] - facing[:, 1] * asked[:, 0]).astype(int)
+        signs = np.sign(products(facing.T, asked.T)).astype(int).T
         found: Counter[str] = Counter()
-        for (along, aside), count in Counter(zip(dot.tolist(), cross.tolist(), strict=True)).items():
+        for (along, aside), count in Counter(map(tuple, signs.tolist())).items():
             found[swapped(named(along, aside))] += count
         del found[""]  # the benchmark leaves such questions out
-        total = sum(found.values())
+        total = found.total()
         return {label: count / total for label, count in found.most_common()}
 
     def nearest(self, P: int, groups: Mapping[str, Sequence[int]]) -> dict[str, float]:

@@ -20,7 +20,7 @@ import numpy as np
 
 from eagor.errors import DirectionError
 from eagor.sphere import azimuth_elevation, direction, wrap
-from eagor.tasks.osr.layout import named
+from eagor.tasks.osr.layout import named, products
 
 Source = Literal["depth", "contact", "support", "wall", "height", "beyond", "guess"]
 SURE: tuple[Source, ...] = ("depth", "contact", "support", "wall")
@@ -44,17 +44,12 @@ OUTLINE_SPREAD, OUTLINE_SHARE = 0.15, 0.05
 
 @dataclass(frozen=True)
 class Sighting:
-    """One thing as it is seen.
+    """One thing as it is seen: its category, and the azimuth and elevation of its middle.
 
-    Attributes:
-        name: its category.
-        azimuth, elevation: of its middle.
-        bottom, top: elevations of its lowest and highest edge, None where nobody measured them.
-        half_width: half of the angle that it spans from side to side; 0 where nobody measured it.
-        foot: elevation at which the middle of the thing meets the floor, where that is known better than `bottom`.
-        contact: whether its lowest edge touches the floor.
-        depth: metres along the ray to its middle, from a depth cue.
-        weight: how strongly it is believed, relative to others.
+    - `bottom`, `top`: elevations of its lowest and highest edge; `half_width`: half of the angle that it spans.
+    - `foot`: the elevation at which its middle meets the floor, where that is known better than `bottom`.
+    - `contact`: whether its lowest edge touches the floor. `depth`: metres along the ray to its middle.
+    - `weight`: how strongly it is believed, relative to others.
     """
 
     name: str
@@ -158,27 +153,25 @@ def place(sightings: Sequence[Sighting], height: float, walls: FloorLine | None 
     height `MIDDLE`. Where the walls are not known, what hangs there is put on a rectangle around what stands on the
     floor ("beyond", `enclosing`), else at the middle range of the others ("guess").
     """
-    ranges = [_measured(each, height, walls) for each in sightings]
-    standing = [
-        (each, found[0]) for each, found in zip(sightings, ranges, strict=True) if found and found[1] == "contact"
-    ]
-    known = [(each.azimuth, found[0]) for each, found in zip(sightings, ranges, strict=True) if found]
+    measured = [(each, _measured(each, height, walls)) for each in sightings]
+    standing = [(each, found[0]) for each, found in measured if found and found[1] == "contact"]
+    known = [(each.azimuth, found[0]) for each, found in measured if found]
     placed = []
-    for each, found in zip(sightings, ranges, strict=True):
+    for each, found in measured:
         away, source = found or _inferred(each, standing, known, walls, height)
-        xy = away * math.cos(each.azimuth), away * math.sin(each.azimuth)
-        spread = SPREAD[source]
-        if source == "contact" and each.foot is None:
-            spread = OUTLINE_SPREAD + OUTLINE_SHARE * away
-        placed.append(Placed(each.name, xy, source, each.weight, spread))
+        outline = source == "contact" and each.foot is None
+        spread = OUTLINE_SPREAD + OUTLINE_SHARE * away if outline else SPREAD[source]
+        placed.append(Placed(each.name, _on_floor(each.azimuth, away), source, each.weight, spread))
     return placed
 
 
 def place_on_circle(sightings: Sequence[Sighting]) -> list[Placed]:
     """Every sighting at the same range: what can be done with directions alone."""
-    return [
-        Placed(each.name, (math.cos(each.azimuth), math.sin(each.azimuth)), "guess", each.weight) for each in sightings
-    ]
+    return [Placed(each.name, _on_floor(each.azimuth, 1.0), "guess", each.weight) for each in sightings]
+
+
+def _on_floor(azimuth: float, away: float) -> tuple[float, float]:
+    return away * math.cos(azimuth), away * math.sin(azimuth)
 
 
 def _measured(each: Sighting, height: float, walls: FloorLine | None) -> tuple[float, Source] | None:
@@ -187,7 +180,7 @@ def _measured(each: Sighting, height: float, walls: FloorLine | None) -> tuple[f
     if not each.contact:
         return None
     away = contact_range(each, height)
-    if away is None and each.foot is None and each.bottom is None and each.elevation < 0:
+    if away is None and each.foot is None and each.bottom is None:
         away = floor_range(each.elevation, height - MIDDLE)
         return None if away is None else (away, "height")
     if away is None:
@@ -240,7 +233,7 @@ def enclosing(known: Sequence[tuple[float, float]]) -> FloorLine | None:
 
     Things stand along walls, `MARGIN` before them with their middles. None where they do not surround the camera.
     """
-    points = np.array([(away * math.cos(at), away * math.sin(at)) for at, away in known])
+    points = np.array([_on_floor(azimuth, away) for azimuth, away in known])
     if len(points) < 3:
         return None
     from scipy.spatial import ConvexHull, QhullError
@@ -261,13 +254,6 @@ def enclosing(known: Sequence[tuple[float, float]]) -> FloorLine | None:
     return found
 
 
-def turn_to(P: Placed, O: Placed, Q: Placed) -> tuple[float, float]:
-    """Dot and cross product (square metres, positive to the left) of the ways from P to O and from P to Q."""
-    (px, py), (ox, oy), (qx, qy) = P.xy, O.xy, Q.xy
-    facing, asked = (ox - px, oy - py), (qx - px, qy - py)
-    return facing[0] * asked[0] + facing[1] * asked[1], facing[0] * asked[1] - facing[1] * asked[0]
-
-
 def nearest(start: Placed, others: Sequence[Placed]) -> Placed:
     """The one of `others` nearest to `start`."""
     return min(others, key=lambda each: math.dist(start.xy, each.xy))
@@ -275,4 +261,5 @@ def nearest(start: Placed, others: Sequence[Placed]) -> Placed:
 
 def direction_between(P: Placed, O: Sequence[Placed], Q: Sequence[Placed]) -> str:
     """Where the nearest Q lies for one who stands at P and faces the nearest O: "Front Left", and so on."""
-    return named(*turn_to(P, nearest(P, O), nearest(P, Q)))
+    facing, asked = (np.subtract(nearest(P, things).xy, P.xy).tolist() for things in (O, Q))
+    return named(*products(facing, asked))

@@ -53,8 +53,8 @@ def steps(layout: Layout, P: str, O: str, Q: str) -> tuple[Cell, Cell] | str:
     return (facing[0], asked[0]) if facing and asked else NO_OBJECT
 
 
-def products(v1: Sequence[float], v2: Sequence[float]) -> tuple[float, float]:
-    """Dot product and cross product r1 c2 - c1 r2 of two steps (rows, columns)."""
+def products(v1: Any, v2: Any) -> tuple[Any, Any]:
+    """Dot product and cross product r1 c2 - c1 r2 of two steps (rows, columns): numbers, or arrays of them."""
     return v1[0] * v2[0] + v1[1] * v2[1], v1[0] * v2[1] - v1[1] * v2[0]
 
 
