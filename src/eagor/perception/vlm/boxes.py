@@ -66,8 +66,7 @@ class Box:
 class _Found:
     """Four coordinates as written, x0 y0 x1 y1, and the stretch of text in which it was decided to write them.
 
-    The stretch begins where the list opened, or the box before ended, and ends with the entry's opening bracket:
-    there the model might have ended the list instead. None where places are not known.
+    It begins where the list opened, or the box before ended, and ends with the entry's opening bracket. None: unknown.
     """
 
     numbers: tuple[Node, ...]
@@ -77,11 +76,7 @@ class _Found:
 
 
 def parse_boxes(
-    text: str,
-    frame: Frame,
-    size: tuple[int, int],
-    order: Order = "xyxy",
-    tokens: Sequence[Token] | None = None,
+    text: str, frame: Frame, size: tuple[int, int], order: Order = "xyxy", tokens: Sequence[Token] | None = None
 ) -> list[Box]:
     """The boxes in a model's answer; [] where the answer says that there is none.
 
@@ -90,9 +85,7 @@ def parse_boxes(
         frame: what its coordinates count. Fractions below 1 are taken for fractions in every frame.
         size: (height, width) of the image that the model saw, after any resizing.
         order: of four bare numbers; corners that are named are what they are called.
-        tokens: the pieces of the answer with their log probabilities. Then a box without a score of its own gets
-            the probability of opening its entry (where the model might have ended the list instead) times the
-            geometric mean of those of the tokens that begin its four numbers. Without tokens the score is 1.
+        tokens: the pieces of the answer with their log probabilities, which score boxes (`_confidence`); else 1.
 
     Boxes without area are left out, and so are second copies and boxes that lie far outside. Raises `AnswerError` if
     nothing can be read, or if all coordinates run far past the frame.
@@ -228,16 +221,13 @@ def _boxes_of_object(node: Node, order: Order, label: str, since: int) -> Iterat
 
 
 def _named_corners(fields: dict[str, Node]) -> tuple[Node, ...]:
-    for names in _CORNERS:
-        found = [fields[name] for name in names.split() if name in fields]
+    for names in (*_CORNERS, *_SIDES):
+        found = tuple(fields[name] for name in names.split() if name in fields)
         if len(found) == 4 and all(isinstance(entry.value, float) for entry in found):
-            return tuple(found)
-    for names in _SIDES:
-        found = [fields[name] for name in names.split() if name in fields]
-        if len(found) == 4 and all(isinstance(entry.value, float) for entry in found):
-            x, y, width, height = found
-            right = Node(x.value + width.value, width.start, width.end)
-            return x, y, right, Node(y.value + height.value, height.start, height.end)
+            x, y, across, down = found
+            if names in _SIDES:
+                across, down = replace(across, value=x.value + across.value), replace(down, value=y.value + down.value)
+            return x, y, across, down
     return ()
 
 
@@ -275,6 +265,9 @@ def _box(found: _Found, frame: Frame, size: tuple[int, int], trace: Trace | None
 
 
 def _confidence(numbers: tuple[Node, ...], decided: tuple[int, int], trace: Trace) -> float:
-    """The probability of what was decided times the geometric mean of the tokens that begin the numbers."""
+    """The probability of opening the entry (the model might have ended the list instead) times that of its numbers.
+
+    Of the numbers it is the geometric mean over the tokens that begin them.
+    """
     begun = sum(trace.log_probability(number.start, number.start + 1) for number in numbers) / len(numbers)
     return math.exp(trace.log_probability(*decided) + begun)

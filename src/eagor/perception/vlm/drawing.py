@@ -6,32 +6,23 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from eagor.detections import MIN_SPREAD, bump, moments
-from eagor.errors import ResponseError
+from eagor.detections import MIN_SPREAD, bump
 from eagor.grids import Grid
 from eagor.perception.vlm.boxes import Box
+from eagor.perception.vlm.found import moments_of
 
 
 def drawn(boxes: Sequence[Box], image: Grid, canvas: Grid, roll: float = 0.0) -> np.ndarray:
     """The response ``canvas.shape`` float32 in [0, 1] of boxes in a picture with the geometry of `image`.
 
-    A whole panorama is any `PatchGrid` or `ErpGrid` (its size does not matter), a view its `PerspectiveGrid`. As in
-    `Evidence.from_boxes`, each box becomes the Gaussian with the mean direction and the second moments of its solid
-    angle, widened by `MIN_SPREAD`, times its score; the highest counts. Other than there, a box all around, such as
-    one of the whole panorama, is no error: it names no direction, and counts alike everywhere. No box: zeros.
-
-    `roll` is the fraction of its width by which a panorama was rolled to the right before the model saw it; the
-    response is that of the panorama itself.
+    `image` and `roll` as in `moments_of`. As in `Evidence.from_boxes`, each box becomes a Gaussian, widened by
+    `MIN_SPREAD`, times its score; the highest counts. A box all around counts alike everywhere. No box: zeros.
     """
-    height, width = image.shape
     response = np.zeros(canvas.shape)
     for box in boxes:
-        left, right = (box.x0 - roll) * width, (box.x1 - roll) * width  # columns go on beyond the seam
-        corners = np.array([left, box.y0 * height, right, box.y1 * height])
-        try:
-            centre, spread = moments(corners, image)
-            there = bump(canvas.directions, centre, spread + MIN_SPREAD**2 * np.eye(2))
-        except ResponseError:  # all around: a `Box` has some area
-            there = np.ones(canvas.shape)
+        meant = moments_of(box, image, roll)
+        there = np.ones(canvas.shape)
+        if meant is not None:
+            there = bump(canvas.directions, meant[0], meant[1] + MIN_SPREAD**2 * np.eye(2))
         response = np.maximum(response, box.score * there)
     return response.astype(np.float32)

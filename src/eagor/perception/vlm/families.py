@@ -36,14 +36,11 @@ class Checkpoint:
 class Served:
     """How a family is asked where it runs on a server, which tells nothing about it but its name.
 
-    Attributes:
-        pattern: regular expression that finds the family in lower-case names such as ``qwen2.5vl:7b``.
-        cell: pixels of one side of an image token; pictures are sent in multiples of it.
-        view: pixels of one side of a (square) view.
-        aspect: width / height of a panorama as it is sent. Where processors bring everything to a square, some by
-            cutting the sides off, the panorama is squeezed beforehand: cells are then twice as wide as high.
-        frame: coordinates that a family which was not trained to write boxes is asked for all the same.
-        order: of its coordinates.
+    - `pattern`: regular expression that finds the family in lower-case names such as ``qwen2.5vl:7b``.
+    - `cell`: pixels of one side of an image token; pictures are sent in multiples of it. `view`: of a square view.
+    - `aspect`: width / height of a panorama as it is sent. Where processors bring everything to a square, some by
+      cutting the sides off, the panorama is squeezed beforehand: cells are then twice as wide as high.
+    - `frame`: coordinates that a family which was not trained to write boxes is asked for; `order` of them.
     """
 
     pattern: str
@@ -58,14 +55,11 @@ class Served:
 class Dialogue:
     """How a conversation is written, for checkpoints that bring no template of their own.
 
-    Attributes:
-        user: what a user's message becomes; ``{text}`` stands for its words and pictures, in the others for the words.
-        assistant: the same for a reply.
-        reply: what stands before the next reply.
-        picture: what stands for a picture, the family's placeholder in it.
-        system: the same as `user` for a system message; empty where its words go before those of the first user.
-        begin: what stands before everything.
-        helper: the words of the system message where nobody gives any; empty for no such message.
+    - `user`, `assistant`, `system`: what such a message becomes; ``{text}`` stands for its words (and pictures). An
+      empty `system`: its words go before those of the first user.
+    - `begin`: what stands before everything; `reply`: before the next reply; `picture`: for a picture, the family's
+      placeholder in it.
+    - `helper`: the words of the system message where nobody gives any; empty for no such message.
     """
 
     user: str
@@ -84,31 +78,22 @@ def _chatml(picture: str, helper: str = "") -> Dialogue:
 
 @dataclass(frozen=True)
 class Family:
-    """A family of models.
+    """A family of models; `title` is the name that people know, `checkpoints` are some published ones.
 
-    Attributes:
-        name: the name used in tests and messages.
-        model_types: values of ``model_type`` in ``config.json`` that belong to it.
-        title: the name that people know.
-        fit: how an image becomes what the model sees. ``exact``: resized to whole cells, any aspect; ``squash``: to
-            the model's square; ``pad``: into the square, background around it; ``tiles``: cut into squares, and the
-            whole once more, smaller, behind them.
-        extractor: how directions are read from it by default: ``attention``, ``boxes`` that it writes, ``both`` from
-            one call, the ``mask`` that it paints, or ``views``, one of these in tangent views that cover the sphere.
-        per_view: the extractor in each view where views are taken.
-        frame: coordinates of the boxes that it was trained to answer with; None where it was not.
-        type_ids: the input that tells image tokens from text, without which the model runs and answers wrongly.
-        placeholder: what the checkpoint's chat template writes where an image goes.
-        expansion: what the placeholder becomes; the image token in it is then repeated.
-        image_token: that token.
-        dialogue: how conversations are written, for checkpoints that bring no template of their own.
-        depth: the layer whose attention is read by default, as a fraction of all layers. 22 of 28 for Qwen2.5-VL-7B
-            and 14 of 32 for LLaVA-1.5-7B are the published choices (Zhang et al., arXiv 2502.17422); the rest are not
-            measured.
-        pixels: how many pixels an image has at most, by default, where the family leaves a choice.
-        localiser: whether it locates things and cannot talk: boxes or masks come from heads of its own, not in words.
-        checkpoints: some published ones.
-        served: how it is asked on a server; None where servers of chats do not run it.
+    - `model_types`: values of ``model_type`` in ``config.json`` that belong to it.
+    - `fit`: how an image becomes what the model sees. ``exact``: resized to whole cells, any aspect; ``squash``: to the
+      model's square; ``pad``: into the square, background around it; ``tiles``: cut into squares, and the whole once
+      more, smaller, behind them. `pixels`: how many an image has at most, where the family leaves a choice.
+    - `extractor`: how directions are read by default: ``attention``, ``boxes`` that it writes, ``both`` from one call,
+      the ``mask`` that it paints, or ``views``: `per_view` in tangent views that cover the sphere.
+    - `frame`: coordinates of the boxes that it was trained to answer with; None where it was not.
+    - `type_ids`: the input that tells image tokens from text, without which the model runs and answers wrongly.
+    - `placeholder`: what the checkpoint's chat template writes where an image goes; it becomes the `expansion`, in
+      which the `image_token` is then repeated. `dialogue`: for checkpoints without a template.
+    - `depth`: the layer whose attention is read by default, as a fraction of all layers. 22 of 28 for Qwen2.5-VL-7B
+      and 14 of 32 for LLaVA-1.5-7B are published (Zhang et al., arXiv 2502.17422); the rest are not measured.
+    - `localiser`: whether it locates things and cannot talk: boxes or masks come from heads of its own, not in words.
+    - `served`: how it is asked on a server; None where servers of chats do not run it.
     """
 
     name: str

@@ -48,20 +48,25 @@ class Thing:
         return float(angular_distance(self.direction, other.direction)) < math.hypot(SAME, REACH * large)
 
 
-def things(boxes: Sequence[Box], image: Grid, roll: float = 0.0) -> list[Thing]:
-    """What boxes in a picture with the geometry of `image` mean, in the body frame.
+def moments_of(box: Box, image: Grid, roll: float = 0.0) -> tuple[np.ndarray, np.ndarray] | None:
+    """Mean direction ``(3,)`` and covariance ``(2, 2)`` of a box in a picture with the geometry of `image`.
 
     A whole panorama is any grid of the whole sphere (its size does not matter). `roll`: the fraction of its width by
-    which it was rolled to the right before it was looked at.
+    which it was rolled to the right before it was looked at. None for a box all around, which names no direction.
     """
     height, width = image.shape
+    corners = [(box.x0 - roll) * width, box.y0 * height, (box.x1 - roll) * width, box.y1 * height]
+    try:
+        return moments(np.array(corners), image)  # columns go on beyond the seam
+    except ResponseError:  # all around: a `Box` has some area
+        return None
+
+
+def things(boxes: Sequence[Box], image: Grid, roll: float = 0.0) -> list[Thing]:
+    """What boxes in a picture mean, in the body frame; `image` and `roll` as in `moments_of`."""
     found = []
     for box in boxes:
-        corners = [(box.x0 - roll) * width, box.y0 * height, (box.x1 - roll) * width, box.y1 * height]
-        try:
-            centre, spread = moments(np.array(corners), image)
-        except ResponseError:  # all around: a `Box` has some area
-            centre, spread = np.array([1.0, 0.0, 0.0]), ANYWHERE**2 * np.eye(2)
+        centre, spread = moments_of(box, image, roll) or (np.array([1.0, 0.0, 0.0]), ANYWHERE**2 * np.eye(2))
         if isinstance(image, PerspectiveGrid):
             depth = float(centre @ image.body_R_view[:, 0])
         else:

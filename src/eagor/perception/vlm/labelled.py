@@ -50,7 +50,7 @@ def labelled_lines(file: Path) -> list[tuple[int, dict[str, Any]]]:
     for row, line in enumerate(text.split("\n"), start=1):
         if line.strip():
             try:
-                found.append((row, _checked(_entry(line))))
+                found.append((row, _checked(line)))
             except (ValueError, TypeError, KeyError) as error:
                 raise FormatError(f"{file}, line {row}: {_reason(error)}") from error
     if not found:
@@ -96,14 +96,11 @@ def _radius(box: list[float], grid: ErpGrid) -> float:
     return cap_radius(2 * math.pi * width * (math.sin(top) - math.sin(bottom)))
 
 
-def _entry(line: str) -> Any:
+def _checked(line: str) -> dict[str, Any]:
     try:
-        return parsed(line)
+        entry = parsed(line)
     except ValueError as error:
         raise FormatError(f"is not JSON ({error}); wanted one JSON object") from None
-
-
-def _checked(entry: Any) -> dict[str, Any]:
     if not isinstance(entry, dict):
         raise TypeError(f"is {type(entry).__name__}; wanted an object with image, query and a place")
     phrase(entry["query"])

@@ -17,10 +17,9 @@ _WORDS = re.compile(r"[^\W\d_]+")
 def parse_presence(text: str, first: Sequence[Token] | None = None) -> float:
     """The probability in [0, 1] that a model's answer to `prompts.ask_presence` means yes.
 
-    `first` holds the likeliest tokens at the place where the answer stands, with their log probabilities (`Sequence` of
-    (piece, log probability)): then the probability is the share of those that mean yes among those that mean yes or no;
-    where only one side is listed, what is not listed counts for the other. Else it is 1 for yes and 0 for no. Raises
-    `AnswerError` if the answer is neither.
+    `first` holds the likeliest tokens at the place where the answer stands, with their log probabilities: then it is
+    the share of those that mean yes among those that mean yes or no; where only one side is listed, what is not listed
+    counts for the other. Else it is 1 for yes and 0 for no. Raises `AnswerError` if the answer is neither.
     """
     answer = spoken(text)
     shares, listed = [0.0, 0.0], 0.0

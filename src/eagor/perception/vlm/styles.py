@@ -6,22 +6,15 @@ import re
 from dataclasses import dataclass, replace
 
 from eagor.perception.vlm.boxes import Frame, Order
-from eagor.perception.vlm.families import FAMILIES, Family
+from eagor.perception.vlm.families import FAMILIES
 
 
 @dataclass(frozen=True)
 class Style:
-    """How a family sees and answers.
+    """How the family of this name sees and answers; see `families.Served` for what is not said here.
 
-    Attributes:
-        family: its name, as in `families`.
-        cell: pixels of one side of an image token; pictures are sent in multiples of it.
-        pixels: of a panorama, unless the caller says otherwise.
-        view: pixels of one side of a (square) view.
-        frame: what its coordinates count.
-        order: of its coordinates.
-        aspect: width / height of a panorama as it is sent (see `families.Served`).
-        grounded: whether it was trained to write boxes; the others are better asked yes or no.
+    `pixels` of a panorama, unless the caller says otherwise. `grounded`: whether it was trained to write boxes; the
+    others are better asked yes or no.
     """
 
     family: str
@@ -43,24 +36,8 @@ def style_of(model: str) -> Style:
     """The style of a model by its name, such as ``Qwen/Qwen2.5-VL-7B-Instruct`` or ``qwen2.5vl:7b``; else `OTHER`."""
     name = model.lower()
     for family in FAMILIES:
-        if family.served and re.search(family.served.pattern, name):
-            return _style(family)
-    if _QWEN2_VL.search(name):
-        return replace(OTHER, family="qwen2_vl")
-    return OTHER
-
-
-def _style(family: Family) -> Style:
-    served = family.served
-    assert served is not None
-    frame = family.frame or served.frame
-    return Style(
-        family.name,
-        served.cell,
-        family.pixels,
-        served.view,
-        frame,
-        served.order,
-        served.aspect,
-        family.frame is not None,
-    )
+        said, trained = family.served, family.frame is not None
+        if said and re.search(said.pattern, name):
+            frame = family.frame or said.frame
+            return Style(family.name, said.cell, family.pixels, said.view, frame, said.order, said.aspect, trained)
+    return replace(OTHER, family="qwen2_vl") if _QWEN2_VL.search(name) else OTHER
