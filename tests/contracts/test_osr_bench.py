@@ -124,7 +124,7 @@ def test_the_model_is_asked_with_the_map_and_without(data: Path, suffix: str, tu
     (scene,) = load_scenes(data, suffix)
     agent = Vlm(model)
     asked = [question for question in scene.questions if question.skill == DIRECTION]
-    assert {agent.answer(scene, question).text for question in asked} == {"Front Left"}
+    assert {agent(scene, question).text for question in asked} == {"Front Left"}
     assert len(heard) == len(asked) + (turns > 1)  # the map is asked for once
     last = heard[-1]
     assert [message.role for message in last] == ["user", "assistant", "user"][:turns]
@@ -215,7 +215,7 @@ def test_a_belief_sees_what_a_detector_boxes_and_ranges_it_by_its_foot(data: Pat
     for each in around.placed:
         assert min(np.hypot(*np.subtract(each.xy, xy)) for xy in PLACES[each.name]) < 0.9
     asked = [question for question in scene.questions if question.skill == DIRECTION]
-    assert np.mean([agent.answer(scene, q).text == q.corrected for q in asked]) >= 0.6
+    assert np.mean([agent(scene, q).text == q.corrected for q in asked]) >= 0.6
 
 
 def test_what_is_not_seen_is_guessed_and_said_so(data: Path) -> None:
@@ -227,7 +227,7 @@ def test_what_is_not_seen_is_guessed_and_said_so(data: Path) -> None:
     for things in ((), twice, twice[:1]):
         agent = Eagor(lambda scene, names, things=things: Seen(things))
         for question in scene.questions:
-            reply = agent.answer(scene, question)
+            reply = agent(scene, question)
             if question.skill == DIRECTION and not {"tv", "sofa"} >= set(question.names):
                 assert reply.text in ("Front Left", "Front Right")
                 assert reply.notes["problem"].startswith("not seen")
@@ -236,7 +236,7 @@ def test_what_is_not_seen_is_guessed_and_said_so(data: Path) -> None:
 def test_majority_does_not_look_at_the_scene_it_answers(data: Path) -> None:
     scenes = load_scenes(data, "qa")
     question = next(q for q in scenes[0].questions if q.skill == DIRECTION)
-    assert Majority(scenes).answer(scenes[0], question).text == "Front Left"  # nothing else is known
+    assert Majority(scenes)(scenes[0], question).text == "Front Left"  # nothing else is known
 
 
 @pytest.mark.parametrize(

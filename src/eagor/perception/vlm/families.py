@@ -1,12 +1,14 @@
-"""What differs between the families of models, as data: no family has code of its own.
+"""What differs between the families of models, as data (families.toml): no family has code of its own.
 
 Nothing here imports torch or transformers, so that ``eagor doctor`` can print what could run.
 """
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal, cast
 
 from eagor.errors import EagorError
@@ -69,11 +71,6 @@ class Dialogue:
     system: str = ""
     begin: str = ""
     helper: str = ""
-
-
-def _chatml(picture: str, helper: str = "") -> Dialogue:
-    parts = {role: f"<|im_start|>{role}\n{{text}}<|im_end|>\n" for role in ("system", "user", "assistant")}
-    return Dialogue(**parts, reply="<|im_start|>assistant\n", picture=picture, helper=helper)
 
 
 @dataclass(frozen=True)
@@ -140,167 +137,17 @@ class Family:
         return ("attention", "boxes", "both", "views") if self.frame else ("attention", "views")
 
 
-_QWEN_IMAGE = "<|vision_start|><|image_pad|><|vision_end|>"
+def _family(entry: dict[str, Any]) -> Family:
+    """A family as families.toml describes it."""
+    for key, kind in (("served", Served), ("dialogue", Dialogue)):
+        if key in entry:
+            entry[key] = kind(**entry[key])
+    checkpoints = tuple(Checkpoint(*each) for each in entry.pop("checkpoints").items())
+    return Family(model_types=tuple(entry.pop("model_types")), checkpoints=checkpoints, **entry)
 
-FAMILIES: tuple[Family, ...] = (  # vision-language models first
-    Family(
-        name="qwen2_5_vl",
-        model_types=("qwen2_5_vl",),
-        title="Qwen2.5-VL",
-        fit="exact",
-        extractor="boxes",
-        frame="pixels",
-        type_ids="mm_token_type_ids",
-        placeholder="<|image_pad|>",
-        expansion="<|image_pad|>",
-        image_token="<|image_pad|>",
-        dialogue=_chatml(_QWEN_IMAGE, "You are a helpful assistant."),
-        depth=22 / 28,
-        served=Served(r"qwen[\W_]?2[._]?5[\W_]?vl", cell=28, view=560),
-        checkpoints=(
-            Checkpoint("Qwen/Qwen2.5-VL-3B-Instruct", 3.75),
-            Checkpoint("Qwen/Qwen2.5-VL-7B-Instruct", 8.29),
-            Checkpoint("Qwen/Qwen2.5-VL-72B-Instruct", 73.4),
-        ),
-    ),
-    Family(
-        name="qwen3_vl",
-        model_types=("qwen3_vl", "qwen3_vl_moe"),
-        title="Qwen3-VL",
-        fit="exact",
-        extractor="boxes",
-        frame="thousand",
-        type_ids="mm_token_type_ids",
-        placeholder="<|image_pad|>",
-        expansion="<|image_pad|>",
-        image_token="<|image_pad|>",
-        dialogue=_chatml(_QWEN_IMAGE),
-        depth=22 / 28,
-        pixels=704 * 1408,
-        served=Served(r"qwen[\W_]?3[._]?5|qwen[\W_]?3[\W_]?vl", cell=32, view=576),
-        checkpoints=(
-            Checkpoint("Qwen/Qwen3-VL-2B-Instruct", 2.13),
-            Checkpoint("Qwen/Qwen3-VL-4B-Instruct", 4.44),
-            Checkpoint("Qwen/Qwen3-VL-8B-Instruct", 8.77),
-        ),
-    ),
-    Family(
-        name="gemma3",
-        model_types=("gemma3",),
-        title="Gemma 3",
-        fit="squash",
-        extractor="views",
-        type_ids="token_type_ids",
-        placeholder="<start_of_image>",
-        expansion="\n\n<start_of_image><image_soft_token><end_of_image>\n\n",
-        image_token="<image_soft_token>",
-        dialogue=Dialogue(
-            user="<start_of_turn>user\n{text}<end_of_turn>\n",
-            assistant="<start_of_turn>model\n{text}<end_of_turn>\n",
-            reply="<start_of_turn>model\n",
-            picture="<start_of_image>",
-            begin="<bos>",
-        ),
-        pixels=896 * 896,
-        served=Served(r"gemma[\W_]?3", cell=56, view=896, aspect=1.0, order="yxyx"),
-        checkpoints=(Checkpoint("google/gemma-3-4b-it", 4.3), Checkpoint("google/gemma-3-12b-it", 12.2)),
-    ),
-    Family(
-        name="llava",
-        model_types=("llava",),
-        title="LLaVA-1.5",
-        fit="pad",
-        extractor="attention",
-        placeholder="<image>",
-        expansion="<image>",
-        image_token="<image>",
-        dialogue=Dialogue(
-            user="USER: {text} ",
-            assistant="ASSISTANT: {text}</s>",
-            reply="ASSISTANT:",
-            picture="<image>\n",
-            system="{text} ",
-        ),
-        depth=14 / 32,
-        pixels=336 * 336,
-        served=Served(r"llava[\W_]?(?:v?1[._]?[56]|7b|13b|hf|\Z)", cell=14, view=336, aspect=1.0, frame="unit"),
-        checkpoints=(Checkpoint("llava-hf/llava-1.5-7b-hf", 7.06), Checkpoint("llava-hf/llava-1.5-13b-hf", 13.4)),
-    ),
-    Family(
-        name="janus",
-        model_types=("janus",),
-        title="Janus-Pro",
-        fit="pad",
-        extractor="attention",
-        placeholder="<image_placeholder>",
-        expansion="<begin_of_image><image_placeholder><end_of_image>",
-        image_token="<image_placeholder>",
-        dialogue=Dialogue(
-            user="<|User|>: {text}\n\n",
-            assistant="<|Assistant|>: {text}<|end▁of▁sentence|>",
-            reply="<|Assistant|>:",
-            picture="<image_placeholder>\n",
-            system="{text}\n\n",
-        ),
-        pixels=384 * 384,
-        served=Served(r"janus", cell=16, view=384, aspect=1.0, frame="unit"),
-        checkpoints=(
-            Checkpoint("deepseek-community/Janus-Pro-1B", 2.1),
-            Checkpoint("deepseek-community/Janus-Pro-7B", 7.4),
-        ),
-    ),
-    Family(
-        name="internvl",
-        model_types=("internvl",),
-        title="InternVL",
-        fit="tiles",
-        extractor="boxes",
-        frame="thousand",
-        placeholder="<IMG_CONTEXT>",
-        expansion="<img><IMG_CONTEXT></img>",
-        image_token="<IMG_CONTEXT>",
-        dialogue=_chatml("<IMG_CONTEXT>\n"),
-        pixels=448 * 896,
-        served=Served(r"internvl", cell=28, view=448),
-        checkpoints=(Checkpoint("OpenGVLab/InternVL3-2B-hf", 2.1), Checkpoint("OpenGVLab/InternVL3-8B-hf", 7.9)),
-    ),
-    Family(
-        name="owlv2",
-        model_types=("owlv2",),
-        title="OWLv2",
-        fit="pad",
-        extractor="views",
-        per_view="boxes",
-        localiser=True,
-        checkpoints=(
-            Checkpoint("google/owlv2-base-patch16-ensemble", 0.155),
-            Checkpoint("google/owlv2-large-patch14-ensemble", 0.438),
-        ),
-    ),
-    Family(
-        name="grounding_dino",
-        model_types=("grounding-dino", "mm-grounding-dino"),
-        title="Grounding DINO",
-        fit="exact",
-        extractor="boxes",
-        per_view="boxes",
-        localiser=True,
-        checkpoints=(
-            Checkpoint("IDEA-Research/grounding-dino-tiny", 0.172),
-            Checkpoint("IDEA-Research/grounding-dino-base", 0.233),
-        ),
-    ),
-    Family(
-        name="clipseg",
-        model_types=("clipseg",),
-        title="CLIPSeg",
-        fit="squash",
-        extractor="views",
-        per_view="mask",
-        localiser=True,
-        checkpoints=(Checkpoint("CIDAS/clipseg-rd64-refined", 0.151),),
-    ),
-)
+
+_FILE = Path(__file__).with_name("families.toml")
+FAMILIES: tuple[Family, ...] = tuple(map(_family, tomllib.loads(_FILE.read_text(encoding="utf-8"))["family"]))
 
 
 def chosen(name: str, family: Family, option: str) -> Extractor:

@@ -6,9 +6,10 @@ submit if the episode ended there, so that success by turn needs no further runs
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -53,12 +54,7 @@ class Turn:
     notes: dict[str, Any] = field(default_factory=dict)
 
 
-class Agent(Protocol):
-    """Decides turn by turn."""
-
-    def step(self, view: View, last: bool) -> Turn:
-        """The move at this view; `last` says that no other will follow."""
-        ...
+Agent = Callable[[View, bool], Turn]  # the move at this view; True says that no other will follow
 
 
 def _submit(answer: Answer) -> Action:
@@ -77,7 +73,7 @@ class EagorAgent:
         self._eye, self._rules = eye, rules
         self.search = Search.begin(episode.kind, rules)
 
-    def step(self, view: View, last: bool) -> Turn:
+    def __call__(self, view: View, last: bool) -> Turn:
         look = self._eye(view)
         self.search = self.search.seen(look.evidence, look.world_R_capture, view)
         answer = self.search.answer()
@@ -92,7 +88,7 @@ class VlmAgent:
     def __init__(self, episode: Episode, chat: Chat, form: str, window: int, resolution: int) -> None:
         self._talk, self._chat = Talk(episode, form, window, resolution), chat
 
-    def step(self, view: View, last: bool) -> Turn:
+    def __call__(self, view: View, last: bool) -> Turn:
         self._talk.look(view)
         messages = self._talk.messages()
         said = self._chat(messages)
@@ -108,18 +104,14 @@ class VlmAgent:
         if said.prompt_tokens is not None:
             notes["tokens"] = [said.prompt_tokens, said.completion_tokens]
         if action is not None and action.kind == "submit":
-            return Turn(action, Answer(action.yaw, action.pitch, float("nan")), notes)
-        return Turn(action, Answer(round(view.yaw) % 360, round(view.pitch), float("nan")), notes)
+            return Turn(action, Answer(action.yaw, action.pitch, math.nan), notes)
+        return Turn(action, Answer(round(view.yaw) % 360, round(view.pitch), math.nan), notes)
 
 
-class BlindAgent:
+def blind(yaw: float, pitch: float, probability: float = math.nan) -> Agent:
     """Submits one direction at once."""
-
-    def __init__(self, yaw: float, pitch: float, probability: float = float("nan")) -> None:
-        self._answer = Answer(round(yaw) % 360, round(pitch), probability)
-
-    def step(self, view: View, last: bool) -> Turn:
-        return Turn(_submit(self._answer), self._answer)
+    answer = Answer(round(yaw) % 360, round(pitch), probability)
+    return lambda view, last: Turn(_submit(answer), answer)
 
 
 Reading = Callable[[Look], tuple[np.ndarray, bool]]  # the answer ``(3,)`` in the world, and whether to stop with it
@@ -132,11 +124,11 @@ class SweepAgent:
         self._eye, self._read, self._start = eye, read, episode.start
         self._views, self._turn = min(views, len(SWEEP)), 0
 
-    def step(self, view: View, last: bool) -> Turn:
+    def __call__(self, view: View, last: bool) -> Turn:
         look = self._eye(view)
         direction, content = self._read(look)
         yaw, pitch = hstar_from_direction(direction)
-        answer = Answer(round(float(yaw)) % 360, round(float(pitch)), float("nan"))
+        answer = Answer(round(float(yaw)) % 360, round(float(pitch)), math.nan)
         self._turn += 1
         if last or content or self._turn >= self._views:
             return Turn(_submit(answer), answer, _peak(look))
@@ -202,11 +194,11 @@ def make_agent(name: str, episode: Episode, eye: Eye | None, rules: SearchRules,
         return SweepAgent(episode, eye, _READINGS[name](), views)
     if name == "oracle":
         yaw, pitch = window_of(episode.item).centre
-        return BlindAgent(yaw, max(-90, min(90, pitch)), 1.0)
+        return blind(yaw, max(-90, min(90, pitch)), 1.0)
     if name == "random":
         rng = np.random.default_rng(luck(seed, episode.id))
-        return BlindAgent(int(rng.integers(360)), float(rng.normal(-10, 15)))
-    return BlindAgent(episode.start, 0)
+        return blind(int(rng.integers(360)), float(rng.normal(-10, 15)))
+    return blind(episode.start, 0)
 
 
 def peak_of(look: Look) -> tuple[np.ndarray, float]:

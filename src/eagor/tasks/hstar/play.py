@@ -60,12 +60,8 @@ def play(
 ) -> dict[str, Any]:
     """The record of one episode; see `eagor.tasks.benchmark.Benchmark` for what every record has.
 
-    Args:
-        episode: what is played.
-        agent: who plays it.
-        scoring: what "score" and "by_turn" go by; "scores" has both.
-        turns: views at most; at the last one only a submission makes sense.
-        siblings: the scene's other entries of annotation.json, for causes and tags.
+    `scoring` is what "score" and "by_turn" go by ("scores" has both); `turns`: views at most; `siblings`: the scene's
+    other entries of annotation.json, for causes and tags.
 
     Each step has "turn", "view" (yaw, pitch), "shown" (how much of the target is in view), "action" (as text, None:
     invalid), "would" (what it would submit: yaw, pitch, official, strict, p), "ms", and what the agent noted.
@@ -75,7 +71,7 @@ def play(
     answer = None
     while answer is None and len(steps) < turns:
         began = time.perf_counter()
-        turn = agent.step(view, len(steps) + 1 == turns)
+        turn = agent(view, len(steps) + 1 == turns)
         yaw, pitch, p = turn.would.yaw, turn.would.pitch, turn.would.probability
         succeeds = {each: submit_succeeds(episode.item, yaw, pitch, each) for each in SCORINGS}
         steps.append(

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import zlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -42,12 +42,8 @@ class Reply:
     notes: dict[str, Any] = field(default_factory=dict)
 
 
-class Agent(Protocol):
-    """Answers one question about one scene."""
-
-    def answer(self, scene: Scene, question: Question) -> Reply:
-        """The reply. Raises where there is none: that is a failed attempt, never a wrong answer."""
-        ...
+# Answers one question about one scene. Raises where there is no reply: a failed attempt is no wrong answer.
+Agent = Callable[[Scene, Question], Reply]
 
 
 def map_text(layout: Layout) -> str:
@@ -55,31 +51,32 @@ def map_text(layout: Layout) -> str:
     return json.dumps({name: [[column, row] for row, column in where] for name, where in layout.items()})
 
 
-@dataclass(frozen=True)
-class Oracle:
+def oracle(labels: str, scene: Scene, question: Question) -> Reply:
     """Says the label."""
-
-    labels: str = "official"
-
-    def answer(self, scene: Scene, question: Question) -> Reply:
-        truth = question.truth(self.labels)
-        return Reply(map_text(layout_of(truth)) if question.skill == MAP else str(truth))
+    truth = question.truth(labels)
+    return Reply(map_text(layout_of(truth)) if question.skill == MAP else str(truth))
 
 
-@dataclass(frozen=True)
-class Constant:
+def constant(negative: bool, scene: Scene, question: Question) -> Reply:
     """Says the likeliest thing without looking; with absent categories about (`negative`), that something is absent."""
+    if question.skill == MAP:
+        return Reply(map_text({name: [[5, 5]] for name in question.names or scene.categories}))
+    if question.skill == DIRECTION:
+        return Reply(NO_OBJECT if negative else "Front Left")
+    if question.skill == DISTANCE:
+        return Reply(question.names[1] if len(question.names) > 1 else NO_CANDIDATE)
+    return Reply("1")
 
-    negative: bool = False
 
-    def answer(self, scene: Scene, question: Question) -> Reply:
-        if question.skill == MAP:
-            return Reply(map_text({name: [[5, 5]] for name in question.names or scene.categories}))
-        if question.skill == DIRECTION:
-            return Reply(NO_OBJECT if self.negative else "Front Left")
-        if question.skill == DISTANCE:
-            return Reply(question.names[1] if len(question.names) > 1 else NO_CANDIDATE)
-        return Reply("1")
+def random(seed: int, scene: Scene, question: Question) -> Reply:
+    """Draws an answer; the same for the same question and seed."""
+    rng = np.random.default_rng(luck(seed, question.id))
+    if question.skill == MAP:
+        names = question.names or scene.categories
+        return Reply(map_text({name: [rng.integers(0, 10, 2).tolist()] for name in names}))
+    if question.skill == DISTANCE and len(question.names) > 1:
+        return Reply(str(rng.choice(question.names[1:])))
+    return Reply(str(rng.integers(0, 6) if question.skill == COUNTING else rng.choice(DIRECTIONS)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +87,11 @@ class Majority:
     labels: str = "official"
     negative: bool = False
 
-    def answer(self, scene: Scene, question: Question) -> Reply:
+    def __call__(self, scene: Scene, question: Question) -> Reply:
         told = self._told("", question.skill) - self._told(scene.id, question.skill)
         fits = set(question.names[1:]) | {NO_CANDIDATE} if question.skill == DISTANCE else set(told)
         ranked = sorted((word for word in told if word in fits), key=lambda word: (-told[word], word))
-        return Reply(ranked[0]) if ranked else Constant(self.negative).answer(scene, question)
+        return Reply(ranked[0]) if ranked else constant(self.negative, scene, question)
 
     def _told(self, scene: str, skill: str) -> Counter[str]:
         return self._counts.get((scene, skill), Counter())
@@ -111,22 +108,6 @@ class Majority:
         return counts
 
 
-@dataclass(frozen=True)
-class Random:
-    """Draws an answer; the same for the same question and seed."""
-
-    seed: int = 0
-
-    def answer(self, scene: Scene, question: Question) -> Reply:
-        rng = np.random.default_rng(luck(self.seed, question.id))
-        if question.skill == MAP:
-            names = question.names or scene.categories
-            return Reply(map_text({name: [rng.integers(0, 10, 2).tolist()] for name in names}))
-        if question.skill == DISTANCE and len(question.names) > 1:
-            return Reply(str(rng.choice(question.names[1:])))
-        return Reply(str(rng.integers(0, 6) if question.skill == COUNTING else rng.choice(DIRECTIONS)))
-
-
 class Vlm:
     """Asks a model as the benchmark's runner does; where the scene asks for a map, after it has drawn one."""
 
@@ -134,7 +115,7 @@ class Vlm:
         self._chat, self._form = chat, form
         self._drawn: tuple[str, list[Message], str] | None = None  # the last scene's map: it is asked for once
 
-    def answer(self, scene: Scene, question: Question) -> Reply:
+    def __call__(self, scene: Scene, question: Question) -> Reply:
         from eagor.worlds.panorama import read_panorama
 
         mapped = scene.map_question
@@ -214,7 +195,7 @@ class Eagor:
         self._look, self._reading, self._ranges, self._negative, self._seed = look, reading, ranges, negative, seed
         self._kept: Around | None = None
 
-    def answer(self, scene: Scene, question: Question) -> Reply:
+    def __call__(self, scene: Scene, question: Question) -> Reply:
         around, skill, names = self.around(scene), question.skill, question.names
         count = Counter(each.name for each in around.placed)
         if skill == MAP:

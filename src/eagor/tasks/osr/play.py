@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from eagor.errors import EagorError
 from eagor.tasks.chat import shared_chat
-from eagor.tasks.osr.agents import AGENTS, Agent, Constant, Eagor, Majority, Oracle, Random, Reply, Vlm
+from eagor.tasks.osr.agents import AGENTS, Agent, Eagor, Majority, Reply, Vlm, constant, oracle, random
 from eagor.tasks.osr.data import Question, Scene, load
 from eagor.tasks.osr.layout import ERRORS, is_tied, products, steps, swapped
 from eagor.tasks.osr.looking import open_looker
@@ -25,7 +26,7 @@ def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str,
     def do(payload: Mapping[str, Any]) -> dict[str, Any]:
         scene = scenes[payload["scene"]]
         question = scene.by_id[payload["question"]]
-        return judged(scene, question, agent.answer(scene, question), settings)
+        return judged(scene, question, agent(scene, question), settings)
 
     return do
 
@@ -39,10 +40,10 @@ def open_agent(settings: Mapping[str, Any], scenes: tuple[Scene, ...]) -> Agent:
             open_looker(settings["perception"], settings), settings["reading"], settings["range"], negative, seed
         ),
         "vlm": lambda: Vlm(shared_chat(settings["model"]), settings["prompt"]),
-        "constant": lambda: Constant(negative),
+        "constant": lambda: partial(constant, negative),
         "majority": lambda: Majority(scenes, labels, negative),
-        "random": lambda: Random(seed),
-        "oracle": lambda: Oracle(labels),
+        "random": lambda: partial(random, seed),
+        "oracle": lambda: partial(oracle, labels),
     }
     if name not in makers:
         raise EagorError(f"osr has no agent {name!r}; it has {', '.join(AGENTS)}")
