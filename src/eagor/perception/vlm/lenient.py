@@ -97,8 +97,7 @@ def _collection(text: str, place: int, depth: int) -> Node:
     opening = text[place]
     closing, keyed = _CLOSING[opening], opening == "{"
     entries: list[Node] = []
-    pairs: dict[str, Node] = {}
-    repeated: dict[str, list[Node]] = {}
+    pairs: dict[str, list[Node]] = {}
     at, whole = place + 1, False
     while True:
         at = _skip(text, at)
@@ -115,22 +114,20 @@ def _collection(text: str, place: int, depth: int) -> Node:
             key, inner = str(node.value), _value(text, _skip(text, at + 1), depth + 1)
             if inner is None or _torn(inner):
                 break
-            if key in repeated:  # a key written several times holds all that is written, in one list
-                repeated[key].append(inner)
-            elif key in pairs:
-                repeated[key] = [pairs[key], inner]
-            else:
-                pairs[key] = inner
+            pairs.setdefault(key, []).append(inner)
             node, at = inner, inner.end
         elif keyed:  # {[...], [...]}: a set of values without keys
-            pairs[f"{len(pairs)}"] = node
+            pairs[f"{len(pairs)}"] = [node]
         else:
             entries.append(node)
         if not node.whole:
             break
-    for key, nodes in repeated.items():
-        pairs[key] = Node(nodes, nodes[0].start, nodes[-1].end)
-    return Node(pairs if keyed else entries, place, at, whole)
+    if not keyed:
+        return Node(entries, place, at, whole)
+    # A key written several times holds all that is written, in one list.
+    held = {key: Node(several, several[0].start, several[-1].end) for key, several in pairs.items()}
+    single = {key: several[0] for key, several in pairs.items() if len(several) == 1}
+    return Node(held | single, place, at, whole)
 
 
 def _torn(node: Node) -> bool:
