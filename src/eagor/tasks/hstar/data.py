@@ -77,16 +77,10 @@ class Scene:
 
 @dataclass(frozen=True)
 class Episode:
-    """One start in front of one target.
+    """One start in front of one target; `id` is ``scene/entry/start``, `entry` its place in annotation.json.
 
-    Attributes:
-        id: ``scene/entry/start``.
-        entry: place of the target in annotation.json.
-        task: the words.
-        yaw, pitch: the annotated box, degrees (pitch None in HPS), as written.
-        start: yaw of the first view, degrees; its pitch is 0.
-        level: 0, 1, ..., None where the file has none and it cannot be told.
-        others: the boxes of the scene's other targets.
+    `task`: the words. `yaw`, `pitch`: the annotated box, degrees, as written (pitch None in HPS). `start`: yaw of the
+    first view, whose pitch is 0. `level`: 0, 1, ..., None where it cannot be told. `others`: the scene's other boxes.
     """
 
     id: str

@@ -105,14 +105,11 @@ def annotated(eye: TruthEye) -> Eye:
 
 
 class TruthEye:
-    """Looks at views of one episode, and remembers its mistakes from look to look: an agent apart from any model.
+    """A detector of known quality in one episode, which remembers its mistakes from look to look.
 
-    The noise is that of simulated worlds (`eagor.perception.noise.Noise`), with these differences: a view shows part of
-    the sphere; what counts is how much of the target's box it shows; and nothing but the targets is annotated, so that
-    a false alarm is somewhere in the view, and stays there in the world for as long as it lasts.
-
-    Each look draws the same amount of randomness whatever it shows, so that agents that look elsewhere meet the same
-    luck look by look.
+    The noise is that of simulated worlds (`eagor.perception.noise.Noise`), but what counts is how much of the target's
+    box a view shows, and a false alarm is somewhere in the view, and stays there in the world for as long as it lasts.
+    Each look draws the same amount of randomness whatever it shows: agents that look elsewhere meet the same luck.
     """
 
     def __init__(

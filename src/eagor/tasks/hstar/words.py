@@ -59,11 +59,10 @@ def head_of(task: str) -> str:
 
 
 def tag_of(item: Mapping[str, Any], others: Sequence[Mapping[str, Any]] = ()) -> str:
-    """The one tag of a target; `others` are the scene's other entries.
+    """The one tag of a target; `others` are the scene's other entries. The paper names the tags; the rules are ours.
 
     ``ocr_fine``: the words quote or name text, numbers, a brand (a capital inside the words), or the box is tiny.
     ``multi_instance``: another entry of the scene has the same noun. ``rare``: the noun is not among `COMMON`.
-    The paper names the tags and not how they were given; these rules are ours.
     """
     task = str(item["task"])
     phrase = phrase_of(task)

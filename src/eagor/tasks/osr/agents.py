@@ -176,17 +176,14 @@ def laid_out(scene: str, seen: Seen, ranges: str = "floor", seed: int = 0) -> Ar
 
 
 class Eagor:
-    """Answers from geometry.
+    """Answers from geometry what `look` sees.
 
-    Args:
-        look: gives the sightings of a scene.
-        reading: "cells": the likeliest label under the benchmark's rounding (`eagor.tasks.osr.drawing`); "metres": the
-            answer of the places as they are; "auto": cells where the foot of the walls is known, metres else (then
-            nobody knows how a layout would lie in the room, and guessing it costs more than rounding does).
-        ranges: "floor" or "depth": as `place` has it, with a depth cue where the looker gives one; "unit": all
-            things equally far away, which is what directions alone can tell.
-        negative: whether questions may ask about what is not there; only then are errors answered.
-        seed: of the drawings.
+    - `reading`: "cells": the likeliest label under the benchmark's rounding (`eagor.tasks.osr.drawing`); "metres": the
+      answer of the places as they are; "auto": cells where the foot of the walls is known, metres else (nobody knows
+      then how a layout would lie in the room, and guessing it costs more than rounding does).
+    - `ranges`: "floor" or "depth": as `place` has it, with a depth cue where the looker gives one; "unit": all things
+      equally far away, which is what directions alone can tell.
+    - `negative`: whether questions may ask about what is not there; only then are errors answered.
     """
 
     def __init__(

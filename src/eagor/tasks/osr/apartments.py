@@ -41,10 +41,7 @@ SKIRTING = 0.3  # metres above the floor: where the walls are looked for, below 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A camera in a room of an apartment: what it sees (`room`), the published kind of layout, and where it stands.
-
-    `position` ``(3,)`` metres and `yaw` radians in the world; `counts` of the things of each category.
-    """
+    """A camera in a room of an apartment: what it sees, the published layout, its position (metres) and its yaw."""
 
     id: str
     room: Room

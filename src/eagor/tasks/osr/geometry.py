@@ -214,8 +214,8 @@ def _inferred(
 def _range_on(each: Sighting, other: Sighting, away: float, height: float) -> float | None:
     """Metres on the floor to `each` if it stands on `other`, which is `away`; None if it cannot.
 
-    The upper edge of what is lower than the camera is its far rim, which gives the height of its top; a thing on it
-    touches that plane as others touch the floor, between the two rims.
+    The upper edge of what is lower than the camera is its far rim, which tells how high its top is; there, between the
+    two rims, a thing on it touches as others touch the floor.
     """
     if each.bottom is None or other.top is None or other is each or other.top >= 0:
         return None
