@@ -5,8 +5,8 @@ from __future__ import annotations
 import base64
 import io
 import math
-from collections.abc import Set
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Set
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -24,10 +24,15 @@ LIKELIEST = 10  # tokens whose probabilities are asked for at each place
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """An image ``(H, W, 3)`` uint8 as it is sent; encoded once, however many questions there are about it."""
+    """An image ``(H, W, 3)`` uint8 as it is sent; encoded once, however many questions there are about it.
+
+    PNG is exact to the bit, JPEG a fraction of its length; `quality` 0 to 100 is of JPEG, with all of its colours
+    where None.
+    """
 
     image: np.ndarray
     format: Literal["png", "jpeg"] = "png"
+    quality: int | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -36,27 +41,37 @@ class Picture:
 
     @lazy
     def uri(self) -> str:
-        """The picture as a data URI: PNG, exact to the bit, or JPEG, a fraction of its length."""
-        how = {"compress_level": 1} if self.format == "png" else {"quality": 95, "subsampling": 0}
-        return data_uri(self.image, self.format, **how)
+        """The picture as a data URI."""
+        how: dict[str, Any] = {"quality": self.quality}
+        if self.quality is None:
+            how = {"compress_level": 1} if self.format == "png" else {"quality": 95, "subsampling": 0}
+        file = io.BytesIO()
+        Image.fromarray(np.ascontiguousarray(self.image)).save(file, self.format, **how)
+        return f"data:image/{self.format};base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
 
 
-def data_uri(image: np.ndarray, kind: Literal["png", "jpeg"], **how: int) -> str:
-    """An image ``(H, W, 3)`` uint8 as a data URI; `how` Pillow is to write it."""
-    file = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(image)).save(file, kind, **how)
-    return f"data:image/{kind};base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
+def content(parts: Iterable[str | Picture]) -> list[dict[str, Any]]:
+    """Words and pictures as the content of a message."""
+    return [
+        {"type": "text", "text": part}
+        if isinstance(part, str)
+        else {"type": "image_url", "image_url": {"url": part.uri}}
+        for part in parts
+    ]
 
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """One request: a picture, words, and how the answer is wanted."""
+    """One request: a picture, words, and how the answer is wanted.
+
+    `alternatives`: whether to ask for the likeliest tokens, not only for those of the answer.
+    """
 
     picture: Picture
     text: str
     max_tokens: int
     schema: dict[str, Any] | None = None
-    alternatives: bool = False  # whether to ask for the likeliest tokens, not only for those of the answer
+    alternatives: bool = False
     temperature: float = 0.0
 
     @property
@@ -69,22 +84,14 @@ class Question:
         """What a server may not know."""
         return {"logprobs", "response_format"} if self.schema else {"logprobs"}
 
-    def warmer(self, temperature: float) -> Question:
-        """The same question, to be answered with some chance."""
-        return replace(self, temperature=temperature)
-
-    def body(self, model: str, refused: frozenset[str]) -> dict[str, Any]:
+    def body(self, model: str, refused: Set[str]) -> dict[str, Any]:
         """The arguments of ``chat.completions.create``, without the features that the server refused.
 
         The picture comes first: servers that keep the work on equal beginnings then do it once for all questions.
         """
-        content = [
-            {"type": "image_url", "image_url": {"url": self.picture.uri}},
-            {"type": "text", "text": self.text},
-        ]
         body: dict[str, Any] = {
             "model": model,
-            "messages": [{"role": "user", "content": content}],
+            "messages": [{"role": "user", "content": content([self.picture, self.text])}],
             "temperature": self.temperature,
             "max_tokens": self.max_tokens,
         }
@@ -103,29 +110,25 @@ class Question:
         Raises `AnswerError` if it is empty, `AttributeError` or `TypeError` if it is no chat completion at all.
         """
         choice = first_choice(completion)
-        usage = completion.usage
         text = (choice.message.content or "") if choice else ""
+        prompt_tokens, completion_tokens = counts_in(completion)
         if not text.strip():
             why = f"it stopped because of {choice.finish_reason!r}" if choice else "no choices"
-            counted = count_in(usage, "completion_tokens")
             raise AnswerError(
-                f"{completion.model} gave an empty answer ({why}, {counted} tokens). If it thinks before it answers, "
-                "allow more tokens (max_tokens=...) or turn that off; else look at the server's chat template for this "
-                "model"
+                f"{completion.model} gave an empty answer ({why}, {completion_tokens} tokens). If it thinks before it "
+                "answers, allow more tokens (max_tokens=...) or turn that off; else look at the server's chat template "
+                "for this model"
             )
-        given = getattr(getattr(choice, "logprobs", None), "content", None) or ()
-        given = [entry for entry in given if _is_token(entry)]
+        given = _tokens(getattr(getattr(choice, "logprobs", None), "content", None))
+        revision = getattr(completion, "system_fingerprint", None)
         return Answer(
             text,
             tuple((entry.token, entry.logprob) for entry in given),
-            tuple(
-                tuple((other.token, other.logprob) for other in entry.top_logprobs or () if _is_token(other))
-                for entry in given
-            ),
+            tuple(tuple((other.token, other.logprob) for other in _tokens(entry.top_logprobs)) for entry in given),
             str(completion.model or ""),
-            str(revision) if (revision := getattr(completion, "system_fingerprint", None)) else None,
-            count_in(usage, "prompt_tokens"),
-            count_in(usage, "completion_tokens"),
+            str(revision) if revision else None,
+            prompt_tokens,
+            completion_tokens,
             tries,
         )
 
@@ -141,15 +144,16 @@ def first_choice(completion: Any) -> Any:
     return completion.choices[0] if completion.choices else None
 
 
-def count_in(usage: Any, name: str) -> int | None:
-    """How many tokens a server says there were; None where it does not tell, or tells no number."""
-    count: Any = getattr(usage, name, None)
-    return count if whole(count, 0) else None
+def counts_in(completion: Any) -> tuple[int | None, int | None]:
+    """How many tokens of prompt and answer a server says there were; None where it does not tell, or no number."""
+    counts = [getattr(completion.usage, name, None) for name in ("prompt_tokens", "completion_tokens")]
+    prompt, answer = (count if whole(count, 0) else None for count in counts)
+    return prompt, answer
 
 
-def _is_token(entry: Any) -> bool:
-    """Whether `entry` is a piece with the logarithm of its probability; some servers write null, or NaN."""
-    return isinstance(entry.token, str) and within(entry.logprob, -math.inf)
+def _tokens(entries: Any) -> list[Any]:
+    """Those that are a piece with the logarithm of its probability; some servers write null, or NaN."""
+    return [entry for entry in entries or () if isinstance(entry.token, str) and within(entry.logprob, -math.inf)]
 
 
 @dataclass(frozen=True)
