@@ -14,7 +14,7 @@ import numpy as np
 
 from eagor.detections import WHOLE_SPHERE, canvas_of
 from eagor.grids import Grid, PerspectiveGrid
-from eagor.perception.endpoint.messages import Answer, Picture, Question
+from eagor.perception.endpoint.messages import Answer, Picture, Request, question
 from eagor.perception.vlm.boxes import Box, parse_boxes
 from eagor.perception.vlm.drawing import drawn
 from eagor.perception.vlm.found import Thing, things, united
@@ -77,13 +77,13 @@ class Plan:
         """(height, width) of the pictures."""
         return self.shots[0].picture.size
 
-    def questions(self, queries: Sequence[str], max_tokens: int) -> list[tuple[Shot, Question]]:
+    def questions(self, queries: Sequence[str], max_tokens: int) -> list[tuple[Shot, Request]]:
         """What is asked, and about which shot."""
         style = self.style
         schema = boxes_schema(style.frame, style.order) if self.asked == "boxes" else None
         texts = [ask_boxes(q, style.frame, style.order) if schema else ask_presence(q) for q in queries]
         return [
-            (shot, Question(shot.picture, text, max_tokens, schema, alternatives=schema is None))
+            (shot, question(shot.picture, text, max_tokens, schema, alternatives=schema is None))
             for shot in self.shots
             for text in texts
         ]

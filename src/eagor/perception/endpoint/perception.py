@@ -165,13 +165,13 @@ class EndpointPerception(Asker):
     def _look(self, plan: Plan, queries: list[str], model: str, started: float) -> Look:
         """Ask what is planned, once more where an answer cannot be read."""
         questions = plan.questions(queries, self.max_tokens)
-        answers = self._connected.ask([question for _, question in questions])
+        answers = self._connected.ask([asked for _, asked in questions])
         readings, again = [], []
-        for (shot, question), answer in zip(questions, answers, strict=True):
+        for (shot, asked), answer in zip(questions, answers, strict=True):
             try:
                 readings.append(plan.read(shot, answer))
             except AnswerError:
-                (second,) = self._connected.ask([replace(question, temperature=_SECOND_TRY)])
+                (second,) = self._connected.ask([replace(asked, temperature=_SECOND_TRY)])
                 again.append(second)
                 readings.append(plan.read(shot, second))
         _warn_if_shrunk(plan, model, answers)

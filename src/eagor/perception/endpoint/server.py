@@ -10,11 +10,12 @@ import asyncio
 import os
 import threading
 import weakref
-from collections.abc import Coroutine, Sequence, Set
+from collections.abc import Coroutine, Sequence
+from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, fields
 from functools import lru_cache
 from importlib.util import find_spec
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 from urllib.parse import parse_qsl
 
 from eagor._checks import above, require, whole, within
@@ -22,37 +23,12 @@ from eagor._secrets import redacted
 from eagor.errors import EagorError, QueryError
 from eagor.perception.endpoint.addresses import DEFAULT_SERVER, checked_address, place_of, shown_address
 from eagor.perception.endpoint.faults import Asked, explained, message, refused_feature, retry_after, worth_retrying
+from eagor.perception.endpoint.messages import Answer, Request
 from eagor.perception.endpoint.transport import client_of
 
 LONGEST_REST = 30.0  # seconds between two tries at most, unless the server asks for more
 _LONGEST = 86400.0  # seconds to wait for an answer: sockets count them in few bits
 _CONNECTING = threading.Lock()
-# What the client, and reading what it returns, raise where what came is not what was asked for.
-_NONSENSE = (ValueError, AttributeError, TypeError, RecursionError)
-
-Read = TypeVar("Read", covariant=True)
-
-
-class Asking(Protocol[Read]):
-    """One request: a `eagor.perception.endpoint.messages.Question`, or a conversation."""
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(height, width) of its picture, for the text of errors."""
-        ...
-
-    @property
-    def features(self) -> Set[str]:
-        """What a server may not know."""
-        ...
-
-    def body(self, model: str, refused: Set[str]) -> dict[str, Any]:
-        """The arguments of ``chat.completions.create``, without the features that the server refused."""
-        ...
-
-    def read(self, completion: Any, tries: int) -> Read:
-        """What the client returned. Raises `AnswerError`, or AttributeError or TypeError if it is no completion."""
-        ...
 
 
 @dataclass(frozen=True, repr=False)
@@ -162,6 +138,7 @@ class Server:
 
     def __init__(self, asker: Asker, concurrency: int, max_tokens: int) -> None:
         need_client()
+        import openai
         import tenacity
 
         key = os.environ.get(asker.key, "") if asker.key else ""
@@ -171,6 +148,9 @@ class Server:
         (url,) = asker.servers
         self._model, self._timeout, self._retries = asker.model, asker.timeout, asker.retries
         self._shown = shown_address(url)
+        # What the client, and reading what it returns, raise where what came is not what was asked for.
+        nonsense = (ValueError, AttributeError, TypeError, RecursionError)
+        self._failures = (openai.OpenAIError, TimeoutError, *nonsense)
         self._refused: set[str] = set()  # features that the server does not know
         self._room = asyncio.Semaphore(concurrency)
         backoff = tenacity.wait_exponential(asker.backoff, LONGEST_REST)
@@ -188,13 +168,13 @@ class Server:
             self._model = self._awaited(self._only_model())
         return self._model
 
-    def ask(self, questions: Sequence[Asking[Read]]) -> list[Read]:
-        """The answers to `questions`, in their order; as many at once as the limit allows.
+    def ask(self, requests: Sequence[Request]) -> list[Answer]:
+        """The answers to `requests`, in their order; as many at once as the limit allows.
 
         Raises the first error (`ServerError`, `QueryError`, `AnswerError`); what is not yet sent then stays unsent.
         """
         self.model()
-        return self._awaited(self._all(questions))
+        return self._awaited(self._all(requests))
 
     def _awaited(self, work: Coroutine[Any, Any, Any]) -> Any:
         """What `work` returns; it is given up where the caller is interrupted."""
@@ -204,17 +184,16 @@ class Server:
         finally:
             future.cancel()
 
-    async def _all(self, questions: Sequence[Asking[Read]]) -> list[Read]:
-        tasks = [asyncio.ensure_future(self._one(question)) for question in questions]
+    async def _all(self, requests: Sequence[Request]) -> list[Answer]:
+        tasks = [asyncio.ensure_future(self._one(request)) for request in requests]
         try:
             return await asyncio.gather(*tasks)
         finally:  # all done, or one failed, or nobody waits any more
             for task in tasks:
                 task.cancel()
 
-    async def _one(self, question: Asking[Read]) -> Read:
+    async def _one(self, request: Request) -> Answer:
         """One answer, after as many tries as it takes and is allowed; who waits for the next try keeps its place."""
-        import openai
         import tenacity
 
         tries = tenacity.AsyncRetrying(
@@ -225,30 +204,33 @@ class Server:
         )
         async with self._room:
             try:
-                completion = await tries(self._completion, question)
-                return question.read(completion, tries.statistics["attempt_number"])
-            except (openai.OpenAIError, TimeoutError, *_NONSENSE) as error:
+                completion = await tries(self._completion, request)
+                return request.read(completion, tries.statistics["attempt_number"])
+            except self._failures as error:
                 if isinstance(error, EagorError):
                     raise
+                served = None
                 # The failure may be about the names of the models.
-                wrong = getattr(error, "status_code", None) in (400, 404, 422) and "model" in message(error).lower()
-                about = Asked(
-                    self._model, self._shown, question.size, self._timeout, tries.statistics["attempt_number"]
-                )
-                raise explained(error, about, await self._listed() if wrong else None) from error
+                if getattr(error, "status_code", None) in (400, 404, 422) and "model" in message(error).lower():
+                    with suppress(*self._failures):
+                        served = await self._names()
+                count = tries.statistics["attempt_number"]
+                raise explained(
+                    error, Asked(self._model, self._shown, request.size, self._timeout, count), served
+                ) from error
 
-    async def _completion(self, question: Asking[Any]) -> Any:
+    async def _completion(self, request: Request) -> Any:
         """What the client returns to one request, without the features that the server refuses."""
         import openai
 
         while True:
             refused = frozenset(self._refused)
-            body = await asyncio.to_thread(question.body, self._model, refused)  # encodes pictures
+            body = await asyncio.to_thread(request.body, self._model, refused)  # encodes pictures
             try:
                 async with asyncio.timeout(self._timeout):
                     return await self._client.chat.completions.create(**body)
             except openai.OpenAIError as error:
-                feature = refused_feature(error, question.features - refused)
+                feature = refused_feature(error, request.features - refused)
                 if not feature:
                     raise
                 self._refused.add(feature)
@@ -258,25 +240,14 @@ class Server:
             return [str(model.id) for model in (await self._client.models.list()).data]
 
     async def _only_model(self) -> str:
-        import openai
-
         try:
             names = await self._names()
-        except (openai.OpenAIError, TimeoutError, *_NONSENSE) as error:
+        except self._failures as error:
             raise explained(error, Asked("", self._shown, (0, 0), self._timeout, 1), None) from error
         if len(names) != 1:
             has = f"{self._shown} has {len(names)} models"
             raise QueryError(f"{has} ({', '.join(names)}); name one before the @")
         return names[0]
-
-    async def _listed(self) -> list[str] | None:
-        """The names of the server's models, None if it does not tell."""
-        import openai
-
-        try:
-            return await self._names()
-        except (openai.OpenAIError, TimeoutError, *_NONSENSE):
-            return None
 
 
 def need_client() -> None:
