@@ -17,6 +17,7 @@ from contract_server import FAULTS, ContractServer, Reply, Request, reddish, wai
 from served_model import IMAGE_TOKENS, served, write_model
 
 from eagor.calibration import Calibration
+from eagor.cli import main
 from eagor.detector import DetectorModel
 from eagor.errors import AnswerError, EagorError, ImageError, QueryError, ServerError
 from eagor.evidence import Evidence
@@ -547,6 +548,11 @@ def test_several_servers_want_a_proxy(kind):
         load("endpoint:qwen@" + ",".join(addresses))
     with pytest.raises(EagorError, match="wanted one"):
         chat_from_text("qwen@" + ",".join(addresses))
+
+
+def test_several_servers_end_a_command(capsys):
+    assert main(["locate", "nowhere.png", "chair", "--perception", "endpoint:m@http://a,http://b"]) == 2
+    assert "docs/how-to/server.md" in capsys.readouterr().err
 
 
 def test_who_waits_for_another_try_keeps_its_place(server):

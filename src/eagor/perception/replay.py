@@ -23,17 +23,11 @@ __all__ = ["Record", "ReplayPerception", "parse_record", "read_records", "write_
 
 
 class ReplayPerception:
-    """Answers from a file of records instead of from the panorama.
+    """Answers from a file of records (docs/replay-format.md) instead of from the panorama; `records` by rising stamp.
 
-    Args:
-        path: the JSONL file (format: docs/replay-format.md).
-        calibration: how responses become evidence (default: `Calibration()`); where one is given, boxes and points are
-            read as a response map, too.
-        tolerance: seconds by which a record may be away from the time that is asked for.
-        detector: how the detector errs that wrote boxes and points (default: `DetectorModel()`).
-
-    Attributes:
-        records: all `Record` objects by rising stamp.
+    `calibration`: how responses become evidence (default: `Calibration()`); where one is given, boxes and points are
+    read as a response map, too. `tolerance`: seconds by which a record may be away from the time that is asked for.
+    `detector`: how the detector errs that wrote boxes and points (default: `DetectorModel()`).
 
     Raises `FormatError` for a file that does not follow the format, `TimeError` for a tolerance that is none.
     """

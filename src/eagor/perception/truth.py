@@ -47,10 +47,8 @@ class Report:
 class TruthPerception:
     """A detector of known quality. Make an `episode` of it for each walk through a simulated scene.
 
-    Args:
-        noise: how good it is, as `Noise` or in the words of `Noise.parse`.
-        calibration: how responses become evidence.
-        rows: of its patch map (default: that of a model with patches of 28 pixels on a panorama of 504 x 1008).
+    `noise`: as `Noise` or in words of `Noise.parse`. `rows`: of its patch map (default: that of a model with patches
+    of 28 pixels on a panorama of 504 x 1008).
 
     Raises `EagorError` for settings that cannot be read, `GridError` for less than one row.
     """
@@ -94,12 +92,10 @@ class TruthEpisode:
     ) -> Evidence:
         """The next look: evidence on the perception's patch grid, body frame.
 
-        Args:
-            panorama: instance ids ``(H, 2 H)``, integers, in the layout of `eagor.sphere`; -1 where nothing was hit.
-            query: "[colour] category", over the categories of the labels (see `eagor.queries`).
-            stamp: when the ids were seen, seconds; the evidence carries it.
-            world_R_body: attitude ``(3, 3)`` of the camera. A mistake that lasts keeps its place in the world while
-                the camera turns; without the attitude, its place in the image.
+        `panorama`: instance ids ``(H, 2 H)``, integers, in the layout of `eagor.sphere`; -1 where nothing was hit.
+        `query`: "[colour] category", over the categories of the labels (see `eagor.queries`). `world_R_body`: attitude
+        ``(3, 3)`` of the camera. A mistake that lasts keeps its place in the world while the camera turns; without the
+        attitude, its place in the image.
 
         Raises `QueryError` if the words name no category of the labels, `ImageError` if the panorama is no such
         array, `RotationError` if the attitude is no rotation.

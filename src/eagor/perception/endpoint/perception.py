@@ -49,23 +49,9 @@ class Look:
 class EndpointPerception(Asker):
     """Asks a vision-language model that runs on an OpenAI-compatible server.
 
-    Attributes, beside those of `eagor.perception.endpoint.server.Asker`:
-        extractor: ``boxes``, ``views``, or empty for what suits the model.
-        per_view: what ``views`` asks: ``presence`` (yes or no) or ``boxes``.
-        pixels: of the panorama (``boxes``) or of one view (``views``); 0 for the model's usual number.
-        cell: pixels of one side of the model's image tokens; 0 for what its name tells (`vlm.styles`).
-        frame: what the coordinates of its boxes count; empty for what its name tells.
-        order: of the coordinates of its boxes; empty for what its name tells.
-        seam: whether ``boxes`` looks at the rolled panorama, too.
-        hfov_deg: field of a view, degrees.
-        overlap_deg: how much of it neighbours share.
-        reach_deg: views cover elevations up to this, degrees; beyond, nothing was seen.
-        image_format: ``png``, or ``jpeg`` where sending is slow.
-        max_tokens: of an answer.
-        concurrency: requests at once.
-        calibration: how responses become evidence; None for the default of `Evidence`. With one, boxes are read as a
-            response map, too.
-        detector: how the boxes err; None for `DetectorModel()`.
+    Options: docs/models.md, and those of `eagor.perception.endpoint.server.Asker`. `calibration`: how responses become
+    evidence; None for the default of `Evidence`. With one, boxes are read as a response map, too. `detector`: how the
+    boxes err; None for `DetectorModel()`.
 
     Raises `EagorError` for values that make no sense.
     """

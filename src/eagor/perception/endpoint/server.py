@@ -38,14 +38,8 @@ class Asker:
     Nothing is connected to before the first request. Threads share the connections; copies that are pickled, and
     forked processes, connect anew.
 
-    Attributes:
-        model: its name as the server knows it; empty for the only model that the server has.
-        servers: the server's address, mostly ending in ``/v1``, in a tuple of one: several want a proxy before them.
-        timeout: seconds for one answer.
-        retries: more tries of a request that failed for a reason that may pass.
-        backoff: seconds before the first of them; doubled for each further one.
-        key: the name of the environment variable that holds the server's key, if it wants one.
-        ca: a file of certificates to trust instead of the usual ones (without it, ``SSL_CERT_FILE`` counts).
+    `model`: its name there, empty for the only model that the server has. `servers`: the server's address, mostly
+    ending in ``/v1``, in a tuple of one: several want a proxy before them. The rest: docs/models.md.
     """
 
     model: str = ""

@@ -52,26 +52,12 @@ class _Shots:
 class TransformersPerception:
     """Finds what a query names in panoramas, with a model that runs here.
 
-    Args:
-        model: hub name, or folder with ``config.json``, weights, tokenizer and image processor; or a model that is
-            loaded already (`loading.load_model`): then only extractors, seam and calibration are options.
-        extractor: ``attention``, ``boxes``, ``both`` (boxes and attention from one call, half each), ``mask``, or
-            ``views`` (tangent views that cover the sphere); None for the family's default.
-        per_view: the extractor in each view; None for the family's default.
-        pixels: how many pixels an image (with ``views``: each view) has at most; None for the family's default.
-        seam: look twice, the panorama rolled by half a turn in between, so that nothing is cut by the seam.
-        heads: file of localisation heads (`heads`), for attention; None for relative attention.
-        layers: layers that relative attention reads, ``"20,21,22"`` or numbers; None for the family's depth.
-        presence: multiply attention by the probability that the model answers yes when asked if the thing is there.
-        calibration: how responses become evidence; None for the default of `Evidence`. With one, boxes are read as a
-            response map, too.
-        revision: of a hub checkpoint.
-        device: ``cpu``, ``cuda``, ``cuda:1``, ``mps``, or ``auto`` (all GPUs); None: CUDA where there is any.
-        dtype: ``float32``, ``bfloat16``, ``float16``; None: bfloat16 on a GPU, else float32.
-        max_tokens: that an answer may have.
-        batch: images run at once.
-        threshold: score below which a localiser's boxes are dropped; None for the family's.
-        detector: how boxes err, where the extractor is ``boxes``; None for `DetectorModel()`.
+    `model`: hub name, or folder with ``config.json``, weights, tokenizer and image processor; or a model that is loaded
+    already (`loading.load_model`): then only extractors, seam and calibration are options. `calibration`: how responses
+    become evidence; None for the default of `Evidence`. With one, boxes are read as a response map, too. `detector`:
+    how boxes err, where the extractor is ``boxes``; None for `DetectorModel()`. All else: docs/models.md; None stands
+    for the family's default, for relative attention (`heads`), for CUDA where there is any (`device`), and for bfloat16
+    on a GPU, else float32 (`dtype`).
 
     Raises `EagorError` if packages are missing, the model is of no known family, or an option does not fit it.
     """

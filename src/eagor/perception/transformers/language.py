@@ -31,19 +31,10 @@ from eagor.perception.vlm.views import cut
 class LanguageModel:
     """A loaded checkpoint of one of the vision-language families, a `looker.Looker`.
 
-    Attributes:
-        name: hub name or folder.
-        revision: commit of the hub, or a digest of a folder's configuration and weight files.
-        family: what it is.
-        model: the transformers model, its language part running through the capturing attention function.
-        tokenizer, processor: its tokenizer, and its image processor.
-        heads: localisation heads, None for relative attention.
-        layers: layers that relative attention reads; None for the family's depth.
-        presence: multiply attention by the probability that the answer to "is it there?" is yes.
-        saturation: see `attention.saturated`; the heads' own where there are heads.
-        most: tokens that an answer may have.
-        batch: images run at once.
-        pixels: of an image, where the family leaves a choice.
+    `name`: hub name or folder. `revision`: commit of the hub, or a digest of a folder's configuration and weight files.
+    `model`: its language part runs through the capturing attention function. `heads`: None for relative attention,
+    which reads `layers` (None: at the family's depth). `saturation`: see `attention.saturated`; the heads' own where
+    there are heads. `most`: tokens that an answer may have. The rest as in the perception.
     """
 
     name: str
