@@ -346,37 +346,34 @@ class Handler(BaseHTTPRequestHandler):
 
 
 @pytest.fixture
-def servers():
-    found = [ThreadingHTTPServer(("127.0.0.1", 0), Handler) for _ in range(2)]
-    for server in found:
-        server.asked = []
-        threading.Thread(target=server.serve_forever, daemon=True).start()
+def server():
+    found = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    found.asked = []
+    threading.Thread(target=found.serve_forever, daemon=True).start()
     yield found
-    for server in found:
-        server.shutdown()
-        server.server_close()
+    found.shutdown()
+    found.server_close()
 
 
-def test_served_models_are_asked_in_turn_and_see_the_pictures(servers):
+def test_served_models_see_the_pictures(server):
     pytest.importorskip("openai")
-    addresses = ",".join(f"http://127.0.0.1:{server.server_port}" for server in servers)
-    chat = load_chat(f"@{addresses}?max_tokens=64&quality=90")
+    chat = load_chat(f"@http://127.0.0.1:{server.server_port}?max_tokens=64&quality=90")
     image = np.zeros((36, 64, 3), dtype=np.uint8)
     messages = [Message("system", "be brief"), Message("user", f"look\n{IMAGE}\nwell?", (image,))]
     said = [chat(messages) for _ in range(4)]
     assert [reply.text for reply in said] == ["64 x 36"] * 4
     assert said[0].prompt_tokens == 7
-    assert [len(server.asked) for server in servers] == [2, 2]
-    body = servers[0].asked[0]
+    assert len(server.asked) == 4
+    body = server.asked[0]
     assert (body["model"], body["temperature"], body["max_tokens"]) == ("tiny", 0.0, 64)
     assert body["messages"][0] == {"role": "system", "content": "be brief"}
     assert [part["type"] for part in body["messages"][1]["content"]] == ["text", "image_url", "text"]
 
 
 def test_models_are_named_in_one_line():
-    chat = load_chat("Qwen/Qwen2.5-VL-7B-Instruct@http://a:8000,http://b:8000/v1?temperature=0.5")
+    chat = load_chat("Qwen/Qwen2.5-VL-7B-Instruct@http://a:8000?temperature=0.5")
     assert isinstance(chat, ServedChat)
-    assert (chat.model, chat.servers) == ("Qwen/Qwen2.5-VL-7B-Instruct", ("http://a:8000/v1", "http://b:8000/v1"))
+    assert (chat.model, chat.servers) == ("Qwen/Qwen2.5-VL-7B-Instruct", ("http://a:8000/v1",))
     assert chat.temperature == 0.5
     assert callable(load_chat("hstar_data:patient"))
     for spec, words in (("m@nowhere", "no address"), ("m@http://a?colour=red", "options"), ("no_such:thing", "import")):
@@ -397,7 +394,8 @@ def test_models_are_named_in_one_line():
         ({"timeout": float("inf")}, "timeout = inf"),
         ({"retries": -1}, "retries = -1"),
         ({"backoff": -0.5}, "backoff = -0.5; wanted seconds, 0 or more"),
-        ({"servers": ()}, "at least one address"),
+        ({"servers": ()}, "wanted a tuple of one address"),
+        ({"servers": ("http://a", "http://b")}, "2 addresses of servers came; wanted one"),
         ({"servers": ("ftp://a",)}, "no address of a server"),
     ],
 )
@@ -411,8 +409,9 @@ def test_a_served_model_refuses_what_makes_no_sense(options, says):
             load_chat(f"m@http://a?{name}={value}")
 
 
-def test_a_served_model_completes_its_addresses():
-    assert ServedChat("m", ("http://a:8000/", "https://b/v2")).servers == ("http://a:8000/v1", "https://b/v2")
+def test_a_served_model_completes_its_address():
+    assert ServedChat("m", ("http://a:8000/",)).servers == ("http://a:8000/v1",)
+    assert ServedChat("m", ("https://b/v2",)).servers == ("https://b/v2",)
 
 
 @pytest.mark.parametrize(

@@ -22,12 +22,12 @@ from eagor.errors import AnswerError, EagorError, ImageError, QueryError
 from eagor.grids import PatchGrid
 from eagor.perception import check_perception, load, parse_options
 from eagor.perception.transformers import TransformersPerception, family_of, inputs, prefix
-from eagor.perception.transformers.account import Account
 from eagor.perception.transformers.attention import densities, relative, saturated
 from eagor.perception.transformers.capture import Capture, capturing, full_layers
 from eagor.perception.transformers.chat import conversation
 from eagor.perception.transformers.heads import Heads, elbow, fit_heads, read_heads, spatial_entropy
 from eagor.perception.transformers.layout import Block, Layout
+from eagor.perception.transformers.looker import Account
 from eagor.perception.transformers.prefix import Decoded, Running
 from eagor.perception.vlm.boxes import Box
 from eagor.perception.vlm.families import FAMILIES

@@ -117,7 +117,7 @@ def test_a_model_that_the_server_lacks_and_models_that_cannot_talk(eagor, data, 
     for spec, says in (
         (localiser, "locates things and cannot talk"),
         (tmp_path / "nowhere", "there is no folder"),
-        (f"qwen@{server.url}?colour=red", "a served model has the options temperature"),
+        (f"qwen@{server.url}?colour=red", "a served model has no option colour; it has the options model, servers"),
     ):
         code, out, err = eagor(*words("osr", data, tmp_path / "run", "--agent", "vlm", "--model", spec))
         assert (code, out) == (2, "")

@@ -321,7 +321,7 @@ def test_packages_that_are_not_there(refused, planted, panorama, monkeypatch):
     folder = planted(QWEN)
     monkeypatch.setitem(sys.modules, "transformers", None)
     assert "pip install 'eagor[vlm]'" in refused(2, "locate", panorama, "red thing", "--perception", folder)
-    monkeypatch.setattr("eagor.perception.endpoint.servers.find_spec", lambda name: None)
+    monkeypatch.setattr("eagor.perception.endpoint.server.find_spec", lambda name: None)
     assert "pip install 'eagor[endpoint]'" in refused(2, "locate", panorama, "red", "--perception", "endpoint:qwen")
 
 
@@ -547,7 +547,7 @@ def test_where_a_checkpoint_fits(memory, gpus, place):
 
 
 def test_doctor_says_what_to_install(eagor, monkeypatch):
-    there = {"torch": None, "transformers": "4.57.1", "accelerate": "1.10.0", "openai": None}
+    there = {"torch": None, "transformers": "4.57.1", "accelerate": "1.10.0", "openai": None, "tenacity": "9.2"}
     monkeypatch.setattr(machine, "version_of", lambda name: there.get(name, "1.0"))
     code, out, _ = eagor("doctor")
     assert code == 0

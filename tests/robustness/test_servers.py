@@ -248,7 +248,10 @@ def test_an_address_with_a_password_is_taken_apart():
     assert place_of("org/m@gpu:8000") == ("org/m", ("gpu:8000",))
     assert short_name("endpoint:org/m@http://u:p@h/v1") == "endpoint-m"
     with pytest.raises(EagorError) as caught:
-        load("endpoint:m@ftp://u:hunter2-0815@h,http://u:hunter2-0815@:0")
+        load("endpoint:m@ftp://u:hunter2-0815@h")
+    assert "hunter2-0815" not in str(caught.value)
+    with pytest.raises(EagorError) as caught:
+        load("endpoint:m@http://u:hunter2-0815@:0")
     assert "hunter2-0815" not in str(caught.value)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from eagor.perception.vlm.families import FAMILIES, Checkpoint
 
 LOCAL = {"torch": "2.6", "transformers": "5.23", "accelerate": "1.10"}  # the extra vlm: oldest versions that will do
-SERVED = {"openai": "1.98"}  # the extra endpoint
+SERVED = {"openai": "1.98", "tenacity": "9"}  # the extra endpoint
 _LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # of a container
 
 

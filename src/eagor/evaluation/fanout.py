@@ -1,7 +1,7 @@
 """Units whose work is waiting for servers: many at once in one process, each result kept the moment it is there.
 
 All threads share what `work` set up (one perception, one client per server), so the work has to be safe to use from
-several threads; those of `eagor.perception.endpoint` are, and deal their requests out among their servers.
+several threads; those of `eagor.perception.endpoint` are.
 """
 
 from __future__ import annotations

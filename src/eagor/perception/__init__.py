@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -43,14 +43,10 @@ class Perception(Protocol):
     def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for where in `panorama` the thing is that `query` names, in the body frame of the panorama.
 
-        Args:
-            panorama: equirectangular image ``(H, W, 3)``, uint8 sRGB, in the layout of `eagor.sphere`. It is not
-                changed.
-            query: what to look for, in words.
-            stamp: when the panorama was captured, seconds; the evidence carries it.
-
-        Raises `QueryError` if the words mean nothing to this perception, `ImageError` if the image is unusable. Not
-        finding the thing is no error: the evidence then says that we looked and saw nothing.
+        `panorama`: equirectangular image ``(H, W, 3)``, uint8 sRGB, in the layout of `eagor.sphere`; it is not changed.
+        `stamp`: when it was captured, seconds; the evidence carries it. Raises `QueryError` if the words mean nothing
+        to this perception, `ImageError` if the image is unusable. Not finding the thing is no error: the evidence then
+        says that we looked and saw nothing.
         """
         ...
 
@@ -63,11 +59,10 @@ def known() -> dict[str, EntryPoint]:
 def load(spec: str, **options: Any) -> Perception:
     """The perception that `spec` names: ``"colour"``, ``"replay:detections.jsonl"``, an installed one, or a model.
 
-    Text after the first colon becomes the first argument of what makes the perception; `options` are passed on by
-    name. A folder with ``config.json``, or anything else with a slash in it, such as ``Qwen/Qwen2.5-VL-7B-Instruct``,
-    is a model that `eagor.perception.transformers` loads; options can follow in the text, as in
-    ``folder?extractor=boxes&pixels=401408``. Raises `QueryError` for an unknown name, `EagorError` if it cannot be
-    imported or does not take the arguments.
+    Text after the first colon is the first argument of what makes the perception; `options` are passed on by name. A
+    folder with ``config.json``, or anything else with a slash in it, is a model that `eagor.perception.transformers`
+    loads; options can follow in the text, as in ``folder?extractor=boxes&pixels=401408``. Raises `QueryError` for an
+    unknown name, `EagorError` if it cannot be imported or does not take the arguments.
     """
     name, colon, text = str(spec).partition(":")
     choices = known()
@@ -82,13 +77,13 @@ def load(spec: str, **options: Any) -> Perception:
             "names such as Qwen/Qwen2.5-VL-7B-Instruct. A model on a server is endpoint:MODEL@ADDRESS"
         )
     make: Callable[..., Perception] = plugins.bring(choices[name], "perception")
-    arguments = (text,) if colon else ()
+    arguments, takes = (text,) if colon else (), inspect.signature(make)
     try:
-        inspect.signature(make).bind(*arguments, **options)
+        takes.bind(*arguments, **options)
     except TypeError as error:
         raise EagorError(
             f"perception {spec!r} cannot be made with the options {sorted(options)}: {error}. "
-            f"It takes {name}{inspect.signature(make)}; the text after ':' is the first argument"
+            f"It takes {name}{takes}; the text after ':' is the first argument"
         ) from error
     return make(*arguments, **options)
 
@@ -187,63 +182,59 @@ def check_perception(
     With `roll`, the panorama rolled by so many columns must roll the response by the same angle, to `tolerance`
     (largest difference): for perceptions that treat all azimuths alike.
     """
+    for fault in _faults(perception, panorama, query, stamp, roll, tolerance):
+        raise AssertionError(f"the perception {fault}")
+
+
+def _faults(
+    perception: Perception, panorama: np.ndarray, query: str, stamp: float, roll: int | None, tolerance: float
+) -> Iterator[str]:
+    """What breaks the contract; to be asked no further after the first."""
     before = panorama.copy()
     evidence = perception(panorama, query, stamp=stamp)
-    _require(isinstance(evidence, Evidence), f"returned {type(evidence).__name__}; wanted eagor.Evidence")
-    _require(np.array_equal(before, panorama), "changed the panorama; wanted it left as it was: work on a copy")
-    _require(
-        evidence.stamp == stamp,
-        f"was given stamp={stamp}, and its evidence carries {evidence.stamp}; wanted the same: pass stamp=stamp on to "
-        "what makes the evidence",
-    )
-    response = np.asarray(evidence.response)
-    _require(
-        response.shape == tuple(evidence.grid.shape),
-        f"gives a response of shape {response.shape} on a grid of {tuple(evidence.grid.shape)}; wanted the grid that "
-        "the response was computed on",
-    )
-    _require(
-        bool(((response >= 0) & (response <= 1)).all()),
-        f"gives responses from {response.min():g} to {response.max():g}; wanted [0, 1]: logits want a sigmoid",
-    )
-    _require(
-        bool(
-            np.isfinite(np.asarray(evidence.log_ratio)).all()
-            and np.isfinite(np.asarray(evidence.coefficients(3))).all()
-        ),
-        "gives evidence that is not finite; wanted finite log ratios: make it with Evidence.from_response",
-    )
+    if not isinstance(evidence, Evidence):
+        yield f"returned {type(evidence).__name__}; wanted eagor.Evidence"
+    if not np.array_equal(before, panorama):
+        yield "changed the panorama; wanted it left as it was: work on a copy"
+    if evidence.stamp != stamp:
+        yield (
+            f"was given stamp={stamp}, and its evidence carries {evidence.stamp}; wanted the same: pass stamp=stamp on "
+            "to what makes the evidence"
+        )
+    response, shape = np.asarray(evidence.response), tuple(evidence.grid.shape)
+    if response.shape != shape:
+        yield (
+            f"gives a response of shape {response.shape} on a grid of {shape}; wanted the grid that the response was "
+            "computed on"
+        )
+    if not ((response >= 0) & (response <= 1)).all():
+        yield f"gives responses from {response.min():g} to {response.max():g}; wanted [0, 1]: logits want a sigmoid"
+    if not all(np.isfinite(np.asarray(values)).all() for values in (evidence.log_ratio, evidence.coefficients(3))):
+        yield "gives evidence that is not finite; wanted finite log ratios: make it with Evidence.from_response"
     again = perception(panorama, query, stamp=stamp)
-    _require(
-        type(again.grid) is type(evidence.grid) and tuple(again.grid.shape) == tuple(evidence.grid.shape),
-        f"answers on {_named(evidence)}, then for the same panorama on {_named(again)}; wanted the same grid: no state "
-        "that a call changes",
-    )
+    first, second = (f"a {type(each.grid).__name__} of {tuple(each.grid.shape)}" for each in (evidence, again))
+    if first != second:
+        yield (
+            f"answers on {first}, then for the same panorama on {second}; wanted the same grid: no state that a call "
+            "changes"
+        )
     if roll is None:
         return
     columns, rest = divmod(roll * response.shape[1], panorama.shape[1])
-    _require(
-        rest == 0,
-        f"answers with {response.shape[1]} columns, and roll={roll} is no whole number of those; choose another roll",
-    )
+    if rest:
+        yield (
+            f"answers with {response.shape[1]} columns, and roll={roll} is no whole number of those; choose another "
+            "roll"
+        )
     rolled = np.asarray(perception(np.roll(panorama, roll, axis=1), query, stamp=stamp).response)
-    _require(
-        rolled.shape == response.shape,
-        f"answers with {response.shape}, and for the rolled panorama with {rolled.shape}; wanted the same grid for "
-        "every panorama of one size",
-    )
+    if rolled.shape != response.shape:
+        yield (
+            f"answers with {response.shape}, and for the rolled panorama with {rolled.shape}; wanted the same grid for "
+            "every panorama of one size"
+        )
     worst = float(np.abs(rolled - np.roll(response, columns, axis=1)).max())
-    _require(
-        worst <= tolerance,
-        f"answers a panorama rolled by {roll} columns with a response that is {worst:.3g} off the rolled one; wanted "
-        f"at most {tolerance:g}: treat all azimuths alike, the seam too, or leave roll out",
-    )
-
-
-def _named(evidence: Evidence) -> str:
-    return f"a {type(evidence.grid).__name__} of {tuple(evidence.grid.shape)}"
-
-
-def _require(holds: bool, text: str) -> None:
-    if not holds:
-        raise AssertionError(f"the perception {text}")
+    if not worst <= tolerance:
+        yield (
+            f"answers a panorama rolled by {roll} columns with a response that is {worst:.3g} off the rolled one; "
+            f"wanted at most {tolerance:g}: treat all azimuths alike, the seam too, or leave roll out"
+        )

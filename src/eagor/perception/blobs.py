@@ -17,15 +17,15 @@ from eagor.grids import ErpGrid, Grid, PatchGrid
 def blobs(response: np.ndarray, grid: Grid, level: float, least: float) -> list[tuple[np.ndarray, np.ndarray, float]]:
     """The connected parts of a map ``(H, W)`` that reach `level`: mean direction, covariance and mean response of each.
 
-    Cells that touch at a corner are connected; a panorama goes on across its seam, and its first and last rows each
-    meet in a pole. Parts of less than `least` steradians, times the response, are left out. The covariance ``(2, 2)``
-    (radians^2) is that of the part's solid angle about its mean direction; a part all around has none to speak of, and
-    is as wide as can be.
+    A panorama goes on across its seam, and its first and last rows each meet in a pole. Parts of less than `least`
+    steradians, times the response, are left out. The covariance ``(2, 2)`` (radians^2) is that of the part's solid
+    angle about its mean direction; a part all around is as wide as can be.
     """
-    labels, count = _labelled(response >= level, isinstance(grid, ErpGrid | PatchGrid))
+    around = isinstance(grid, ErpGrid | PatchGrid)
+    labels = connected(response >= level, around, poles=around).reshape(-1)
     where = np.flatnonzero(labels)
-    order = where[np.argsort(labels.reshape(-1)[where], kind="stable")]
-    ends = np.cumsum(np.bincount(labels.reshape(-1)[where], minlength=count + 1)[1:])
+    order = where[np.argsort(labels[where], kind="stable")]
+    ends = np.cumsum(np.bincount(labels[where])[1:])
     directions, areas, values = grid.directions.reshape(-1, 3), grid.weights.reshape(-1), response.reshape(-1)
     found = []
     for cells in np.split(order, ends[:-1]) if len(order) else ():
@@ -51,27 +51,27 @@ def spread_evidence(
     return Evidence.from_detections(detections, canvas_of(view.grid), stamp)
 
 
-def _labelled(inside: np.ndarray, around: bool) -> tuple[np.ndarray, int]:
-    """The number of the part that each cell ``(H, W)`` is in, 0 for none, and how many there are."""
+def connected(inside: np.ndarray, seam: bool, poles: bool = False) -> np.ndarray:
+    """The number of the part that each cell ``(H, W)`` is in, 0 for none; cells that touch at a corner are connected.
+
+    With `seam` the last column touches the first, with `poles` the cells of the first row, and of the last, each other.
+    """
     from scipy.ndimage import label
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     counted: Any = label(inside, structure=np.ones((3, 3), dtype=int))
     labels, count = counted
-    if not around or count < 2:
-        return labels, count
+    if not seam or count < 2:
+        return labels
     left, right = labels[:, 0], labels[:, -1]
     pairs = [(left, right), (left[1:], right[:-1]), (left[:-1], right[1:])]
-    pairs += [(row[:-1], row[1:]) for row in (_present(labels[0]), _present(labels[-1]))]
-    one, other = np.concatenate([pair[0] for pair in pairs]), np.concatenate([pair[1] for pair in pairs])
+    for row in (labels[0], labels[-1]) if poles else ():
+        met = row[row > 0]
+        pairs.append((met[:-1], met[1:]))
+    one, other = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
     touching = (one > 0) & (other > 0)
     graph = coo_array((np.ones(int(touching.sum())), (one[touching], other[touching])), shape=(count + 1, count + 1))
     parts = connected_components(graph, directed=False)[1]
-    found = int(parts.max()) + 1
     # The background is a part of its own, and has to stay 0.
-    return np.where(labels > 0, ((parts - parts[0]) % found)[labels], 0), found - 1
-
-
-def _present(row: np.ndarray) -> np.ndarray:
-    return row[row > 0]
+    return np.where(labels > 0, ((parts - parts[0]) % (int(parts.max()) + 1))[labels], 0)

@@ -90,10 +90,9 @@ class ColourPerception:
 
     Attributes:
         calibration: None for detections. With one, the map of likeness is read as a response map instead.
-        rows: the panorama is averaged (in linear light) down to at most this many rows and twice as many columns
-            before it is judged. A thing needs two cells each way to count in full; single cells do not count.
-        detector: how the patches err (default: half of the mistakes repeat, since what has the colour goes on having
-            it).
+        rows: the panorama is averaged (in linear light) down to at most this many rows and twice as many columns. A
+            thing needs two cells each way to count in full; single cells do not count.
+        detector: how the patches err (default: half of the mistakes repeat: what has the colour goes on having it).
 
     Raises `EagorError` for less than one row.
     """
@@ -122,7 +121,7 @@ class ColourPerception:
         colour = parse_colour(query)
         times = max(grid.height / self.rows, grid.width / (2 * self.rows), 1.0)  # finer in both directions alike
         linear = _reduced(image, max(1, round(grid.height / times)), max(1, round(grid.width / times)))
-        response = _without_specks(_likeness(*_lightness_chroma_hue(linear), colour), around=False)
+        response = _likeness(linear, colour, around=False)
         return self._evidence(response, replace(grid, height=response.shape[0], width=response.shape[1]), grid, stamp)
 
     def _evidence(
@@ -136,8 +135,7 @@ class ColourPerception:
     def respond(self, panorama: np.ndarray, query: str) -> np.ndarray:
         """How much each cell has the colour of `query`, in [0, 1], at most ``(rows, 2 * rows)``."""
         colour = parse_colour(query)
-        linear = _reduced(panorama, self.rows, 2 * self.rows)
-        return _without_specks(_likeness(*_lightness_chroma_hue(linear), colour))
+        return _likeness(_reduced(panorama, self.rows, 2 * self.rows), colour)
 
 
 def parse_colour(query: str) -> Colour:
@@ -209,14 +207,21 @@ def _lightness_chroma_hue(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     return 116 * y - 16, np.hypot(a, b), np.degrees(np.arctan2(b, a))
 
 
-def _likeness(lightness: np.ndarray, chroma: np.ndarray, hue: np.ndarray, colour: Colour) -> np.ndarray:
-    """How much a pixel is of `colour`: the product of its fuzzy memberships, in [0, 1]."""
+def _likeness(linear: np.ndarray, colour: Colour, around: bool = True) -> np.ndarray:
+    """How much a pixel is of `colour`, in [0, 1]: the product of its fuzzy memberships, less what stands alone.
+
+    Each cell counts as far as its 3 x 3 neighbourhood agrees; `around`: the last column is next to the first.
+    """
+    lightness, chroma, hue = _lightness_chroma_hue(linear)
     likeness = _member(chroma / (lightness + 12), colour.saturation) * _member(lightness, colour.lightness)
-    if colour.hue is None:
-        return likeness
-    start, full_low, full_high, end = colour.hue
-    turned = (hue - start) % 360  # the interval now starts at zero, clear of the wrap
-    return likeness * _member(turned, (0.0, full_low - start, full_high - start, end - start))
+    if colour.hue is not None:
+        start, full_low, full_high, end = colour.hue
+        turned = (hue - start) % 360  # the interval now starts at zero, clear of the wrap
+        likeness = likeness * _member(turned, (0.0, full_low - start, full_high - start, end - start))
+    wide = np.pad(likeness, ((0, 0), (1, 1)), mode="wrap" if around else "edge")
+    across = (wide[:, :-2] + 2 * likeness + wide[:, 2:]) / 4
+    padded = np.pad(across, ((1, 1), (0, 0)), mode="edge")
+    return likeness * _ramp((padded[:-2] + 2 * padded[1:-1] + padded[2:]) / 4, 0.25, 0.5)
 
 
 def _member(values: np.ndarray, interval: Interval) -> np.ndarray:
@@ -231,14 +236,3 @@ def _ramp(values: np.ndarray, low: float, high: float) -> np.ndarray:
     """0 below `low`, 1 above `high`, a smooth cubic between."""
     t = np.clip((values - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)
-
-
-def _without_specks(likeness: np.ndarray, around: bool = True) -> np.ndarray:
-    """`likeness`, less what stands alone: each cell counts as far as its 3 x 3 neighbourhood agrees.
-
-    `around`: the last column is next to the first.
-    """
-    wide = np.pad(likeness, ((0, 0), (1, 1)), mode="wrap" if around else "edge")
-    across = (wide[:, :-2] + 2 * likeness + wide[:, 2:]) / 4
-    padded = np.concatenate([across[:1], across, across[-1:]])
-    return likeness * _ramp((padded[:-2] + 2 * padded[1:-1] + padded[2:]) / 4, 0.25, 0.5)

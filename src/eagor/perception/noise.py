@@ -13,30 +13,10 @@ WIDEST = 0.7  # radians: root of the sum of the variances over both axes
 
 @dataclass(frozen=True)
 class Noise:
-    """How good a detector is. The default of every field is that of an ideal one.
+    """How good a detector is; docs/simulation.md explains each setting. The defaults are those of an ideal one.
 
-    A thing is *visible* if it covers at least one pixel of the ids. Rates are those of a single frame, for a thing of
-    at least the size `smallest`; they do not depend on `persistence`.
-
-    What is wider than `WIDEST`, such as a floor, is never mistaken for another thing.
-
-    Attributes:
-        miss: probability that a visible, matching thing is not reported.
-        false_alarm: probability of one report where nothing matches: at a visible thing that does not match, each
-            alike likely, for as long as the alarm lasts and the thing is in view; in a random direction of the world
-            where there is none.
-        confuse_category: probability, for each visible thing of the category asked for but of another colour, that
-            it is reported. Only for queries with a colour.
-        confuse_colour: the same for each visible thing of the colour asked for but of another category.
-        spread: standard deviation, radians, per axis of the error of a reported direction. A reported blob is wider
-            by as much: this detector knows its own error.
-        floor: response of cells where nothing is reported.
-        persistence: probability that the state of a thing (or of the false alarm) in the frame before is kept
-            instead of drawn anew. A mistake of rate q then lasts for 1 / ((1 - persistence) (1 - q)) frames on
-            average. At 1 mistakes last for the whole episode.
-        smallest: size of the smallest thing that is seen as well as any, as a fraction of the solid angle of a patch
-            on the horizon. Below it the probabilities of being found or confused fall smoothly, to zero at a quarter.
-        weakest: scores are drawn evenly from `weakest` to 1.
+    Rates are of a single frame, for a thing of at least the size `smallest`, whatever the `persistence`. What is wider
+    than `WIDEST`, such as a floor, is never mistaken for another thing. `spread` is in radians.
 
     Raises `EagorError` for numbers out of range.
     """

@@ -44,17 +44,9 @@ def look_at_view(
 ) -> Evidence:
     """Evidence from one perspective picture, in the frame of a body that stands upright and faces where it was taken.
 
-    Args:
-        perception: any; see the module.
-        image: ``(h, w, 3)`` uint8, square pixels.
-        pitch: radians by which the camera looks UP from the horizon. (Where it looks around the vertical does not
-            matter: turn the evidence's coefficients with the body.)
-        hfov: horizontal field of view, radians.
-        query: what to look for.
-        stamp: when it was taken, seconds.
-
-    Raises `ImageError` if the image is no picture, or the perception answers on no panorama; else what the perception
-    raises.
+    `image` is ``(h, w, 3)`` uint8 with square pixels and the horizontal field of view `hfov` (radians); the camera
+    looks `pitch` radians UP from the horizon. Raises `ImageError` if the image is no picture, or the perception answers
+    on no panorama; else what the perception raises.
     """
     picture = checked_picture(image, "the picture")
     height, width = picture.shape[:2]

@@ -1,4 +1,4 @@
-"""The lines of a replay file: reading, checking and writing them. The format itself is described in `replay`."""
+"""The lines of a replay file (docs/replay-format.md): reading, checking and writing them."""
 
 from __future__ import annotations
 
@@ -29,17 +29,11 @@ _LONGEST = 32  # a view this many times longer than wide is a mistake too
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One line of the file, checked.
+    """One line of the file, checked: `kind` is "boxes", "points" or "response".
 
-    Attributes:
-        stamp: seconds, time of capture.
-        query: what was looked for, None for any query.
-        kind: "boxes", "points" or "response".
-        grid: of the image, or of the response; None for points anywhere.
-        values: boxes ``(n, 4)`` in pixels; points ``(n, 3)``: azimuth, elevation, spread in radians (NaN where the line
-            has none); or the response.
-        scores: ``(n,)`` in [0, 1]; empty for a response.
-        labels: ``(n,)`` text or None; empty for a response.
+    `query`: None for any query. `grid`: of the image, or of the response; None for points anywhere. `values`: boxes
+    ``(n, 4)`` in pixels; points ``(n, 3)``: azimuth, elevation, spread in radians (NaN where the line has none); or the
+    response. `scores` ``(n,)`` in [0, 1] and `labels` are empty for a response.
     """
 
     stamp: float
@@ -90,8 +84,9 @@ def read_records(path: str | os.PathLike[str]) -> tuple[Record, ...]:
         try:
             records.append(parse_record(line))
         except EagorError as error:
-            torn = number == len(lines) and not _is_json(line)
-            hint = ". The last line has no end: the writer was probably cut off; remove the line" if torn else ""
+            cut = isinstance(error.__cause__, json.JSONDecodeError | UnicodeDecodeError)
+            hint = ". The last line has no end: the writer was probably cut off; remove the line"
+            hint = hint if cut and number == len(lines) else ""
             raise FormatError(f"{name}, line {number}: {error}{hint}") from error
     if not records:
         raise FormatError(f"{name} holds no records; wanted one JSON object per line, at least one")
@@ -101,8 +96,7 @@ def read_records(path: str | os.PathLike[str]) -> tuple[Record, ...]:
 def parse_record(line: str | bytes) -> Record:
     """One line as a `Record`. Raises `FormatError` that says what is wrong and what is wanted."""
     try:
-        text = line.decode("utf-8") if isinstance(line, bytes) else line
-        entry = parsed(text, strict=True)
+        entry = parsed(line.decode("utf-8") if isinstance(line, bytes) else line, strict=True)
     except ValueError as error:  # UnicodeDecodeError and JSONDecodeError are ValueErrors
         raise FormatError(f"is not JSON ({error}); wanted one JSON object") from error
     _need(isinstance(entry, dict), "the line", entry, "one JSON object")
@@ -233,14 +227,6 @@ def _need(holds: bool, what: str, came: Any, wanted: str) -> None:
 def _words(text: str) -> list[str]:
     """Lower-case words: runs of letters and digits of any script."""
     return re.findall(r"\w+", text.casefold())
-
-
-def _is_json(line: bytes) -> bool:
-    try:
-        json.loads(line)
-    except (ValueError, RecursionError):
-        return False
-    return True
 
 
 def _plain(value: Any) -> Any:

@@ -1,30 +1,6 @@
 """A perception that reads what some detector wrote: detections or responses by time stamp, one JSON object per line.
 
-Any detector can write the file (JSON Lines, UTF-8). Each line is one look at the world, with these keys:
-
-- ``stamp``: seconds, when the image was captured. Required.
-- ``query``: what was looked for. Absent: the line holds for any query, and labels decide (see below).
-- ``image``: what the pixels mean, ``{"width": 1024, "height": 512, "projection": "equirectangular"}`` or
-  ``{"width": 640, "height": 480, "projection": "perspective", "hfov_deg": 90, "yaw_left_deg": 0, "pitch_up_deg": 0}``.
-  The view of a perspective image points `yaw_left_deg` to the left of forward and `pitch_up_deg` up (default 0).
-  Default: equirectangular. `width` and `height` are required for boxes, and for points in a perspective image.
-
-and exactly one of:
-
-- ``boxes``: ``[{"box": [x0, y0, x1, y1], "score": 0.9, "label": "chair"}, ...]``, pixels from the upper left corner of
-  the image. In an equirectangular image x0 > x1 or x1 > width means across the seam. ``[]``: looked and saw nothing.
-- ``points``: ``[{"azimuth_deg": 30, "elevation_deg": -5, "spread_deg": 4, "score": 0.9, "label": "chair"}, ...]`` in
-  the body frame (azimuth positive to the left); `spread_deg` is the standard deviation about the point (default: the
-  detector's, 5).
-- ``response``: ``{"rows": 18, "cols": 36, "values": [...]}``, row by row from the upper left, over the whole image; in
-  a perspective image the cells are square.
-
-A perspective image says nothing about what lies outside it.
-
-Scores and response values lie in [0, 1]; `score` is 1 where absent. A `label` matters on lines without ``query``: the
-detection then counts if every word of its label occurs in the query (letter case aside): "chair" and "red chair" count
-for "the red chair", "armchair" does not. Detections without a label always count. Other keys are ignored, and null is
-as good as absent.
+Any detector can write the file; docs/replay-format.md describes it.
 """
 
 from __future__ import annotations
@@ -47,17 +23,11 @@ __all__ = ["Record", "ReplayPerception", "parse_record", "read_records", "write_
 
 
 class ReplayPerception:
-    """Answers from a file of records instead of from the panorama.
+    """Answers from a file of records (docs/replay-format.md) instead of from the panorama; `records` by rising stamp.
 
-    Args:
-        path: the JSONL file (format: this module's text).
-        calibration: how responses become evidence (default: `Calibration()`); where one is given, boxes and points are
-            read as a response map, too.
-        tolerance: seconds by which a record may be away from the time that is asked for.
-        detector: how the detector errs that wrote boxes and points (default: `DetectorModel()`).
-
-    Attributes:
-        records: all `Record` objects by rising stamp.
+    `calibration`: how responses become evidence (default: `Calibration()`); where one is given, boxes and points are
+    read as a response map, too. `tolerance`: seconds by which a record may be away from the time that is asked for.
+    `detector`: how the detector errs that wrote boxes and points (default: `DetectorModel()`).
 
     Raises `FormatError` for a file that does not follow the format, `TimeError` for a tolerance that is none.
     """
@@ -94,7 +64,6 @@ class ReplayPerception:
         return tuple(r for r in found if abs(r.stamp - nearest) <= SAME_MOMENT)
 
     def _nothing(self, query: str, stamp: float) -> EagorError:
-        """Why there is no record for `query` at `stamp`."""
         stamps = [r.stamp for r in self.records if r.answers(query)]
         if not stamps:
             asked = sorted({str(r.query) for r in self.records})[:8]

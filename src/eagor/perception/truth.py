@@ -1,15 +1,9 @@
 """What an ideal or a noisy detector would answer, computed from the instance ids that a simulator renders.
 
 It measures what is done with evidence apart from the quality of a model: `Noise` says in numbers how good the detector
-is. It is privileged, since ids tell what no camera sees, and therefore works in simulation only.
-
-A detector's mistakes are not drawn afresh in every frame. Here they belong to things and last: a lamp taken for the
-chair stays the lamp while the camera turns, and a box that sits too far left stays too far left. Every thing carries a
-state (found or missed, score, displacement) that is kept from one frame to the next with probability `persistence`,
-and otherwise drawn anew from the same distribution; so each frame by itself has the same rates at any persistence.
-
-Each look draws the same amount of randomness, whatever is asked for and in view. Two walks through one scene with the
-same seed therefore meet the same luck step by step, however they move: comparisons between methods are paired.
+is. Every thing carries a state (found or missed, score, displacement) that is kept from one frame to the next with
+probability `persistence`, else drawn anew from the same distribution, so that each frame has the same rates at any.
+Each look draws the same amount of randomness: comparisons between methods on one seed are paired (docs/simulation.md).
 """
 
 from __future__ import annotations
@@ -38,10 +32,9 @@ _FARTHEST = 3.0  # radians: no displacement reaches the far side of the sphere, 
 class Report:
     """One thing that the detector says it sees, in the body frame.
 
-    - `kind`: "found", "category" or "colour" (what was confused was of that same category or colour), "false alarm".
-    - `thing`: its id, None for a false alarm at no thing.
-    - `direction` ``(3,)``: where it is said to be. `covariance` ``(3, 3)``, square radians: its width in the tangent
-      plane there, so that covariance @ direction = 0. `score` in [0, 1].
+    `kind`: "found", "category" or "colour" (what was confused was of that same category or colour), "false alarm".
+    `thing`: its id, None for a false alarm at no thing. `covariance` ``(3, 3)``, square radians: its width in the
+    tangent plane at `direction` ``(3,)``, so that covariance @ direction = 0. `score` in [0, 1].
     """
 
     kind: str
@@ -54,11 +47,8 @@ class Report:
 class TruthPerception:
     """A detector of known quality. Make an `episode` of it for each walk through a simulated scene.
 
-    Args:
-        noise: how good it is, as `Noise` or in the words of `Noise.parse`.
-        calibration: how responses become evidence.
-        rows: rows of its patch map, which has twice as many columns. The default is the map of a model with patches
-            of 28 pixels on a panorama of 504 x 1008.
+    `noise`: as `Noise` or in words of `Noise.parse`. `rows`: of its patch map (default: that of a model with patches
+    of 28 pixels on a panorama of 504 x 1008).
 
     Raises `EagorError` for settings that cannot be read, `GridError` for less than one row.
     """
@@ -80,9 +70,8 @@ class TruthPerception:
 
 
 class TruthEpisode:
-    """The detector in one episode: it remembers its mistakes from look to look.
+    """The detector in one episode: it remembers its mistakes from look to look; each look is a new frame.
 
-    Each look is a new frame, also where the ids are the same, and counts for `Noise.persistence`.
     The same seed, labels and sequence of looks give the same evidence, bit by bit.
     """
 
@@ -99,21 +88,14 @@ class TruthEpisode:
         self._started = False
 
     def __call__(
-        self,
-        panorama: np.ndarray,
-        query: str,
-        *,
-        stamp: float | None = None,
-        world_R_body: np.ndarray | None = None,
+        self, panorama: np.ndarray, query: str, *, stamp: float | None = None, world_R_body: np.ndarray | None = None
     ) -> Evidence:
         """The next look: evidence on the perception's patch grid, body frame.
 
-        Args:
-            panorama: instance ids ``(H, 2 H)``, integers, in the layout of `eagor.sphere`; -1 where nothing was hit.
-            query: "[colour] category", over the categories of the labels (see `eagor.queries`).
-            stamp: when the ids were seen, seconds; the evidence carries it.
-            world_R_body: attitude ``(3, 3)`` of the camera. A mistake that lasts keeps its place in the world while
-                the camera turns; without the attitude, its place in the image.
+        `panorama`: instance ids ``(H, 2 H)``, integers, in the layout of `eagor.sphere`; -1 where nothing was hit.
+        `query`: "[colour] category", over the categories of the labels (see `eagor.queries`). `world_R_body`: attitude
+        ``(3, 3)`` of the camera. A mistake that lasts keeps its place in the world while the camera turns; without the
+        attitude, its place in the image.
 
         Raises `QueryError` if the words name no category of the labels, `ImageError` if the panorama is no such
         array, `RotationError` if the attitude is no rotation.

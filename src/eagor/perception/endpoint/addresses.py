@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit, urlunsplit
+from urllib.parse import parse_qsl, unquote, urlsplit, urlunsplit
 
 from eagor._secrets import keep_out
 from eagor.errors import EagorError
@@ -12,7 +12,7 @@ DEFAULT_SERVER = "http://localhost:8000/v1"
 
 
 def place_of(text: str) -> tuple[str, tuple[str, ...]]:
-    """Model and addresses in ``MODEL@ADDRESS[,ADDRESS...]``; empty where they are missing."""
+    """Model and addresses in ``MODEL@ADDRESS``; empty where they are missing, several where commas are between them."""
     first = re.search(r"https?://", text)
     if first:  # there may be a password, and so another @, in an address
         model, addresses = text[: first.start()].removesuffix("@"), text[first.start() :]
@@ -36,21 +36,22 @@ def checked_address(url: str) -> str:
         shown = re.sub(r"//[^/]*@", "//***@", str(url).partition("?")[0])
         raise EagorError(f"{shown!r} is no address of a server; wanted one such as {DEFAULT_SERVER}")
     login = login_of(url)
-    keep_out(login, login.partition(":")[2], parts.netloc.rpartition("@")[0], *dict(query_of(url)).values())
+    keep_out(login, login.partition(":")[2], parts.netloc.rpartition("@")[0], *query_of(url).values())
     return urlunsplit(parts._replace(path=parts.path.rstrip("/") or "/v1", fragment=""))
 
 
 def shown_address(url: str) -> str:
     """`url` without its secrets, as it may stand in tables: ``https://***@host/v1?key=***``."""
     parts = urlsplit(url)
-    query = "&".join(f"{name}=***" for name, _ in query_of(url))
-    return urlunsplit(parts._replace(netloc=("***@" if "@" in parts.netloc else "") + _host(parts), query=query))
+    query = "&".join(f"{name}=***" for name in query_of(url))
+    _, at, host = parts.netloc.rpartition("@")
+    return urlunsplit(parts._replace(netloc=f"***@{host}" if at else host, query=query))
 
 
 def bare_address(url: str) -> str:
     """`url` without user, password and parameters, which are sent in their own way."""
     parts = urlsplit(url)
-    return urlunsplit(parts._replace(netloc=_host(parts), query=""))
+    return urlunsplit(parts._replace(netloc=parts.netloc.rpartition("@")[2], query=""))
 
 
 def login_of(url: str) -> str:
@@ -59,10 +60,6 @@ def login_of(url: str) -> str:
     return f"{unquote(parts.username or '')}:{unquote(parts.password or '')}" if "@" in parts.netloc else ""
 
 
-def query_of(url: str) -> list[tuple[str, str]]:
+def query_of(url: str) -> dict[str, str]:
     """The parameters after the question mark."""
-    return parse_qsl(urlsplit(url).query, keep_blank_values=True)
-
-
-def _host(parts: SplitResult) -> str:
-    return parts.netloc.rpartition("@")[2]
+    return dict(parse_qsl(urlsplit(url).query, keep_blank_values=True))

@@ -1,7 +1,7 @@
 """What is asked about a panorama, and how the answers become a response, or a set of detections.
 
-Each extractor is a plan: the pictures and questions of one look at a panorama, and what the answers, in the order of
-the questions, amount to.
+Each extractor is a plan: the pictures of one look, what is asked about each (boxes, or whether the thing is there), and
+how the responses in the pictures become one.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 
 from eagor.detections import WHOLE_SPHERE, canvas_of
 from eagor.grids import Grid, PerspectiveGrid
-from eagor.perception.endpoint.messages import Answer, Picture, Question
+from eagor.perception.endpoint.messages import Answer, Picture, Request, question
 from eagor.perception.vlm.boxes import Box, parse_boxes
 from eagor.perception.vlm.drawing import drawn
-from eagor.perception.vlm.found import Thing, things
+from eagor.perception.vlm.found import Thing, things, united
 from eagor.perception.vlm.presence import parse_presence
 from eagor.perception.vlm.prompts import ask_boxes, ask_presence, boxes_schema
 from eagor.perception.vlm.seam import merged
@@ -25,158 +25,119 @@ from eagor.perception.vlm.sizes import resized
 from eagor.perception.vlm.styles import Style
 from eagor.perception.vlm.views import cut, filled, framed, lift
 
-GRID = WHOLE_SPHERE  # where all responses come
+GRID = WHOLE_SPHERE  # where all responses to panoramas come
+Asked = Literal["boxes", "presence"]
+Format = Literal["png", "jpeg"]
 
 
-@dataclass(frozen=True)
-class Manner:
-    """How all questions of a perception are sent."""
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """A picture with the geometry of `grid`, rolled by the fraction `roll`; the response is on cells of `canvas`."""
 
-    max_tokens: int
-    image_format: Literal["png", "jpeg"]
-
-
-@dataclass(frozen=True)
-class Boxed:
-    """Boxes in a picture with the geometry of `image`, rolled by the fraction `roll`; drawn on `canvas`."""
-
-    boxes: list[Box]
-    image: Grid
+    picture: Picture
+    grid: Grid
     canvas: Grid
-    roll: float
+    roll: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What an answer about a shot says: its boxes, or the probability that the thing is there."""
+
+    shot: Shot
+    found: list[Box] | float
 
     @property
     def things(self) -> list[Thing]:
-        """What they mean."""
-        return things(self.boxes, self.image, self.roll)
+        """What the boxes mean."""
+        return things(self.found, self.shot.grid, self.shot.roll) if isinstance(self.found, list) else []
 
     @property
     def response(self) -> np.ndarray:
-        """On the canvas."""
-        return drawn(self.boxes, self.image, self.canvas, roll=self.roll)
+        """On the canvas; a probability is the one cell of its picture."""
+        if isinstance(self.found, list):
+            return drawn(self.found, self.shot.grid, self.shot.canvas, roll=self.shot.roll)
+        return np.full((1, 1), self.found)
 
 
-Reading = Boxed | np.ndarray  # of one answer: boxes, or a response on the cells that the picture stands for
-
-
-@dataclass(frozen=True)
-class Item:
-    """One question and how its answer is read."""
-
-    question: Question
-    read: Callable[[Answer], Reading]
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Plan:
-    """One look: what is asked, and the response ``(Q, h, w)`` and coverage ``(h, w)`` on `GRID` of what was read.
+    """One look: its pictures, each of which gets one question per query, all queries of a picture in a row.
 
-    `combine` takes the readings in the order of `items`.
+    `combine` makes response ``(Q, h, w)`` and coverage ``(h, w)`` of the responses in each picture ``(Q, ...)``.
     """
 
-    items: tuple[Item, ...]
-    combine: Callable[[Sequence[Reading]], tuple[np.ndarray, np.ndarray]]
-    size: tuple[int, int]  # (height, width) of the pictures
-    pictures: int
+    shots: tuple[Shot, ...]
+    asked: Asked
+    style: Style
+    combine: Callable[[list[np.ndarray]], tuple[np.ndarray, np.ndarray]]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) of the pictures."""
+        return self.shots[0].picture.size
+
+    def questions(self, queries: Sequence[str], max_tokens: int) -> list[tuple[Shot, Request]]:
+        """What is asked, and about which shot."""
+        style = self.style
+        schema = boxes_schema(style.frame, style.order) if self.asked == "boxes" else None
+        texts = [ask_boxes(q, style.frame, style.order) if schema else ask_presence(q) for q in queries]
+        return [
+            (shot, question(shot.picture, text, max_tokens, schema, alternatives=schema is None))
+            for shot in self.shots
+            for text in texts
+        ]
+
+    def read(self, shot: Shot, answer: Answer) -> Reading:
+        """What an answer says. Raises `AnswerError` if it cannot be read."""
+        if self.asked == "presence":
+            return Reading(shot, parse_presence(answer.text, answer.verdict))
+        style = self.style
+        return Reading(shot, parse_boxes(answer.text, style.frame, shot.picture.size, style.order, answer.tokens))
+
+    def response(self, readings: Sequence[Reading], queries: int) -> tuple[np.ndarray, np.ndarray]:
+        """The response and the coverage that `readings` to so many queries amount to."""
+        drawn = [one.response for one in readings]
+        return self.combine([np.stack(drawn[start : start + queries]) for start in range(0, len(drawn), queries)])
+
+    def things(self, readings: Sequence[Reading], queries: int) -> tuple[list[Thing], ...] | None:
+        """What the boxes of all pictures mean, one list for each query; None where no boxes were asked for."""
+        if self.asked == "presence":
+            return None
+        return tuple(united(one.things for one in readings[query::queries]) for query in range(queries))
 
 
-def boxes_plan(
-    panorama: np.ndarray, queries: Sequence[str], style: Style, size: tuple[int, int], seam: bool, manner: Manner
-) -> Plan:
+def boxes_plan(panorama: np.ndarray, style: Style, size: tuple[int, int], seam: bool, kind: Format) -> Plan:
     """Boxes in the whole panorama at `size`; with `seam` in the rolled panorama, too."""
     image = resized(panorama, size, wrap=True)
-    cells = max(1, size[1] // style.cell)
-    shift = cells // 2 * style.cell if seam else 0
-    rolls = (0, shift) if shift else (0,)
-    items: list[Item] = []
-    for roll in rolls:
-        picture = Picture(np.roll(image, roll, axis=1) if roll else image, manner.image_format)
-        for query in queries:
-            items.append(_boxes_item(picture, query, style, GRID, GRID, manner.max_tokens, roll / size[1]))
+    shift = max(1, size[1] // style.cell) // 2 * style.cell if seam else 0
+    roll = shift / size[1]
+    shots = [Shot(Picture(image, kind), GRID, GRID)]
+    if shift:
+        shots.append(Shot(Picture(np.roll(image, shift, axis=1), kind), GRID, GRID, roll))
 
-    def combine(read: Sequence[Reading]) -> tuple[np.ndarray, np.ndarray]:
-        looks = _stacked(read, len(queries))
-        response = looks[0] if len(looks) == 1 else merged(looks[0], looks[1], shift / size[1])
-        return response, np.ones(GRID.shape)
+    def combine(looks: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        return looks[0] if len(looks) == 1 else merged(looks[0], looks[1], roll), np.ones(GRID.shape)
 
-    return Plan(tuple(items), combine, size, len(rolls))
+    return Plan(tuple(shots), "boxes", style, combine)
 
 
 def views_plan(
-    panorama: np.ndarray,
-    queries: Sequence[str],
-    style: Style,
-    views: Sequence[PerspectiveGrid],
-    margin: float,
-    boxes: bool,
-    manner: Manner,
+    panorama: np.ndarray, style: Style, views: Sequence[PerspectiveGrid], margin: float, asked: Asked, kind: Format
 ) -> Plan:
     """Boxes in, or the presence in, each of several views of the panorama."""
-    items: list[Item] = []
-    for view in views:
-        picture = Picture(cut(panorama, view), manner.image_format)
-        for query in queries:
-            if boxes:
-                items.append(_boxes_item(picture, query, style, view, canvas_of(view), manner.max_tokens))
-            else:
-                question = Question(picture, ask_presence(query), manner.max_tokens, alternatives=True)
-                items.append(Item(question, _presence))
-
-    def combine(read: Sequence[Reading]) -> tuple[np.ndarray, np.ndarray]:
-        return lift(_stacked(read, len(queries)), views, GRID, margin)
-
-    return Plan(tuple(items), combine, views[0].shape, len(views))
+    shots = [Shot(Picture(cut(panorama, view), kind), view, canvas_of(view)) for view in views]
+    return Plan(tuple(shots), asked, style, lambda looks: lift(looks, views, GRID, margin))
 
 
 def view_plan(
-    image: np.ndarray,
-    grid: PerspectiveGrid,
-    query: str,
-    style: Style,
-    size: tuple[int, int],
-    boxes: bool,
-    manner: Manner,
-) -> tuple[Plan, PerspectiveGrid]:
-    """Boxes in, or the presence in, one ordinary picture; and the cells that the response is on, instead of `GRID`."""
+    image: np.ndarray, grid: PerspectiveGrid, style: Style, size: tuple[int, int], asked: Asked, kind: Format
+) -> Plan:
+    """Boxes in, or the presence in, one ordinary picture; the response is on the shot's canvas instead of `GRID`."""
     framing, posed, inner = framed(image, grid, size)
-    picture, cells = Picture(framing, manner.image_format), canvas_of(posed)
-    assert isinstance(cells, PerspectiveGrid)  # a coarse copy of the view
-    if boxes:
-        item = _boxes_item(picture, query, style, posed, cells, manner.max_tokens)
-    else:
-        item = Item(Question(picture, ask_presence(query), manner.max_tokens, alternatives=True), _presence)
+    cells = canvas_of(posed)
 
-    def combine(read: Sequence[Reading]) -> tuple[np.ndarray, np.ndarray]:
-        (response,) = _stacked(read, 1)
-        return np.broadcast_to(response, (1, *cells.shape)).astype(np.float32), filled(cells.shape, size, inner)
+    def combine(looks: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        return np.broadcast_to(looks[0], (1, *cells.shape)).astype(np.float32), filled(cells.shape, size, inner)
 
-    return Plan((item,), combine, size, 1), cells
-
-
-def _boxes_item(
-    picture: Picture,
-    query: str,
-    style: Style,
-    image: Grid,
-    canvas: Grid,
-    max_tokens: int,
-    roll: float = 0.0,
-) -> Item:
-    text, schema = ask_boxes(query, style.frame, style.order), boxes_schema(style.frame, style.order)
-
-    def read(answer: Answer) -> Boxed:
-        found = parse_boxes(answer.text, style.frame, picture.size, style.order, answer.tokens)
-        return Boxed(found, image, canvas, roll)
-
-    return Item(Question(picture, text, max_tokens, schema), read)
-
-
-def _stacked(read: Sequence[Reading], count: int) -> list[np.ndarray]:
-    """The responses of each picture ``(Q, h, w)`` to `count` queries."""
-    drawn = [one.response if isinstance(one, Boxed) else one for one in read]
-    return [np.stack(drawn[start : start + count]) for start in range(0, len(drawn), count)]
-
-
-def _presence(answer: Answer) -> np.ndarray:
-    """The probability of presence, as the one cell of a view."""
-    return np.full((1, 1), parse_presence(answer.text, answer.verdict))
+    return Plan((Shot(Picture(framing, kind), posed, cells),), asked, style, combine)

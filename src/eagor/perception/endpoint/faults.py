@@ -75,55 +75,59 @@ def explained(error: Any, asked: Asked, served: list[str] | None) -> EagorError:
     """The error to raise for what the client raised; `served` are the names of the server's models, where known."""
     import openai
 
+    server, model = asked.server, asked.model
+    tries = "tried once" if asked.tries == 1 else f"tried {asked.tries} times"
+    status, said = getattr(error, "status_code", None), message(error)
     if isinstance(error, openai.APITimeoutError | TimeoutError):
         return ServerError(
-            f"{asked.server} gave no answer within {asked.timeout:g} s ({_tries(asked)}). Allow more time "
-            "(timeout=...), send fewer pixels, or fewer requests at once (concurrency=...), or see whether it is stuck"
+            f"{server} gave no answer within {asked.timeout:g} s ({tries}). Allow more time (timeout=...), send fewer "
+            "pixels, or fewer requests at once (concurrency=...), or see whether it is stuck"
         )
     if unfit := _unfit(error):
-        return ServerError(f"{asked.server} {unfit}; is it an OpenAI-compatible server?")
+        return ServerError(f"{server} {unfit}; is it an OpenAI-compatible server?")
     if isinstance(error, openai.APIConnectionError):
+        cause = error.__cause__ or error
+        why = f"{type(cause).__name__}: {' '.join(str(cause).split()) or 'no reason given'}"
         return ServerError(
-            f"no server answers at {asked.server} ({_cause(error)}; {_tries(asked)}). Start one, for example "
-            f"`vllm serve {asked.model or 'MODEL'}`, or check the host, the port and the path (most end in /v1)"
+            f"no server answers at {server} ({why}; {tries}). Start one, for example `vllm serve {model or 'MODEL'}`, "
+            "or check the host, the port and the path (most end in /v1)"
         )
-    status, said = getattr(error, "status_code", None), message(error)
     if status is not None and 300 <= status < 400:
+        place = str(error.response.headers.get("location", "an address that it does not name"))
         return ServerError(
-            f"{asked.server} sends us on to {_elsewhere(error)} (HTTP {status}); neither key nor picture was sent "
-            "there. If that is where the model is, give that address"
+            f"{server} sends us on to {redacted(place.partition('?')[0])[:200]} (HTTP {status}); neither key nor "
+            "picture was sent there. If that is where the model is, give that address"
         )
-    height, width = asked.image
     if _CONTEXT.search(said.lower()):
         return ServerError(
-            f"the picture of {width} x {height} pixels and the question are too long for {asked.model} as served at "
-            f"{asked.server}: {said}. Send fewer pixels (pixels=...) or start the server with a longer context "
+            f"the picture of {asked.image[1]} x {asked.image[0]} pixels and the question are too long for {model} as "
+            f"served at {server}: {said}. Send fewer pixels (pixels=...) or start the server with a longer context "
             "(vLLM --max-model-len, llama.cpp -c, Ollama num_ctx)"
         )
     if _NO_IMAGES.search(said.lower()):
         return ServerError(
-            f"{asked.model} as served at {asked.server} takes no images: {said}. Serve a vision-language model "
-            "(llama.cpp: with its --mmproj file)"
+            f"{model} as served at {server} takes no images: {said}. Serve a vision-language model (llama.cpp: with "
+            "its --mmproj file)"
         )
     if status == 404 or _MODEL.search(said.lower()):
-        if served and asked.model not in served:
+        if served and model not in served:
             return QueryError(
-                f"{asked.server} has no model {asked.model!r} ({said}); it has {', '.join(map(repr, served))}. Name "
-                "one of these before the @"
+                f"{server} has no model {model!r} ({said}); it has {', '.join(map(repr, served))}. Name one of these "
+                "before the @"
             )
         return ServerError(
-            f"{asked.server} has no chat completions for {asked.model!r} (HTTP {status}: {said}). Is the model loaded, "
-            "and does the address end as the server wants it (mostly /v1)?"
+            f"{server} has no chat completions for {model!r} (HTTP {status}: {said}). Is the model loaded, and does "
+            "the address end as the server wants it (mostly /v1)?"
         )
     if status in (401, 403):
         return ServerError(
-            f"{asked.server} wants a key, or does not accept it (HTTP {status}: {said}). Put it in an environment "
-            "variable and name that with key=VARIABLE"
+            f"{server} wants a key, or does not accept it (HTTP {status}: {said}). Put it in an environment variable "
+            "and name that with key=VARIABLE"
         )
     if status is not None:
-        return ServerError(f"{asked.server} refused the request ({_tries(asked)}; HTTP {status}): {said}")
+        return ServerError(f"{server} refused the request ({tries}; HTTP {status}): {said}")
     return ServerError(
-        f"{asked.server} answered with something that is no chat completion ({type(error).__name__}: {said}); is it an "
+        f"{server} answered with something that is no chat completion ({type(error).__name__}: {said}); is it an "
         "OpenAI-compatible server, and does the address end in /v1?"
     )
 
@@ -142,18 +146,3 @@ def message(error: Any) -> str:
 def _unfit(error: BaseException) -> Unfit | None:
     """Why an answer was given up, where that is what the client raised, or wrapped into an error of its own."""
     return next((one for one in (error, error.__cause__) if isinstance(one, Unfit)), None)
-
-
-def _elsewhere(error: Any) -> str:
-    """Where a redirect leads, without secrets."""
-    place = str(error.response.headers.get("location", "an address that it does not name"))
-    return redacted(place.partition("?")[0])[:200]
-
-
-def _cause(error: BaseException) -> str:
-    cause = error.__cause__ or error
-    return f"{type(cause).__name__}: {' '.join(str(cause).split()) or 'no reason given'}"
-
-
-def _tries(asked: Asked) -> str:
-    return "tried once" if asked.tries == 1 else f"tried {asked.tries} times"

@@ -1,12 +1,12 @@
-"""Requests and answers of a chat completion: a picture as a data URI, a question, what came back."""
+"""Requests for chat completions, with pictures as data URIs, and their answers."""
 
 from __future__ import annotations
 
 import base64
 import io
 import math
-from collections.abc import Set
-from dataclasses import dataclass, replace
+from collections.abc import Sequence, Set
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -24,10 +24,15 @@ LIKELIEST = 10  # tokens whose probabilities are asked for at each place
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """An image ``(H, W, 3)`` uint8 as it is sent; encoded once, however many questions there are about it."""
+    """An image ``(H, W, 3)`` uint8 as it is sent; encoded once, however many questions there are about it.
+
+    PNG is exact to the bit, JPEG a fraction of its length; `quality` 0 to 100 is of JPEG, with all of its colours
+    where None.
+    """
 
     image: np.ndarray
     format: Literal["png", "jpeg"] = "png"
+    quality: int | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -36,63 +41,57 @@ class Picture:
 
     @lazy
     def uri(self) -> str:
-        """The picture as a data URI: PNG, exact to the bit, or JPEG, a fraction of its length."""
-        how = {"compress_level": 1} if self.format == "png" else {"quality": 95, "subsampling": 0}
-        return data_uri(self.image, self.format, **how)
-
-
-def data_uri(image: np.ndarray, kind: Literal["png", "jpeg"], **how: int) -> str:
-    """An image ``(H, W, 3)`` uint8 as a data URI; `how` Pillow is to write it."""
-    file = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(image)).save(file, kind, **how)
-    return f"data:image/{kind};base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
+        """The picture as a data URI."""
+        how: dict[str, Any] = {"quality": self.quality}
+        if self.quality is None:
+            how = {"compress_level": 1} if self.format == "png" else {"quality": 95, "subsampling": 0}
+        file = io.BytesIO()
+        Image.fromarray(np.ascontiguousarray(self.image)).save(file, self.format, **how)
+        return f"data:image/{self.format};base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
-    """One request: a picture, words, and how the answer is wanted."""
+class Request:
+    """One chat completion that is asked for.
 
-    picture: Picture
-    text: str
+    `messages`: role, and words and pictures, of each. `schema`: of an answer in JSON, None for words. `likeliest`: how
+    many alternatives to each token of the answer are wanted with their probabilities; None for no probabilities.
+    `silence`: whether an empty answer is one.
+    """
+
+    messages: Sequence[tuple[str, Sequence[str | Picture]]]
     max_tokens: int
-    schema: dict[str, Any] | None = None
-    alternatives: bool = False  # whether to ask for the likeliest tokens, not only for those of the answer
     temperature: float = 0.0
+    schema: dict[str, Any] | None = None
+    likeliest: int | None = None
+    silence: bool = False
 
     @property
     def size(self) -> tuple[int, int]:
-        """(height, width) of the picture."""
-        return self.picture.size
+        """(height, width) of the last picture, for the text of errors."""
+        sizes = [part.size for _, parts in self.messages for part in parts if isinstance(part, Picture)]
+        return sizes[-1] if sizes else (0, 0)
 
     @property
-    def features(self) -> Set[str]:
+    def features(self) -> set[str]:
         """What a server may not know."""
-        return {"logprobs", "response_format"} if self.schema else {"logprobs"}
+        asked = {"response_format": self.schema, "logprobs": self.likeliest}
+        return {name for name, value in asked.items() if value is not None}
 
-    def warmer(self, temperature: float) -> Question:
-        """The same question, to be answered with some chance."""
-        return replace(self, temperature=temperature)
-
-    def body(self, model: str, refused: frozenset[str]) -> dict[str, Any]:
-        """The arguments of ``chat.completions.create``, without the features that the server refused.
-
-        The picture comes first: servers that keep the work on equal beginnings then do it once for all questions.
-        """
-        content = [
-            {"type": "image_url", "image_url": {"url": self.picture.uri}},
-            {"type": "text", "text": self.text},
-        ]
+    def body(self, model: str, refused: Set[str]) -> dict[str, Any]:
+        """The arguments of ``chat.completions.create``, without the features that the server refused."""
+        wanted = self.features - refused
         body: dict[str, Any] = {
             "model": model,
-            "messages": [{"role": "user", "content": content}],
+            "messages": [{"role": role, "content": _content(parts)} for role, parts in self.messages],
             "temperature": self.temperature,
             "max_tokens": self.max_tokens,
         }
-        if "logprobs" not in refused:
+        if "logprobs" in wanted:
             body["logprobs"] = True
-            if self.alternatives:
-                body["top_logprobs"] = LIKELIEST
-        if self.schema and "response_format" not in refused:
+            if self.likeliest:
+                body["top_logprobs"] = self.likeliest
+        if "response_format" in wanted:
             named = {"name": "answer", "schema": self.schema, "strict": True}
             body["response_format"] = {"type": "json_schema", "json_schema": named}
         return body
@@ -100,56 +99,71 @@ class Question:
     def read(self, completion: Any, tries: int) -> Answer:
         """The answer in what the client returned after so many `tries`.
 
-        Raises `AnswerError` if it is empty, `AttributeError` or `TypeError` if it is no chat completion at all.
+        Raises `AnswerError` if it is empty; `AttributeError` or `TypeError`, which show what came, if it is no chat
+        completion at all: the client does not look at what servers send.
         """
-        choice = first_choice(completion)
-        usage = completion.usage
-        text = (choice.message.content or "") if choice else ""
-        if not text.strip():
+        if not isinstance(completion.choices, list):
+            raise TypeError(f"no list of choices in {completion!r}")
+        choice = completion.choices[0] if completion.choices else None
+        text = choice.message.content if choice else None
+        prompt_tokens, completion_tokens = _counts(completion.usage)
+        if text is None or (not self.silence and not text.strip()):
             why = f"it stopped because of {choice.finish_reason!r}" if choice else "no choices"
-            counted = count_in(usage, "completion_tokens")
             raise AnswerError(
-                f"{completion.model} gave an empty answer ({why}, {counted} tokens). If it thinks before it answers, "
-                "allow more tokens (max_tokens=...) or turn that off; else look at the server's chat template for this "
-                "model"
+                f"{completion.model} gave an empty answer ({why}, {completion_tokens} tokens). If it thinks before it "
+                "answers, allow more tokens (max_tokens=...) or turn that off; else look at the server's chat template "
+                "for this model"
             )
-        given = getattr(getattr(choice, "logprobs", None), "content", None) or ()
-        given = [entry for entry in given if _is_token(entry)]
+        if not isinstance(text, str):
+            raise TypeError(f"the answer is {text!r}")
+        told = None if self.likeliest is None else getattr(choice, "logprobs", None)
+        given = _tokens(getattr(told, "content", None))
+        revision = getattr(completion, "system_fingerprint", None)
         return Answer(
             text,
             tuple((entry.token, entry.logprob) for entry in given),
-            tuple(
-                tuple((other.token, other.logprob) for other in entry.top_logprobs or () if _is_token(other))
-                for entry in given
-            ),
+            tuple(tuple((other.token, other.logprob) for other in _tokens(entry.top_logprobs)) for entry in given),
             str(completion.model or ""),
-            str(revision) if (revision := getattr(completion, "system_fingerprint", None)) else None,
-            count_in(usage, "prompt_tokens"),
-            count_in(usage, "completion_tokens"),
+            str(revision) if revision else None,
+            prompt_tokens,
+            completion_tokens,
             tries,
         )
 
 
-def first_choice(completion: Any) -> Any:
-    """The first choice of a completion, None where its list is empty.
+def question(
+    picture: Picture, text: str, max_tokens: int, schema: dict[str, Any] | None = None, alternatives: bool = False
+) -> Request:
+    """A question about one picture; with `alternatives` the likeliest tokens are wanted, not only the answer's.
 
-    Raises `AttributeError` or `TypeError`, which show what came, if it is no chat completion. The client does not look
-    at what servers send.
+    The picture comes first: servers that keep the work on equal beginnings then do it once for all questions.
     """
-    if not isinstance(completion.choices, list):
-        raise TypeError(f"no list of choices in {completion!r}")
-    return completion.choices[0] if completion.choices else None
+    messages = [("user", (picture, text))]
+    return Request(messages, max_tokens, schema=schema, likeliest=LIKELIEST if alternatives else 0)
 
 
-def count_in(usage: Any, name: str) -> int | None:
-    """How many tokens a server says there were; None where it does not tell, or tells no number."""
-    count: Any = getattr(usage, name, None)
-    return count if whole(count, 0) else None
+def _content(parts: Sequence[str | Picture]) -> str | list[dict[str, Any]]:
+    """Words and pictures as the content of a message."""
+    if not any(isinstance(part, Picture) for part in parts):
+        return "".join(map(str, parts))
+    return [
+        {"type": "text", "text": part}
+        if isinstance(part, str)
+        else {"type": "image_url", "image_url": {"url": part.uri}}
+        for part in parts
+    ]
 
 
-def _is_token(entry: Any) -> bool:
-    """Whether `entry` is a piece with the logarithm of its probability; some servers write null, or NaN."""
-    return isinstance(entry.token, str) and within(entry.logprob, -math.inf)
+def _counts(usage: Any) -> tuple[int | None, int | None]:
+    """How many tokens of prompt and answer a server says there were; None where it does not tell, or no number."""
+    counts = [getattr(usage, name, None) for name in ("prompt_tokens", "completion_tokens")]
+    prompt, answer = (count if whole(count, 0) else None for count in counts)
+    return prompt, answer
+
+
+def _tokens(entries: Any) -> list[Any]:
+    """Those that are a piece with the logarithm of its probability; some servers write null, or NaN."""
+    return [entry for entry in entries or () if isinstance(entry.token, str) and within(entry.logprob, -math.inf)]
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,12 @@ from eagor.detector import DetectorModel
 from eagor.errors import AnswerError, EagorError
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
-from eagor.perception.endpoint.addresses import DEFAULT_SERVER, shown_address
-from eagor.perception.endpoint.extractors import GRID, Boxed, Manner, Plan, boxes_plan, view_plan, views_plan
+from eagor.perception.endpoint.addresses import shown_address
+from eagor.perception.endpoint.extractors import GRID, Plan, boxes_plan, view_plan, views_plan
 from eagor.perception.endpoint.messages import Answer
-from eagor.perception.endpoint.servers import Servers, check_asking, connected, told, unconnected
+from eagor.perception.endpoint.server import Asker, Server, named
 from eagor.perception.vlm.boxes import Frame, Order
-from eagor.perception.vlm.found import Thing, detected, united
+from eagor.perception.vlm.found import Thing, detected
 from eagor.perception.vlm.prompts import phrase
 from eagor.perception.vlm.sizes import checked_picture, exact_size
 from eagor.perception.vlm.styles import Style, style_of
@@ -45,42 +45,17 @@ class Look:
     things: tuple[list[Thing], ...] | None = None
 
 
-@dataclass(frozen=True)
-class EndpointPerception:
-    """Asks a vision-language model that runs on one or several OpenAI-compatible servers.
+@dataclass(frozen=True, repr=False)
+class EndpointPerception(Asker):
+    """Asks a vision-language model that runs on an OpenAI-compatible server.
 
-    Nothing is connected to before the first look. Copies that are pickled connect anew.
-
-    Attributes:
-        model: its name as the server knows it; empty for the only model that the first server has.
-        servers: addresses, mostly ending in ``/v1``; requests are shared out among them.
-        extractor: ``boxes``, ``views``, or empty for what suits the model.
-        per_view: what ``views`` asks: ``presence`` (yes or no) or ``boxes``.
-        pixels: of the panorama (``boxes``) or of one view (``views``); 0 for the model's usual number.
-        cell: pixels of one side of the model's image tokens; 0 for what its name tells (`vlm.styles`).
-        frame: what the coordinates of its boxes count; empty for what its name tells.
-        order: of the coordinates of its boxes; empty for what its name tells.
-        seam: whether ``boxes`` looks at the rolled panorama, too.
-        hfov_deg: field of a view, degrees.
-        overlap_deg: how much of it neighbours share.
-        reach_deg: views cover elevations up to this, degrees; beyond, nothing was seen.
-        image_format: ``png``, or ``jpeg`` where sending is slow.
-        max_tokens: of an answer.
-        concurrency: requests at once to each server.
-        timeout: seconds for one answer.
-        retries: more tries of a request that failed for a reason that may pass.
-        backoff: seconds before the first of them; doubled for each further one.
-        key: the name of the environment variable that holds the server's key, if it wants one.
-        ca: a file of certificates to trust instead of the usual ones (without it, ``SSL_CERT_FILE`` counts).
-        calibration: how responses become evidence; None for the default of `Evidence`. With one, boxes are read as a
-            response map, too.
-        detector: how the boxes err; None for `DetectorModel()`.
+    Options: docs/models.md, and those of `eagor.perception.endpoint.server.Asker`. `calibration`: how responses become
+    evidence; None for the default of `Evidence`. With one, boxes are read as a response map, too. `detector`: how the
+    boxes err; None for `DetectorModel()`.
 
     Raises `EagorError` for values that make no sense.
     """
 
-    model: str = ""
-    servers: tuple[str, ...] = (DEFAULT_SERVER,)
     extractor: Literal["", "boxes", "views"] = ""
     per_view: Literal["presence", "boxes"] = "presence"
     pixels: int = 0
@@ -94,11 +69,6 @@ class EndpointPerception:
     image_format: Literal["png", "jpeg"] = "png"
     max_tokens: int = 1024
     concurrency: int = 4
-    timeout: float = 120.0
-    retries: int = 3
-    backoff: float = 0.5
-    key: str = ""
-    ca: str = ""
     calibration: Calibration | None = None
     detector: DetectorModel | None = None
 
@@ -119,7 +89,7 @@ class EndpointPerception:
         }
         require(self, wanted)
         check_fields(*self._angles)
-        check_asking(self)
+        super().__post_init__()
 
     def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for the thing that `query` names in `panorama` ``(H, W, 3)`` uint8, with its `source`.
@@ -148,9 +118,14 @@ class EndpointPerception:
         words = [phrase(query) for query in queries]
         if not words:
             return Look(np.zeros((0, *GRID.shape), np.float32), np.ones(GRID.shape), {})
-        model = self._servers.model()
-        plan = self._plan(image, words, model)
-        return self._look(plan, len(words), model, started)
+        model = self._connected.model()
+        style = self.style(model)
+        if self._extractor(style) == "boxes":
+            plan = boxes_plan(image, style, self._size(style), self.seam, self.image_format)
+        else:
+            margin = math.radians(self.overlap_deg) / 2
+            plan = views_plan(image, style, self.views(model), margin, self.per_view, self.image_format)
+        return self._look(plan, words, model, started)
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for what `query` names in one ordinary picture ``(h, w, 3)`` uint8, whose pixels `grid` describes.
@@ -158,40 +133,37 @@ class EndpointPerception:
         It is on cells with the grid's pose (`eagor.perception.partial.ViewPerception`). Errors as for a call.
         """
         started = time.perf_counter()
-        words, model = phrase(query), self._servers.model()
+        words, model = phrase(query), self._connected.model()
         style = self.style(model)
-        boxes = self._extractor(style) == "boxes" or self.per_view == "boxes"
+        asked = "boxes" if self._extractor(style) == "boxes" else self.per_view
         # What is fed panoramas as they are takes pictures as they are; what wants another shape wants it here, too.
         aspect = grid.width / grid.height if style.aspect == 2.0 else style.aspect
-        size = exact_size(style.cell, self.pixels or style.pixels, aspect)
-        plan, cells = view_plan(image, grid, words, style, size, boxes, self._manner)
-        look = self._look(plan, 1, model, started)
+        plan = view_plan(image, grid, style, self._size(style, aspect), asked, self.image_format)
+        look = self._look(plan, [words], model, started)
         coverage = None if (look.coverage >= 1).all() else look.coverage
-        source = {**look.source, "extractor": "boxes" if boxes else "presence"}
+        source = {**look.source, "extractor": asked}
         if look.things is not None and self.calibration is None:
             inside = [thing for thing in look.things[0] if grid.project(thing.direction)[2]]
             return detected(inside, self.detector, grid, stamp, source=source)
+        cells = plan.shots[0].canvas
         return Evidence.from_response(look.responses[0], cells, self.calibration, stamp, coverage, source)
 
-    def _look(self, plan: Plan, queries: int, model: str, started: float) -> Look:
+    def _look(self, plan: Plan, queries: list[str], model: str, started: float) -> Look:
         """Ask what is planned, once more where an answer cannot be read."""
-        answers = self._servers.ask([item.question for item in plan.items])
+        questions = plan.questions(queries, self.max_tokens)
+        answers = self._connected.ask([asked for _, asked in questions])
         readings, again = [], []
-        for item, answer in zip(plan.items, answers, strict=True):
+        for (shot, asked), answer in zip(questions, answers, strict=True):
             try:
-                readings.append(item.read(answer))
+                readings.append(plan.read(shot, answer))
             except AnswerError:
-                (second,) = self._servers.ask([item.question.warmer(_SECOND_TRY)])
+                (second,) = self._connected.ask([replace(asked, temperature=_SECOND_TRY)])
                 again.append(second)
-                readings.append(item.read(second))
-        self._warn_if_shrunk(plan, model, answers)
-        responses, coverage = plan.combine(readings)
-        elapsed = 1000 * (time.perf_counter() - started)
-        source = self._source(plan, model, [*answers, *again], elapsed)
-        if not all(isinstance(one, Boxed) for one in readings):
-            return Look(responses, coverage, source)
-        found = [united(one.things for one in readings[query::queries]) for query in range(queries)]
-        return Look(responses, coverage, source, tuple(found))
+                readings.append(plan.read(shot, second))
+        _warn_if_shrunk(plan, model, answers)
+        responses, coverage = plan.response(readings, len(queries))
+        source = self._source(plan, model, [*answers, *again], 1000 * (time.perf_counter() - started))
+        return Look(responses, coverage, source, plan.things(readings, len(queries)))
 
     def check(self) -> None:
         """One look at a grey picture, before a long run: is there a server, and does it know model, key and pictures?
@@ -205,7 +177,7 @@ class EndpointPerception:
     @property
     def rows(self) -> int:
         """Rows of a panorama that shows the model as much as it is sent; errors as for a call if no model is named."""
-        model = self._servers.model()
+        model = self._connected.model()
         style = self.style(model)
         if self._extractor(style) == "boxes":
             return self._size(style)[0]
@@ -218,9 +190,8 @@ class EndpointPerception:
 
     def style(self, model: str) -> Style:
         """How `model` sees and answers: by its name, with what this perception was told."""
-        known = style_of(model)
         told = {name: getattr(self, name) for name in ("cell", "frame", "order") if getattr(self, name)}
-        return replace(known, **told)
+        return replace(style_of(model), **told)
 
     def views(self, model: str) -> tuple[PerspectiveGrid, ...]:
         """The views that ``views`` cuts for `model`."""
@@ -231,16 +202,9 @@ class EndpointPerception:
     def _extractor(self, style: Style) -> str:
         return self.extractor or ("boxes" if style.grounded else "views")
 
-    def _plan(self, panorama: np.ndarray, queries: Sequence[str], model: str) -> Plan:
-        style = self.style(model)
-        if self._extractor(style) == "boxes":
-            return boxes_plan(panorama, queries, style, self._size(style), self.seam, self._manner)
-        margin = math.radians(self.overlap_deg) / 2
-        return views_plan(panorama, queries, style, self.views(model), margin, self.per_view == "boxes", self._manner)
-
-    def _size(self, style: Style) -> tuple[int, int]:
-        """(height, width) of the panorama as it is sent for boxes."""
-        return exact_size(style.cell, self.pixels or style.pixels, style.aspect)
+    def _size(self, style: Style, aspect: float | None = None) -> tuple[int, int]:
+        """(height, width) of a picture as it is sent for boxes: of a panorama, unless its aspect is named."""
+        return exact_size(style.cell, self.pixels or style.pixels, aspect or style.aspect)
 
     @property
     def _angles(self) -> tuple[float, float, float]:
@@ -248,54 +212,39 @@ class EndpointPerception:
         return math.radians(self.hfov_deg), math.radians(self.overlap_deg), math.radians(self.reach_deg)
 
     @property
-    def _manner(self) -> Manner:
-        return Manner(self.max_tokens, self.image_format)
-
-    @property
-    def _servers(self) -> Servers:
-        return connected(self, self.concurrency)
-
-    def __repr__(self) -> str:
-        return told(self)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return unconnected(self)
-
-    def _warn_if_shrunk(self, plan: Plan, model: str, answers: Sequence[Answer]) -> None:
-        """Boxes in pixels are off if the server resizes the picture; its count of tokens shows that."""
-        style = self.style(model)
-        cells = plan.size[0] * plan.size[1] // style.cell**2
-        counted = [answer.prompt_tokens for answer in answers if answer.prompt_tokens]
-        if style.frame == "pixels" and counted and min(counted) < cells:
-            warnings.warn(
-                f"{model} read {min(counted)} tokens, but the picture of {plan.size[1]} x {plan.size[0]} alone has "
-                f"{cells}: the server seems to shrink it, and boxes in its pixels are then off. Send fewer pixels "
-                "(pixels=...) or raise the server's limit (vLLM --mm-processor-kwargs)",
-                UserWarning,
-                stacklevel=4,
-            )
+    def _connected(self) -> Server:
+        return self._server(self.concurrency, self.max_tokens)
 
     def _source(self, plan: Plan, model: str, answers: Sequence[Answer], milliseconds: float) -> dict[str, object]:
-        style = self.style(model)
-        served = {answer.model for answer in answers if answer.model}
         revisions = {answer.revision for answer in answers if answer.revision}
         return {
             "perception": "endpoint",
             "model": model,
-            "served_as": ", ".join(sorted(served)),
+            "served_as": ", ".join(sorted({answer.model for answer in answers if answer.model})),
             "revision": ", ".join(sorted(revisions)) or None,
             "servers": [shown_address(url) for url in self.servers],
-            "family": style.family,
-            "extractor": self._extractor(style),
+            "family": plan.style.family,
+            "extractor": self._extractor(plan.style),
             "height": plan.size[0],
             "width": plan.size[1],
-            "pictures": plan.pictures,
+            "pictures": len(plan.shots),
             "requests": sum(answer.requests for answer in answers),
             "prompt_tokens": _sum([answer.prompt_tokens for answer in answers]),
             "completion_tokens": _sum([answer.completion_tokens for answer in answers]),
             "probabilities": any(answer.tokens for answer in answers),
             "milliseconds": round(milliseconds, 3),
         }
+
+
+def from_text(text: str = "", /, **options: Any) -> EndpointPerception:
+    """The perception that ``MODEL@ADDRESS[?option=value&...]`` names; options passed by name win.
+
+    Model and address may be missing: the only model of the server, and ``http://localhost:8000/v1``. An address without
+    a path gets ``/v1``. Options are the attributes of `EndpointPerception`.
+
+    Raises `EagorError` for options that do not exist or cannot be read, several addresses, and without the packages.
+    """
+    return named(EndpointPerception, text, **options)
 
 
 _CHOICES: dict[str, tuple[str, ...]] = {
@@ -307,6 +256,22 @@ _CHOICES: dict[str, tuple[str, ...]] = {
 }
 
 
+def _warn_if_shrunk(plan: Plan, model: str, answers: Sequence[Answer]) -> None:
+    """Boxes in pixels are off if the server resizes the picture; its count of tokens shows that."""
+    height, width = plan.size
+    cells = height * width // plan.style.cell**2
+    counted = [answer.prompt_tokens for answer in answers if answer.prompt_tokens]
+    if plan.style.frame == "pixels" and counted and min(counted) < cells:
+        warnings.warn(
+            f"{model} read {min(counted)} tokens, but the picture of {width} x {height} alone has {cells}: the server "
+            "seems to shrink it, and boxes in its pixels are then off. Send fewer pixels (pixels=...) or raise the "
+            "server's limit (vLLM --mm-processor-kwargs)",
+            UserWarning,
+            stacklevel=4,
+        )
+
+
 def _sum(counts: Sequence[int | None]) -> int | None:
-    """The sum, None if any server did not tell."""
-    return None if any(count is None for count in counts) else sum(count or 0 for count in counts)
+    """The sum, None if the server did not tell all of them."""
+    known = [count for count in counts if count is not None]
+    return sum(known) if len(known) == len(counts) else None

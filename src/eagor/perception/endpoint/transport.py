@@ -1,27 +1,18 @@
-"""One server, asked once: everything that it may take (seconds, bytes) and everything that it may be told is bounded.
-
-Requests run on an event loop in a thread of their own: only there can a whole exchange be given one deadline, whatever
-the server does meanwhile (a byte now and then, headers without end), and be given up at any moment.
-"""
+"""The client of one server: what it may be told, and how many bytes it may answer, is bounded."""
 
 from __future__ import annotations
 
-import asyncio
 import base64
 import os
 import ssl
-import threading
-import weakref
-from collections.abc import AsyncIterator, Awaitable, Callable
-from concurrent.futures import Future
-from functools import lru_cache
+from collections.abc import AsyncIterator
 from importlib import import_module
 from typing import Any
 from urllib.parse import urlsplit
 
 from eagor._secrets import keep_out, redacted
 from eagor.errors import EagorError
-from eagor.perception.endpoint.addresses import bare_address, login_of, query_of, shown_address
+from eagor.perception.endpoint.addresses import bare_address, login_of, query_of
 
 _CONNECT = 10.0  # seconds to reach a server
 _LEAST_BYTES = 4 << 20  # that any answer may have, and
@@ -32,76 +23,54 @@ class Unfit(ValueError):
     """What a server sent was given up: too long, or packed although that was not asked for."""
 
 
-class Client:
-    """The connections to one server.
+def client_of(url: str, key: str, timeout: float, max_tokens: int, authorities: str) -> Any:
+    """An `openai.AsyncOpenAI` for the server at `url` that tries once.
 
-    Args:
-        url: its address, with any secrets.
-        key: the key to send, empty for none.
-        timeout: seconds for a whole answer.
-        max_tokens: of an answer; what is much longer is given up.
-        authorities: a file of certificates to trust instead of the usual ones, empty for those.
+    `key`: empty for none. `timeout`: seconds for each step. `authorities`: a file of certificates, empty for the usual.
     """
+    import openai
 
-    def __init__(self, url: str, key: str, timeout: float, max_tokens: int, authorities: str) -> None:
-        import openai
+    host = urlsplit(url).hostname or ""
+    login = base64.b64encode(login_of(url).encode()).decode() if login_of(url) else ""
+    keep_out(key, login)
+    authorization = f"Basic {login}" if login else f"Bearer {key or 'none'}"
+    theirs = host == "openai.com" or host.endswith(".openai.com")
+    most = _LEAST_BYTES + _PER_TOKEN * max_tokens
 
-        self.shown = shown_address(url)
-        self._timeout = timeout
-        self._most = _LEAST_BYTES + _PER_TOKEN * max_tokens
-        host = urlsplit(url).hostname or ""
-        login = base64.b64encode(login_of(url).encode()).decode() if login_of(url) else ""
-        keep_out(key, login)
-        self._authorization = f"Basic {login}" if login else f"Bearer {key or 'none'}"
-        self._theirs = host == "openai.com" or host.endswith(".openai.com")
-        limit = openai.Timeout(timeout, connect=min(_CONNECT, timeout))
-        http = openai.DefaultAsyncHttpxClient(
-            timeout=limit,
-            trust_env=host not in ("localhost", "127.0.0.1", "::1"),  # a proxy knows no way to this machine itself
-            verify=_trusted(authorities),
-            follow_redirects=False,  # another host gets neither key nor picture
-            event_hooks={"request": [self._prepare], "response": [self._bound]},
-        )
-        query: Any = dict(query_of(url))
-        self._client = openai.AsyncOpenAI(
-            base_url=bare_address(url),
-            api_key=key or "none",
-            timeout=limit,
-            max_retries=0,
-            http_client=http,
-            default_query=query,
-        )
-        weakref.finalize(self, _close, self._client).atexit = False
-
-    def begin(self, ask: Callable[[Any], Awaitable[Any]]) -> Future[Any]:
-        """Begin what `ask` does with the client; to be cancelled at any time.
-
-        Its result raises what the client raises, or `TimeoutError`.
-        """
-
-        async def in_time() -> Any:
-            async with asyncio.timeout(self._timeout):
-                return await ask(self._client)
-
-        return asyncio.run_coroutine_threadsafe(in_time(), _loop(os.getpid()))
-
-    async def _prepare(self, request: Any) -> None:
+    async def prepare(request: Any) -> None:
         request.headers["accept-encoding"] = "identity"
-        if self._theirs:
+        if theirs:
             return
         # The client adds what the environment says about an account with OpenAI, whoever it talks to.
         written = os.environ.get("OPENAI_CUSTOM_HEADERS", "").split("\n")
         for name in ("openai-organization", "openai-project", *(line.partition(":")[0].strip() for line in written)):
             if name and name.lower() not in ("host", "content-length", "content-type"):
                 request.headers.pop(name, None)
-        request.headers["authorization"] = self._authorization
+        request.headers["authorization"] = authorization
 
-    async def _bound(self, response: Any) -> None:
+    async def bound(response: Any) -> None:
         coding = response.headers.get("content-encoding", "identity")
         if coding.strip().lower() not in ("", "identity"):
             raise Unfit(f"packed its answer ({coding[:40]}), although that was not asked for")
         below = import_module(type(response).__module__.partition(".")[0])  # httpx, or its successor
-        response.stream = _whole(below.AsyncByteStream, response.stream, self._most)
+        response.stream = _whole(below.AsyncByteStream, response.stream, most)
+
+    limit = openai.Timeout(timeout, connect=min(_CONNECT, timeout))
+    http = openai.DefaultAsyncHttpxClient(
+        timeout=limit,
+        trust_env=host not in ("localhost", "127.0.0.1", "::1"),  # a proxy knows no way to this machine itself
+        verify=_trusted(authorities),
+        follow_redirects=False,  # another host gets neither key nor picture
+        event_hooks={"request": [prepare], "response": [bound]},
+    )
+    return openai.AsyncOpenAI(
+        base_url=bare_address(url),
+        api_key=key or "none",
+        timeout=limit,
+        max_retries=0,
+        http_client=http,
+        default_query=query_of(url),
+    )
 
 
 def _whole(kind: type, stream: Any, most: int) -> Any:
@@ -134,16 +103,3 @@ def _trusted(authorities: str) -> ssl.SSLContext | bool:
     except OSError as error:  # ssl.SSLError among them
         name = "ca" if authorities else "SSL_CERT_FILE" if file else "SSL_CERT_DIR"
         raise EagorError(f"{name} is {file or folder}, where no certificates can be read ({error})") from error
-
-
-@lru_cache(maxsize=1)
-def _loop(_process: int) -> asyncio.AbstractEventLoop:
-    """The loop that all requests of this process run on: a forked one has no threads of its parent."""
-    loop = asyncio.new_event_loop()
-    threading.Thread(target=loop.run_forever, name="eagor-servers", daemon=True).start()
-    return loop
-
-
-def _close(client: Any) -> None:
-    """Give the connections back."""
-    asyncio.run_coroutine_threadsafe(client.close(), _loop(os.getpid()))

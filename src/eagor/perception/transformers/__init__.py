@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,10 +19,10 @@ from eagor.detections import WHOLE_SPHERE
 from eagor.detector import DetectorModel
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
-from eagor.grids import PatchGrid, PerspectiveGrid
-from eagor.perception.transformers.looker import Looker
+from eagor.grids import Grid, PatchGrid, PerspectiveGrid
+from eagor.perception.transformers.looker import Account, Looker
 from eagor.perception.vlm.families import Extractor, Family, chosen, family_of
-from eagor.perception.vlm.found import Thing, detected, things, united
+from eagor.perception.vlm.found import WHOLE, Thing, detected, things, united
 from eagor.perception.vlm.prompts import phrase
 
 if TYPE_CHECKING:
@@ -32,35 +32,32 @@ if TYPE_CHECKING:
 __all__ = ["Looker", "TransformersPerception", "family_of"]
 
 _VIEW_FIELD = math.radians(100)
-_WHOLE = 0.95  # coverage at the corners of views, from which on everything counts as seen
+
+
+@dataclass(frozen=True, eq=False)
+class _Shots:
+    """The pictures of one look.
+
+    `seen`: the geometry of each and the fraction by which it was rolled; `cells`: of each one's response. `combine`
+    makes one response ``(Q, h, w)`` of those in the pictures, with its coverage (None: everything).
+    """
+
+    pictures: list[np.ndarray]
+    seen: list[tuple[Grid, float]]
+    cells: Sequence[Grid]
+    combine: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray | None]]
+    told: dict[str, object]
 
 
 class TransformersPerception:
     """Finds what a query names in panoramas, with a model that runs here.
 
-    Args:
-        model: hub name, or folder with ``config.json``, weights, tokenizer and image processor; or a model that is
-            loaded already (`loading.load_model`): then only extractors, seam and calibration are options.
-        extractor: ``attention``, ``boxes``, ``both`` (boxes and attention from one call, half each), ``mask``, or
-            ``views`` (tangent views that cover the sphere); None for the family's default.
-        per_view: the extractor in each view; None for the family's default.
-        pixels: how many pixels an image (with ``views``: each view) has at most; None for the family's default.
-        seam: look twice, the panorama rolled by half a turn in between, so that nothing is cut by the seam. Views never
-            see one.
-        heads: file of localisation heads (`heads`), for attention; None for relative attention. With it, attention is
-            the default of every family that does not want views.
-        layers: layers that relative attention reads, ``"20,21,22"`` or numbers; None for the family's depth.
-        presence: multiply attention by the probability that the model answers yes when asked if the thing is there.
-        calibration: how responses become evidence; None for the default of `Evidence`. With one, boxes are read as a
-            response map, too.
-        detector: how boxes err, where the extractor is ``boxes``; None for `DetectorModel()`.
-        revision: of a hub checkpoint.
-        device: ``cpu``, ``cuda``, ``cuda:1``, ``mps``, or ``auto`` (spread over all GPUs by accelerate); None: CUDA
-            where there is any.
-        dtype: ``float32``, ``bfloat16``, ``float16``; None: bfloat16 on a GPU, else float32.
-        max_tokens: that an answer may have.
-        batch: images run at once.
-        threshold: score below which a localiser's boxes are dropped; None for the family's.
+    `model`: hub name, or folder with ``config.json``, weights, tokenizer and image processor; or a model that is loaded
+    already (`loading.load_model`): then only extractors, seam and calibration are options. `calibration`: how responses
+    become evidence; None for the default of `Evidence`. With one, boxes are read as a response map, too. `detector`:
+    how boxes err, where the extractor is ``boxes``; None for `DetectorModel()`. All else: docs/models.md; None stands
+    for the family's default, for relative attention (`heads`), for CUDA where there is any (`device`), and for bfloat16
+    on a GPU, else float32 (`dtype`).
 
     Raises `EagorError` if packages are missing, the model is of no known family, or an option does not fit it.
     """
@@ -84,26 +81,16 @@ class TransformersPerception:
         threshold: float | None = None,
         detector: DetectorModel | None = None,
     ) -> None:
-        from eagor.perception.transformers.loading import counted, load_model, switched
+        from eagor.perception.transformers.loading import load_model, switched
 
         self.calibration, self.detector = calibration, detector
         self.seam = switched("seam", seam)
         if isinstance(model, str):
             model = load_model(
-                model,
-                extractor=extractor,
-                per_view=per_view,
-                pixels=pixels,
-                heads=heads,
-                layers=layers,
-                presence=switched("presence", presence),
-                revision=revision,
-                device=device,
-                dtype=dtype,
-                most=counted("max_tokens", max_tokens, "512"),
-                batch=counted("batch", batch, "8"),
+                model, extractor=extractor, per_view=per_view, pixels=pixels, heads=heads, layers=layers,
+                presence=presence, revision=revision, device=device, dtype=dtype, max_tokens=max_tokens, batch=batch,
                 threshold=threshold,
-            )
+            )  # fmt: skip
         self.looker = model
         self.extractor: Extractor = chosen(extractor or self.family.default(heads), self.family, "extractor")
         self.per_view: Extractor = chosen(per_view or self.family.per_view, self.family, "per_view")
@@ -118,10 +105,7 @@ class TransformersPerception:
     @property
     def rows(self) -> int:
         """Rows of a panorama that shows the model as much as it can see."""
-        if self.extractor == "views":
-            views = self._cut()
-            return round(math.pi * views[0].focal)
-        return self.looker.size(2.0)[0]
+        return round(math.pi * self._cut()[0].focal) if self.extractor == "views" else self.looker.size(2.0)[0]
 
     def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for what `query` names in `panorama` ``(H, W, 3)`` uint8.
@@ -129,17 +113,18 @@ class TransformersPerception:
         `Evidence.source` tells model, revision, extractor, pixels, token counts and milliseconds. Raises `QueryError`
         if there are no words, `ImageError` for another image, `AnswerError` if the model's boxes cannot be read.
         """
-        if self.calibration is None and self._each == "boxes":
-            found, source = self._asked(panorama, [query], self._things)
-            return detected(found, self.detector, WHOLE_SPHERE, stamp, source=source)
-        (response, coverage), source = self._asked(panorama, [query], self._responses)
-        whole = None if coverage is None or bool((coverage >= _WHOLE).all()) else coverage
-        grid = PatchGrid(*response.shape[-2:])
+        shots, began = self._shots(panorama, [query])
+        if self._boxed:
+            found, cost = self._things(shots, query)
+            return detected(united(found), self.detector, WHOLE_SPHERE, stamp, source=self._source(shots, cost, began))
+        response, coverage, cost = self._response(shots, [query])
+        whole = None if coverage is None or bool((coverage >= WHOLE).all()) else coverage
+        grid, source = PatchGrid(*response.shape[-2:]), self._source(shots, cost, began)
         return Evidence.from_response(response[0], grid, self.calibration, stamp, coverage=whole, source=source)
 
     def respond(self, panorama: np.ndarray, queries: Sequence[str]) -> np.ndarray:
         """Responses ``(Q, h, w)`` float32 in [0, 1] to several queries; each image is run through the model once."""
-        return self._asked(panorama, list(queries), self._responses)[0][0]
+        return self._response(self._shots(panorama, queries)[0], queries)[0]
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for what `query` names in one ordinary picture ``(h, w, 3)`` uint8, whose pixels `grid` describes.
@@ -151,29 +136,27 @@ class TransformersPerception:
 
         began = time.perf_counter()
         phrase(query)
-        extractor = self._each
         aspect = grid.width / grid.height
-        size, shape = self.looker.size(aspect), self.looker.cells(aspect, extractor)
+        size, shape = self.looker.size(aspect), self.looker.cells(aspect, self._each)
         if size[0] * shape[1] != size[1] * shape[0]:  # a model of one square size: its cells are square in a square
-            size, shape = self.looker.size(1.0), self.looker.cells(1.0, extractor)
+            size, shape = self.looker.size(1.0), self.looker.cells(1.0, self._each)
         picture, posed, inner = framed(image, grid, size)
         cells = replace(posed, height=shape[0], width=shape[1])
-        source: dict[str, object] = {**self._known(), "extractor": extractor, "pixels": list(size)}
-        if self.calibration is None and extractor == "boxes":
-            boxes, cost = self.looker.boxes([picture], [query])
-            source |= {**cost.as_source(), "milliseconds": 1000 * (time.perf_counter() - began)}
-            inside = [thing for thing in things(boxes[0][0], posed) if grid.project(thing.direction)[2]]
-            return detected(inside, self.detector, grid, stamp, source=source)
-        found, cost = self.looker.look([picture], [cells], [query], extractor)
         coverage = None if inner == size else filled(shape, size, inner)
-        source |= {**cost.as_source(), "milliseconds": 1000 * (time.perf_counter() - began)}
-        return Evidence.from_response(found[0, 0], cells, self.calibration, stamp, coverage=coverage, source=source)
+        told: dict[str, object] = {"extractor": self._each, "pixels": list(size)}
+        shots = _Shots([picture], [(posed, 0.0)], [cells], lambda found: (found[0], coverage), told)
+        if self._boxed:
+            found, cost = self._things(shots, query)
+            inside = [thing for thing in found[0] if grid.project(thing.direction)[2]]
+            return detected(inside, self.detector, grid, stamp, source=self._source(shots, cost, began))
+        response, _, cost = self._response(shots, [query])
+        source = self._source(shots, cost, began)
+        return Evidence.from_response(response[0], cells, self.calibration, stamp, coverage=coverage, source=source)
 
     def find_heads(self, examples: Iterable[Labelled], take: int = 3) -> Heads:
-        """The localisation heads of this model, found on labelled panoramas, which are looked at as a call would.
+        """The localisation heads of this model, `take` at most, found on labelled panoramas as a call would look.
 
-        `take`: how many heads at most. Of nine panoramas or more every third is held out, and only tells how far the
-        heads are off. Raises `EagorError`
+        Of nine panoramas or more every third is held out, and only tells how far the heads are off. Raises `EagorError`
         for a model without attention to read, or if no head looks at the targets.
         """
         if "attention" not in self.family.extractors:
@@ -195,83 +178,76 @@ class TransformersPerception:
         """What is done with each picture."""
         return self.per_view if self.extractor == "views" else self.extractor
 
-    def _asked(
-        self, panorama: np.ndarray, queries: list[str], look: Callable[..., Any]
-    ) -> tuple[Any, dict[str, object]]:
-        """What `look` finds, and what produced it."""
+    @property
+    def _boxed(self) -> bool:
+        """Whether evidence is detections."""
+        return self.calibration is None and self._each == "boxes"
+
+    def _response(self, shots: _Shots, queries: Sequence[str]) -> tuple[np.ndarray, np.ndarray | None, Account]:
+        found, cost = self.looker.look(shots.pictures, shots.cells, queries, self._each)
+        return *shots.combine(found), cost
+
+    def _things(self, shots: _Shots, query: str) -> tuple[list[list[Thing]], Account]:
+        """What the boxes for one query mean, per picture, and what they cost."""
+        boxes, cost = self.looker.boxes(shots.pictures, [query])
+        return [things(ones[0], grid, roll) for ones, (grid, roll) in zip(boxes, shots.seen, strict=True)], cost
+
+    def _source(self, shots: _Shots, cost: Account, began: float) -> dict[str, object]:
+        known = {"model": self.looker.name, "revision": self.looker.revision, "family": self.family.name}
+        return {**known, **shots.told, **cost.as_source(), "milliseconds": 1000 * (time.perf_counter() - began)}
+
+    def _shots(self, panorama: np.ndarray, queries: Sequence[str]) -> tuple[_Shots, float]:
+        """The pictures of a look at a panorama, and when it began."""
         from eagor.perception.vlm.sizes import checked_picture
 
         began = time.perf_counter()
         for query in queries:
             phrase(query)  # said before anything is run
-        found, source = look(checked_picture(panorama), queries)
-        source = {**self._known(), "extractor": self.extractor, **source}
-        source["milliseconds"] = 1000 * (time.perf_counter() - began)
-        return found, source
+        image = checked_picture(panorama)
+        return (self._views(image) if self.extractor == "views" else self._whole(image)), began
 
-    def _known(self) -> dict[str, object]:
-        return {"model": self.looker.name, "revision": self.looker.revision, "family": self.family.name}
-
-    def _responses(
-        self, image: np.ndarray, queries: list[str]
-    ) -> tuple[tuple[np.ndarray, np.ndarray | None], dict[str, object]]:
-        """Responses with their coverage (None: the whole sphere), and what they cost."""
-        return self._views(image, queries) if self.extractor == "views" else self._whole(image, queries)
-
-    def _things(self, image: np.ndarray, queries: list[str]) -> tuple[list[Thing], dict[str, object]]:
-        """What the boxes for one query mean, and what they cost."""
-        if self.extractor == "views":
-            from eagor.perception.vlm.views import cut
-
-            shown = [(view, 0.0) for view in self._cut()]
-            pictures, size = [cut(image, view) for view, _ in shown], self.looker.size(1.0)
-            told: dict[str, object] = {"pixels": list(size), "per_view": self.per_view}
-        else:
-            pictures, size, grid, shift = self._rolled(image)
-            shown = [(grid, 0.0), (grid, shift / grid.width)][: len(pictures)]
-            told = {"pixels": list(size)}
-        boxes, cost = self.looker.boxes(pictures, queries)
-        found = [things(ones[0], grid, roll) for ones, (grid, roll) in zip(boxes, shown, strict=True)]
-        return united(found), {**told, **cost.as_source()}
-
-    def _rolled(self, image: np.ndarray) -> tuple[list[np.ndarray], tuple[int, int], PatchGrid, int]:
-        """The panorama as the model sees it (with `seam` also rolled by half), its size, its cells, and the roll."""
+    def _whole(self, image: np.ndarray) -> _Shots:
+        """The panorama as the model sees it; with `seam` also rolled by half a turn."""
+        from eagor.perception.vlm.seam import merged
         from eagor.perception.vlm.sizes import resized
 
         aspect = image.shape[1] / image.shape[0]
         size = self.looker.size(aspect)
         grid = PatchGrid(*self.looker.cells(aspect, self.extractor))
         picture, shift = resized(image, size, wrap=True), grid.width // 2
+        told: dict[str, object] = {"extractor": self.extractor, "pixels": list(size)}
         if not self.seam:
-            return [picture], size, grid, shift
+            return _Shots([picture], [(grid, 0.0)], [grid], lambda found: (found[0], None), told)
         # Both looks in one batch: writing takes hardly longer for two than for one.
-        return [picture, np.roll(picture, shift * (size[1] // grid.width), axis=1)], size, grid, shift
+        pictures = [picture, np.roll(picture, shift * (size[1] // grid.width), axis=1)]
+        roll = shift / grid.width
 
-    def _whole(self, image: np.ndarray, queries: list[str]) -> tuple[tuple[np.ndarray, None], dict[str, object]]:
-        from eagor.perception.vlm.seam import merged
+        def combine(found: np.ndarray) -> tuple[np.ndarray, None]:
+            return merged(found[0], np.roll(found[1], -shift, axis=-1), roll), None
 
-        looks, size, grid, shift = self._rolled(image)
-        found, cost = self.looker.look(looks, [grid] * len(looks), queries, self.extractor)
-        response = found[0]
-        if self.seam:
-            response = merged(found[0], np.roll(found[1], -shift, axis=-1), shift / grid.width)
-        return (response, None), {"pixels": list(size), **cost.as_source()}
+        return _Shots(pictures, [(grid, 0.0), (grid, roll)], [grid, grid], combine, told)
+
+    def _views(self, image: np.ndarray) -> _Shots:
+        from eagor.perception.vlm.views import cut, lift
+
+        views = self._cut()
+        rows, cols = self.looker.cells(1.0, self.per_view)
+        grids = [replace(view, height=rows, width=cols) for view in views]
+        # Cells as fine as in the middle of a view.
+        lines = max(12, min(90, round(math.pi * grids[0].focal)))
+        told: dict[str, object] = {
+            "extractor": "views", "pixels": list(self.looker.size(1.0)), "per_view": self.per_view
+        }  # fmt: skip
+        return _Shots(
+            [cut(image, view) for view in views],
+            [(view, 0.0) for view in views],
+            grids,
+            lambda found: lift(list(found), views, PatchGrid(lines, 2 * lines)),
+            told,
+        )
 
     def _cut(self) -> tuple[PerspectiveGrid, ...]:
         """The views that are cut out of a panorama."""
         from eagor.perception.vlm.views import tangent_views
 
         return tangent_views(min(self.looker.size(1.0)), _VIEW_FIELD)
-
-    def _views(self, image: np.ndarray, queries: list[str]) -> tuple[tuple[np.ndarray, np.ndarray], dict[str, object]]:
-        from eagor.perception.vlm.views import cut, lift
-
-        height, width = self.looker.size(1.0)
-        views = self._cut()
-        rows, cols = self.looker.cells(1.0, self.per_view)
-        grids = [replace(view, height=rows, width=cols) for view in views]
-        found, cost = self.looker.look([cut(image, view) for view in views], grids, queries, self.per_view)
-        # Cells as fine as in the middle of a view.
-        lines = max(12, min(90, round(math.pi * grids[0].focal)))
-        response, coverage = lift(list(found), views, PatchGrid(lines, 2 * lines))
-        return (response, coverage), {"pixels": [height, width], "per_view": self.per_view, **cost.as_source()}

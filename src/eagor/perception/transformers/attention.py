@@ -1,10 +1,9 @@
 """From captured attention to a response on the cells.
 
-Two ways. With localisation heads (`eagor.perception.transformers.heads`) the attention of a few heads is the map, in
-multiples of an even spread. Without them, relative attention (Zhang et al., ICLR 2025, arXiv 2502.17422): the attention
-for the question over that for a question of no content, which removes the background tokens that soak up attention
-whatever is asked (Kang et al., arXiv 2503.03321). Both numerator and denominator carry a floor, since the bare ratio
-explodes where nothing looks.
+With localisation heads (`eagor.perception.transformers.heads`) the attention of a few heads is the map, in multiples of
+an even spread. Without them, relative attention (Zhang et al., ICLR 2025, arXiv 2502.17422): the attention for the
+question over that for a question of no content, which removes the background tokens that soak up attention whatever is
+asked (Kang et al., arXiv 2503.03321).
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ def densities(cells: np.ndarray) -> np.ndarray:
 def relative(asked: np.ndarray, general: np.ndarray) -> np.ndarray:
     """The ratio ``(B, h, w)`` of two attention maps, 1 where the question made no difference.
 
-    The floor is the median of the general map: cells that nobody looks at count for nothing.
+    Both carry a floor, the median of the general map, since the bare ratio explodes where nothing looks.
     """
     floor = np.median(general, axis=(-2, -1), keepdims=True)
     floor = np.maximum(floor, np.finfo(np.float32).tiny)
@@ -59,12 +58,8 @@ def saturated(ratio: np.ndarray, saturation: float = SATURATION, wrap: bool = Tr
 
 def blurred(cells: np.ndarray, wrap: bool = True) -> np.ndarray:
     """`cells` ``(..., h, w)`` under the binomial kernel (1 2 1) / 4 each way."""
-    if wrap:
-        left, right = np.roll(cells, 1, axis=-1), np.roll(cells, -1, axis=-1)
-    else:
-        left = np.concatenate([cells[..., :1], cells[..., :-1]], axis=-1)
-        right = np.concatenate([cells[..., 1:], cells[..., -1:]], axis=-1)
-    across = (left + 2 * cells + right) / 4
-    above = np.concatenate([across[..., :1, :], across[..., :-1, :]], axis=-2)
-    below = np.concatenate([across[..., 1:, :], across[..., -1:, :]], axis=-2)
-    return (above + 2 * across + below) / 4
+    flat = [(0, 0)] * (cells.ndim - 2)
+    wide = np.pad(cells, [*flat, (0, 0), (1, 1)], mode="wrap" if wrap else "edge")
+    across = (wide[..., :-2] + 2 * cells + wide[..., 2:]) / 4
+    tall = np.pad(across, [*flat, (1, 1), (0, 0)], mode="edge")
+    return (tall[..., :-2, :] + 2 * across + tall[..., 2:, :]) / 4

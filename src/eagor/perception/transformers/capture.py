@@ -1,8 +1,7 @@
 """Attention of the last token, captured while the model runs as usual.
 
 A registered attention function lets scaled dot-product attention do the work, and in chosen layers computes one row
-once more: the softmax of the last query over all keys, of which the image's are kept. Beside the model's own work that
-is nothing, and no attention matrix ever exists: what is kept per layer is ``(batch, heads, image tokens)``.
+once more: the softmax of the last query over all keys, of which the image's are kept. No attention matrix ever exists.
 """
 
 from __future__ import annotations
@@ -26,13 +25,9 @@ _ATTRIBUTE = "_eagor_capture"
 
 @dataclass
 class Capture:
-    """What was captured: per layer, the last token's attention to `columns`, ``(B, H, n)`` float32.
+    """What was captured: `rows`, per layer the last token's attention ``(B, H, n)`` float32 to the keys at `columns`.
 
     Only the first pass of each layer is recorded, so that inside ``generate()`` it is the prompt's.
-
-    Attributes:
-        columns: positions ``(n,)`` of the image tokens among the keys, the same in every row of the batch.
-        rows: layer to tensor, on the layer's device.
     """
 
     columns: torch.Tensor

@@ -1,8 +1,7 @@
 """A local vision-language model that talks: conversations of several turns, with pictures in them.
 
 A conversation is written as the checkpoint's own template says, else as its family was trained
-(`eagor.perception.vlm.families.Dialogue`). Pictures keep their size as nearly as the model can take it. The reply is
-the likeliest token again and again, which is what temperature 0 means: the same conversation gets the same reply.
+(`eagor.perception.vlm.families.Dialogue`). The reply is the likeliest token again and again (temperature 0).
 """
 
 from __future__ import annotations
@@ -21,14 +20,9 @@ from eagor.perception.vlm.talk import MAX_TOKENS, Message, Said
 class LocalChat:
     """A `eagor.perception.vlm.talk.Chat` of a model on this machine. Safe to use from several threads, one at a time.
 
-    Args:
-        model: hub name, or folder with ``config.json``, weights, tokenizer and image processor.
-        max_tokens: of a reply.
-        pixels: how many a picture has at most; None for what the checkpoint's own processor takes. Gemma 3, LLaVA and
-            Janus-Pro see one square of a size of their own whatever comes.
-        revision: of a hub checkpoint.
-        device: ``cpu``, ``cuda``, ``cuda:1``, ``mps``, or ``auto``; None: CUDA where there is any.
-        dtype: ``float32``, ``bfloat16``, ``float16``; None: bfloat16 on a GPU, else float32.
+    Arguments as of `eagor.perception.transformers.TransformersPerception`, but `pixels`: how many a picture has at
+    most; None for what the checkpoint's own processor takes. Gemma 3, LLaVA and Janus-Pro see one square of a size of
+    their own whatever comes.
 
     Raises `EagorError` if packages are missing, nothing can be loaded there, or the model is of no family that talks.
     """
@@ -67,24 +61,18 @@ class LocalChat:
         from eagor.perception.transformers.prefix import share
 
         language, family = self._language, self._language.family
+        config, processor = language.model.config, language.processor
         images = [checked_picture(image, "a picture") for message in messages for image in message.images]
-        config = language.model.config
-        plans = [
-            inputs.picture_plan(family, config, language.processor, image.shape[:2], language.pixels)
-            for image in images
-        ]
-        written = conversation(language.tokenizer, family, messages)
+        shapes = [image.shape[:2] for image in images]
+        plans = [inputs.picture_plan(family, config, processor, shape, language.pixels) for shape in shapes]
         counts = [plan.layout.count for plan in plans]
+        written = conversation(language.tokenizer, family, messages)
         prompt = inputs.tokens_of(language.tokenizer, family, written, config.image_token_id, counts)
         length = prompt.prefix.shape[1] + prompt.suffix.shape[1]
         self._check_length(length, counts)
-        tensors: dict[str, Any] = {}
-        if images:
-            fed = [
-                inputs.pictures([resized(image, plan.size)], plan, language.processor)
-                for image, plan in zip(images, plans, strict=True)
-            ]
-            tensors = {name: torch.cat([one[name] for one in fed]) for name in fed[0]}
+        shown = zip(images, plans, strict=True)
+        fed = [inputs.pictures([resized(image, plan.size)], plan, processor) for image, plan in shown]
+        tensors = {name: torch.cat([one[name] for one in fed]) for name in (fed[0] if fed else ())}
         with language.lock, torch.inference_mode():
             prefix = share(language.model, family, prompt, tensors, 1, config.image_token_id)
             running = prefix.continued(last=True)

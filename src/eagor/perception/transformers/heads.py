@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
 
 from eagor._files import written
 from eagor._json import number, parsed, whole
 from eagor._lazy import lazy
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid
+from eagor.perception.blobs import connected
 from eagor.perception.transformers.attention import blurred, densities
 from eagor.sphere import angular_distance, unit
 
@@ -34,14 +34,9 @@ _AIM = 0.7  # the response that a typical labelled target gets
 
 @dataclass(frozen=True)
 class Heads:
-    """Localisation heads of one model.
+    """Localisation heads (layer, head) of one model, best first; its `model_type` is that of its configuration.
 
-    Attributes:
-        model: its name.
-        model_type: as in its configuration.
-        heads: (layer, head), best first.
-        saturation: the excess over an even spread at which the response is one half.
-        found_by: figures, for people.
+    `saturation`: the excess over an even spread at which the response is one half. `found_by`: figures, for people.
     """
 
     model: str
@@ -65,10 +60,8 @@ def read_heads(file: str | Path) -> Heads:
     try:
         stored = parsed(Path(file).read_bytes())
         heads = tuple((whole(layer), whole(head)) for layer, head in stored["heads"])
-        found = Heads(
-            str(stored["model"]), str(stored["model_type"]), heads, number(stored["saturation"]),
-            {**stored.get("found_by", {})},
-        )  # fmt: skip
+        figures = {**stored.get("found_by", {})}
+        found = Heads(str(stored["model"]), str(stored["model_type"]), heads, number(stored["saturation"]), figures)
     except OSError as error:
         raise EagorError(f"the heads {file} cannot be read ({error}); `eagor calibrate heads` makes them") from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -85,12 +78,8 @@ def read_heads(file: str | Path) -> Heads:
 class Observed:
     """What all heads did for one labelled panorama, or for the view of it that shows the target best.
 
-    Attributes:
-        maps: layer to attention per cell ``(H, h, w)``.
-        mass: layer to the share of attention that went to the image ``(H,)``.
-        grid: the cells.
-        direction: of the target ``(3,)``.
-        radius: of the target, radians.
+    `maps`: layer to attention ``(H, h, w)`` per cell of `grid`. `mass`: layer to the share of attention ``(H,)`` that
+    went to the image. `direction` ``(3,)`` and `radius` (radians): of the target.
     """
 
     maps: dict[int, np.ndarray]
@@ -182,26 +171,8 @@ def spatial_entropy(cells: np.ndarray, wrap: bool = True) -> float:
     lit = np.maximum(cells - 2 * cells.mean(), 0.0)
     if not lit.any() or lit[-1].sum() > 0.5 * lit.sum():
         return float("inf")
-    # Twice side by side, so that parts across the seam are whole in the middle; each part is counted by its mass.
-    width = cells.shape[1]
-    labels = np.zeros((len(lit), 2 * width), dtype=np.int32)
-    ndimage.label(np.concatenate([lit, lit if wrap else 0 * lit], axis=1) > 0, structure=np.ones((3, 3)), output=labels)
-    same = {}
-    pairs = zip(labels[:, :width][lit > 0], labels[:, width:][lit > 0], strict=True) if wrap else ()
-    for left, right in pairs:
-        same[_root(same, int(left))] = _root(same, int(right))
-    shares: dict[int, float] = {}
-    for label, value in zip(labels[:, :width][lit > 0], lit[lit > 0], strict=True):
-        root = _root(same, int(label))
-        shares[root] = shares.get(root, 0.0) + float(value)
-    p = np.array(list(shares.values())) / lit.sum()
-    return float(-(p * np.log(p)).sum())
-
-
-def _root(same: dict[int, int], label: int) -> int:
-    while same.get(label, label) != label:
-        label = same[label]
-    return label
+    shares = np.bincount(connected(lit > 0, wrap).reshape(-1), lit.reshape(-1))[1:] / lit.sum()
+    return float(-(shares * np.log(shares)).sum())
 
 
 def _gain(look: Observed, name: tuple[int, int]) -> float:

@@ -30,17 +30,13 @@ _MARK = "QUESTION"
 class Plan:
     """How images of one aspect are fed to a model.
 
-    Attributes:
-        size: (height, width) in pixels that the image is resized to; whole cells each way.
-        layout: where its tokens look.
-        square: side of the square that the model sees (padded, squashed or tiled), None where it takes `size` itself.
-        seen: number of pixels that the model sees, padding and thumbnail included.
+    `size`: (height, width) in pixels that the image is resized to; whole cells each way. `layout`: where its tokens
+    look. `square`: side of the square that the model sees (padded, squashed or tiled), None where it takes `size`.
     """
 
     size: tuple[int, int]
     layout: Layout
-    square: int | None
-    seen: int
+    square: int | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -53,19 +49,18 @@ def plan(family: Family, config: Any, aspect: float, pixels: int | None = None) 
 
     `pixels`: how many it has at most, where the family leaves a choice. Raises `ImageError` if no cell fits in them.
     """
-    vision = config.vision_config
+    vision, most = config.vision_config, pixels or family.pixels
     if family.fit == "exact":
         cell = vision.patch_size * vision.spatial_merge_size
-        return _exact(cell, exact_size(cell, pixels or family.pixels, aspect))
+        return _exact(cell, exact_size(cell, most, aspect))
     side = _first(vision.image_size)
     if family.fit == "squash":
         rows = math.isqrt(config.mm_tokens_per_image)
-        return Plan((side, side), Layout((rows, rows), (Block(rows, rows),)), side, side * side)
+        return Plan((side, side), Layout((rows, rows), (Block(rows, rows),)), side)
+    rows = side // _first(vision.patch_size)
     if family.fit == "pad":
-        rows = side // _first(vision.patch_size)
         return _padded(side, rows, aspect)
-    rows = round(side // _first(vision.patch_size) * config.downsample_ratio)
-    return _tiled(side, rows, aspect, pixels or family.pixels)
+    return _tiled(side, round(rows * config.downsample_ratio), aspect, most)
 
 
 def picture_plan(
@@ -86,7 +81,7 @@ def picture_plan(
 
 def _exact(cell: int, size: tuple[int, int]) -> Plan:
     shape = (size[0] // cell, size[1] // cell)
-    return Plan(size, Layout(shape, (Block(*shape),)), None, size[0] * size[1])
+    return Plan(size, Layout(shape, (Block(*shape),)))
 
 
 def _first(value: Any) -> int:
@@ -99,12 +94,11 @@ def _padded(side: int, tokens: int, aspect: float) -> Plan:
     patch = side // tokens
     share = (min(1 / aspect, 1.0), min(aspect, 1.0))  # of the square's height and width
     # Whole cells, as many above as below, so that every token lies inside or outside.
-    counts = [max(tokens - 2 * round(tokens * (1 - part) / 2), 1) for part in share]
-    height, width = (count * patch for count in counts)
+    rows, cols = (max(tokens - 2 * round(tokens * (1 - part) / 2), 1) for part in share)
+    height, width = rows * patch, cols * patch
     top, left = ((side - length) // 2 for length in (height, width))
     window = (-left / width, -top / height, (tokens * patch - left) / width, (tokens * patch - top) / height)
-    layout = Layout((counts[0], counts[1]), (Block(tokens, tokens, window),))
-    return Plan((height, width), layout, side, side * side)
+    return Plan((height, width), Layout((rows, cols), (Block(tokens, tokens, window),)), side)
 
 
 def _tiled(side: int, tokens: int, aspect: float, pixels: int) -> Plan:
@@ -117,10 +111,8 @@ def _tiled(side: int, tokens: int, aspect: float, pixels: int) -> Plan:
         for row in range(rows)
         for col in range(cols)
     ]
-    if len(blocks) > 1:
-        blocks.append(Block(tokens, tokens))
-    layout = Layout((rows * tokens, cols * tokens), tuple(blocks))
-    return Plan((rows * side, cols * side), layout, side, len(blocks) * side * side)
+    blocks += [Block(tokens, tokens)] if len(blocks) > 1 else []
+    return Plan((rows * side, cols * side), Layout((rows * tokens, cols * tokens), tuple(blocks)), side)
 
 
 def pictures(images: Sequence[np.ndarray], plan: Plan, processor: Any) -> dict[str, torch.Tensor]:
@@ -155,12 +147,9 @@ def _squares(image: np.ndarray, plan: Plan, processor: Any) -> list[np.ndarray]:
 
 @dataclass(frozen=True)
 class Prompt:
-    """Token ids of a prompt, cut behind its last image token.
+    """Token ids of a prompt, cut behind its last image token into `prefix` ``(1, S)`` and `suffix` ``(1, T)``.
 
-    Attributes:
-        prefix: ids ``(1, S)`` up to and with the image.
-        columns: positions ``(n,)`` of the image tokens in it.
-        suffix: ids ``(1, T)`` of the rest, the question.
+    `columns`: positions ``(n,)`` of the image tokens in the prefix.
     """
 
     prefix: torch.Tensor
@@ -201,11 +190,7 @@ def tokens_of(tokenizer: Any, family: Family, written: str, image_token: int, co
         done = place + 1
     if not counts:  # something has to run before the answer's first token
         prefix, done = ids[:-1], len(ids) - 1
-    return Prompt(
-        prefix=torch.tensor([prefix]),
-        columns=torch.tensor(columns, dtype=torch.long),
-        suffix=torch.tensor([ids[done:]]),
-    )
+    return Prompt(torch.tensor([prefix]), torch.tensor(columns, dtype=torch.long), torch.tensor([ids[done:]]))
 
 
 def template_of(tokenizer: Any, family: Family) -> str:

@@ -12,11 +12,11 @@ import torch
 
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
-from eagor.perception.transformers.account import Account
 from eagor.perception.transformers.attention import SATURATION, mean_over_heads, of_heads, relative, saturated
-from eagor.perception.transformers.capture import full_layers, prepare
+from eagor.perception.transformers.capture import Capture, full_layers, prepare
 from eagor.perception.transformers.heads import Heads, Observed
 from eagor.perception.transformers.inputs import Plan, Prompt, pictures, plan, prompt, template_of
+from eagor.perception.transformers.looker import Account
 from eagor.perception.transformers.prefix import Prefix, Running, chunks, share
 from eagor.perception.vlm.boxes import Box, parse_boxes
 from eagor.perception.vlm.drawing import drawn
@@ -29,22 +29,12 @@ from eagor.perception.vlm.views import cut
 
 @dataclass
 class LanguageModel:
-    """A loaded checkpoint of one of the vision-language families.
+    """A loaded checkpoint of one of the vision-language families, a `looker.Looker`.
 
-    Attributes:
-        name: hub name or folder.
-        revision: commit of the hub, or a digest of a folder's configuration and weight files.
-        family: what it is.
-        model: the transformers model, its language part running through the capturing attention function.
-        tokenizer: its tokenizer.
-        processor: its image processor.
-        heads: localisation heads, None for relative attention.
-        layers: layers that relative attention reads; None for the family's depth.
-        presence: multiply attention by the probability that the answer to "is it there?" is yes.
-        saturation: see `attention.saturated`; the heads' own where there are heads.
-        most: tokens that an answer may have.
-        batch: images run at once.
-        pixels: of an image, where the family leaves a choice.
+    `name`: hub name or folder. `revision`: commit of the hub, or a digest of a folder's configuration and weight files.
+    `model`: its language part runs through the capturing attention function. `heads`: None for relative attention,
+    which reads `layers` (None: at the family's depth). `saturation`: see `attention.saturated`; the heads' own where
+    there are heads. `most`: tokens that an answer may have. The rest as in the perception.
     """
 
     name: str
@@ -66,22 +56,21 @@ class LanguageModel:
         prepare(self.model)
         self.template = template_of(self.tokenizer, self.family)
         self._yes, self._no = _answers(self.tokenizer)
-        possible = full_layers(self.model)
+        possible, text = full_layers(self.model), self.model.config.get_text_config()
         if self.heads is not None:
-            kind = self.model.config.model_type
+            kind, count = self.model.config.model_type, text.num_attention_heads
             if self.heads.model_type != kind:  # heads of another family may exist here, too, and look at anything
                 raise EagorError(
                     f"the heads were found for {self.heads.model}, a {self.heads.model_type}; {self.name} is a {kind}. "
                     "Calibrate heads for this model"
                 )
-            count = self.model.config.get_text_config().num_attention_heads
             if any(layer not in possible or head >= count for layer, head in self.heads.heads):
                 raise EagorError(
                     f"the heads {list(self.heads.heads)} were found for {self.heads.model}; {self.name} has layers of "
                     f"full attention {possible} with {count} heads each. Calibrate heads for this model"
                 )
         elif self.layers is None:
-            depth = round(self.family.depth * self.model.config.get_text_config().num_hidden_layers)
+            depth = round(self.family.depth * text.num_hidden_layers)
             self.layers = (min(possible, key=lambda layer: abs(layer - depth)),)
         elif not set(self.layers) <= set(possible) or not self.layers:
             raise EagorError(f"layers = {self.layers}; layers of full attention here are {possible}")
@@ -103,9 +92,7 @@ class LanguageModel:
         """Rows and columns of the response. Boxes are drawn on finer cells than the model's own."""
         planned = self.plan(aspect)
         rows, cols = planned.shape
-        finer = 1
-        if extractor != "attention":
-            finer = next(k for k in (4, 2, 1) if planned.size[0] // rows % k == 0)
+        finer = 1 if extractor == "attention" else next(k for k in (4, 2, 1) if planned.size[0] // rows % k == 0)
         return rows * finer, cols * finer
 
     @torch.inference_mode()
@@ -117,87 +104,25 @@ class LanguageModel:
         `grids`: the cells of each image's response, of the shape that `cells` gives.
         """
         account = Account()
-        shape = grids[0].shape
-        found = np.zeros((len(images), len(queries), *shape), dtype=np.float32)
+        found = np.zeros((len(images), len(queries), *grids[0].shape), dtype=np.float32)
         with self.lock:
-            for part in chunks(len(images), self.batch) if queries else ():
-                found[part] = self._look(images[part], grids[part], queries, extractor, account)
+            for part in chunks(len(images), self.batch, queries):
+                look = _Look(self, images[part], account)
+                responses = look.responses(grids[part], queries, extractor)
+                found[part] = np.stack(responses, axis=1)
         return found, account
 
     @torch.inference_mode()
     def boxes(self, images: Sequence[np.ndarray], queries: Sequence[str]) -> tuple[list[list[list[Box]]], Account]:
         """The boxes that the model writes per image and query, of images that all have the size that `size` gives."""
         account = Account()
-        found: list[list[list[Box]]] = [[] for _ in images]
+        found: list[list[list[Box]]] = []
         with self.lock:
-            for part in chunks(len(images), self.batch) if queries else ():
-                planned = self.plan(images[0].shape[1] / images[0].shape[0])
-                prefix = self.share(images[part], planned, account)
-                for query in queries:
-                    running = prefix.continued()
-                    suffix = self._suffix(self.ask_boxes(query), planned, prefix, account)
-                    logits, _ = running.ask(suffix, ())
-                    for row, ones in zip(found[part], self._boxes(running, logits, planned, account), strict=True):
-                        row.append(ones)
-        return found, account
-
-    def _look(
-        self,
-        images: Sequence[np.ndarray],
-        grids: Sequence[Grid],
-        queries: Sequence[str],
-        extractor: Extractor,
-        account: Account,
-    ) -> np.ndarray:
-        planned = self.plan(images[0].shape[1] / images[0].shape[0])
-        prefix = self.share(images, planned, account)
-        wrap = isinstance(grids[0], PatchGrid)
-        general = None
-        if extractor != "boxes" and self.heads is None:
-            _, rows = prefix.continued().ask(self._suffix(GENERAL, planned, prefix, account), self.read)
-            general = mean_over_heads(rows.rows if rows else {}, planned.layout)
-        return np.stack(
-            [
-                self._respond(prefix, planned, query, extractor, general, grids, wrap, account)
-                for query in queries
-            ],
-            axis=1,
-        )  # fmt: skip
-
-    def _respond(
-        self,
-        prefix: Prefix,
-        planned: Plan,
-        query: str,
-        extractor: Extractor,
-        general: np.ndarray | None,
-        grids: Sequence[Grid],
-        wrap: bool,
-        account: Account,
-    ) -> np.ndarray:
-        """The response ``(B, h, w)`` to one query."""
-        text = ask_presence(query) if extractor == "attention" else self.ask_boxes(query)
-        running = prefix.continued()
-        logits, rows = running.ask(
-            self._suffix(text, planned, prefix, account), self.read if extractor != "boxes" else ()
-        )
-        heat = None
-        if rows is not None:
-            if self.heads is not None:
-                ratio, scale = of_heads(rows.rows, self.heads.heads, planned.layout), self.heads.saturation
-            else:
-                assert general is not None
-                ratio, scale = relative(mean_over_heads(rows.rows, planned.layout), general), self.saturation
-            heat = saturated(ratio, scale, wrap)
-        if extractor == "attention":
-            assert heat is not None
-            return heat * self.yes(logits)[:, None, None] if self.presence else heat
-        answers = self._boxes(running, logits, planned, account)
-        boxed = np.stack([drawn(boxes, grid, grid) for boxes, grid in zip(answers, grids, strict=True)])
-        if heat is None:
-            return boxed
-        finer = boxed.shape[-1] // heat.shape[-1]
-        return 0.5 * (boxed + np.kron(heat, np.ones((1, finer, finer), dtype=np.float32)))  # a linear opinion pool
+            for part in chunks(len(images), self.batch, queries):
+                look = _Look(self, images[part], account)
+                written = [look.boxes(*look.ask(self.ask_boxes(query), ())[:2]) for query in queries]
+                found += [list(ones) for ones in zip(*written, strict=True)]
+        return found or [[] for _ in images], account
 
     def ask_boxes(self, query: str) -> str:
         """The question for boxes in the family's own coordinates. Raises `EagorError` if it has none."""
@@ -206,11 +131,6 @@ class LanguageModel:
                 f"{self.family.title} was not trained to write boxes; use extractor 'attention' or 'views' with it"
             )
         return ask_boxes(query, self.family.frame)
-
-    def _suffix(self, text: str, planned: Plan, prefix: Prefix, account: Account) -> torch.Tensor:
-        suffix = self.prompt(text, planned).suffix
-        account.prompt_tokens += suffix.shape[1] * prefix.batch
-        return suffix
 
     def prompt(self, text: str, planned: Plan) -> Prompt:
         """The tokens of a question about an image."""
@@ -233,45 +153,84 @@ class LanguageModel:
         yes, no = chances[:, self._yes].sum(dim=-1), chances[:, self._no].sum(dim=-1)
         return ((yes + 1e-9) / (yes + no + 2e-9)).cpu().numpy().astype(np.float32)
 
-    def _boxes(self, running: Running, logits: torch.Tensor, planned: Plan, account: Account) -> list[list[Box]]:
-        """The boxes that the model goes on to write, per image."""
-        stops = stops_of(self.model, self.tokenizer)
-        answer = running.decode(logits, self.most, stops)
-        found = []
-        for ids, logs in zip(answer.ids, answer.log_probabilities, strict=True):
-            account.answer_tokens += len(ids)
-            text = self.tokenizer.decode(ids, skip_special_tokens=True)
-            pieces = [self.tokenizer.decode([token]) for token in ids]
-            assert self.family.frame is not None
-            found.append(
-                parse_boxes(text, self.family.frame, planned.size, tokens=list(zip(pieces, logs, strict=True)))
-            )
-        return found
-
     @torch.inference_mode()
     def observe(self, example: Labelled, view: PerspectiveGrid | None = None) -> Observed:
         """What all heads of all layers of full attention do for a labelled panorama, or a view of it, for `fit_heads`.
 
         They are asked what `look` asks them with the extractor ``attention``.
         """
-        aspect = 1.0 if view is not None else example.panorama.shape[1] / example.panorama.shape[0]
-        planned = self.plan(aspect)
-        picture = example.panorama if view is None else cut(example.panorama, view)
+        panorama = example.panorama
+        planned = self.plan(1.0 if view is not None else panorama.shape[1] / panorama.shape[0])
+        picture = panorama if view is None else cut(panorama, view)
         rows, cols = planned.shape
         grid = PatchGrid(rows, cols) if view is None else replace(view, height=rows, width=cols)
         with self.lock:
-            prefix = self.share([resized(picture, planned.size, wrap=view is None)], planned)
-            suffix = self.prompt(ask_presence(example.query), planned).suffix
-            _, captured = prefix.continued().ask(suffix, full_layers(self.model))
-        assert captured is not None
+            look = _Look(self, [resized(picture, planned.size, wrap=view is None)], Account())
+            _, _, captured = look.ask(ask_presence(example.query), full_layers(self.model))
         kept = {layer: tensor[0].cpu().numpy() for layer, tensor in captured.rows.items()}
-        return Observed(
-            maps={layer: planned.layout.cells(row) for layer, row in kept.items()},
-            mass={layer: row.sum(axis=-1) for layer, row in kept.items()},
-            grid=grid,
-            direction=example.direction,
-            radius=example.radius,
-        )
+        maps = {layer: planned.layout.cells(row) for layer, row in kept.items()}
+        mass = {layer: row.sum(axis=-1) for layer, row in kept.items()}
+        return Observed(maps, mass, grid, example.direction, example.radius)
+
+
+class _Look:
+    """A batch of images of one size that questions are asked about."""
+
+    def __init__(self, model: LanguageModel, images: Sequence[np.ndarray], account: Account) -> None:
+        self._model, self._account = model, account
+        self._planned = model.plan(images[0].shape[1] / images[0].shape[0])
+        self._prefix = model.share(images, self._planned, account)
+
+    def ask(self, text: str, layers: Sequence[int]) -> tuple[Running, torch.Tensor, Capture]:
+        """The run behind a question, the logits of the answer's first token, and the attention in `layers`."""
+        suffix = self._model.prompt(text, self._planned).suffix
+        self._account.prompt_tokens += suffix.shape[1] * self._prefix.batch
+        running = self._prefix.continued()
+        logits, captured = running.ask(suffix, layers)
+        return running, logits, captured or Capture(self._prefix.columns)
+
+    def responses(self, grids: Sequence[Grid], queries: Sequence[str], extractor: Extractor) -> list[np.ndarray]:
+        """The response ``(B, h, w)`` to each query, on cells `grids`."""
+        model, layers = self._model, () if extractor == "boxes" else self._model.read
+        general = None
+        if layers and model.heads is None:
+            general = mean_over_heads(self.ask(GENERAL, layers)[2].rows, self._planned.layout)
+        found = []
+        for query in queries:
+            text = ask_presence(query) if extractor == "attention" else model.ask_boxes(query)
+            running, logits, captured = self.ask(text, layers)
+            heat = self._heat(captured, general, isinstance(grids[0], PatchGrid)) if layers else None
+            if extractor == "attention" and heat is not None:
+                found.append(heat * model.yes(logits)[:, None, None] if model.presence else heat)
+                continue
+            answers = self.boxes(running, logits)
+            boxed = np.stack([drawn(boxes, grid, grid) for boxes, grid in zip(answers, grids, strict=True)])
+            if heat is not None:  # a linear opinion pool
+                finer = boxed.shape[-1] // heat.shape[-1]
+                boxed = 0.5 * (boxed + np.kron(heat, np.ones((1, finer, finer), dtype=np.float32)))
+            found.append(boxed)
+        return found
+
+    def _heat(self, captured: Capture, general: np.ndarray | None, wrap: bool) -> np.ndarray:
+        """The response ``(B, h, w)`` of attention; `general`: that for the question of no content."""
+        model, layout = self._model, self._planned.layout
+        if model.heads is not None:
+            return saturated(of_heads(captured.rows, model.heads.heads, layout), model.heads.saturation, wrap)
+        assert general is not None
+        return saturated(relative(mean_over_heads(captured.rows, layout), general), model.saturation, wrap)
+
+    def boxes(self, running: Running, logits: torch.Tensor) -> list[list[Box]]:
+        """The boxes that the model goes on to write, per image."""
+        model, frame = self._model, self._model.family.frame
+        assert frame is not None
+        answer = running.decode(logits, model.most, stops_of(model.model, model.tokenizer))
+        found = []
+        for ids, logs in zip(answer.ids, answer.log_probabilities, strict=True):
+            self._account.answer_tokens += len(ids)
+            text = model.tokenizer.decode(ids, skip_special_tokens=True)
+            tokens = [(model.tokenizer.decode([token]), log) for token, log in zip(ids, logs, strict=True)]
+            found.append(parse_boxes(text, frame, self._planned.size, tokens=tokens))
+        return found
 
 
 def _answers(tokenizer: Any) -> tuple[list[int], list[int]]:

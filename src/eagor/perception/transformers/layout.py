@@ -11,12 +11,9 @@ from eagor._lazy import lazy
 
 @dataclass(frozen=True)
 class Block:
-    """Tokens in row-major order that cover a window of the image.
+    """Rows and columns of tokens, row by row, that cover a window of the image.
 
-    Attributes:
-        rows: of tokens.
-        cols: of tokens.
-        window: left, top, right, bottom in fractions of the image; it may reach past it (padding).
+    `window`: left, top, right, bottom in fractions of the image; it may reach past it (padding).
     """
 
     rows: int
@@ -41,33 +38,25 @@ class Layout:
         """Number of image tokens."""
         return sum(block.count for block in self.blocks)
 
-    @property
-    def plain(self) -> bool:
-        """Whether tokens are cells."""
-        return len(self.blocks) == 1 and self.blocks[0] == Block(*self.shape)
-
     @lazy
     def _shares(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
         """Per block, which share of a row of tokens lies in each row of cells ``(h, rows)``, and for columns."""
         height, width = self.shape
-        return tuple(
-            (
-                _overlap(height, block.rows, block.window[1], block.window[3]),
-                _overlap(width, block.cols, block.window[0], block.window[2]),
-            )
-            for block in self.blocks
-        )
+        found = []
+        for block in self.blocks:
+            left, top, right, bottom = block.window
+            found.append((_overlap(height, block.rows, top, bottom), _overlap(width, block.cols, left, right)))
+        return tuple(found)
 
     def cells(self, tokens: np.ndarray) -> np.ndarray:
         """Values of tokens ``(..., count)`` as sums over cells ``(..., h, w)``.
 
-        A token's value is shared out evenly over its window; what lies outside of the image is dropped. The sum is
-        kept where nothing lies outside.
+        A token's value is shared out evenly over its window; what lies outside of the image is dropped.
         """
         tokens = np.asarray(tokens)
         if tokens.shape[-1] != self.count:
             raise ValueError(f"{tokens.shape[-1]} values came for {self.count} image tokens")
-        if self.plain:
+        if self.blocks == (Block(*self.shape),):  # tokens are cells
             return tokens.reshape(*tokens.shape[:-1], *self.shape)
         total, start = np.zeros((*tokens.shape[:-1], *self.shape), dtype=tokens.dtype), 0
         for block, (down, across) in zip(self.blocks, self._shares, strict=True):

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import sys
 import warnings
 from collections.abc import Sequence
 from contextlib import redirect_stdout
+from pathlib import Path
 from typing import Any
 
 from eagor._checks import within
 from eagor._json import whole
 from eagor.errors import EagorError
-from eagor.perception.transformers.account import revision_of
 from eagor.perception.transformers.looker import Looker
 from eagor.perception.vlm.families import Family, chosen, family_of
 
@@ -28,7 +29,7 @@ def load_model(
     revision: str | None = None,
     device: str | None = None,
     dtype: str | None = None,
-    most: int = 512,
+    max_tokens: int = 512,
     batch: int = 8,
     threshold: float | None = None,
 ) -> Looker:
@@ -37,6 +38,11 @@ def load_model(
     Warns of weights that the checkpoint lacks. Raises `EagorError` if packages are missing, nothing can be loaded
     there, or it is of no known family.
     """
+    settings = {
+        "presence": switched("presence", presence),
+        "most": counted("max_tokens", max_tokens, "512"),
+        "batch": counted("batch", batch, "8"),
+    }
     config, family = read_family(name, revision)
     import torch
     import transformers
@@ -47,22 +53,25 @@ def load_model(
     if heads and not family.localiser and (each if how == "views" else how) == "boxes":
         raise EagorError(f"heads = {heads!r} came with the extractor {how!r}, which reads boxes; use attention or both")
     foreign = {"heads": heads, "layers": layers} if family.localiser else {"threshold": threshold}
-    given = sorted(key for key, value in foreign.items() if value is not None)
-    if given:
+    if given := sorted(key for key, value in foreign.items() if value is not None):
         why = "has no attention to read" if family.localiser else "has none, only localisers do"
         raise EagorError(f"{', '.join(given)} came for {family.title}, which {why}")
     from eagor.perception.transformers.heads import read_heads
 
-    found, numbers = read_heads(heads) if heads else None, _numbers(layers)
-    most_pixels = None if pixels is None else counted("pixels", pixels, "980000 (700 x 1400)")
-    least = None if threshold is None else _score(threshold)
+    settings["pixels"] = None if pixels is None else counted("pixels", pixels, "980000 (700 x 1400)")
+    if family.localiser:
+        del settings["presence"], settings["most"]
+        settings["threshold"] = None if threshold is None else _score(threshold)
+    else:
+        settings |= {"heads": read_heads(heads) if heads else None, "layers": _numbers(layers)}
+        settings["pixels"] = settings["pixels"] or (family.view_pixels if how == "views" else None)
     where = _device(torch, device)
     kind = _dtype(torch, dtype or ("float32" if where in ("cpu", "mps") else "bfloat16"))
     options: dict[str, Any] = {"dtype": kind, "use_safetensors": True}  # pickled weights are programs
     if where == "auto":
         options["device_map"] = "auto"
-    make = _class_for(transformers, family)
-    model, told = _loaded(name, "weights", make.from_pretrained, revision, output_loading_info=True, **options)
+    load = getattr(transformers, _class_of(family)).from_pretrained
+    model, told = _loaded(name, "weights", load, revision, output_loading_info=True, **options)
     if lacking := sorted(told["missing_keys"]):  # transformers makes them up
         warnings.warn(
             f"the files of {name!r} lack {len(lacking)} weights of the model, such as {lacking[0]}; they are random "
@@ -70,34 +79,32 @@ def load_model(
             UserWarning,
             stacklevel=2,
         )
-    model = model.eval() if where == "auto" else model.eval().to(where)
-    tokenizer = _loaded(name, "tokenizer", transformers.AutoTokenizer.from_pretrained, revision)
-    processor = _loaded(
-        name, "image processor", transformers.AutoImageProcessor.from_pretrained, revision, backend="pil"
-    )
     about: dict[str, Any] = {
         "name": name,
-        "revision": revision_of(name, getattr(config, "_commit_hash", None)),
+        "revision": _revision(name, getattr(config, "_commit_hash", None)),
         "family": family,
-        "model": model,
-        "tokenizer": tokenizer,
-        "processor": processor,
-        "batch": batch,
+        "model": model.eval() if where == "auto" else model.eval().to(where),
+        "tokenizer": _loaded(name, "tokenizer", transformers.AutoTokenizer.from_pretrained, revision),
+        "processor": _loaded(
+            name, "image processor", transformers.AutoImageProcessor.from_pretrained, revision, backend="pil"
+        ),
     }
     if family.localiser:
         from eagor.perception.transformers.localisers import Localiser
 
-        return Localiser(**about, pixels=most_pixels, threshold=least)
+        return Localiser(**about, **settings)
     from eagor.perception.transformers.language import LanguageModel
 
-    return LanguageModel(
-        **about,
-        heads=found,
-        layers=numbers,
-        presence=presence,
-        most=most,
-        pixels=most_pixels or (family.view_pixels if how == "views" else None),
-    )
+    return LanguageModel(**about, **settings)
+
+
+def _class_of(family: Family) -> str:
+    """The class of transformers that loads a family's checkpoints."""
+    if not family.localiser:
+        return "AutoModelForImageTextToText"
+    from eagor.perception.transformers.localisers import KINDS
+
+    return KINDS[family.name].loaded_by
 
 
 def read_family(name: str, revision: str | None = None) -> tuple[Any, Family]:
@@ -121,15 +128,6 @@ def read_family(name: str, revision: str | None = None) -> tuple[Any, Family]:
     return config, family_of(config, name)
 
 
-def _class_for(transformers: Any, family: Family) -> Any:
-    """The class that loads a family's checkpoints."""
-    if family.name == "clipseg":
-        return transformers.CLIPSegForImageSegmentation
-    if family.localiser:
-        return transformers.AutoModelForZeroShotObjectDetection
-    return transformers.AutoModelForImageTextToText
-
-
 def _loaded(name: str, what: str, load: Any, revision: str | None, **options: Any) -> Any:
     """What `load` makes of `name`, without running code that lies there. Raises `EagorError` with the reason.
 
@@ -146,6 +144,19 @@ def _loaded(name: str, what: str, load: Any, revision: str | None, **options: An
             "as Qwen/Qwen2.5-VL-7B-Instruct, or a folder that holds a whole checkpoint (config.json, *.safetensors, "
             "tokenizer and preprocessor files)"
         ) from error
+
+
+def _revision(name: str, commit: str | None) -> str:
+    """The commit of a hub checkpoint; for a folder a digest of its configuration and of its weight files' sizes."""
+    if commit:
+        return str(commit)
+    folder = Path(name)
+    if not (folder / "config.json").is_file():
+        return "unknown"
+    digest = hashlib.sha256((folder / "config.json").read_bytes())
+    for file in sorted(folder.glob("*.safetensors")):
+        digest.update(f"{file.name} {file.stat().st_size}".encode())
+    return f"folder:{digest.hexdigest()[:12]}"
 
 
 def _dtype(torch: Any, name: str) -> Any:

@@ -17,7 +17,7 @@ import torch
 
 from eagor.errors import ImageError
 from eagor.grids import Grid
-from eagor.perception.transformers.account import Account
+from eagor.perception.transformers.looker import Account
 from eagor.perception.transformers.prefix import chunks
 from eagor.perception.vlm.boxes import Box
 from eagor.perception.vlm.drawing import drawn
@@ -27,24 +27,49 @@ from eagor.perception.vlm.prompts import phrase
 _FINEST = 180  # columns of the cells that boxes are drawn on, at most
 _MOST = 50  # boxes per picture and query
 _POOLED = 4  # pixels of a mask to a cell
-# Below these scores the models' own examples drop boxes.
-_THRESHOLDS = {"owlv2": 0.1, "grounding_dino": 0.25}
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How a family of localisers is asked.
+
+    `loaded_by`: its class in transformers. `sentence`: what a query becomes. `threshold`: the score below which the
+    model's own examples drop boxes. `together`: whether one run answers all queries (else words and image are mixed
+    early, and each query is a run of its own). `padding`, `longest`: of its tokens, by its configuration.
+    """
+
+    loaded_by: str
+    sentence: Callable[[str], str]
+    threshold: float
+    together: bool
+    padding: str | bool
+    longest: Callable[[Any], int]
+
+
+def _photo(word: str) -> str:
+    """The sentence that CLIP models are asked with."""
+    return f"a photo of a {re.sub(r'^(the|an|a) ', '', word.lower())}"
+
+
+def _of_text(config: Any) -> int:
+    return config.text_config.max_position_embeddings
+
+
+_DETECTION = "AutoModelForZeroShotObjectDetection"
+KINDS = {
+    "owlv2": Kind(_DETECTION, _photo, 0.1, True, "max_length", _of_text),
+    "grounding_dino": Kind(
+        _DETECTION, lambda word: f"{word.lower().rstrip('.')}.", 0.25, False, True, lambda config: config.max_text_len
+    ),
+    "clipseg": Kind("CLIPSegForImageSegmentation", _photo, 0.0, True, True, _of_text),
+}
 
 
 @dataclass
 class Localiser:
-    """A loaded localiser.
+    """A loaded localiser, a `looker.Looker`; attributes as in `language.LanguageModel`.
 
-    Attributes:
-        name: hub name or folder.
-        revision: as in `language.LanguageModel`.
-        family: what it is.
-        model: the transformers model.
-        tokenizer: its tokenizer.
-        processor: its image processor.
-        batch: images run at once.
-        threshold: boxes with a lower score are dropped; None for the family's.
-        pixels: of an image at most, where the family leaves a choice.
+    `threshold`: boxes with a lower score are dropped; None for the family's.
     """
 
     name: str
@@ -61,15 +86,14 @@ class Localiser:
     def size(self, aspect: float) -> tuple[int, int]:
         """(height, width) that images are resized to before `look`. Raises `ImageError` for too few pixels."""
         if self.family.fit == "squash":
-            side = int(self.model.config.vision_config.image_size)
-            return side, side
+            return self._side, self._side
         if self.family.fit == "pad":
-            side = int(self.model.config.vision_config.image_size)
+            side = self._side
             return (max(1, round(side / aspect)), side) if aspect >= 1 else (side, max(1, round(side * aspect)))
-        edges = self.processor.size
-        longest = min(float(edges["longest_edge"]), float(edges["shortest_edge"]) * max(aspect, 1 / aspect))
+        edges, longer = self.processor.size, max(aspect, 1 / aspect)
+        longest = min(float(edges["longest_edge"]), float(edges["shortest_edge"]) * longer)
         if self.pixels is not None:
-            longest = min(longest, (self.pixels * max(aspect, 1 / aspect)) ** 0.5)
+            longest = min(longest, (self.pixels * longer) ** 0.5)
         # Whole cells that boxes can be drawn on: a width of many divisors.
         width = longest if aspect >= 1 else longest * aspect
         width = width // _FINEST * _FINEST if width >= _FINEST else width // 12 * 12
@@ -95,8 +119,7 @@ class Localiser:
     ) -> tuple[np.ndarray, Account]:
         """Responses ``(B, Q, h, w)`` float32 in [0, 1] of images that all have the size that `size` gives."""
         found = np.zeros((len(images), len(queries), *grids[0].shape), dtype=np.float32)
-        words = [phrase(query) for query in queries]
-        if self.family.name != "clipseg":
+        if extractor != "mask":
             boxes, account = self.boxes(images, queries)
             for row, grid in enumerate(grids):
                 for column, ones in enumerate(boxes[row]):
@@ -104,111 +127,85 @@ class Localiser:
             return found, account
         account = Account(images=len(images))
         with self.lock:
-            for part in chunks(len(images), self.batch) if words else ():
-                found[part] = _masks(self, self._pixels(images[part]), words, account)
+            for part in chunks(len(images), self.batch, queries):
+                found[part] = self._masks(images[part], queries, account)
         return found, account
 
     @torch.inference_mode()
     def boxes(self, images: Sequence[np.ndarray], queries: Sequence[str]) -> tuple[list[list[list[Box]]], Account]:
         """Boxes per image and query, of images that all have the size that `size` gives."""
-        account, found = Account(images=len(images)), []
+        account = Account(images=len(images))
+        found: list[list[list[Box]]] = [[] for _ in images]
         words = [phrase(query) for query in queries]
-        if not words:
-            return [[] for _ in images], account
+        height, width = images[0].shape[:2]
+        side = self._side if self.family.fit == "pad" else 0
+        share = (height / side, width / side) if side else (1.0, 1.0)  # of the square that the picture fills
         with self.lock:
-            for part in chunks(len(images), self.batch):
-                pixels = self._pixels(images[part])
-                found += _DETECTORS[self.family.name](self, pixels, words, images[0].shape[:2], account)
+            for part in chunks(len(images), self.batch, queries):
+                for asked in [words] if KINDS[self.family.name].together else [[word] for word in words]:
+                    corners, scores = self._boxes(images[part], asked, share, account)
+                    for row, ones in enumerate(found[part]):
+                        ones += [
+                            _kept(corners[row], scores[row, :, column], word, self.least)
+                            for column, word in enumerate(asked)
+                        ]
         return found, account
 
     @property
     def least(self) -> float:
         """The score that a box needs."""
-        return _THRESHOLDS[self.family.name] if self.threshold is None else self.threshold
+        return KINDS[self.family.name].threshold if self.threshold is None else self.threshold
+
+    @property
+    def _side(self) -> int:
+        """Of the square that the model sees."""
+        return int(self.model.config.vision_config.image_size)
+
+    def _boxes(
+        self, images: Sequence[np.ndarray], words: Sequence[str], share: tuple[float, float], account: Account
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Corners ``(B, n, 4)`` and scores ``(B, n, Q)`` of a run."""
+        pixels = self._pixels(images)
+        out = self.model(pixel_values=pixels, **self._tokens(words, len(pixels), account))
+        scores = out.logits.float().sigmoid()
+        if KINDS[self.family.name].together:
+            account.image_tokens += out.pred_boxes.shape[:2].numel()
+        else:  # one score for each token of the one query
+            account.image_tokens += out.encoder_last_hidden_state_vision.shape[:2].numel()
+            scores = scores.amax(dim=-1, keepdim=True)
+        return _corners(out.pred_boxes, share), scores.cpu().numpy()
+
+    def _masks(self, images: Sequence[np.ndarray], words: Sequence[str], account: Account) -> np.ndarray:
+        """CLIPSeg's probabilities ``(B, Q, h, w)``, the mean over cells."""
+        pixels = self._pixels(images)
+        count, (height, width) = len(pixels), pixels.shape[-2:]
+        account.image_tokens += count * (width // self.model.config.vision_config.patch_size) ** 2
+        tokens = self._tokens([phrase(word) for word in words], count, account)
+        out = self.model(pixel_values=pixels.repeat_interleave(len(words), dim=0), **tokens)
+        chances = out.logits.float().sigmoid().reshape(count, len(words), height, width)
+        rows, cols = height // _POOLED, width // _POOLED
+        cut = chances[..., : rows * _POOLED, : cols * _POOLED]
+        return cut.reshape(count, len(words), rows, _POOLED, cols, _POOLED).mean(dim=(3, 5)).cpu().numpy()
 
     def _pixels(self, images: Sequence[np.ndarray]) -> torch.Tensor:
         """Normalised pixels ``(B, 3, h, w)``; OWLv2's in the upper left corner of its black square."""
         if self.family.fit == "pad":
-            side = int(self.model.config.vision_config.image_size)
-            canvas = np.zeros((len(images), side, side, 3), dtype=np.uint8)
+            canvas = np.zeros((len(images), self._side, self._side, 3), dtype=np.uint8)
             for square, image in zip(canvas, images, strict=True):
                 square[: image.shape[0], : image.shape[1]] = image
             images = list(canvas)
         made = self.processor(images=list(images), do_resize=False, do_pad=False, return_tensors="pt")
         return made["pixel_values"].to(self.model.device, self.model.dtype)
 
-    def tokens(self, texts: Sequence[str], longest: int, padding: str | bool) -> dict[str, torch.Tensor]:
-        """Token ids and masks of texts, on the model's device."""
-        made = self.tokenizer(list(texts), padding=padding, truncation=True, max_length=longest, return_tensors="pt")
-        return {key: value.to(self.model.device) for key, value in made.items()}
-
-
-def _owlv2(
-    localiser: Localiser, pixels: torch.Tensor, words: Sequence[str], size: tuple[int, int], account: Account
-) -> list[list[list[Box]]]:
-    """Boxes per image and query; the image is run once for all queries."""
-    config = localiser.model.config
-    texts = [_photo(word) for word in words]
-    tokens = localiser.tokens(texts, config.text_config.max_position_embeddings, "max_length")
-    account.prompt_tokens += tokens["input_ids"].numel()
-    count = len(pixels)
-    out = localiser.model(
-        pixel_values=pixels,
-        input_ids=tokens["input_ids"].repeat(count, 1),
-        attention_mask=tokens["attention_mask"].repeat(count, 1),
-    )
-    account.image_tokens += out.pred_boxes.shape[0] * out.pred_boxes.shape[1]
-    side = int(config.vision_config.image_size)
-    share = (size[0] / side, size[1] / side)  # of the square that the picture fills
-    scores = out.logits.float().sigmoid().cpu().numpy()
-    corners = _corners(out.pred_boxes, share)
-    return [
-        [_kept(corners[row], scores[row, :, column], word, localiser.least) for column, word in enumerate(words)]
-        for row in range(count)
-    ]
-
-
-def _grounding_dino(
-    localiser: Localiser, pixels: torch.Tensor, words: Sequence[str], size: tuple[int, int], account: Account
-) -> list[list[list[Box]]]:
-    """Boxes per image and query; words and image are mixed early, so that each query is a run of its own."""
-    found: list[list[list[Box]]] = [[] for _ in pixels]
-    for word in words:
-        tokens = localiser.tokens(
-            [f"{word.lower().rstrip('.')}."] * len(pixels), localiser.model.config.max_text_len, True
-        )
-        account.prompt_tokens += tokens["input_ids"].numel()
-        out = localiser.model(pixel_values=pixels, **tokens)
-        account.image_tokens += out.encoder_last_hidden_state_vision.shape[:2].numel()
-        scores = out.logits.float().sigmoid().amax(dim=-1).cpu().numpy()
-        corners = _corners(out.pred_boxes, (1.0, 1.0))
-        for row in range(len(pixels)):
-            found[row].append(_kept(corners[row], scores[row], word, localiser.least))
-    return found
-
-
-def _masks(localiser: Localiser, pixels: torch.Tensor, words: Sequence[str], account: Account) -> np.ndarray:
-    """CLIPSeg's probabilities ``(B, Q, h, w)``, the mean over cells."""
-    texts = [_photo(word) for word in words]
-    tokens = localiser.tokens(texts, localiser.model.config.text_config.max_position_embeddings, True)
-    account.prompt_tokens += tokens["input_ids"].numel()
-    account.image_tokens += len(pixels) * (pixels.shape[-1] // localiser.model.config.vision_config.patch_size) ** 2
-    out = localiser.model(
-        pixel_values=pixels.repeat_interleave(len(words), dim=0),
-        **{key: tokens[key].repeat(len(pixels), 1) for key in ("input_ids", "attention_mask")},
-    )
-    chances = out.logits.float().sigmoid().reshape(len(pixels), len(words), *pixels.shape[-2:])
-    rows, cols = pixels.shape[-2] // _POOLED, pixels.shape[-1] // _POOLED
-    cut = chances[..., : rows * _POOLED, : cols * _POOLED]
-    return cut.reshape(len(pixels), len(words), rows, _POOLED, cols, _POOLED).mean(dim=(3, 5)).cpu().numpy()
-
-
-_DETECTORS: dict[str, Callable[..., list[list[list[Box]]]]] = {"owlv2": _owlv2, "grounding_dino": _grounding_dino}
-
-
-def _photo(word: str) -> str:
-    """The sentence that CLIP models are asked with."""
-    return f"a photo of a {re.sub(r'^(the|an|a) ', '', word.lower())}"
+    def _tokens(self, words: Sequence[str], count: int, account: Account) -> dict[str, torch.Tensor]:
+        """Token ids and masks of all words for each of `count` images, on the model's device."""
+        kind = KINDS[self.family.name]
+        texts, most = [kind.sentence(word) for word in words], kind.longest(self.model.config)
+        made = self.tokenizer(texts, padding=kind.padding, truncation=True, max_length=most, return_tensors="pt")
+        taken = ("input_ids", "attention_mask") if kind.together else tuple(made)
+        repeated = {key: made[key].to(self.model.device).repeat(count, 1) for key in taken}
+        account.prompt_tokens += made["input_ids"].numel() * (1 if kind.together else count)
+        return repeated
 
 
 def _corners(boxes: torch.Tensor, share: tuple[float, float]) -> np.ndarray:

@@ -1,7 +1,6 @@
-"""One pass over the image, shared by all questions about it.
+"""One pass over the image, shared by all questions about it: each runs its own few tokens on a copy of the cache.
 
-The image stands before the question and attention is causal, so keys and values of everything up to the image are the
-same for every question. They are computed once; each question runs its own few tokens on a copy.
+The image stands before the question and attention is causal, so keys and values up to the image are the same for all.
 """
 
 from __future__ import annotations
@@ -31,20 +30,14 @@ class Decoded:
 class Prefix:
     """Keys and values of a batch of images and what stands before them.
 
-    Attributes:
-        model: the model that they belong to.
-        batch: number of images.
-        columns: positions ``(n,)`` of the image tokens, none where there is no image.
-        length: number of tokens.
-        position: the position of the next token, which after an image with rotary positions in rows and columns is not
-            the number of tokens so far; None where the model counts by itself.
-        cache: keys and values; never written to, but by the last run.
+    `columns`: positions ``(n,)`` of the image tokens, none where there is no image. `position`: that of the next token,
+    which after an image with rotary positions in rows and columns is not the number of tokens so far; None where the
+    model counts by itself. `cache`: never written to, but by the last run.
     """
 
     model: Any
     batch: int
     columns: torch.Tensor
-    length: int
     position: int | None
     cache: Any
 
@@ -125,7 +118,7 @@ def share(
         feed["position_ids"] = places
         position = int(places.max()) + 1
     cache = model.model(**feed, use_cache=True).past_key_values
-    return Prefix(model, batch, prompt.columns.to(device), ids.shape[1], position, cache)
+    return Prefix(model, batch, prompt.columns.to(device), position, cache)
 
 
 def _copied(cache: Any) -> Any:
@@ -140,7 +133,7 @@ def _copied(cache: Any) -> Any:
     return new
 
 
-def chunks(count: int, most: int) -> Iterator[slice]:
-    """Slices of at most `most` that cover `count`."""
-    for start in range(0, count, most):
+def chunks(count: int, most: int, queries: Sequence[str]) -> Iterator[slice]:
+    """Slices of at most `most` that cover `count`; none where nothing is asked."""
+    for start in range(0, count if queries else 0, most):
         yield slice(start, min(start + most, count))

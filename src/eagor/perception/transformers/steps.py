@@ -17,7 +17,7 @@ class Endless(Exception):
 def limited_steps(most: int) -> Iterator[None]:
     """Raise `Endless` in what runs inside, in this thread, once it has taken more than `most` lines of Python.
 
-    Lines are counted by the interpreter's tracing, in whatever is called; a debugger that traces waits meanwhile.
+    The interpreter's tracing counts them; a debugger that traces waits meanwhile.
     """
     left = most
 

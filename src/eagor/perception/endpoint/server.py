@@ -1,0 +1,263 @@
+"""A model on a server, and how it is asked: how many requests at once, how long, how often again.
+
+Requests run on an event loop in a thread of their own: only there can a whole exchange be given one deadline, whatever
+the server does meanwhile (a byte now and then, headers without end), and be given up at any moment.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import threading
+import weakref
+from collections.abc import Coroutine, Sequence
+from contextlib import suppress
+from dataclasses import KW_ONLY, dataclass, fields
+from functools import lru_cache
+from importlib.util import find_spec
+from typing import Any, TypeVar
+from urllib.parse import parse_qsl
+
+from eagor._checks import above, require, whole, within
+from eagor._secrets import redacted
+from eagor.errors import EagorError, QueryError
+from eagor.perception.endpoint.addresses import DEFAULT_SERVER, checked_address, place_of, shown_address
+from eagor.perception.endpoint.faults import Asked, explained, message, refused_feature, retry_after, worth_retrying
+from eagor.perception.endpoint.messages import Answer, Request
+from eagor.perception.endpoint.transport import client_of
+
+LONGEST_REST = 30.0  # seconds between two tries at most, unless the server asks for more
+_LONGEST = 86400.0  # seconds to wait for an answer: sockets count them in few bits
+_CONNECTING = threading.Lock()
+
+
+@dataclass(frozen=True, repr=False)
+class Asker:
+    """A model on an OpenAI-compatible server, and how patiently it is asked; base of what asks one.
+
+    Nothing is connected to before the first request. Threads share the connections; copies that are pickled, and
+    forked processes, connect anew.
+
+    `model`: its name there, empty for the only model that the server has. `servers`: the server's address, mostly
+    ending in ``/v1``, in a tuple of one: several want a proxy before them. The rest: docs/models.md.
+    """
+
+    model: str = ""
+    servers: tuple[str, ...] = (DEFAULT_SERVER,)
+    _: KW_ONLY
+    timeout: float = 120.0
+    retries: int = 3
+    backoff: float = 0.5
+    key: str = ""
+    ca: str = ""
+
+    def __post_init__(self) -> None:
+        addresses = list(self.servers) if isinstance(self.servers, tuple | list) else []
+        require(
+            self,
+            {
+                "model": (isinstance(self.model, str), "its name on the server, empty for the only one"),
+                "key": (isinstance(self.key, str), "the name of an environment variable, empty for no key"),
+                "ca": (isinstance(self.ca, str), "a file of certificates to trust, empty for the usual ones"),
+                "timeout": (above(self.timeout, 0, _LONGEST), f"seconds above 0, at most {_LONGEST:g}"),
+                "retries": (whole(self.retries, 0), "a whole number, 0 or more"),
+                "backoff": (within(self.backoff, 0), "seconds, 0 or more"),
+                "servers": (len(addresses) > 0, f"a tuple of one address, such as ({DEFAULT_SERVER!r},)"),
+            },
+        )
+        if len(addresses) > 1:
+            raise EagorError(
+                f"{len(addresses)} addresses of servers came; wanted one. To share the work among several servers, put "
+                "a proxy before them and give its address: docs/how-to/server.md shows how"
+            )
+        object.__setattr__(self, "servers", (checked_address(addresses[0]),))
+
+    def _server(self, concurrency: int, max_tokens: int) -> Server:
+        """The connections, made once per process; at most `concurrency` requests at once, answers of `max_tokens`."""
+        name = f"_connected_{os.getpid()}"
+        with _CONNECTING:
+            if name not in self.__dict__:
+                self.__dict__[name] = Server(self, concurrency, max_tokens)
+            return self.__dict__[name]
+
+    def __repr__(self) -> str:
+        shown = [f"{field.name}={getattr(self, field.name)!r}" for field in fields(self)]
+        return redacted(f"{type(self).__name__}({', '.join(shown)})")
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+Named = TypeVar("Named", bound=Asker)
+
+
+def named(kind: type[Named], text: str, **options: Any) -> Named:
+    """What ``MODEL@ADDRESS[?option=value&...]`` names, of this kind; options passed by name win.
+
+    Model and address may be missing. Options are the fields of `kind`. Raises `EagorError` for options that do not
+    exist or cannot be read, and without the packages.
+    """
+    need_client()
+    place, _, written = text.partition("?")
+    model, addresses = place_of(place)
+    known = {field.name: field.default for field in fields(kind)}
+    given: dict[str, Any] = {"model": model} | ({"servers": addresses} if addresses else {})
+    for name, value in parse_qsl(written, keep_blank_values=True):
+        if name in ("servers", "calibration", "detector", "model"):
+            raise EagorError(f"{name} cannot be set after the ?; the model and the address stand before it")
+        if name in given:
+            raise EagorError(f"{name} comes twice in the name of a served model; wanted each option once")
+        given[name] = _option(name, value, known.get(name))
+    given |= options
+    if unknown := sorted(given.keys() - known.keys()):
+        raise EagorError(f"a served model has no option {', '.join(unknown)}; it has the options {', '.join(known)}")
+    return kind(**given)
+
+
+def _option(name: str, value: str, default: Any) -> Any:
+    """An option as written in the text, in the type of its default."""
+    try:
+        if isinstance(default, bool):
+            return {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}[value.lower()]
+        return type(default)(value) if isinstance(default, int | float) else value
+    except (ValueError, KeyError) as error:
+        raise EagorError(f"{name}={value} for a served model; wanted a {type(default).__name__}") from error
+
+
+class Server:
+    """The connections to one server. Safe to use from several threads, which then share the limits.
+
+    Raises `EagorError` without the packages, or if the environment variable with the key is not set.
+    """
+
+    def __init__(self, asker: Asker, concurrency: int, max_tokens: int) -> None:
+        need_client()
+        import openai
+        import tenacity
+
+        key = os.environ.get(asker.key, "") if asker.key else ""
+        if asker.key and not key:
+            variable = asker.key if asker.key.isupper() else "that key=... names"  # it may be the key itself
+            raise EagorError(f"the environment variable {variable}, which should hold the server's key, is not set")
+        (url,) = asker.servers
+        self._model, self._timeout, self._retries = asker.model, asker.timeout, asker.retries
+        self._shown = shown_address(url)
+        # What the client, and reading what it returns, raise where what came is not what was asked for.
+        nonsense = (ValueError, AttributeError, TypeError, RecursionError)
+        self._failures = (openai.OpenAIError, TimeoutError, *nonsense)
+        self._refused: set[str] = set()  # features that the server does not know
+        self._room = asyncio.Semaphore(concurrency)
+        backoff = tenacity.wait_exponential(asker.backoff, LONGEST_REST)
+        self._backoff = backoff + tenacity.wait_random(0, asker.backoff / 4)  # not all clients at once
+        self._client = client_of(url, key, asker.timeout, max_tokens, asker.ca)
+        self._loop = _loop(os.getpid())
+        weakref.finalize(self, _close, self._client).atexit = False
+
+    def model(self) -> str:
+        """The model's name; where none was given, that of the only model that the server has.
+
+        Raises `ServerError` if the server does not answer, `QueryError` if it has several models or none.
+        """
+        if not self._model:
+            self._model = self._awaited(self._only_model())
+        return self._model
+
+    def ask(self, requests: Sequence[Request]) -> list[Answer]:
+        """The answers to `requests`, in their order; as many at once as the limit allows.
+
+        Raises the first error (`ServerError`, `QueryError`, `AnswerError`); what is not yet sent then stays unsent.
+        """
+        self.model()
+        return self._awaited(self._all(requests))
+
+    def _awaited(self, work: Coroutine[Any, Any, Any]) -> Any:
+        """What `work` returns; it is given up where the caller is interrupted."""
+        future = asyncio.run_coroutine_threadsafe(work, self._loop)
+        try:
+            return future.result()
+        finally:
+            future.cancel()
+
+    async def _all(self, requests: Sequence[Request]) -> list[Answer]:
+        tasks = [asyncio.ensure_future(self._one(request)) for request in requests]
+        try:
+            return await asyncio.gather(*tasks)
+        finally:  # all done, or one failed, or nobody waits any more
+            for task in tasks:
+                task.cancel()
+
+    async def _one(self, request: Request) -> Answer:
+        """One answer, after as many tries as it takes and is allowed; who waits for the next try keeps its place."""
+        import tenacity
+
+        tries = tenacity.AsyncRetrying(
+            stop=tenacity.stop_after_attempt(1 + self._retries),
+            wait=lambda state: max(self._backoff(state), retry_after(state.outcome and state.outcome.exception())),
+            retry=tenacity.retry_if_exception(worth_retrying),
+            reraise=True,
+        )
+        async with self._room:
+            try:
+                completion = await tries(self._completion, request)
+                return request.read(completion, tries.statistics["attempt_number"])
+            except self._failures as error:
+                if isinstance(error, EagorError):
+                    raise
+                served = None
+                # The failure may be about the names of the models.
+                if getattr(error, "status_code", None) in (400, 404, 422) and "model" in message(error).lower():
+                    with suppress(*self._failures):
+                        served = await self._names()
+                count = tries.statistics["attempt_number"]
+                raise explained(
+                    error, Asked(self._model, self._shown, request.size, self._timeout, count), served
+                ) from error
+
+    async def _completion(self, request: Request) -> Any:
+        """What the client returns to one request, without the features that the server refuses."""
+        import openai
+
+        while True:
+            refused = frozenset(self._refused)
+            body = await asyncio.to_thread(request.body, self._model, refused)  # encodes pictures
+            try:
+                async with asyncio.timeout(self._timeout):
+                    return await self._client.chat.completions.create(**body)
+            except openai.OpenAIError as error:
+                feature = refused_feature(error, request.features - refused)
+                if not feature:
+                    raise
+                self._refused.add(feature)
+
+    async def _names(self) -> list[str]:
+        async with asyncio.timeout(self._timeout):
+            return [str(model.id) for model in (await self._client.models.list()).data]
+
+    async def _only_model(self) -> str:
+        try:
+            names = await self._names()
+        except self._failures as error:
+            raise explained(error, Asked("", self._shown, (0, 0), self._timeout, 1), None) from error
+        if len(names) != 1:
+            has = f"{self._shown} has {len(names)} models"
+            raise QueryError(f"{has} ({', '.join(names)}); name one before the @")
+        return names[0]
+
+
+def need_client() -> None:
+    """Raise `EagorError` without the packages of the extra."""
+    if any(find_spec(name) is None for name in ("openai", "tenacity")):
+        raise EagorError("a served model needs the packages openai and tenacity: pip install 'eagor[endpoint]'")
+
+
+@lru_cache(maxsize=1)
+def _loop(_process: int) -> asyncio.AbstractEventLoop:
+    """The loop that all requests of this process run on: a forked one has no threads of its parent."""
+    loop = asyncio.new_event_loop()
+    threading.Thread(target=loop.run_forever, name="eagor-servers", daemon=True).start()
+    return loop
+
+
+def _close(client: Any) -> None:
+    """Give the connections back."""
+    asyncio.run_coroutine_threadsafe(client.close(), _loop(os.getpid()))
