@@ -82,10 +82,11 @@ class Room:
         x0, y0, x1, y1 = self.rectangles.T
         return float(((x1 - x0) * (y1 - y0)).sum())
 
-    def contains(self, x: float, y: float) -> bool:
-        """Whether the point lies in the room."""
+    def contains(self, x: np.ndarray | float, y: np.ndarray | float) -> np.ndarray:
+        """Whether points lie in the room, bool in the shape of `x` and `y`."""
+        x, y = np.asarray(x)[..., None], np.asarray(y)[..., None]
         x0, y0, x1, y1 = self.rectangles.T
-        return bool(((x0 <= x) & (x <= x1) & (y0 <= y) & (y <= y1)).any())
+        return ((x0 <= x) & (x <= x1) & (y0 <= y) & (y <= y1)).any(axis=-1)
 
 
 @dataclass(frozen=True, eq=False)

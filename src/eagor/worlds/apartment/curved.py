@@ -14,12 +14,13 @@ from eagor.worlds.apartment.mesh import (
     Triple,
     checked_bounds,
     grid_triangles,
+    loft,
     merged,
     moved,
     planar_uv,
     projected,
+    quad_triangles,
 )
-from eagor.worlds.apartment.solids import loft
 
 
 @lru_cache(maxsize=8)
@@ -160,8 +161,7 @@ def quad(corners: Sequence[Triple] | np.ndarray) -> Mesh:
     """A flat four-sided face ``(4, 3)``, counter-clockwise; uv is (0, 0) at corner 0, u towards 1, v towards 3."""
     corners = np.asarray(corners, dtype=np.float64)
     u, v = np.linalg.norm(corners[1] - corners[0]), np.linalg.norm(corners[3] - corners[0])
-    triangles = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
-    uv = np.array([[0, 0], [u, 0], [u, v], [0, v]], dtype=np.float32)
+    triangles, uv = quad_triangles(1), np.array([[0, 0], [u, 0], [u, v], [0, v]], dtype=np.float32)
     return Mesh(corners.astype(np.float32), triangles, uv[triangles])
 
 

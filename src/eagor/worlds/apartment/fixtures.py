@@ -5,17 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from eagor.worlds.apartment.finishes import Look
-from eagor.worlds.apartment.furnisher import Furnisher, Piece
-from eagor.worlds.apartment.furniture import Model
-from eagor.worlds.apartment.mesh import Part, part
+from eagor.worlds.apartment.furnisher import Furnisher, Made, Piece
+from eagor.worlds.apartment.mesh import Part, box, part, placed
 from eagor.worlds.apartment.placement import from_rectangle, overlaps
 from eagor.worlds.apartment.plans import Plan
 from eagor.worlds.apartment.sites import GAP, along_walls, before, on_face
-from eagor.worlds.apartment.solids import box
 from eagor.worlds.apartment.textures import REPEAT
-from eagor.worlds.apartment.things import placed
 
-Made = tuple[Model, int]
 _ROWS = (
     ("refrigerator", "cabinet", "sink", "cabinet", "stove"),
     ("refrigerator", "cabinet", "sink", "stove"),

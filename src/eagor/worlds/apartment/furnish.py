@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from eagor.worlds.apartment import dressing, fixtures, groups
-from eagor.worlds.apartment.colours import tell_apart
-from eagor.worlds.apartment.furnisher import Furnisher, NoRoom, Piece
+from eagor.worlds.apartment.furnisher import Furnisher, NoRoom, Piece, tell_apart
 from eagor.worlds.apartment.furniture import KINDS
 from eagor.worlds.apartment.placement import Floor
 from eagor.worlds.apartment.sites import along_walls
@@ -77,7 +76,7 @@ def furnish(floor: Floor, rng: np.random.Generator) -> list[Piece]:
             dressing.rug(f, room)
         for _ in range(int(rng.integers(_PAINTINGS[kind][0], _PAINTINGS[kind][1] + 1))):
             dressing.painting(f, room)
-    dressing.small_things(f, tuple(sorted(kind.category for kind in KINDS.values() if kind.placement == "top")))
+    dressing.small_things(f, tuple(sorted(name for name, kind in KINDS.items() if kind.placement == "top")))
     tell_apart(f)
     return f.pieces
 

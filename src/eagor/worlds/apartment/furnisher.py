@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections import Counter
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from eagor.worlds.apartment.furniture import KINDS, Model, build
 from eagor.worlds.apartment.placement import Floor
 from eagor.worlds.apartment.sites import Sites, before
+
+Made = tuple[Model, int]  # a model and the seed that it was built from
+_LEAST_UNIQUE = 3
+# Never in a colour of their own: fixtures come in the colour of their room, the units of a kitchen in one.
+_FIXED = ("sink", "toilet", "bathtub", "cabinet", "refrigerator", "stove")
 
 
 class NoRoom(Exception):
@@ -32,9 +38,14 @@ class Piece:
     solid: bool = True
 
     @property
+    def name(self) -> str:
+        """Colour and category, as in `Instance.name`."""
+        return f"{self.model.colour} {self.category}" if self.model.colour else self.category
+
+    @property
     def bottom(self) -> float:
         """Height of its lowest point."""
-        return float(self.position[2] + min(part.vertices[:, 2].min() for part in self.model.parts))
+        return float(self.position[2] + min(part.low[2] for part in self.model.parts))
 
     @property
     def top(self) -> float:
@@ -51,7 +62,7 @@ class Furnisher:
     habits: dict[str, str] = field(default_factory=dict)
     pieces: list[Piece] = field(default_factory=list)
 
-    def make(self, category: str, colour: str | None = None) -> tuple[Model, int]:
+    def make(self, category: str, colour: str | None = None) -> Made:
         """A new model and its seed. Without a colour, it has most often the one that its kind has in this home."""
         seed = int(self.rng.integers(2**31))
         colours = KINDS[category].colours
@@ -60,29 +71,21 @@ class Furnisher:
             colour = habit if self.rng.random() < 0.45 else str(self.rng.choice(colours))
         return build(category, colour, np.random.default_rng(seed)), seed
 
-    def record(self, made: tuple[Model, int], room: int, box: np.ndarray, z: float = 0.0, solid: bool = True) -> Piece:
+    def record(self, made: Made, room: int, box: np.ndarray, z: float = 0.0, solid: bool = True) -> Piece:
         """Note a piece whose place has been checked."""
         model, seed = made
         piece = Piece(model.category, room, model, seed, box, np.array([box[0], box[1], z]), solid)
         self.pieces.append(piece)
         return piece
 
-    def set_down(self, group: list[tuple[tuple[Model, int], np.ndarray]], room: int) -> list[Piece] | None:
+    def set_down(self, group: list[tuple[Made, np.ndarray]], room: int) -> list[Piece] | None:
         """Set models down together on the floor, if one can still walk everywhere; else None."""
         heights = [float(made[0].size[2]) for made, _ in group]
         if not self.floor.put([box for _, box in group], heights):
             return None
         return [self.record(made, room, box) for made, box in group]
 
-    def settle(
-        self,
-        made: tuple[Model, int],
-        room: int,
-        sites: Sites,
-        *,
-        front: float = 0.5,
-        reserve: bool = True,
-    ) -> Piece | None:
+    def settle(self, made: Made, room: int, sites: Sites, *, front: float = 0.5, reserve: bool = True) -> Piece | None:
         """Set a model down on the best site with `front` metres of free floor before it; None if there is none.
 
         `reserve` keeps that floor free from then on.
@@ -117,3 +120,39 @@ class Furnisher:
     def of(self, category: str, room: int | None = None) -> list[Piece]:
         """The pieces of a category, in a room or anywhere."""
         return [p for p in self.pieces if p.category == category and room in (None, p.room)]
+
+
+def tell_apart(f: Furnisher) -> None:
+    """Give single pieces another colour, until enough of them are one of a kind among several of their category.
+
+    Mostly one chair differs from the others. Afterwards at least three solid pieces have a name of their own although
+    their category occurs more than once, and at least one name occurs several times. Raises `NoRoom` if that fails.
+    """
+    chairs = f.of("chair")
+    odd = int(f.rng.choice([0, 1, 2], p=[0.12, 0.7, 0.18])) if len(chairs) > 3 else 0
+    for i in f.rng.permutation(len(chairs))[:odd]:
+        _recolour(f, chairs[i])
+    for _ in range(40):
+        solid = [piece for piece in f.pieces if piece.solid]
+        names, categories = Counter(piece.name for piece in solid), Counter(piece.category for piece in solid)
+        unique = [p for p in solid if names[p.name] == 1 and categories[p.category] > 1]
+        repeated = [p for p in solid if names[p.name] > 1]
+        if len(unique) >= _LEAST_UNIQUE and repeated:
+            return
+        # Of chairs at least two stay alike.
+        pool = [p for p in repeated if p.category not in _FIXED and (p.category != "chair" or names[p.name] > 2)]
+        if not pool:
+            break
+        _recolour(f, pool[f.rng.integers(len(pool))])
+    raise NoRoom("too few pieces to tell apart by colour")
+
+
+def _recolour(f: Furnisher, piece: Piece) -> None:
+    """Build `piece` again in a colour that no other of its category has; its size has to stay."""
+    taken = {other.model.colour for other in f.of(piece.category)}
+    colours = [colour for colour in KINDS[piece.category].colours if colour not in taken]
+    for colour in f.rng.permutation(colours).tolist():
+        model = build(piece.category, colour, np.random.default_rng(piece.seed))
+        if np.allclose(model.size, piece.model.size, atol=2e-3):
+            f.pieces = [replace(piece, model=model) if other is piece else other for other in f.pieces]
+            return

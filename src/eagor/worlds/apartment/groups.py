@@ -11,8 +11,6 @@ from eagor.worlds.apartment.furnisher import Furnisher, Piece
 from eagor.worlds.apartment.furniture import Model
 from eagor.worlds.apartment.sites import GAP, Sites, along_walls, before, in_room, joined, on_face, relative, reversed_
 
-Made = tuple[Model, int]
-
 
 def lounge(f: Furnisher, room: int) -> bool:
     """A television at a wall, a sofa that faces it, and mostly a coffee table between."""
