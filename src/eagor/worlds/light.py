@@ -21,8 +21,7 @@ import numpy as np
 
 from eagor.worlds import sky
 from eagor.worlds.lattice import Lattice
-from eagor.worlds.raycast import make_raycaster
-from eagor.worlds.rays import Raycaster
+from eagor.worlds.raycast import Raycaster, make_raycaster
 from eagor.worlds.scene import Scene
 from eagor.worlds.sources import GOLDEN, LIFT, SKY_GAIN, Source, glowing, lamps, leave_through, mean_colour, portals
 

@@ -97,12 +97,7 @@ def central_hall(rng: np.random.Generator) -> Layout:
     x1, y1 = left, low
     x2, y2 = _snap(x1 + across), _snap(y1 + along)
     width, depth = _snap(x2 + right), _snap(y2 + high)
-    wings: list[Rectangle] = [
-        (0.0, 0.0, x2, y1),
-        (x2, 0.0, width, y2),
-        (x1, y2, width, depth),
-        (0.0, y1, x1, depth),
-    ]
+    wings: list[Rectangle] = [(0.0, 0.0, x2, y1), (x2, 0.0, width, y2), (x1, y2, width, depth), (0.0, y1, x1, depth)]
     order = sorted(range(4), key=lambda i: -_area(wings[i]))
     living = order[0]
     rest = [i for i in range(4) if i != living]

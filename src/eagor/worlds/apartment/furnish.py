@@ -115,7 +115,7 @@ def _one_more(f: Furnisher, room: int, category: str, front: float) -> bool:
     made = f.make(category, f.habits["chair"] if category == "chair" else None)
     corner = {"plant": 0.8, "lamp": 0.8, "wardrobe": 0.5, "bookshelf": 0.3}.get(category, 0.0)
     gap = 0.06 if category in ("plant", "lamp") else 0.02
-    sites = along_walls(f.floor, room, made[0].size, f.rng, corner=corner, middle=0.2, gap=gap, side=gap)
+    sites = along_walls(f.floor, room, made.size, f.rng, corner=corner, middle=0.2, gap=gap, side=gap)
     return f.settle(made, room, sites, front=front) is not None
 
 

@@ -11,7 +11,6 @@ from eagor.worlds.apartment.furniture import KINDS, Model, build
 from eagor.worlds.apartment.placement import Floor
 from eagor.worlds.apartment.sites import Sites, before
 
-Made = tuple[Model, int]  # a model and the seed that it was built from
 _LEAST_UNIQUE = 3
 # Never in a colour of their own: fixtures come in the colour of their room, the units of a kitchen in one.
 _FIXED = ("sink", "toilet", "bathtub", "cabinet", "refrigerator", "stove")
@@ -25,17 +24,20 @@ class NoRoom(Exception):
 class Piece:
     """A model in its place.
 
-    `box`: its footprint ``(5,)``; `position` ``(3,)`` of the model's origin; `room`: its place in the plan; `seed`:
-    what it was built from; `solid`: it stands in the way.
+    `room`: its place in the plan; `box`: its footprint ``(5,)``; `position` ``(3,)`` of the model's origin; `solid`: it
+    stands in the way.
     """
 
-    category: str
     room: int
     model: Model
-    seed: int
     box: np.ndarray
     position: np.ndarray
     solid: bool = True
+
+    @property
+    def category(self) -> str:
+        """What it is."""
+        return self.model.category
 
     @property
     def name(self) -> str:
@@ -50,7 +52,7 @@ class Piece:
     @property
     def top(self) -> float:
         """Height of its highest point."""
-        return self.bottom + float(self.model.size[2])
+        return self.bottom + self.model.height
 
 
 @dataclass
@@ -62,44 +64,49 @@ class Furnisher:
     habits: dict[str, str] = field(default_factory=dict)
     pieces: list[Piece] = field(default_factory=list)
 
-    def make(self, category: str, colour: str | None = None) -> Made:
-        """A new model and its seed. Without a colour, it has most often the one that its kind has in this home."""
+    def make(self, category: str, colour: str | None = None) -> Model:
+        """A new model. Without a colour, it has most often the one that its kind has in this home."""
         seed = int(self.rng.integers(2**31))
         colours = KINDS[category].colours
         if colour is None and colours:
             habit = self.habits.setdefault(category, str(self.rng.choice(colours)))
             colour = habit if self.rng.random() < 0.45 else str(self.rng.choice(colours))
-        return build(category, colour, np.random.default_rng(seed)), seed
+        return replace(build(category, colour, np.random.default_rng(seed)), seed=seed)
 
-    def record(self, made: Made, room: int, box: np.ndarray, z: float = 0.0, solid: bool = True) -> Piece:
+    def fits(self, room: int, boxes: np.ndarray, model: Model) -> np.ndarray:
+        """Which footprints ``(n, 5)`` have room for a model on the floor, and stand before no window too low for it."""
+        good = self.floor.fits(room, boxes, (0.0, model.height))
+        return good & self.floor.beside_windows(boxes, model.height)
+
+    def open_before(self, room: int, zone: np.ndarray) -> np.ndarray:
+        """Which pieces of floor ``(n, 5)`` are free and lie in the room or in those that are open to it."""
+        return self.floor.clear(zone) & self.floor.open_inside(room, zone)
+
+    def record(self, model: Model, room: int, box: np.ndarray, z: float = 0.0, solid: bool = True) -> Piece:
         """Note a piece whose place has been checked."""
-        model, seed = made
-        piece = Piece(model.category, room, model, seed, box, np.array([box[0], box[1], z]), solid)
-        self.pieces.append(piece)
-        return piece
+        self.pieces.append(Piece(room, model, box, np.array([box[0], box[1], z]), solid))
+        return self.pieces[-1]
 
-    def set_down(self, group: list[tuple[Made, np.ndarray]], room: int) -> list[Piece] | None:
+    def set_down(self, group: list[tuple[Model, np.ndarray]], room: int) -> list[Piece] | None:
         """Set models down together on the floor, if one can still walk everywhere; else None."""
-        heights = [float(made[0].size[2]) for made, _ in group]
-        if not self.floor.put([box for _, box in group], heights):
+        if not self.floor.put([box for _, box in group], [model.height for model, _ in group]):
             return None
-        return [self.record(made, room, box) for made, box in group]
+        return [self.record(model, room, box) for model, box in group]
 
-    def settle(self, made: Made, room: int, sites: Sites, *, front: float = 0.5, reserve: bool = True) -> Piece | None:
+    def settle(
+        self, model: Model, room: int, sites: Sites, *, front: float = 0.5, reserve: bool = True
+    ) -> Piece | None:
         """Set a model down on the best site with `front` metres of free floor before it; None if there is none.
 
         `reserve` keeps that floor free from then on.
         """
         if not len(sites.boxes):
             return None
-        height = float(made[0].size[2])
-        good = self.floor.fits(room, sites.boxes, (0.0, height)) & self.floor.beside_windows(sites.boxes, height)
+        good = self.fits(room, sites.boxes, model)
         if front > 0:
-            zone = before(sites.boxes, front)
-            good &= self.floor.clear(zone) & self.floor.open_inside(room, zone)
+            good &= self.open_before(room, before(sites.boxes, front))
         for place in sites.best(good, 10):
-            done = self.set_down([(made, sites.boxes[place])], room)
-            if done:
+            if done := self.set_down([(model, sites.boxes[place])], room):
                 if front > 0 and reserve:
                     self.floor.kept.append(before(sites.boxes[place], front)[0])
                 return done[0]
@@ -152,7 +159,7 @@ def _recolour(f: Furnisher, piece: Piece) -> None:
     taken = {other.model.colour for other in f.of(piece.category)}
     colours = [colour for colour in KINDS[piece.category].colours if colour not in taken]
     for colour in f.rng.permutation(colours).tolist():
-        model = build(piece.category, colour, np.random.default_rng(piece.seed))
+        model = build(piece.category, colour, np.random.default_rng(piece.model.seed))
         if np.allclose(model.size, piece.model.size, atol=2e-3):
             f.pieces = [replace(piece, model=model) if other is piece else other for other in f.pieces]
             return

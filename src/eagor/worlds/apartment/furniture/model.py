@@ -29,7 +29,8 @@ class Model:
 
     The origin is the centre of the footprint on the floor; for things that are hung on a wall the centre of their back
     face (parts at x >= 0, z about 0), for those that hang from the ceiling the centre of their top (z <= 0).
-    `colour`, its main colour as a plain word, or None; `size` ``(3,)``, extents along x, y, z.
+    `colour`, its main colour as a plain word, or None; `size` ``(3,)``, extents along x, y, z; `seed`: what it was
+    built from.
     """
 
     category: str
@@ -37,6 +38,12 @@ class Model:
     parts: tuple[Part, ...]
     size: np.ndarray
     lamps: tuple[Lamp, ...] = ()
+    seed: int = 0
+
+    @property
+    def height(self) -> float:
+        """Metres from its lowest to its highest point."""
+        return float(self.size[2])
 
 
 @dataclass(frozen=True)
