@@ -38,6 +38,20 @@ def _steps() -> dict[tuple[int, int], list[tuple[int, int]]]:
 _STEPS = _steps()
 
 
+def cells_of(
+    xy: np.ndarray, origin: np.ndarray, cell: float, shape: tuple[int, ...]
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Where points ``(..., 2)`` lie in a grid: in cells, in which row and column, and whether on it (NaN is not).
+
+    The first two are 0 for points off the grid.
+    """
+    place = (np.asarray(xy, dtype=np.float64) - origin) / cell
+    known = np.all((place >= 0) & (place < shape[::-1]), axis=-1)
+    place = np.where(np.expand_dims(known, -1), place, 0.0)
+    col, row = np.moveaxis(place.astype(np.intp), -1, 0)
+    return place, (row, col), known
+
+
 @dataclass(frozen=True, eq=False)
 class Field:
     """Shortest distances over the ground to one goal or set of goals.
@@ -56,25 +70,19 @@ class Field:
         Bilinear between those of the four cell centres about a point that can be reached, and by no way much longer
         than that from the point's own cell: others lie behind a thin wall.
         """
-        place = (np.asarray(xy, dtype=np.float64) - self.origin) / self.cell
-        rows, cols = self.metres.shape
-        known = np.all((place >= 0) & (place < (cols, rows)), axis=-1)
-        place = np.where(np.expand_dims(known, -1), place, 0.0)
-        own = np.floor(place).astype(np.intp)
-        here = np.where(known, self.metres[own[..., 1], own[..., 0]], np.inf)
+        place, own, known = cells_of(xy, self.origin, self.cell, self.metres.shape)
+        here = np.where(known, self.metres[own], np.inf)
         near = np.where(np.isfinite(here), here, 0.0)
         first = np.floor(place - 0.5).astype(np.intp)
-        share = place - 0.5 - first
+        shares = (1 - (place - 0.5 - first), place - 0.5 - first)  # of the lower and of the upper neighbour
+        last = np.array(self.metres.shape[::-1]) - 1
         total, weights = np.zeros(here.shape), np.zeros(here.shape)
-        for right in (0, 1):
-            for up in (0, 1):
-                col = np.clip(first[..., 0] + right, 0, cols - 1)
-                row = np.clip(first[..., 1] + up, 0, rows - 1)
-                value = self.metres[row, col]
-                weight = (share[..., 0] if right else 1 - share[..., 0]) * (share[..., 1] if up else 1 - share[..., 1])
-                usable = np.abs(np.where(np.isfinite(value), value, 1e9) - near) < 2.1 * self.cell
-                total = total + weight * np.where(usable, value, 0.0)
-                weights = weights + np.where(usable, weight, 0.0)
+        for right, up in itertools.product((0, 1), repeat=2):
+            col, row = np.moveaxis(np.clip(first + np.array((right, up)), 0, last), -1, 0)
+            value, weight = self.metres[row, col], shares[right][..., 0] * shares[up][..., 1]
+            usable = np.abs(np.where(np.isfinite(value), value, 1e9) - near) < 2.1 * self.cell
+            total = total + weight * np.where(usable, value, 0.0)
+            weights = weights + np.where(usable, weight, 0.0)
         return np.where(np.isfinite(here), total / np.maximum(weights, 1e-12), np.inf)
 
     def union(self, *others: Field) -> Field:

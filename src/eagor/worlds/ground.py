@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from eagor._lazy import lazy
 from eagor.errors import WorldError
-from eagor.worlds.geodesics import CellGraph, Field, Walls, line_is_free, pulled
+from eagor.worlds.geodesics import CellGraph, Field, Walls, cells_of, line_is_free, pulled
 from eagor.worlds.occupancy import floor_height, level_triangles, touched
 from eagor.worlds.scene import STRUCTURE, Instance, Room, Scene
 
@@ -47,15 +47,9 @@ class Ground:
 
     @classmethod
     def from_scene(
-        cls,
-        scene: Scene,
-        *,
-        cell: float = 0.05,
-        radius: float = 0.18,
-        height: float = 1.5,
-        climb: float = 0.12,
-        floor: float | None = None,
-    ) -> Ground:
+        cls, scene: Scene, *, cell: float = 0.05, radius: float = 0.18,
+        height: float = 1.5, climb: float = 0.12, floor: float | None = None,
+    ) -> Ground:  # fmt: skip
         """The ground of a scene, for a body of `radius` and `height` that walks over what is lower than `climb`.
 
         Obstacle: every triangle between `climb` and `height` above the floor. Floor: level surfaces within `climb` of
@@ -108,11 +102,8 @@ class Ground:
 
     def is_free(self, xy: np.ndarray) -> np.ndarray:
         """Whether the body can stand at points ``(..., 2)``; False off the plan and for NaN."""
-        place = (np.asarray(xy, dtype=np.float64) - self.origin) / self.cell
-        rows, cols = self.free.shape
-        known = np.all((place >= 0) & (place < (cols, rows)), axis=-1)
-        index = np.where(np.expand_dims(known, -1), place, 0.0).astype(np.intp)
-        return known & self.free[index[..., 1], index[..., 0]]
+        _, (row, col), known = cells_of(xy, self.origin, self.cell, self.free.shape)
+        return known & self.free[row, col]
 
     def centres(self, cells: np.ndarray) -> np.ndarray:
         """Points ``(..., 2)`` at the centres of cells ``(..., 2)``, which are rows and columns."""
@@ -299,8 +290,5 @@ def _largest_area(free: np.ndarray) -> np.ndarray:
     """The largest set of cells that hang together along edges."""
     labels = np.zeros(free.shape, dtype=np.int32)
     ndimage.label(free, output=labels)
-    sizes = np.bincount(labels.ravel())
-    if len(sizes) == 1:
-        return free
-    sizes[0] = 0
-    return labels == sizes.argmax()
+    sizes = np.bincount(labels.ravel())[1:]
+    return labels == sizes.argmax() + 1 if len(sizes) else free

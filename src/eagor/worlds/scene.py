@@ -116,17 +116,12 @@ class Scene:
 
     def __post_init__(self) -> None:
         count = len(self.triangles)
-        fits = (
-            self.vertices.shape == (len(self.vertices), 3)
-            and self.triangles.shape == (count, 3)
-            and self.instance.shape == self.material.shape == (count,)
-            and self.uv.shape == (count, 3, 2)
-        )
+        shapes = [a.shape for a in (self.vertices, self.triangles, self.instance, self.material, self.uv)]
+        fits = shapes == [(len(self.vertices), 3), (count, 3), (count,), (count,), (count, 3, 2)]
         if not fits or count == 0 or not np.isfinite(self.vertices).all():
             raise WorldError(
                 "a scene needs finite vertices (V, 3), triangles (T, 3), instance and material (T,), uv (T, 3, 2); got "
-                f"{self.vertices.shape}, {self.triangles.shape}, {self.instance.shape}, {self.material.shape}, "
-                f"{self.uv.shape}"
+                f"{', '.join(map(str, shapes))}"
             )
         for name, values, end in (
             ("triangles", self.triangles, len(self.vertices)),
