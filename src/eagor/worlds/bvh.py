@@ -118,9 +118,9 @@ class Tree:
 
 
 def _split_large(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles ``(T, 3, 3)`` halved along their longest edges until none spans a sixteenth of the scene.
+    """Triangles ``(T, 3, 3)`` halved until none spans a sixteenth of the scene, or walls would blow up the boxes.
 
-    Walls among furniture would otherwise blow up the boxes of the tree. Returns the pieces and whose piece each is.
+    Returns the pieces and whose piece each is.
     """
     source = np.arange(len(corners))
     limit = np.ptp(corners.reshape(-1, 3), axis=0).max() / 16
@@ -142,10 +142,7 @@ def _split_large(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ordered(centres: np.ndarray) -> tuple[np.ndarray, int]:
-    """The order in which leaves take the triangles, and the levels below the root.
-
-    Halves by the median along the longest side of each part, all parts of a level at once.
-    """
+    """The order in which leaves take the triangles (halved by medians along the longest side), and the levels."""
     count, levels = len(centres), 0
     while -(-count // 4**levels) > _LEAF:
         levels += 1

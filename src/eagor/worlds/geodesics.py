@@ -197,8 +197,7 @@ def line_is_free(free: bytes, cols: int, start: tuple[float, float], end: tuple[
 def pulled(points: list[tuple[float, float]], sees: Callable[[tuple, tuple], bool]) -> list[tuple[float, float]]:
     """The polyline drawn taut: corners are left out where the straight line between others is free.
 
-    Runs from both ends until it gets no shorter, with new corners half-way along the legs, so that a corner that the
-    cells put too far out moves in.
+    Runs from both ends until it gets no shorter; new corners half-way along the legs let those too far out move in.
     """
     best = _shortcut(points, sees)
     for _ in range(4):
@@ -238,8 +237,7 @@ class Walls(NamedTuple):
     def move(self, x: float, y: float, dx: float, dy: float, slide: bool) -> tuple[float, float, bool]:
         """Where a step (dx, dy) from a free point (x, y) ends, and whether it was hindered; all in cells.
 
-        The step is taken in parts of at most half a cell. Where the next part ends in a cell that is not free, what is
-        left of it along the wall is taken (`slide`), or nothing.
+        It is taken in parts of at most half a cell; of one that is blocked what is left along the wall (`slide`).
         """
         free, _, cols = self
         at = int(y) * cols + int(x)
@@ -267,8 +265,7 @@ class Walls(NamedTuple):
     def _along(self, at: int, dx: float, dy: float) -> list[tuple[float, float]]:
         """What is left of a part of a step once its component into the wall is gone, the best first.
 
-        The wall stands against the slope of the clearance; in the corners of the grid, where that leads nowhere, it
-        stands along one of the axes.
+        The wall stands against the slope of the clearance; where that leads nowhere, along one of the axes.
         """
         clearance, cols = self.clearance, self.cols
         slope_x, slope_y = clearance[at + 1] - clearance[at - 1], clearance[at + cols] - clearance[at - cols]

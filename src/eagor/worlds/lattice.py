@@ -187,10 +187,8 @@ def unseen(scene: Scene) -> np.ndarray:
 
 
 def _key(place: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """A number ``(n,)`` uint64 that is the same for places within a millimetre and normals within a few degrees.
-
-    Shifted by a third of a step, since coordinates like to lie on round values.
-    """
+    """A number ``(n,)`` uint64 that is the same for places within a millimetre and normals within a few degrees."""
+    # Shifted by a third of a step, since coordinates like to lie on round values.
     steps = np.concatenate([np.floor(place * 1000 + 0.3137), np.floor(normal * 6 + 0.3137)], axis=1).astype(np.int64)
     key = np.zeros(len(steps), dtype=np.uint64)
     for column in steps.T:  # a mixing step of splitmix64 (Steele, Lea, Flood 2014) for every number

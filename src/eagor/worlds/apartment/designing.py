@@ -36,11 +36,6 @@ class Apartment:
     pieces: tuple[Piece, ...]
 
 
-def design(seed: int) -> Apartment:
-    """The apartment of a seed. Errors as in `build`."""
-    return build(seed, "")[0]
-
-
 def build(seed: int, source: str) -> tuple[Apartment, Scene]:
     """The apartment of a seed and its scene: new plans are drawn until one takes all that has to be in it.
 

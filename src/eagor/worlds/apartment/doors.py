@@ -43,10 +43,7 @@ def draw_style(rng: np.random.Generator) -> Style:
 
 
 def doors_and_windows(plan: Plan, style: Style) -> tuple[list[Thing], dict[int, list[Part]]]:
-    """Doors and windows as things, and for each room the casings that belong to its wall.
-
-    A doorway without a leaf is no door: its lining and casings belong to the walls.
-    """
+    """Doors and windows as things; for each room the casings of its wall, where a doorway has no leaf."""
     things: list[Thing] = []
     trim: dict[int, list[Part]] = {place: [] for place in range(len(plan.spaces))}
     for doorway in plan.doorways:

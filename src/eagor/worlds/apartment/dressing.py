@@ -93,10 +93,7 @@ def small_things(f: Furnisher, categories: tuple[str, ...]) -> None:
 
 
 def ceiling_lamps(f: Furnisher, room: int) -> None:
-    """One lamp in the middle of each part of a room, two in a large or long one; beside what reaches up to it.
-
-    Raises `NoRoom` where none finds a place.
-    """
+    """One lamp in the middle of each part of a room, two in a large or long one; `NoRoom` where none has a place."""
     made = f.make("ceiling lamp")
     depth, width, height = (float(length) for length in made.size)
     ceiling = f.floor.plan.height

@@ -88,9 +88,7 @@ def _tinted(look: Material, tone: tuple[int, int, int], rng: np.random.Generator
 def lit(pieces: Sequence[Piece], rooms: Sequence[Room], finishes: Sequence[Finish], height: float) -> list[Piece]:
     """The same pieces, the ceiling lamps as strong as their rooms want it; `height` of the rooms in metres.
 
-    Between walls, the light that goes round is the power of the lamps over the light that the surfaces swallow (the
-    integrating sphere): the larger a room and the darker its walls and floor, the stronger its lamps. One lamp for two
-    parts of a room has to do for both.
+    The light between walls is the power of the lamps over what the surfaces swallow (the integrating sphere).
     """
     count = Counter(piece.room for piece in pieces if piece.category == "ceiling lamp")
     shares = {
@@ -113,6 +111,5 @@ def _swallowed(room: Room, finish: Finish, height: float) -> float:
 
 
 def _dimmed(piece: Piece, share: float) -> Piece:
-    """A lamp with so much of its power."""
     lights = tuple(replace(light, power=share * light.power) for light in piece.model.lamps)
     return replace(piece, model=replace(piece.model, lamps=lights))

@@ -130,10 +130,10 @@ class Furnisher:
 
 
 def tell_apart(f: Furnisher) -> None:
-    """Give single pieces another colour, until enough of them are one of a kind among several of their category.
+    """Give single pieces, mostly a chair, another colour, so that "the red chair" among others is a question.
 
-    Mostly one chair differs from the others. Afterwards at least three solid pieces have a name of their own although
-    their category occurs more than once, and at least one name occurs several times. Raises `NoRoom` if that fails.
+    Afterwards at least three solid pieces have a name of their own although their category occurs more than once, and
+    at least one name occurs several times. Raises `NoRoom` if that fails.
     """
     chairs = f.of("chair")
     odd = int(f.rng.choice([0, 1, 2], p=[0.12, 0.7, 0.18])) if len(chairs) > 3 else 0

@@ -156,12 +156,22 @@ def projected(vertices: np.ndarray, triangles: np.ndarray, grain: int | None) ->
     return Mesh(vertices, triangles, planar_uv(vertices, triangles, grain))
 
 
+def halves(grid: np.ndarray) -> np.ndarray:
+    """The corners of two triangles for each cell of a grid ``(rows, columns, ...)``: ``(n, m, 2, 3, ...)``."""
+    a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
+    return np.stack([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)], axis=2)
+
+
+def whole(triangles: np.ndarray) -> np.ndarray:
+    """Which triangles ``(..., 3)`` have three different corners."""
+    p, q, r = np.moveaxis(triangles, -1, 0)
+    return (p != q) & (q != r) & (r != p)
+
+
 def grid_triangles(index: np.ndarray) -> np.ndarray:
     """Two triangles for each cell of a grid of vertex numbers (rows, columns), less those with a repeated corner."""
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    triangles = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=-2).reshape(-1, 3)
-    p, q, r = triangles.T
-    return triangles[(p != q) & (q != r) & (r != p)].astype(np.int32)
+    triangles = halves(index).reshape(-1, 3)
+    return triangles[whole(triangles)].astype(np.int32)
 
 
 def hexahedron(corners: Triple | np.ndarray, grain: int | None = None) -> Mesh:

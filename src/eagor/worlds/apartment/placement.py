@@ -34,10 +34,7 @@ def from_rectangle(rectangle: tuple[float, float, float, float]) -> np.ndarray:
 
 
 def overlaps(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Whether footprints `a` ``(n, 5)`` and `b` ``(m, 5)`` overlap: ``(n, m)`` bool.
-
-    Separating axes: two rectangles are apart exactly if they are so along a side of one of them.
-    """
+    """Whether footprints `a` ``(n, 5)`` and `b` ``(m, 5)`` overlap: ``(n, m)`` bool, by separating axes."""
     a, b = np.atleast_2d(a), np.atleast_2d(b)
     between = b[None, :, :2] - a[:, None, :2]
     turn = b[None, :, 4] - a[:, None, 4]

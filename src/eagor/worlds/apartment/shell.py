@@ -77,10 +77,7 @@ def structure(plan: Plan, rooms: tuple[dict[str, list[Part]], ...]) -> list[Thin
 
 
 def _faces(cells: Cells, axis: int, sign: int, tiled: np.ndarray) -> np.ndarray:
-    """Room and surface, coded in one number (0: no face), of each face that looks along `sign` times `axis`.
-
-    Planes between cells come first, then the other two axes in their order.
-    """
+    """Room and surface, coded in one number (0: no face), of each face that looks along `sign` times `axis`."""
     air = np.moveaxis(cells.air, axis, 0)
     hole = np.moveaxis(cells.hole, axis, 0)
     owner = np.moveaxis(np.broadcast_to(cells.owner[:, :, None], cells.air.shape), axis, 0)

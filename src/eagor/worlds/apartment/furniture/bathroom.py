@@ -20,10 +20,7 @@ def ellipse(x: float, y: float, sides: int = 20, front: float = 0.0) -> np.ndarr
 
 
 def vessel(rings: list[tuple[np.ndarray, float, float]]) -> Mesh:
-    """A surface through rings (outline ``(n, 2)``, shift along x, height z), first up outside, then down inside.
-
-    A ring given twice makes a sharp edge.
-    """
+    """A surface through rings (outline ``(n, 2)``, shift along x, height); a ring given twice makes a sharp edge."""
     points = np.stack([np.column_stack([r[:, 0] + shift, r[:, 1], np.full(len(r), z)]) for r, shift, z in rings])
     points = np.concatenate([points, points[:, :1]], axis=1)
     same = [k for k in range(1, len(points)) if np.allclose(points[k], points[k - 1])]

@@ -84,10 +84,7 @@ def _across(width: float, overhang: float) -> tuple[np.ndarray, np.ndarray]:
 def _cover(
     width: float, height: float, start: float, end: float, overhang: float, hangs: bool, wave: np.ndarray
 ) -> Mesh:
-    """A duvet over the mattress from x = `start` to `end`; at its end it hangs down, or is tucked in.
-
-    `wave` ``(10, 9)`` in about -1..1 makes it uneven.
-    """
+    """A duvet from x = `start` to `end`, where it hangs down or is tucked in; `wave` ``(10, 9)`` makes it uneven."""
     y, drop = _across(width, overhang)
     x = np.concatenate([np.linspace(start, end - 0.15, 6), [end - 0.03, end + 0.03, end + 0.05]])
     along = np.zeros(9)
