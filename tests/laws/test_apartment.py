@@ -12,10 +12,9 @@ from eagor.errors import WorldError
 from eagor.tasks.places import UNTARGETED
 from eagor.worlds.apartment import CATEGORIES, REQUIRED, VERSION, generate
 from eagor.worlds.apartment.cells import carve, rooms_of
-from eagor.worlds.apartment.colours import name, tell_apart
-from eagor.worlds.apartment.designing import design
+from eagor.worlds.apartment.designing import build
 from eagor.worlds.apartment.families import FAMILIES
-from eagor.worlds.apartment.furnisher import Furnisher
+from eagor.worlds.apartment.furnisher import Furnisher, tell_apart
 from eagor.worlds.apartment.openings import LINING, OUTSIDE
 from eagor.worlds.apartment.placement import (
     corners,
@@ -27,8 +26,7 @@ from eagor.worlds.apartment.placement import (
     overlaps,
 )
 from eagor.worlds.apartment.plans import draw_plan
-from eagor.worlds.footprints import BESIDE
-from eagor.worlds.ground import Ground
+from eagor.worlds.ground import BESIDE, Ground
 from eagor.worlds.raycast import make_raycaster
 from eagor.worlds.scene import STRUCTURE
 from eagor.worlds.sources import mean_colour
@@ -36,7 +34,7 @@ from eagor.worlds.sources import mean_colour
 SEEDS = (0, 3, 5, 11, 21, 1007)
 seeds = pytest.mark.parametrize("seed", SEEDS)
 scene = cache(generate)
-apartment = cache(design)
+apartment = cache(lambda seed: build(seed, "")[0])
 
 
 def boxes_of(pieces):
@@ -140,8 +138,8 @@ def test_required_categories_and_structure(seed):
 @seeds
 def test_names_can_be_told_apart_and_confused(seed):
     things = [piece for piece in apartment(seed).pieces if piece.solid]
-    names, categories = Counter(map(name, things)), Counter(piece.category for piece in things)
-    assert sum(names[name(p)] == 1 and categories[p.category] > 1 for p in things) >= 3
+    names, categories = Counter(piece.name for piece in things), Counter(piece.category for piece in things)
+    assert sum(names[p.name] == 1 and categories[p.category] > 1 for p in things) >= 3
     assert any(count > 1 for count in names.values())
     seen = Counter(thing.name for thing in scene(seed).instances if thing.category not in STRUCTURE)
     assert all(seen[each] == count for each, count in names.items())

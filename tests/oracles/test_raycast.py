@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from strategies import random_directions
 
 from eagor.errors import WorldError
-from eagor.worlds.bvh import NumpyRaycaster
-from eagor.worlds.raycast import EmbreeRaycaster, make_raycaster
+from eagor.worlds.raycast import EmbreeRaycaster, NumpyRaycaster, make_raycaster
 
 ENGINES = ("embree", "numpy")
 LOW, HIGH = np.array([-3.0, -2.0, 0.0]), np.array([4.0, 2.5, 2.6])

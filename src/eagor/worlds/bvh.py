@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from eagor.worlds.rays import Hits, checked_rays
-
 _LEAF = 4  # triangles per leaf, at most
 _BATCH = 1 << 13  # rays that walk together: what they need stays in the cache
 _MARGIN = 1e-7  # barycentric slack, so that no ray slips through the edge between two triangles
 
 
-class NumpyRaycaster:
-    """The fallback engine. The same answers as Embree up to rounding, and to the choice at a shared edge."""
+class Tree:
+    """The tree over `triangles` ``(T, 3)`` of `vertices` ``(V, 3)``, metres."""
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
         corners = vertices[triangles].astype(np.float64)
@@ -35,28 +33,14 @@ class NumpyRaycaster:
         self._leaves = np.ascontiguousarray(owner[np.where(full, slots, len(order))].T)  # (_LEAF, leaves)
         self._boxes = _boxes(pieces[order], starts, self._levels)
 
-    def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
-        """See `Raycaster.cast`."""
-        origins, directions = checked_rays(origins, directions)
-        return self._trace(origins, directions, np.full(len(origins), np.inf))
-
-    def occluded(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
-        """See `Raycaster.occluded`."""
-        origins, directions = checked_rays(origins, directions)
-        limits = np.broadcast_to(np.asarray(reach, dtype=np.float64), len(origins))
-        return self._trace(origins, directions, limits).triangle >= 0
-
-    def _trace(self, origins: np.ndarray, directions: np.ndarray, limits: np.ndarray) -> Hits:
-        found = [
-            self._walk(
-                origins[first : first + _BATCH], directions[first : first + _BATCH], limits[first : first + _BATCH]
-            )
-            for first in range(0, max(len(origins), 1), _BATCH)
-        ]
+    def trace(self, origins: np.ndarray, directions: np.ndarray, limits: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Distance (inf: none), triangle (-1), u and v of what is nearest on each ray ``(n, 3)`` within its limit."""
+        starts = range(0, max(len(origins), 1), _BATCH)
+        found = [self._walk(*(a[k : k + _BATCH] for a in (origins, directions, limits))) for k in starts]
         distance, triangle, u, v = (np.concatenate(parts) for parts in zip(*found, strict=True))
         distance = np.where(triangle >= 0, distance, np.inf)
         u, v = (np.clip(weight, 0.0, 1.0).astype(np.float32) for weight in (u, v))
-        return Hits(distance.astype(np.float32), triangle.astype(np.int32), u, v)
+        return distance.astype(np.float32), triangle.astype(np.int32), u, v
 
     def _walk(self, origins: np.ndarray, directions: np.ndarray, limits: np.ndarray) -> tuple[np.ndarray, ...]:
         """Distance, triangle (-1: none), u and v of one batch."""
@@ -134,9 +118,9 @@ class NumpyRaycaster:
 
 
 def _split_large(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles ``(T, 3, 3)`` halved along their longest edges until none spans a sixteenth of the scene.
+    """Triangles ``(T, 3, 3)`` halved until none spans a sixteenth of the scene, or walls would blow up the boxes.
 
-    Walls among furniture would otherwise blow up the boxes of the tree. Returns the pieces and whose piece each is.
+    Returns the pieces and whose piece each is.
     """
     source = np.arange(len(corners))
     limit = np.ptp(corners.reshape(-1, 3), axis=0).max() / 16
@@ -150,19 +134,15 @@ def _split_large(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             break
         turned = np.take_along_axis(corners, ((longest[:, None] + np.arange(3)) % 3)[..., None], axis=1)
         middle = (turned[:, 0] + turned[:, 1]) / 2
-        corners = np.concatenate(
-            [np.stack([turned[:, 0], middle, turned[:, 2]], 1), np.stack([middle, turned[:, 1], turned[:, 2]], 1)]
-        )
+        halves = (turned[:, 0], middle, turned[:, 2]), (middle, turned[:, 1], turned[:, 2])
+        corners = np.concatenate([np.stack(half, axis=1) for half in halves])
         source = np.concatenate([source, source])
     done.append((corners, source))
     return np.concatenate([c for c, _ in done]), np.concatenate([s for _, s in done])
 
 
 def _ordered(centres: np.ndarray) -> tuple[np.ndarray, int]:
-    """The order in which leaves take the triangles, and the levels below the root.
-
-    Halves by the median along the longest side of each part, all parts of a level at once.
-    """
+    """The order in which leaves take the triangles (halved by medians along the longest side), and the levels."""
     count, levels = len(centres), 0
     while -(-count // 4**levels) > _LEAF:
         levels += 1
@@ -194,8 +174,5 @@ def _boxes(pieces: np.ndarray, starts: np.ndarray, levels: int) -> np.ndarray:
         low, high = low.reshape(-1, 4, 3), high.reshape(-1, 4, 3)
         found.append(np.stack([low, high]).transpose(0, 3, 2, 1))
         low, high = low.min(axis=1), high.max(axis=1)
-    return (
-        np.ascontiguousarray(np.concatenate(found[::-1], axis=-1))
-        if found
-        else np.zeros((2, 3, 4, 0), dtype=np.float32)
-    )
+    found.append(np.zeros((2, 3, 4, 0), dtype=np.float32))  # for a tree of one leaf
+    return np.ascontiguousarray(np.concatenate(found[::-1], axis=-1))

@@ -1,4 +1,4 @@
-"""Shortest ways over a grid of free cells: a graph, distance fields, straight views, pulled paths.
+"""Shortest ways over a grid of free cells: a graph, distance fields, straight views, pulled paths, steps.
 
 Every cell is joined to 32 neighbours (the steps of up to three cells that are no multiple of a shorter one) where all
 cells that the straight step touches are free. Directions lie at most 18.4 degrees apart, so that a way over the graph
@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -37,6 +38,20 @@ def _steps() -> dict[tuple[int, int], list[tuple[int, int]]]:
 _STEPS = _steps()
 
 
+def cells_of(
+    xy: np.ndarray, origin: np.ndarray, cell: float, shape: tuple[int, ...]
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Where points ``(..., 2)`` lie in a grid: in cells, in which row and column, and whether on it (NaN is not).
+
+    The first two are 0 for points off the grid.
+    """
+    place = (np.asarray(xy, dtype=np.float64) - origin) / cell
+    known = np.all((place >= 0) & (place < shape[::-1]), axis=-1)
+    place = np.where(np.expand_dims(known, -1), place, 0.0)
+    col, row = np.moveaxis(place.astype(np.intp), -1, 0)
+    return place, (row, col), known
+
+
 @dataclass(frozen=True, eq=False)
 class Field:
     """Shortest distances over the ground to one goal or set of goals.
@@ -55,25 +70,19 @@ class Field:
         Bilinear between those of the four cell centres about a point that can be reached, and by no way much longer
         than that from the point's own cell: others lie behind a thin wall.
         """
-        place = (np.asarray(xy, dtype=np.float64) - self.origin) / self.cell
-        rows, cols = self.metres.shape
-        known = np.all((place >= 0) & (place < (cols, rows)), axis=-1)
-        place = np.where(np.expand_dims(known, -1), place, 0.0)
-        own = np.floor(place).astype(np.intp)
-        here = np.where(known, self.metres[own[..., 1], own[..., 0]], np.inf)
+        place, own, known = cells_of(xy, self.origin, self.cell, self.metres.shape)
+        here = np.where(known, self.metres[own], np.inf)
         near = np.where(np.isfinite(here), here, 0.0)
         first = np.floor(place - 0.5).astype(np.intp)
-        share = place - 0.5 - first
+        shares = (1 - (place - 0.5 - first), place - 0.5 - first)  # of the lower and of the upper neighbour
+        last = np.array(self.metres.shape[::-1]) - 1
         total, weights = np.zeros(here.shape), np.zeros(here.shape)
-        for right in (0, 1):
-            for up in (0, 1):
-                col = np.clip(first[..., 0] + right, 0, cols - 1)
-                row = np.clip(first[..., 1] + up, 0, rows - 1)
-                value = self.metres[row, col]
-                weight = (share[..., 0] if right else 1 - share[..., 0]) * (share[..., 1] if up else 1 - share[..., 1])
-                usable = np.abs(np.where(np.isfinite(value), value, 1e9) - near) < 2.1 * self.cell
-                total = total + weight * np.where(usable, value, 0.0)
-                weights = weights + np.where(usable, weight, 0.0)
+        for right, up in itertools.product((0, 1), repeat=2):
+            col, row = np.moveaxis(np.clip(first + np.array((right, up)), 0, last), -1, 0)
+            value, weight = self.metres[row, col], shares[right][..., 0] * shares[up][..., 1]
+            usable = np.abs(np.where(np.isfinite(value), value, 1e9) - near) < 2.1 * self.cell
+            total = total + weight * np.where(usable, value, 0.0)
+            weights = weights + np.where(usable, weight, 0.0)
         return np.where(np.isfinite(here), total / np.maximum(weights, 1e-12), np.inf)
 
     def union(self, *others: Field) -> Field:
@@ -188,8 +197,7 @@ def line_is_free(free: bytes, cols: int, start: tuple[float, float], end: tuple[
 def pulled(points: list[tuple[float, float]], sees: Callable[[tuple, tuple], bool]) -> list[tuple[float, float]]:
     """The polyline drawn taut: corners are left out where the straight line between others is free.
 
-    Runs from both ends until it gets no shorter, with new corners half-way along the legs, so that a corner that the
-    cells put too far out moves in.
+    Runs from both ends until it gets no shorter; new corners half-way along the legs let those too far out move in.
     """
     best = _shortcut(points, sees)
     for _ in range(4):
@@ -217,3 +225,63 @@ def _shortcut(points: list[tuple[float, float]], sees: Callable[[tuple, tuple], 
 def length(points: list[tuple[float, float]]) -> float:
     """Length of a polyline."""
     return sum(math.dist(a, b) for a, b in itertools.pairwise(points))
+
+
+class Walls(NamedTuple):
+    """Cells in reading order, `cols` in a row: `free`, one byte each, nothing free at the border; `clearance`."""
+
+    free: bytes
+    clearance: list[float]
+    cols: int
+
+    def move(self, x: float, y: float, dx: float, dy: float, slide: bool) -> tuple[float, float, bool]:
+        """Where a step (dx, dy) from a free point (x, y) ends, and whether it was hindered; all in cells.
+
+        It is taken in parts of at most half a cell; of one that is blocked what is left along the wall (`slide`).
+        """
+        free, _, cols = self
+        at = int(y) * cols + int(x)
+        parts = math.ceil(math.hypot(dx, dy) * 2)
+        if parts:
+            dx, dy = dx / parts, dy / parts
+        collided = False
+        for _ in range(parts):
+            to = int(y + dy) * cols + int(x + dx)
+            if free[to] and self._joined(at, to):
+                x, y, at = x + dx, y + dy, to
+                continue
+            collided = True
+            if not slide:
+                break
+            for along_x, along_y in self._along(at, dx, dy):
+                to = int(y + along_y) * cols + int(x + along_x)
+                if free[to] and self._joined(at, to):
+                    x, y, at = x + along_x, y + along_y, to
+                    break
+            else:
+                break
+        return x, y, collided
+
+    def _along(self, at: int, dx: float, dy: float) -> list[tuple[float, float]]:
+        """What is left of a part of a step once its component into the wall is gone, the best first.
+
+        The wall stands against the slope of the clearance; where that leads nowhere, along one of the axes.
+        """
+        clearance, cols = self.clearance, self.cols
+        slope_x, slope_y = clearance[at + 1] - clearance[at - 1], clearance[at + cols] - clearance[at - cols]
+        into = dx * slope_x + dy * slope_y
+        found = [(dx, 0.0), (0.0, dy)] if abs(dx) > abs(dy) else [(0.0, dy), (dx, 0.0)]
+        if into < 0:
+            into /= slope_x * slope_x + slope_y * slope_y
+            found.insert(0, (dx - into * slope_x, dy - into * slope_y))
+        # Head-on, what is left is rounding; to take it would be no way along the wall.
+        least = 0.01 * math.hypot(dx, dy)
+        return [(a, b) for a, b in found if math.hypot(a, b) > least]
+
+    def _joined(self, here: int, there: int) -> bool:
+        """Whether two neighbouring free cells share an edge, or a corner that is not closed from both sides."""
+        cols = self.cols
+        if abs(here - there) in (0, 1, cols):
+            return True
+        row, col = here // cols, here % cols
+        return bool(self.free[row * cols + there % cols] or self.free[there // cols * cols + col])

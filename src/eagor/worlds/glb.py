@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -32,14 +33,9 @@ FRAME = (
 
 
 def export_glb(
-    scene: Scene,
-    target: Path | str,
-    *,
-    cell: float = 0.05,
-    radius: float = 0.18,
-    height: float = 1.5,
-    climb: float = 0.12,
-) -> Path:
+    scene: Scene, target: Path | str, *,
+    cell: float = 0.05, radius: float = 0.18, height: float = 1.5, climb: float = 0.12,
+) -> Path:  # fmt: skip
     """Write a scene and its three companions; returns the path of the GLB.
 
     `target`: a file name that ends in .glb, or a folder, in which the file is named after `scene.source`. Each material
@@ -71,22 +67,13 @@ def export_glb(
     blob = to_bytes(model, include_normals=False, tree_postprocessor=lambda tree: write_exactly(tree, scene.materials))
     target.write_bytes(blob)
     stage = {
-        "render_asset": target.name,
-        "collision_asset": target.name,
-        "up": [0, 1, 0],
-        "front": [0, 0, -1],
-        "units_to_meters": 1.0,
-        "is_collidable": True,
-        "shader_type": "flat",
-    }
+        "render_asset": target.name, "collision_asset": target.name, "up": [0, 1, 0], "front": [0, 0, -1],
+        "units_to_meters": 1.0, "is_collidable": True, "shader_type": "flat",
+    }  # fmt: skip
     navmesh = {
-        "cell_size": cell,
-        "cell_height": 0.05,
-        "agent_height": height,
-        "agent_radius": radius,
-        "agent_max_climb": climb,
-        "agent_max_slope": 45.0,
-    }
+        "cell_size": cell, "cell_height": 0.05, "agent_height": height, "agent_radius": radius,
+        "agent_max_climb": climb, "agent_max_slope": 45.0,
+    }  # fmt: skip
     semantic = {
         "format": FORMAT,
         "frame": FRAME,
@@ -96,35 +83,27 @@ def export_glb(
         "source": scene.source,
         "instances": [
             {
-                "id": index,
-                "category": thing.category,
-                "colour": thing.colour,
-                "room": thing.room,
-                "low": np.asarray(thing.low, dtype=np.float64).tolist(),
-                "high": np.asarray(thing.high, dtype=np.float64).tolist(),
-                "nodes": nodes[index],
+                "id": index, "category": thing.category, "colour": thing.colour, "room": thing.room,
+                "low": _numbers(thing.low), "high": _numbers(thing.high), "nodes": nodes[index],
             }
             for index, thing in enumerate(scene.instances)
         ],
         "materials": [
             {
-                "gltf": material_name(index, material),
-                "name": material.name,
-                "colour": [float(value) for value in material.colour],
-                "emission": float(material.emission),
+                "gltf": material_name(index, material), "name": material.name,
+                "colour": _numbers(material.colour), "emission": float(material.emission),
             }
             for index, material in enumerate(scene.materials)
         ],
-        "rooms": [
-            {"name": r.name, "kind": r.kind, "rectangles": np.asarray(r.rectangles).tolist()} for r in scene.rooms
-        ],
-        "lamps": [
-            {"position": np.asarray(lamp.position).tolist(), "power": np.asarray(lamp.power).tolist()}
-            for lamp in scene.lamps
-        ],
+        "rooms": [{"name": r.name, "kind": r.kind, "rectangles": _numbers(r.rectangles)} for r in scene.rooms],
+        "lamps": [{"position": _numbers(x.position), "power": _numbers(x.power)} for x in scene.lamps],
         "daylight": list(scene.daylight),
         "facts": scene.facts,
-    }
+    }  # fmt: skip
     for kind, content in (("semantic", semantic), ("stage_config", stage), ("navmesh", navmesh)):
         target.with_suffix(f".{kind}.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return target
+
+
+def _numbers(values: Sequence[float] | np.ndarray) -> list[float]:
+    return np.asarray(values, dtype=np.float64).tolist()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,17 @@ import numpy as np
 from eagor._json import number, parsed, shown
 from eagor.conventions import from_gltf
 from eagor.errors import WorldError
-from eagor.worlds.glb_bounds import check_pictures, check_tree
 from eagor.worlds.gltf import FORMAT, from_pbr, name_from_nodes
+from eagor.worlds.panorama import FORMATS, decoded_bytes
 from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
+
+# A few kilobytes can ask for anything: nodes that share a mesh, accessors without data, textures of nothing. What a
+# file asks for is counted before room is made for it.
+_FREE_ENTRIES = 2_000_000  # corners, indices and the like that any file may ask for, and of larger ones ...
+_ENTRIES_PER_BYTE = 1  # ... three times what a file without shared parts needs
+_FREE_BYTES = 1 << 27  # that the pictures of any file may have when they are decoded, and of larger ones ...
+_BYTES_PER_BYTE = 600  # ... this for each byte of the file
+_DEEPEST = 256  # nodes below each other
 
 
 def import_glb(path: Path | str) -> Scene:
@@ -71,9 +80,8 @@ def _read(path: Path) -> bytes:
     if not blob:
         raise WorldError(f"{path} is empty; wanted a GLB file. Was the download or the export cut off?")
     if path.suffix.lower() != ".gltf" and not blob.startswith(b"glTF"):
-        pointer = (
-            " This is a Git LFS pointer: run `git lfs pull`." if blob.startswith(b"version https://git-lfs") else ""
-        )
+        lfs = blob.startswith(b"version https://git-lfs")
+        pointer = " This is a Git LFS pointer: run `git lfs pull`." if lfs else ""
         raise WorldError(f"{path} starts with {blob[:8]!r}, wanted a GLB file, which starts with b'glTF'.{pointer}")
     return blob
 
@@ -86,9 +94,10 @@ def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
         text = path.suffix.lower() == ".gltf"
         tree = parsed(blob if text else blob[20 : 20 + int.from_bytes(blob[12:16], "little")])
         size = _size(path, tree, blob)
-        check_tree(tree, size)
+        _check_tree(tree, size)
         model = trimesh.load_scene(path) if text else trimesh.load_scene(io.BytesIO(blob), file_type="glb")
-        check_pictures((_texture(mesh) for mesh in model.geometry.values()), size)
+        looks = [getattr(getattr(mesh, "visual", None), "material", None) for mesh in model.geometry.values()]
+        _check_pictures((getattr(look, "baseColorTexture", None) for look in looks), size)
         entries, pixels = tree.get("materials", []), {}
         parts, materials, known = [], [], {}
         for node in model.graph.nodes_geometry:
@@ -119,10 +128,6 @@ def _size(path: Path, tree: Any, blob: bytes) -> int:
     beside = [str(part.get("uri", "")) for kind in ("buffers", "images") for part in tree.get(kind, [])]
     files = {path.parent / name for name in beside if name and len(name) < 256 and not name.startswith("data:")}
     return len(blob) + sum(file.stat().st_size for file in files if file.is_file())
-
-
-def _texture(mesh: Any) -> Any:
-    return getattr(getattr(getattr(mesh, "visual", None), "material", None), "baseColorTexture", None)
 
 
 def _lineage(model: Any, node: str) -> list[str]:
@@ -170,33 +175,18 @@ def _annotated(path: Path, parts: list[_Part], materials: list[Material], known:
         for entry in known["materials"]
     ]
     looks = np.array([place[materials[part.material].name] for part in parts])
-    instances = [
-        Instance(
-            str(thing["category"]),
-            _words(thing["colour"]),
-            _words(thing["room"]),
-            np.array(_triple(thing["low"])),
-            np.array(_triple(thing["high"])),
-        )
-        for thing in known["instances"]
-    ]
+    instances = []
+    for thing in known["instances"]:
+        low, high = np.array(_triple(thing["low"])), np.array(_triple(thing["high"]))
+        instances.append(Instance(str(thing["category"]), _words(thing["colour"]), _words(thing["room"]), low, high))
     facts = dict(known["facts"])
     if known["glb_sha256"] == hashlib.sha256(blob).hexdigest():
         facts["exported hash"] = known["scene_hash"]
-    return _joined(
-        path,
-        parts,
-        np.array([owner[part.names[0]] for part in parts]),
-        looks,
-        instances,
-        exact,
-        rooms=tuple(Room(str(r["name"]), str(r["kind"]), _rectangles(r["rectangles"])) for r in known["rooms"]),
-        lamps=tuple(
-            Lamp(np.array(_triple(lamp["position"])), np.array(_triple(lamp["power"]))) for lamp in known["lamps"]
-        ),
-        daylight=_triple(known["daylight"]),
-        facts=facts,
-    )
+    rooms = tuple(Room(str(r["name"]), str(r["kind"]), _rectangles(r["rectangles"])) for r in known["rooms"])
+    lamps = tuple(Lamp(np.array(_triple(x["position"])), np.array(_triple(x["power"]))) for x in known["lamps"])
+    more = {"rooms": rooms, "lamps": lamps, "daylight": _triple(known["daylight"]), "facts": facts}
+    owners = np.array([owner[part.names[0]] for part in parts])
+    return _joined(path, parts, owners, looks, instances, exact, **more)
 
 
 def _triple(values: Any) -> tuple[float, float, float]:
@@ -218,14 +208,9 @@ def _words(value: Any) -> str | None:
 
 
 def _joined(
-    path: Path,
-    parts: list[_Part],
-    owners: np.ndarray,
-    looks: np.ndarray,
-    instances: list[Instance],
-    materials: list[Material],
-    **more: Any,
-) -> Scene:
+    path: Path, parts: list[_Part], owners: np.ndarray, looks: np.ndarray,
+    instances: list[Instance], materials: list[Material], **more: Any,
+) -> Scene:  # fmt: skip
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
     counts = [len(part.triangles) for part in parts]
     return Scene(
@@ -239,3 +224,50 @@ def _joined(
         source=f"glb {path.name}",
         **more,
     )
+
+
+def _check_tree(tree: Any, size: int) -> None:
+    """Raise `WorldError` for what the JSON of a file of `size` bytes in all asks for beyond measure."""
+    counts = [int(entry["count"]) for entry in tree.get("accessors", [])]
+    meshes = [sum(_corners(part, counts) for part in mesh["primitives"]) for mesh in tree.get("meshes", [])]
+    nodes = tree.get("nodes", [])
+    asked = sum(counts) + sum(meshes[node["mesh"]] for node in nodes if "mesh" in node)
+    most = max(_FREE_ENTRIES, _ENTRIES_PER_BYTE * size)
+    if min(counts, default=0) < 0 or asked > most:
+        raise WorldError(f"its nodes ask for {asked} corners and indices, in {size} bytes; wanted at most {most}")
+    _check_nest(nodes)
+
+
+def _check_pictures(pictures: Iterable[Any], size: int) -> None:
+    """Raise `WorldError` for pictures that are no usual ones, or too large for a file of `size` bytes."""
+    found = {id(picture): picture for picture in pictures if picture is not None}
+    for picture in found.values():
+        if picture.format not in (*FORMATS, "MPO"):  # a JPEG with more in it
+            raise WorldError(f"it has a texture of the kind {picture.format}; wanted PNG, JPEG or WebP")
+    asked, most = sum(decoded_bytes(picture) for picture in found.values()), max(_FREE_BYTES, _BYTES_PER_BYTE * size)
+    if asked > most:
+        raise WorldError(f"its textures have {asked} bytes when they are decoded; wanted at most {most}")
+
+
+def _corners(primitive: Mapping[str, Any], counts: list[int]) -> int:
+    used = (primitive["attributes"].get("POSITION"), primitive.get("indices"))
+    return sum(counts[index] for index in used if index is not None)
+
+
+def _check_nest(nodes: list[Any]) -> None:
+    parents, depth = [0] * len(nodes), [1] * len(nodes)
+    for child in (child for node in nodes for child in node.get("children", [])):
+        parents[child] += 1
+    ready, reached = [index for index, count in enumerate(parents) if count == 0], 0
+    while ready:
+        reached += 1
+        index = ready.pop()
+        for child in nodes[index].get("children", []):
+            depth[child] = max(depth[child], depth[index] + 1)
+            parents[child] -= 1
+            if parents[child] == 0:
+                ready.append(child)
+    if reached < len(nodes):
+        raise WorldError(f"{len(nodes) - reached} of its {len(nodes)} nodes are below themselves; export it again")
+    if max(depth, default=0) > _DEEPEST:
+        raise WorldError(f"its nodes are {max(depth)} deep below each other; wanted at most {_DEEPEST}")

@@ -15,12 +15,12 @@ from scipy import ndimage
 
 from eagor._lazy import lazy
 from eagor.errors import WorldError
-from eagor.worlds.footprints import beside
-from eagor.worlds.geodesics import CellGraph, Field, line_is_free, pulled
+from eagor.worlds.geodesics import CellGraph, Field, Walls, cells_of, line_is_free, pulled
 from eagor.worlds.occupancy import floor_height, level_triangles, touched
 from eagor.worlds.scene import STRUCTURE, Instance, Room, Scene
-from eagor.worlds.sliding import Walls
 
+BESIDE = 0.75  # metres that one can reach to a piece of furniture
+_NEAREST = 4000  # points looked at where no room tells on which side of the walls a thing is
 _LARGEST = 4_000_000  # cells; 100 m x 100 m at 5 cm
 _CRACK = 0.2  # metres: gaps in the floor up to this width (a missing sill, a hole in a scan) are no gaps
 _AROUND = np.array([(c, r) for r in (-1, 0, 1) for c in (-1, 0, 1)])
@@ -47,15 +47,9 @@ class Ground:
 
     @classmethod
     def from_scene(
-        cls,
-        scene: Scene,
-        *,
-        cell: float = 0.05,
-        radius: float = 0.18,
-        height: float = 1.5,
-        climb: float = 0.12,
-        floor: float | None = None,
-    ) -> Ground:
+        cls, scene: Scene, *, cell: float = 0.05, radius: float = 0.18,
+        height: float = 1.5, climb: float = 0.12, floor: float | None = None,
+    ) -> Ground:  # fmt: skip
         """The ground of a scene, for a body of `radius` and `height` that walks over what is lower than `climb`.
 
         Obstacle: every triangle between `climb` and `height` above the floor. Floor: level surfaces within `climb` of
@@ -108,11 +102,8 @@ class Ground:
 
     def is_free(self, xy: np.ndarray) -> np.ndarray:
         """Whether the body can stand at points ``(..., 2)``; False off the plan and for NaN."""
-        place = (np.asarray(xy, dtype=np.float64) - self.origin) / self.cell
-        rows, cols = self.free.shape
-        known = np.all((place >= 0) & (place < (cols, rows)), axis=-1)
-        index = np.where(np.expand_dims(known, -1), place, 0.0).astype(np.intp)
-        return known & self.free[index[..., 1], index[..., 0]]
+        _, (row, col), known = cells_of(xy, self.origin, self.cell, self.free.shape)
+        return known & self.free[row, col]
 
     def centres(self, cells: np.ndarray) -> np.ndarray:
         """Points ``(..., 2)`` at the centres of cells ``(..., 2)``, which are rows and columns."""
@@ -170,18 +161,45 @@ class Ground:
     def footprint(self, instance: Instance) -> Field:
         """Distances to the footprint of an instance: its bounds seen from above. Metres.
 
-        Nobody walks into furniture, so the last bit of the way is a straight line to the nearest point of the
-        footprint, at most 0.75 m, that crosses no wall, door or window. Where no free cell has one, the
-        nearest free cells of the same room start with their straight distances, however long; inf everywhere where
-        there is none either.
+        The last bit of the way is a straight line from a point `beside` it; inf everywhere where there is none.
         """
-        seeds, away = beside(instance, self._centres, self.rooms, self._crossings)
+        seeds, away = self._beside(instance)
         return self._spread(seeds, away / self.cell)
 
     def beside(self, instance: Instance) -> tuple[np.ndarray, np.ndarray]:
-        """The free points ``(k, 2)`` from which `footprint` starts, and their straight distances ``(k,)``, metres."""
-        places, away = beside(instance, self._centres, self.rooms, self._crossings)
+        """The free points ``(k, 2)`` beside an instance, and their distances ``(k,)`` to its footprint, metres.
+
+        Beside are the points within 0.75 m whose line to the nearest point of the footprint crosses no wall, door or
+        window. A thing against or on a wall shares cells with it, so crossings close to the end do not count, unless
+        the point lies outside the room of the thing: the wall may be as thin as a sheet. Where no point is beside (a
+        vase in the middle of a large table), it is those of the same room that are at most 0.75 m farther than the
+        nearest of them; without rooms, the same of those whose line is clear.
+        """
+        places, away = self._beside(instance)
         return self._centres[places], away
+
+    def _beside(self, instance: Instance) -> tuple[np.ndarray, np.ndarray]:
+        """The places of the points `beside` an instance among the free cells, and their distances."""
+        points = self._centres
+        nearest = np.clip(points, instance.low[:2], instance.high[:2])
+        away = np.hypot(*(nearest - points).T)
+        room = next((room for room in self.rooms if room.name == instance.room), None)
+        close = np.flatnonzero(away <= BESIDE)
+        anywhere, early = self._crossings(points[close], nearest[close])
+        clear = ~early
+        if room is not None:
+            clear &= ~anywhere | room.contains(*points[close].T)
+        seeds = close[clear]
+        if len(seeds) == 0:
+            x, y, _ = instance.centre
+            room = room or next((other for other in self.rooms if other.contains(x, y)), None)
+            if room is not None:
+                seeds = np.flatnonzero(room.contains(*points.T))
+            else:
+                seeds = np.argsort(away, kind="stable")[:_NEAREST]
+                seeds = seeds[~self._crossings(points[seeds], nearest[seeds])[1]]
+            seeds = seeds[away[seeds] <= away[seeds].min(initial=np.inf) + BESIDE]
+        return seeds, away[seeds]
 
     def _crossings(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Whether lines ``(n, 2)`` cross structure: anywhere, and farther than a cell and a half from their ends."""
@@ -272,8 +290,5 @@ def _largest_area(free: np.ndarray) -> np.ndarray:
     """The largest set of cells that hang together along edges."""
     labels = np.zeros(free.shape, dtype=np.int32)
     ndimage.label(free, output=labels)
-    sizes = np.bincount(labels.ravel())
-    if len(sizes) == 1:
-        return free
-    sizes[0] = 0
-    return labels == sizes.argmax()
+    sizes = np.bincount(labels.ravel())[1:]
+    return labels == sizes.argmax() + 1 if len(sizes) else free

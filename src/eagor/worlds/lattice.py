@@ -11,7 +11,7 @@ the triangle is half of a parallelogram, and is drawn back to the edge where it 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -100,11 +100,9 @@ class Lattice:
         u, v = u / excess, v / excess
         place = corner[triangle] + u[:, None] * e1[triangle] + v[:, None] * e2[triangle]
         smooth = self._smooth_normals()
-        away = (
-            smooth[triangle, 0] * (1 - u - v)[:, None]
-            + smooth[triangle, 1] * u[:, None]
-            + smooth[triangle, 2] * v[:, None]
-        )
+        shares = zip((1 - u - v, u, v), (0, 1, 2), strict=True)
+        first, second, third = (smooth[triangle, k] * share[:, None] for share, k in shares)
+        away = first + second + third
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-20)
         _, first, index = np.unique(_key(place, away), return_index=True, return_inverse=True)
         order = first.argsort()  # neighbours stay neighbours: rays sent off one after another meet the same things
@@ -184,16 +182,13 @@ def unseen(scene: Scene) -> np.ndarray:
     x, y, _ = scene.vertices[scene.triangles].mean(axis=1).T
     outside = np.full(len(x), bool(scene.rooms))
     for room in scene.rooms:
-        for x0, y0, x1, y1 in room.rectangles - np.array([1, 1, -1, -1]) * 0.2:
-            outside &= ~((x0 <= x) & (x <= x1) & (y0 <= y) & (y <= y1))
+        outside &= ~replace(room, rectangles=room.rectangles - np.array([1, 1, -1, -1]) * 0.2).contains(x, y)
     return outside
 
 
 def _key(place: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """A number ``(n,)`` uint64 that is the same for places within a millimetre and normals within a few degrees.
-
-    Shifted by a third of a step, since coordinates like to lie on round values.
-    """
+    """A number ``(n,)`` uint64 that is the same for places within a millimetre and normals within a few degrees."""
+    # Shifted by a third of a step, since coordinates like to lie on round values.
     steps = np.concatenate([np.floor(place * 1000 + 0.3137), np.floor(normal * 6 + 0.3137)], axis=1).astype(np.int64)
     key = np.zeros(len(steps), dtype=np.uint64)
     for column in steps.T:  # a mixing step of splitmix64 (Steele, Lea, Flood 2014) for every number

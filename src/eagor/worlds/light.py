@@ -21,8 +21,7 @@ import numpy as np
 
 from eagor.worlds import sky
 from eagor.worlds.lattice import Lattice
-from eagor.worlds.raycast import make_raycaster
-from eagor.worlds.rays import Raycaster
+from eagor.worlds.raycast import Raycaster, make_raycaster
 from eagor.worlds.scene import Scene
 from eagor.worlds.sources import GOLDEN, LIFT, SKY_GAIN, Source, glowing, lamps, leave_through, mean_colour, portals
 
@@ -55,10 +54,7 @@ def light_of(scene: Scene, lattice: Lattice, engine: str = "auto", cache: Path |
 
 
 def cache_folder() -> Path:
-    """Where light is kept: $EAGOR_CACHE, else eagor in $XDG_CACHE_HOME, else ~/.cache/eagor; looked up when called.
-
-    The system's folder for temporary files takes the place of ~/.cache where the user has no home.
-    """
+    """Where light is kept: $EAGOR_CACHE, else eagor in $XDG_CACHE_HOME, else in ~/.cache, else (no home) in /tmp."""
     if chosen := os.environ.get("EAGOR_CACHE"):
         return Path(chosen)
     if chosen := os.environ.get("XDG_CACHE_HOME"):
@@ -95,15 +91,9 @@ def bake(scene: Scene, lattice: Lattice, engine: str = "auto") -> np.ndarray:
 
 
 def _gather(
-    scene: Scene,
-    lattice: Lattice,
-    origin: np.ndarray,
-    normal: np.ndarray,
-    direct: np.ndarray,
-    everything: Raycaster,
-    windows: list[Source],
-    dark: bool,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    scene: Scene, lattice: Lattice, origin: np.ndarray, normal: np.ndarray, direct: np.ndarray,
+    everything: Raycaster, windows: list[Source], dark: bool,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Indirect light ``(P, 3)``, how close other things are (0 to 1), and which points are shut in.
 
     The sky counts to the indirect light where no window stands for it. A scene without a source (`dark`), such as a
@@ -206,10 +196,8 @@ def _smoothed(light: np.ndarray, neighbours: csr_array, passes: int) -> np.ndarr
 
 def _rooms(scene: Scene) -> str:
     """Six hexadecimal digits for the rooms, which decide which windows lead outdoors and are not in `Scene.hash`."""
-    digest = hashlib.sha256()
-    for room in scene.rooms:
-        digest.update(np.asarray(room.rectangles, dtype=np.float64).tobytes() + b";")
-    return digest.hexdigest()[:6]
+    blob = b"".join(np.asarray(room.rectangles, dtype=np.float64).tobytes() + b";" for room in scene.rooms)
+    return hashlib.sha256(blob).hexdigest()[:6]
 
 
 def _read(file: Path, size: int) -> np.ndarray | None:

@@ -18,16 +18,10 @@ from eagor.grids import ErpGrid
 from eagor.sphere import check_rotation
 
 BALL_COLOURS = {
-    "red": (200, 30, 35),
-    "orange": (238, 125, 25),
-    "yellow": (238, 205, 40),
-    "green": (35, 140, 60),
-    "blue": (35, 75, 190),
-    "purple": (125, 50, 160),
-    "pink": (240, 140, 175),
-    "white": (242, 242, 238),
+    "red": (200, 30, 35), "orange": (238, 125, 25), "yellow": (238, 205, 40), "green": (35, 140, 60),
+    "blue": (35, 75, 190), "purple": (125, 50, 160), "pink": (240, 140, 175), "white": (242, 242, 238),
     "black": (22, 22, 24),
-}
+}  # fmt: skip
 EYE = (0.0, 0.0, 1.3)  # where the camera stands unless told otherwise
 
 
@@ -85,13 +79,9 @@ def bearing(ball: Ball, position: Sequence[float], world_R_body: np.ndarray) -> 
 
 
 def paint(
-    room: Room,
-    position: Sequence[float] = EYE,
-    world_R_body: np.ndarray | None = None,
-    height: int = 256,
-    width: int = 512,
-    samples: int = 2,
-) -> np.ndarray:
+    room: Room, position: Sequence[float] = EYE, world_R_body: np.ndarray | None = None,
+    height: int = 256, width: int = 512, samples: int = 2,
+) -> np.ndarray:  # fmt: skip
     """The panorama ``(H, W, 3)`` uint8 of `room` seen from `position` (metres, world frame) in pose `world_R_body`.
 
     Each pixel is the mean of samples x samples rays. A ball that holds the camera inside it is not seen. Raises
@@ -192,8 +182,8 @@ def _floor(p: np.ndarray, room: Room) -> np.ndarray:
     tone = 0.82 + 0.18 * _noise(board + 31 * np.floor((p[:, 0] + 0.7 * board) / 1.3))
     colour = _srgb(190, 172, 150) * (tone * (0.8 + 0.2 * _smooth(_to_line(p[:, 1], 0.18), 0.0, 0.012)))[:, None]
     ring = np.hypot((p[:, 0] - 0.3) / 1.9, (p[:, 1] + 0.2) / 1.25)
-    rug = np.where((np.floor(ring * 7) % 2 == 0)[:, None], _srgb(196, 190, 180), _srgb(150, 152, 158))
-    return np.where((ring < 1)[:, None], rug, colour)
+    rug = _over(_srgb(150, 152, 158), (np.floor(ring * 7) % 2 == 0, _srgb(196, 190, 180)))
+    return _over(colour, (ring < 1, rug))
 
 
 def _ceiling(p: np.ndarray, room: Room) -> np.ndarray:
@@ -205,46 +195,51 @@ def _ceiling(p: np.ndarray, room: Room) -> np.ndarray:
 def _front(p: np.ndarray, room: Room) -> np.ndarray:
     """A sand-coloured wall with a framed landscape, left of the middle."""
     y, z = p[:, 1] - 0.7, p[:, 2] - 0.57 * room.size[2]
-    hills = np.where((z > 0.1 * np.sin(3 * y) - 0.05)[:, None], _srgb(205, 208, 210), _srgb(140, 146, 140))
-    hills = np.where((z > 0.06 * np.sin(5 * y + 2) - 0.22)[:, None], hills, _srgb(112, 116, 110))
-    colour = np.where(_box(y, z, 0.72, 0.48), _srgb(74, 68, 64), _wall(p, (206, 197, 184)))
-    colour = np.where(_box(y, z, 0.66, 0.42), _srgb(232, 230, 224), colour)
-    return np.where(_box(y, z, 0.55, 0.32), hills, colour)
+    near, far = z > 0.06 * np.sin(5 * y + 2) - 0.22, z > 0.1 * np.sin(3 * y) - 0.05
+    hills = _over(_srgb(112, 116, 110), (near, _srgb(140, 146, 140)), (near & far, _srgb(205, 208, 210)))
+    frame, mount = (_box(y, z, 0.72, 0.48), _srgb(74, 68, 64)), (_box(y, z, 0.66, 0.42), _srgb(232, 230, 224))
+    return _over(_wall(p, (206, 197, 184)), frame, mount, (_box(y, z, 0.55, 0.32), hills))
 
 
 def _left(p: np.ndarray, room: Room) -> np.ndarray:
     """A grey-green wall with a window of two by three panes."""
     x, z = p[:, 0] + 0.5, p[:, 2] - 0.58 * room.size[2]
     sky = _srgb(226, 232, 238) * (1.5 - 0.35 * np.clip(z + 0.4, 0, 1))[:, None]
-    outside = np.where((z > -0.38 + 0.08 * np.sin(2.5 * x) + 0.03 * np.sin(9 * x))[:, None], sky, _srgb(168, 176, 166))
-    panes = (_to_line(x + 0.4, 0.8) > 0.025) & (_to_line(z, 1.3) > 0.025)
-    colour = np.where(_box(x, z, 1.28, 0.73), _srgb(236, 235, 230), _wall(p, (184, 192, 182)))
-    return np.where(_box(x, z, 1.2, 0.65) & panes[:, None], outside, colour)
+    outside = _over(_srgb(168, 176, 166), (z > -0.38 + 0.08 * np.sin(2.5 * x) + 0.03 * np.sin(9 * x), sky))
+    panes = _box(x, z, 1.2, 0.65) & (_to_line(x + 0.4, 0.8) > 0.025) & (_to_line(z, 1.3) > 0.025)
+    frame = _box(x, z, 1.28, 0.73), _srgb(236, 235, 230)
+    return _over(_wall(p, (184, 192, 182)), frame, (panes, outside))
 
 
 def _back(p: np.ndarray, room: Room) -> np.ndarray:
     """A grey wall with a panelled door, right of the middle as one faces it."""
     y, z = p[:, 1] - 1.1, p[:, 2]
-    colour = np.where(_box(y, z - 1.0, 0.56, 1.12), _srgb(234, 232, 228), _wall(p, (190, 188, 196)))
-    colour = np.where(_box(y, z - 1.0, 0.46, 1.02), _srgb(140, 134, 128), colour)
-    for centre, high in ((0.55, 0.36), (1.45, 0.42)):
-        colour = np.where(_box(y, z - centre, 0.33, high), _srgb(124, 118, 113), colour)
-    return np.where((np.hypot(y + 0.38, z - 1.0) < 0.045)[:, None], _srgb(200, 196, 186), colour)
+    frame = _box(y, z - 1.0, 0.56, 1.12), _srgb(234, 232, 228)
+    door = _box(y, z - 1.0, 0.46, 1.02), _srgb(140, 134, 128)
+    panels = [(_box(y, z - centre, 0.33, high), _srgb(124, 118, 113)) for centre, high in ((0.55, 0.36), (1.45, 0.42))]
+    handle = np.hypot(y + 0.38, z - 1.0) < 0.045, _srgb(200, 196, 186)
+    return _over(_wall(p, (190, 188, 196)), frame, door, *panels, handle)
 
 
 def _right(p: np.ndarray, room: Room) -> np.ndarray:
     """Broad upright stripes."""
-    striped = (np.floor(p[:, 0] / 0.35) % 2 == 0)[:, None]
-    return np.where(striped, _wall(p, (208, 206, 200)), _wall(p, (170, 178, 188)))
+    return _over(_wall(p, (170, 178, 188)), (np.floor(p[:, 0] / 0.35) % 2 == 0, _wall(p, (208, 206, 200))))
 
 
 def _wall(p: np.ndarray, rgb: tuple[int, int, int]) -> np.ndarray:
     """Paint with a white skirting board below."""
-    return np.where((p[:, 2] < 0.12)[:, None], _srgb(230, 228, 224), _srgb(*rgb))
+    return _over(_srgb(*rgb), (p[:, 2] < 0.12, _srgb(230, 228, 224)))
+
+
+def _over(colour: np.ndarray, *layers: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Layers, each where its mask ``(n,)`` holds, over a colour ``(n, 3)`` or ``(3,)``, the last on top."""
+    for mask, layer in layers:
+        colour = np.where(mask[:, None], layer, colour)
+    return colour
 
 
 def _box(a: np.ndarray, b: np.ndarray, half_a: float, half_b: float) -> np.ndarray:
-    return ((np.abs(a) < half_a) & (np.abs(b) < half_b))[:, None]
+    return (np.abs(a) < half_a) & (np.abs(b) < half_b)
 
 
 def _to_line(a: np.ndarray, period: float) -> np.ndarray:

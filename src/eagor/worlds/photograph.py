@@ -10,7 +10,7 @@ from PIL import Image
 from eagor.errors import GridError, ImageError, PoseError
 from eagor.sphere import check_rotation
 from eagor.worlds.panorama import turn
-from eagor.worlds.render import Frame
+from eagor.worlds.render import Frame, Position
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,15 +24,9 @@ class Photograph:
     image: np.ndarray
 
     def panorama(
-        self,
-        position: np.ndarray | tuple[float, float, float],
-        world_R_body: np.ndarray,
-        height: int,
-        *,
-        rgb: bool = True,
-        range: bool = True,
-        ids: bool = True,
-    ) -> Frame:
+        self, position: Position, world_R_body: np.ndarray, height: int, *,
+        rgb: bool = True, range: bool = True, ids: bool = True,
+    ) -> Frame:  # fmt: skip
         """What the camera sees in the pose `world_R_body`, ``(height, 2 height, 3)``; range and ids are always None.
 
         The photograph is averaged to the size first. Raises `PoseError` for a position other than the origin,

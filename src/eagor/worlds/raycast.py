@@ -1,20 +1,49 @@
 """What a ray hits first: two engines with the same answers.
 
-`make_raycaster` takes triangles and gives back a `eagor.worlds.rays.Raycaster`. The "embree" engine is Intel's Embree
+`make_raycaster` takes triangles and gives back a `Raycaster`. The "embree" engine is Intel's Embree
 through the embreex wheel; the "numpy" engine (`eagor.worlds.bvh`) needs nothing but NumPy and is slower by one to two
 orders of magnitude. "auto" takes the first of the two that is there. Both see triangles from either side.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Protocol
+
 import numpy as np
 
 from eagor.errors import WorldError
-from eagor.worlds.bvh import NumpyRaycaster
-from eagor.worlds.rays import Hits, Raycaster, checked_rays
+from eagor.worlds.bvh import Tree
 
 ENGINES = ("auto", "embree", "numpy")
 _FAR = np.float32(1e37)  # what embreex reports for a miss
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """The first thing on each of n rays.
+
+    `distance` ``(n,)`` float32, in lengths of the ray's direction (metres for unit directions), inf where nothing is
+    hit; `triangle` ``(n,)`` int32, -1 where nothing is hit; `u` and `v` ``(n,)`` float32, the barycentric weights of
+    the triangle's corners 1 and 2 (corner 0 has 1 - u - v; 0 where nothing is hit).
+    """
+
+    distance: np.ndarray
+    triangle: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+
+
+class Raycaster(Protocol):
+    """Triangles that rays can be sent at. Rays are float32 arrays ``(n, 3)``, world frame, metres."""
+
+    def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
+        """The nearest triangle along each ray. Directions need not have unit length."""
+        ...
+
+    def occluded(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
+        """Whether anything lies within `reach` (in lengths of the direction, a number or ``(n,)``), bool ``(n,)``."""
+        ...
 
 
 def make_raycaster(
@@ -58,6 +87,17 @@ def has_embree() -> bool:
     return True
 
 
+def _checked(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Both as float32 ``(n, 3)``. Raises `WorldError` where their shapes differ."""
+    origins, directions = np.asarray(origins, dtype=np.float32), np.asarray(directions, dtype=np.float32)
+    if origins.shape != directions.shape or origins.ndim != 2 or origins.shape[1] != 3:
+        raise WorldError(
+            f"rays have origins {origins.shape} and directions {directions.shape}; wanted both (n, 3). One origin for "
+            "all rays: np.broadcast_to(origin, directions.shape)"
+        )
+    return origins, directions
+
+
 class EmbreeRaycaster:
     """Embree 4, one ray at a time on one thread; `watertight` is its robust intersection."""
 
@@ -70,7 +110,7 @@ class EmbreeRaycaster:
 
     def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
         """See `Raycaster.cast`."""
-        origins, directions = checked_rays(origins, directions)
+        origins, directions = _checked(origins, directions)
         found = self._scene.run(origins, directions, output=True)
         missed = found["primID"] < 0
         if missed.any():  # embreex leaves in u and v what the ray before had there
@@ -80,7 +120,25 @@ class EmbreeRaycaster:
 
     def occluded(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
         """See `Raycaster.occluded`."""
-        origins, directions = checked_rays(origins, directions)
+        origins, directions = _checked(origins, directions)
         # embreex writes into the array of limits and knows no infinity.
         limits = np.minimum(np.broadcast_to(np.asarray(reach, dtype=np.float32), len(origins)), _FAR)
         return self._scene.run(origins, directions, dists=limits, query="OCCLUDED") >= 0
+
+
+class NumpyRaycaster:
+    """The same answers from `eagor.worlds.bvh`, up to rounding, and to the choice at a shared edge."""
+
+    def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
+        self._tree = Tree(vertices, triangles)
+
+    def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
+        """See `Raycaster.cast`."""
+        origins, directions = _checked(origins, directions)
+        return Hits(*self._tree.trace(origins, directions, np.full(len(origins), np.inf)))
+
+    def occluded(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
+        """See `Raycaster.occluded`."""
+        origins, directions = _checked(origins, directions)
+        limits = np.broadcast_to(np.asarray(reach, dtype=np.float64), len(origins))
+        return self._tree.trace(origins, directions, limits)[1] >= 0

@@ -6,6 +6,7 @@ Frames: positions and rotations are poses in the world frame; images are in the 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -18,11 +19,11 @@ from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.sphere import check_rotation
 from eagor.worlds.lattice import Lattice
 from eagor.worlds.light import light_of
-from eagor.worlds.raycast import make_raycaster
-from eagor.worlds.rays import Raycaster
+from eagor.worlds.raycast import Raycaster, make_raycaster
 from eagor.worlds.scene import Scene
 from eagor.worlds.shading import Shader
 
+Position = np.ndarray | tuple[float, float, float]
 _QUANTA = 1 << 20  # steps of yaw in one column: 1e-8 rad in a panorama of 512 columns, less than float32 resolves
 
 
@@ -71,15 +72,9 @@ class Renderer:
         return np.append(self.scene.instance, -1).astype(np.int32)
 
     def panorama(
-        self,
-        position: np.ndarray | tuple[float, float, float],
-        world_R_body: np.ndarray,
-        height: int,
-        *,
-        rgb: bool = True,
-        range: bool = True,
-        ids: bool = True,
-    ) -> Frame:
+        self, position: Position, world_R_body: np.ndarray, height: int, *,
+        rgb: bool = True, range: bool = True, ids: bool = True,
+    ) -> Frame:  # fmt: skip
         """The panorama ``(height, 2 height)`` from `position` ``(3,)``, metres, in the pose `world_R_body`.
 
         A pose that only turns about the vertical is taken as a whole number of columns and a remainder, so that
@@ -88,24 +83,19 @@ class Renderer:
         """
         if height < 1:
             raise GridError(f"a panorama of height {height}; wanted at least one row")
-        rotation = _rotation(world_R_body, "world_R_body")
+        rotation = np.asarray(check_rotation(np.asarray(world_R_body, dtype=np.float64), "world_R_body"))
         yaw = _pure_yaw(rotation)
         if yaw is None:
             directions = _erp_directions(height) @ rotation.T.astype(np.float32)
         else:
             directions = _turned_directions(height, yaw)
-        return self._seen(position, directions, (height, 2 * height), math.pi / height, rgb, range, ids)
+        parts = self._seen(position, directions, math.pi / height, rgb, range, ids)
+        return _shaped(parts, (height, 2 * height))
 
     def view(
-        self,
-        position: np.ndarray | tuple[float, float, float],
-        world_R_view: np.ndarray,
-        grid: Grid,
-        *,
-        rgb: bool = True,
-        range: bool = True,
-        ids: bool = True,
-    ) -> Frame:
+        self, position: Position, world_R_view: np.ndarray, grid: Grid, *,
+        rgb: bool = True, range: bool = True, ids: bool = True,
+    ) -> Frame:  # fmt: skip
         """What `grid` sees from `position` ``(3,)``, metres; its body frame has the pose `world_R_view`.
 
         Cells in which the grid sees nothing (the corners of a fisheye) are black, at range inf, id -1. An `ErpGrid`
@@ -113,55 +103,41 @@ class Renderer:
         """
         if isinstance(grid, ErpGrid) and grid.width == 2 * grid.height:
             return self.panorama(position, world_R_view, grid.height, rgb=rgb, range=range, ids=ids)
-        rotation = _rotation(world_R_view, "world_R_view")
+        rotation = np.asarray(check_rotation(np.asarray(world_R_view, dtype=np.float64), "world_R_view"))
         weights = np.asarray(grid.weights)
         seen = weights.ravel() > 0
         directions = (grid.directions.reshape(-1, 3)[seen] @ rotation.T).astype(np.float32)
         # The angle of a pixel, which chooses how fine textures are: the cells of a panorama are alike in elevation.
         separable = isinstance(grid, ErpGrid | PatchGrid)
-        pixel = (
-            math.pi / grid.shape[0] if separable else math.sqrt(float(np.median(weights[seen.reshape(weights.shape)])))
-        )
-        frame = self._seen(position, directions, (len(directions),), pixel, rgb, range, ids)
-        if seen.all():
-            return Frame(*(None if a is None else a.reshape(*grid.shape, *a.shape[1:]) for a in _parts(frame)))
+        pixel = math.pi / grid.shape[0] if separable else math.sqrt(float(np.median(weights[weights > 0])))
         whole = []
-        for part, nothing in zip(_parts(frame), (0, np.inf, -1), strict=True):
-            if part is not None:
+        for part, nothing in zip(
+            self._seen(position, directions, pixel, rgb, range, ids), (0, np.inf, -1), strict=True
+        ):
+            if part is not None and not seen.all():
                 spread = np.full((len(seen), *part.shape[1:]), nothing, dtype=part.dtype)
                 spread[seen] = part
-                part = spread.reshape(*grid.shape, *part.shape[1:])
+                part = spread
             whole.append(part)
-        return Frame(*whole)
+        return _shaped(whole, grid.shape)
 
     def _seen(
-        self,
-        position: np.ndarray | tuple[float, float, float],
-        directions: np.ndarray,
-        shape: tuple[int, ...],
-        pixel: float,
-        rgb: bool,
-        range: bool,
-        ids: bool,
-    ) -> Frame:
-        """The frame of these rays ``(n, 3)``; `pixel`: the angle between neighbours, radians."""
+        self, position: Position, directions: np.ndarray, pixel: float, rgb: bool, range: bool, ids: bool
+    ) -> tuple[np.ndarray | None, ...]:
+        """What these rays ``(n, 3)`` see, ``(n, ...)`` each; `pixel`: the angle between neighbours, radians."""
         origin = np.asarray(position, dtype=np.float32)
         if origin.shape != (3,) or not np.isfinite(origin).all():
             raise PoseError(f"the camera stands at {position}; wanted a position (x, y, z), finite, in metres")
         hits = self.raycaster.cast(np.broadcast_to(origin, directions.shape), directions)
-        return Frame(
-            self._shader.shade(hits, directions, pixel).reshape(*shape, 3) if rgb else None,
-            hits.distance.reshape(shape) if range else None,
-            self._owners.take(hits.triangle).reshape(shape) if ids else None,
+        return (
+            self._shader.shade(hits, directions, pixel) if rgb else None,
+            hits.distance if range else None,
+            self._owners.take(hits.triangle) if ids else None,
         )
 
 
-def _parts(frame: Frame) -> tuple[np.ndarray | None, ...]:
-    return frame.rgb, frame.range, frame.ids
-
-
-def _rotation(matrix: np.ndarray, name: str) -> np.ndarray:
-    return np.asarray(check_rotation(np.asarray(matrix, dtype=np.float64), name))
+def _shaped(parts: Iterable[np.ndarray | None], shape: tuple[int, ...]) -> Frame:
+    return Frame(*(None if part is None else part.reshape(*shape, *part.shape[1:]) for part in parts))
 
 
 def _pure_yaw(rotation: np.ndarray) -> float | None:

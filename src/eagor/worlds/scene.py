@@ -82,10 +82,11 @@ class Room:
         x0, y0, x1, y1 = self.rectangles.T
         return float(((x1 - x0) * (y1 - y0)).sum())
 
-    def contains(self, x: float, y: float) -> bool:
-        """Whether the point lies in the room."""
+    def contains(self, x: np.ndarray | float, y: np.ndarray | float) -> np.ndarray:
+        """Whether points lie in the room, bool in the shape of `x` and `y`."""
+        x, y = np.asarray(x)[..., None], np.asarray(y)[..., None]
         x0, y0, x1, y1 = self.rectangles.T
-        return bool(((x0 <= x) & (x <= x1) & (y0 <= y) & (y <= y1)).any())
+        return ((x0 <= x) & (x <= x1) & (y0 <= y) & (y <= y1)).any(axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,17 +116,12 @@ class Scene:
 
     def __post_init__(self) -> None:
         count = len(self.triangles)
-        fits = (
-            self.vertices.shape == (len(self.vertices), 3)
-            and self.triangles.shape == (count, 3)
-            and self.instance.shape == self.material.shape == (count,)
-            and self.uv.shape == (count, 3, 2)
-        )
+        shapes = [a.shape for a in (self.vertices, self.triangles, self.instance, self.material, self.uv)]
+        fits = shapes == [(len(self.vertices), 3), (count, 3), (count,), (count,), (count, 3, 2)]
         if not fits or count == 0 or not np.isfinite(self.vertices).all():
             raise WorldError(
                 "a scene needs finite vertices (V, 3), triangles (T, 3), instance and material (T,), uv (T, 3, 2); got "
-                f"{self.vertices.shape}, {self.triangles.shape}, {self.instance.shape}, {self.material.shape}, "
-                f"{self.uv.shape}"
+                f"{', '.join(map(str, shapes))}"
             )
         for name, values, end in (
             ("triangles", self.triangles, len(self.vertices)),

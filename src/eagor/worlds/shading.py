@@ -8,14 +8,15 @@ for the weights.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from eagor._srgb import to_coded, to_linear
 from eagor.worlds.lattice import Lattice, unseen
-from eagor.worlds.rays import Hits
-from eagor.worlds.scene import Scene
+from eagor.worlds.raycast import Hits
+from eagor.worlds.scene import Material, Scene
 from eagor.worlds.sky import look_up, painted
-from eagor.worlds.texels import LEVELS, Texels
 
 BRIGHTEST = 5.0  # light beyond it is cut; 1 shows a white surface at the edge of the shoulder's reach
 _KNEE = 0.4  # display values up to here are linear
@@ -24,6 +25,7 @@ _MEDIAN = 0.48  # what a white surface in the scene's median light shows, before
 _OUTDOORS = 1.6  # exposure of the view out of the windows
 _LANE = 21
 _BLOCK = 1 << 14  # pixels at a time: what they need stays in the cache
+_LEVELS = 12  # of textures: sides up to 2048 texels, halved down to 1
 
 
 def exposure(scene: Scene, lattice: Lattice, light: np.ndarray) -> float:
@@ -58,7 +60,7 @@ class Shader:
     def _prepare(self, scene: Scene, lattice: Lattice) -> None:
         """The tables of the triangles; a last row, of no triangle, serves rays that hit nothing."""
         _, e1, e2, _ = lattice.frame
-        side = (1 << self._texels.log_side[scene.material * LEVELS].astype(np.int64))[:, None].astype(np.float64)
+        side = (1 << self._texels.log_side[scene.material * _LEVELS].astype(np.int64))[:, None].astype(np.float64)
         uv = np.take_along_axis(scene.uv, ((lattice.turned[:, None] + np.arange(3)) % 3)[..., None], axis=1)
         uv = uv.astype(np.float64)
         uv -= np.floor(uv.min(axis=1, keepdims=True))  # repeats do not matter; no place is negative
@@ -69,7 +71,7 @@ class Shader:
         columns = (*(uv[:, 0] * side).T, *a.T, *b.T, *lattice.cells.T.astype(np.float64), density)
         self._rows = [np.append(column, 1.0).astype(np.float32) for column in columns]
         self._light_base = np.append(lattice.base, 0).astype(np.int32)
-        self._pyramid = np.append(scene.material * LEVELS, 0).astype(np.int32)
+        self._pyramid = np.append(scene.material * _LEVELS, 0).astype(np.int32)
 
     def shade(self, hits: Hits, directions: np.ndarray, pixel: float) -> np.ndarray:
         """Colours ``(n, 3)`` uint8 sRGB of what rays along `directions` ``(n, 3)`` hit; `pixel`: its angle, radians."""
@@ -101,7 +103,7 @@ class Shader:
         # The exponent of a float is the whole part of its logarithm; times sqrt(2), to round instead of cutting.
         level = (footprint * np.float32(1.4142135)).view(np.int32) >> 23
         level -= 127
-        np.clip(level, 0, LEVELS - 1, out=level)
+        np.clip(level, 0, _LEVELS - 1, out=level)
         place = self._pyramid[row]
         place += level
         log_side = self._texels.log_side[place]
@@ -138,3 +140,64 @@ def _tone_table() -> np.ndarray:
     light = BRIGHTEST * ((np.arange(512) + 0.5) / 512) ** 2
     reflectance = to_linear(np.arange(256) / 255)
     return np.rint(255 * to_coded(tone(light[:, None] * reflectance))).astype(np.uint8).ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class Texels:
+    """All textures in one flat array, each in a pyramid of halved sizes, tinted beforehand.
+
+    A texel is one number: red + green 2^8 + blue 2^16, sRGB-coded reflectance. Pyramids are square with sides that are
+    powers of two, so that a place in them is found by shifts and masks alone. `texels` ``(n,)`` int32; for material m
+    at level l (0: full size), at place m * _LEVELS + l, `base` ``(M * _LEVELS,)`` int32 is where its rows begin, and
+    `log_side` the logarithm of its side to base 2; levels beyond the last repeat it.
+    """
+
+    texels: np.ndarray
+    base: np.ndarray
+    log_side: np.ndarray
+
+    @classmethod
+    def of(cls, materials: tuple[Material, ...]) -> Texels:
+        """The pyramids of `materials`."""
+        pyramids: dict[int, list[np.ndarray]] = {}
+        texels, base, log_side, start = [], [], [], 0
+        for material in materials:
+            key = 0 if material.texture is None else id(material.texture)
+            if key not in pyramids:
+                pyramids[key] = _pyramid(material.texture)
+            tint = to_linear(np.clip(np.asarray(material.colour, dtype=np.float64), 0, 1))
+            levels = [_tinted(level, tint) for level in pyramids[key]]
+            for k in range(_LEVELS):
+                level = levels[min(k, len(levels) - 1)]
+                base.append(start + sum(len(other) for other in levels[: min(k, len(levels) - 1)]))
+                log_side.append(len(level).bit_length() // 2)
+            texels.extend(levels)
+            start += sum(len(level) for level in levels)
+        return cls(np.concatenate(texels), np.array(base, dtype=np.int32), np.array(log_side, dtype=np.int32))
+
+
+def _pyramid(texture: np.ndarray | None) -> list[np.ndarray]:
+    """The levels of a texture, ``(side^2, 3)`` uint8 each, row 0 at the bottom (v points up)."""
+    if texture is None:
+        return [np.full((1, 3), 255, dtype=np.uint8)]
+    texture = texture[::-1, :, :3]
+    side = 1 << min(int(np.ceil(np.log2(max(texture.shape[:2])))), _LEVELS - 1)
+    if texture.shape[:2] != (side, side):
+        from PIL import Image
+
+        texture = np.asarray(Image.fromarray(np.ascontiguousarray(texture)).resize((side, side)))
+    levels = [texture.reshape(-1, 3)]
+    decode = to_linear(np.arange(256) / 255).astype(np.float32)
+    encode = np.rint(255 * to_coded(np.arange(4096) / 4095)).astype(np.uint8)
+    level = decode[texture]
+    while len(level) > 1:
+        level = (level[::2, ::2] + level[1::2, ::2] + level[::2, 1::2] + level[1::2, 1::2]) / 4
+        levels.append(encode[np.rint(level * 4095).astype(np.int32)].reshape(-1, 3))
+    return levels
+
+
+def _tinted(level: np.ndarray, tint: np.ndarray) -> np.ndarray:
+    """Packed texels of a level, times a linear colour."""
+    table = np.rint(255 * to_coded(to_linear(np.arange(256) / 255)[:, None] * tint)).astype(np.int32)
+    r, g, b = (table[level[:, k], k] for k in range(3))
+    return r | g << 8 | b << 16

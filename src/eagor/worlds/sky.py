@@ -17,10 +17,7 @@ _GROUND = np.array([0.24, 0.25, 0.21])
 
 
 def radiance(directions: np.ndarray) -> np.ndarray:
-    """Light ``(n, 3)``, linear RGB, from the directions ``(n, 3)``: smooth, about 1 near the horizon.
-
-    What lies below the horizon gives back a quarter of it.
-    """
+    """Light ``(n, 3)``, linear RGB, from the directions ``(n, 3)``: about 1 near the horizon, a quarter below it."""
     height = directions[:, 2:3] / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
     sky = _HORIZON + (_ZENITH - _HORIZON) * np.sqrt(np.clip(height, 0, 1))
     blend = np.clip(height / 0.1 + 0.5, 0, 1)

@@ -8,7 +8,7 @@ import numpy as np
 
 from eagor._srgb import to_linear
 from eagor.worlds import sky
-from eagor.worlds.rays import Raycaster
+from eagor.worlds.raycast import Raycaster
 from eagor.worlds.scene import Material, Scene
 
 SKY_GAIN = 5.0  # how much brighter the sky is than `daylight`, which is also drawn: eyes and cameras adapt to the room

@@ -25,8 +25,7 @@ from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP
 from eagor.tasks.places import APARTMENT, Place, load_place
 from eagor.tasks.published import any_yaw, save_panorama
 from eagor.tasks.rules import Camera
-from eagor.worlds.raycast import make_raycaster
-from eagor.worlds.rays import Raycaster
+from eagor.worlds.raycast import Raycaster, make_raycaster
 
 # Walls, floor and ceiling are the room itself; a ceiling lamp touches neither floor nor wall.
 UNNAMED = ("wall", "floor", "ceiling", "ceiling lamp")

@@ -1,4 +1,9 @@
-"""What textures are drawn with: a canvas of linear light, noise that repeats, and ridges."""
+"""What textures are drawn with: named colours, a canvas of linear light, noise that repeats, ridges, brushes.
+
+Named colours are as furniture wears them, cloth, paint and wood rather than pure primaries; the names are those of
+`eagor.queries.COLOURS`. Each has a few tones, and every call of `sRGB` shifts the tone a little, so that two red chairs
+are both red and still not alike. All other colours are linear RGB ``(3,)``.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +12,40 @@ from dataclasses import dataclass
 import numpy as np
 
 from eagor._srgb import to_linear
+from eagor.errors import WorldError
+from eagor.queries import COLOURS
+
+RGB = tuple[float, float, float]
+Point = tuple[float, float]
+
+# sRGB, 0 to 255. Chosen to keep their name from full light down to a third of it, as far as the name allows: beige
+# and pink in deep shade are brown and purple to anyone, white is grey.
+TONES: dict[str, tuple[tuple[int, int, int], ...]] = {
+    "black": ((32, 32, 34), (27, 26, 28), (35, 33, 32)),
+    "white": ((243, 241, 236), (238, 238, 236), (245, 244, 241)),
+    "grey": ((128, 130, 132), (148, 148, 147), (106, 109, 112), (139, 137, 134)),
+    "red": ((168, 38, 42), (182, 48, 44), (150, 32, 38)),
+    "orange": ((216, 112, 34), (224, 126, 44), (204, 102, 30)),
+    "yellow": ((224, 180, 50), (216, 170, 40), (232, 190, 66)),
+    "green": ((66, 112, 72), (88, 124, 70), (48, 98, 70)),
+    "blue": ((56, 88, 140), (76, 112, 160), (44, 66, 112)),
+    "purple": ((106, 62, 132), (122, 78, 150), (92, 52, 116)),
+    "pink": ((224, 146, 164), (216, 132, 154), (232, 162, 176)),
+    "brown": ((122, 80, 48), (106, 68, 40), (136, 90, 54)),
+    "beige": ((216, 198, 166), (222, 206, 176), (208, 190, 156)),
+}
+
+
+def sRGB(colour: str, rng: np.random.Generator) -> RGB:
+    """A believable tone of a named colour, sRGB in [0, 1]. Raises `WorldError` for a name outside `COLOURS`."""
+    if colour not in TONES:
+        raise WorldError(f"there is no colour {colour!r}; wanted one of {', '.join(COLOURS)}")
+    tones = TONES[colour]
+    tone = np.array(tones[rng.integers(len(tones))]) / 255
+    hue = 0.005 if colour in ("black", "white", "grey") else 0.015  # white that drifts further is pink or green
+    shifted = tone * rng.uniform(0.95, 1.05) * rng.uniform(1 - hue, 1 + hue, size=3)
+    r, g, b = np.clip(shifted, 0.0, 0.97)
+    return float(r), float(g), float(b)
 
 
 def linear(rgb: tuple[int, int, int]) -> np.ndarray:
@@ -69,7 +108,7 @@ class Canvas:
         distance = np.hypot((self.x - x) / radius, (self.y - y) / tall)
         return np.clip((1 - distance) * min(radius, tall) * self.pixels + 0.5, 0, 1)
 
-    def stroke(self, start: tuple[float, float], end: tuple[float, float], width: float) -> np.ndarray:
+    def stroke(self, start: Point, end: Point, width: float) -> np.ndarray:
         """Opacity of a line with round ends."""
         (x0, y0), (x1, y1) = start, end
         dx, dy = x1 - x0, y1 - y0
@@ -77,7 +116,7 @@ class Canvas:
         distance = np.hypot(self.x - x0 - along * dx, self.y - y0 - along * dy)
         return np.clip((width / 2 - distance) * self.pixels + 0.5, 0, 1)
 
-    def window(self, low: tuple[float, float], high: tuple[float, float]) -> Canvas:
+    def window(self, low: Point, high: Point) -> Canvas:
         """The part of the canvas between two corners (x, y); drawing on it draws on the whole."""
         left, top = (self.x[0, 0], 1 - self.y[0, 0]) if self.x.size else (0.0, 0.0)
         columns, rows = (
@@ -92,14 +131,7 @@ class Canvas:
         near.fill(near.disc(x, y, radius) * opacity, colour)
         return self
 
-    def line(
-        self,
-        start: tuple[float, float],
-        end: tuple[float, float],
-        width: float,
-        colour: np.ndarray,
-        opacity: float = 1.0,
-    ) -> Canvas:
+    def line(self, start: Point, end: Point, width: float, colour: np.ndarray, opacity: float = 1.0) -> Canvas:
         """Lay `colour` ``(3,)`` on a line with round ends."""
         (x0, y0), (x1, y1) = start, end
         low, high = (min(x0, x1) - width, min(y0, y1) - width), (max(x0, x1) + width, max(y0, y1) + width)
@@ -114,3 +146,38 @@ class Canvas:
         frequency[0] = np.inf
         line = np.fft.irfft(np.fft.rfft(rng.standard_normal(2 * count)) / frequency**slope)[:count]
         return ((line - line.mean()) / line.std())[None, :]
+
+
+PAPER = linear((236, 230, 216))
+INK = linear((38, 36, 40))
+_ACCENTS = ("red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "beige")
+
+
+def accent(rng: np.random.Generator) -> np.ndarray:
+    """A colour of any name."""
+    tones = TONES[_ACCENTS[rng.integers(len(_ACCENTS))]]
+    return linear(tones[rng.integers(len(tones))])
+
+
+def pale(main: np.ndarray, share: float = 0.6) -> np.ndarray:
+    """`main` mixed with a share of paper white."""
+    return main + share * (PAPER - main)
+
+
+def gradient(c: Canvas, low: np.ndarray, high: np.ndarray, power: float = 1.0) -> None:
+    """The whole canvas from one colour at its bottom to another at its top."""
+    rise = (c.y**power)[..., None]
+    c.rgb[:] = low + rise * (high - low)
+
+
+def blossom(rng: np.random.Generator, c: Canvas, x: float, y: float, size: float, shade: np.ndarray) -> None:
+    """A flower with five to seven petals round a yellow or dark heart."""
+    turn, petals = rng.uniform(0, 6), int(rng.integers(5, 8))
+    c = c.window((x - size, y - size), (x + size, y + size))
+    angle = np.arctan2(c.y - y, c.x - x) * petals / 2 + turn
+    distance = np.hypot(c.x - x, c.y - y) / size
+    petal = 0.72 + 0.28 * np.abs(np.cos(angle))
+    c.fill(
+        np.clip((petal - distance) * size * c.pixels, 0, 1), shade * (1.1 - 0.35 * np.clip(distance, 0, 1))[..., None]
+    )
+    c.spot(x, y, 0.22 * size, linear((222, 176, 60)) if shade[0] < 0.5 else shade * 0.3)

@@ -105,29 +105,23 @@ def rooms_of(plan: Plan, cells: Cells) -> tuple[Room, ...]:
     """The rooms between their walls, without the floor in doorways."""
     xs, ys, _ = cells.lines
     ground = np.where(cells.hole[:, :, 0], SOLID, cells.air[:, :, 0])
-    rooms = []
-    for place, space in enumerate(plan.spaces):
-        rooms.append(Room(space.name, space.kind, _few_rectangles(ground == place, xs, ys)))
-    return tuple(rooms)
+    found = (_few_rectangles(ground == place, xs, ys) for place in range(len(plan.spaces)))
+    return tuple(Room(space.name, space.kind, few) for space, few in zip(plan.spaces, found, strict=True))
 
 
 def wall_faces(cells: Cells) -> tuple[WallFace, ...]:
     """The stretches of wall that stand on the floor, without those inside doorways."""
     found = []
-    for axis in (0, 1):
-        lines = cells.lines[1 - axis]
-        along = cells.lines[axis]
-        ground = np.where(cells.hole[:, :, 0], OUTSIDE, cells.air[:, :, 0])
-        ground = ground.T if axis == 0 else ground  # across the wall, along it
-        solid = cells.air[:, :, 0] == SOLID
-        solid = solid.T if axis == 0 else solid
+    ground, solid = np.where(cells.hole[:, :, 0], OUTSIDE, cells.air[:, :, 0]).T, cells.air[:, :, 0].T == SOLID
+    for axis in (0, 1):  # of both, the first axis runs across the wall
+        lines, along = cells.lines[1 - axis], cells.lines[axis]
         for k in range(1, len(lines) - 1):
             for side, inner, outer in ((1, k, k - 1), (-1, k - 1, k)):
                 key = np.where(solid[outer] & (ground[inner] >= 0), ground[inner] + 1, 0)[None]
                 for value, _, start, _, end in rectangles_of(key):
-                    found.append(
-                        WallFace(value - 1, axis, float(lines[k]), float(along[start]), float(along[end]), side)
-                    )
+                    ends = float(along[start]), float(along[end])
+                    found.append(WallFace(value - 1, axis, float(lines[k]), *ends, side))
+        ground, solid = ground.T, solid.T
     return tuple(found)
 
 
@@ -171,16 +165,14 @@ def rectangles_of(key: np.ndarray) -> list[tuple[int, int, int, int, int]]:
 
 def _few_rectangles(mask: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
     """Rectangles ``(n, 4)`` x0, y0, x1, y1 that cover the cells in `mask`: few, the first as large as possible."""
-    rows, columns = mask.shape
     options = []
     for turned in (False, True):
-        for backwards in (False, True):
-            view = mask[::-1, ::-1] if backwards else mask
-            cells = np.array(rectangles_of(view.T if turned else view))[:, 1:]
-            if turned:
-                cells = cells[:, [1, 0, 3, 2]]
-            if backwards:
-                cells = np.array([rows, columns, rows, columns]) - cells[:, [2, 3, 0, 1]]
+        for step in (1, -1):
+            view = mask[::step, ::step]
+            found = np.array(rectangles_of(view.T if turned else view))[:, 1:]
+            cells = found[:, [1, 0, 3, 2]] if turned else found
+            if step < 0:
+                cells = np.array([*mask.shape, *mask.shape]) - cells[:, [2, 3, 0, 1]]
             found = np.stack([xs[cells[:, 0]], ys[cells[:, 1]], xs[cells[:, 2]], ys[cells[:, 3]]], axis=1)
             area = (found[:, 2] - found[:, 0]) * (found[:, 3] - found[:, 1])
             options.append((len(found), -float(area.max()), found[np.argsort(-area, kind="stable")]))

@@ -14,12 +14,15 @@ from eagor.worlds.apartment.mesh import (
     Triple,
     checked_bounds,
     grid_triangles,
+    halves,
+    loft,
     merged,
     moved,
     planar_uv,
     projected,
+    quad_triangles,
+    whole,
 )
-from eagor.worlds.apartment.solids import loft
 
 
 @lru_cache(maxsize=8)
@@ -100,15 +103,9 @@ def lathe(profile: Sequence[Triple] | np.ndarray, sides: int = 20) -> Mesh:
     step = np.hypot(np.diff(r), np.diff(z))
     along = np.concatenate([[0], np.cumsum(step)])
     surface = np.stack(np.broadcast_arrays(angle * r.max(), along[:, None]), axis=-1)
-    a, b = index[:-1, :-1], index[:-1, 1:]
-    c, d = index[1:, 1:], index[1:, :-1]
-    triangles = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=-2)
-    a, b, c, d = surface[:-1, :-1], surface[:-1, 1:], surface[1:, 1:], surface[1:, :-1]
-    uv = np.stack([np.stack([a, b, c], -2), np.stack([a, c, d], -2)], axis=-3)
+    triangles, uv = halves(index), halves(surface)
     flat = np.broadcast_to((np.abs(np.diff(z)) < 0.3 * np.abs(np.diff(r)))[:, None, None], triangles.shape[:3])
-    keep = np.broadcast_to((step > 0)[:, None, None], triangles.shape[:3]).copy()
-    keep &= (triangles[..., 0] != triangles[..., 1]) & (triangles[..., 1] != triangles[..., 2])
-    keep &= triangles[..., 2] != triangles[..., 0]
+    keep = (step > 0)[:, None, None] & whole(triangles)
     vertices, triangles = vertices.astype(np.float32), triangles[keep].astype(np.int32)
     uv = np.where(flat[keep][:, None, None], planar_uv(vertices, triangles), uv[keep]).astype(np.float32)
     return Mesh(vertices, triangles, uv)
@@ -160,8 +157,7 @@ def quad(corners: Sequence[Triple] | np.ndarray) -> Mesh:
     """A flat four-sided face ``(4, 3)``, counter-clockwise; uv is (0, 0) at corner 0, u towards 1, v towards 3."""
     corners = np.asarray(corners, dtype=np.float64)
     u, v = np.linalg.norm(corners[1] - corners[0]), np.linalg.norm(corners[3] - corners[0])
-    triangles = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
-    uv = np.array([[0, 0], [u, 0], [u, v], [0, v]], dtype=np.float32)
+    triangles, uv = quad_triangles(1), np.array([[0, 0], [u, 0], [u, v], [0, v]], dtype=np.float32)
     return Mesh(corners.astype(np.float32), triangles, uv[triangles])
 
 

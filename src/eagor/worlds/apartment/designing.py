@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,18 +10,16 @@ import numpy as np
 from eagor.errors import WorldError
 from eagor.worlds.apartment.cells import Cells, carve, rooms_of
 from eagor.worlds.apartment.doors import Style, doors_and_windows, draw_style
-from eagor.worlds.apartment.finishes import Finish, draw_finishes
+from eagor.worlds.apartment.finishes import Finish, draw_finishes, lit
 from eagor.worlds.apartment.fixtures import splashback
 from eagor.worlds.apartment.furnish import furnish
 from eagor.worlds.apartment.furnisher import NoRoom, Piece
-from eagor.worlds.apartment.lighting import lit
+from eagor.worlds.apartment.mesh import merged, placed, turned_about_z
 from eagor.worlds.apartment.placement import empty_floor
 from eagor.worlds.apartment.plans import Plan, draw_plan
-from eagor.worlds.apartment.shell import shell, structure
-from eagor.worlds.apartment.things import Thing, make_scene, placed, turned_about_z
-from eagor.worlds.footprints import BESIDE
-from eagor.worlds.ground import Ground
-from eagor.worlds.scene import Lamp, Room, Scene
+from eagor.worlds.apartment.shell import Thing, shell, structure
+from eagor.worlds.ground import BESIDE, Ground
+from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
 
 _ATTEMPTS = 40
 
@@ -35,11 +34,6 @@ class Apartment:
     finishes: tuple[Finish, ...]
     style: Style
     pieces: tuple[Piece, ...]
-
-
-def design(seed: int) -> Apartment:
-    """The apartment of a seed. Errors as in `build`."""
-    return build(seed, "")[0]
 
 
 def build(seed: int, source: str) -> tuple[Apartment, Scene]:
@@ -96,7 +90,7 @@ def scene_of(apartment: Apartment, source: str) -> Scene:
         if back is not None:
             parts[piece.room]["wall"].append(back)
     things = [*structure(plan, parts), *doors, *(_thing(piece, plan) for piece in apartment.pieces)]
-    return make_scene(things, apartment.rooms, source, {"family": plan.family})
+    return _made_of(things, apartment.rooms, source, {"family": plan.family})
 
 
 def _thing(piece: Piece, plan: Plan) -> Thing:
@@ -108,3 +102,33 @@ def _thing(piece: Piece, plan: Plan) -> Thing:
     )
     parts = placed(model.parts, angle, piece.position)
     return Thing(piece.category, model.colour, plan.spaces[piece.room].name, parts, lamps)
+
+
+def _made_of(things: Sequence[Thing], rooms: Sequence[Room], source: str, facts: dict[str, str]) -> Scene:
+    """The scene of all the things, in their order; equal materials are shared."""
+    numbers: dict[tuple[object, ...], int] = {}
+    materials: list[Material] = []
+    looks, instances = [], []
+    for thing in things:
+        low = np.min([part.low for part in thing.parts], axis=0).astype(np.float64)
+        high = np.max([part.high for part in thing.parts], axis=0).astype(np.float64)
+        instances.append(Instance(thing.category, thing.colour, thing.room, low, high))
+        for look in (part.material for part in thing.parts):
+            looks.append(numbers.setdefault((look.name, look.colour, look.emission, id(look.texture)), len(materials)))
+            materials += [look] * (looks[-1] == len(materials))
+    whole = merged(*(part for thing in things for part in thing.parts))
+    counts = [len(part.triangles) for thing in things for part in thing.parts]
+    owners = np.repeat(np.arange(len(things)), [len(thing.parts) for thing in things])
+    return Scene(
+        whole.vertices,
+        whole.triangles,
+        np.repeat(owners, counts).astype(np.int32),
+        np.repeat(looks, counts).astype(np.int32),
+        whole.uv,
+        tuple(instances),
+        tuple(materials),
+        tuple(rooms),
+        tuple(lamp for thing in things for lamp in thing.lamps),
+        source=source,
+        facts=facts,
+    )

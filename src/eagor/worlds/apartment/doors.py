@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from eagor.worlds.apartment.cells import NICHE
-from eagor.worlds.apartment.mesh import Mesh, Part, merged, moved, part
-from eagor.worlds.apartment.meshes import bevelled, board, box, tube
+from eagor.worlds.apartment.curved import tube
+from eagor.worlds.apartment.mesh import Mesh, Part, bevelled, board, box, merged, moved, part, placed
 from eagor.worlds.apartment.openings import HALF_WALL, LINING, OUTSIDE, Boundary, Doorway, Opening
 from eagor.worlds.apartment.plans import Plan
+from eagor.worlds.apartment.shell import Thing
 from eagor.worlds.apartment.textures import REPEAT, material
-from eagor.worlds.apartment.things import Thing, placed
 from eagor.worlds.scene import Material
 
 _CASING = (0.06, 0.015)  # width, thickness
@@ -43,10 +43,7 @@ def draw_style(rng: np.random.Generator) -> Style:
 
 
 def doors_and_windows(plan: Plan, style: Style) -> tuple[list[Thing], dict[int, list[Part]]]:
-    """Doors and windows as things, and for each room the casings that belong to its wall.
-
-    A doorway without a leaf is no door: its lining and casings belong to the walls.
-    """
+    """Doors and windows as things; for each room the casings of its wall, where a doorway has no leaf."""
     things: list[Thing] = []
     trim: dict[int, list[Part]] = {place: [] for place in range(len(plan.spaces))}
     for doorway in plan.doorways:
@@ -66,10 +63,13 @@ def doors_and_windows(plan: Plan, style: Style) -> tuple[list[Thing], dict[int, 
     return things, trim
 
 
-def _bar(boundary: Boundary, along: tuple[float, float], across: tuple[float, float], z: tuple[float, float]) -> Mesh:
-    """A board given along and across a boundary."""
-    x0, y0, x1, y1 = boundary.box(*along, *across)
-    return board((x0, y0, z[0]), (x1, y1, z[1]))
+def _bars(boundary: Boundary, *bars: tuple[float, ...]) -> Mesh:
+    """Boards from and to, along and across a boundary, and in height: six numbers each."""
+    made = []
+    for start, end, low, high, bottom, top in bars:
+        x0, y0, x1, y1 = boundary.box(start, end, low, high)
+        made.append(board((x0, y0, bottom), (x1, y1, top)))
+    return merged(*made)
 
 
 def _frame(doorway: Doorway, style: Style) -> tuple[Part, dict[int, Part]]:
@@ -81,26 +81,25 @@ def _frame(doorway: Doorway, style: Style) -> tuple[Part, dict[int, Part]]:
         low = HALF_WALL - NICHE
     elif boundary.rooms[1] == OUTSIDE:
         high = NICHE - HALF_WALL
-    jambs = merged(
-        _bar(boundary, (start, start + LINING), (low, high), (0.0, head)),
-        _bar(boundary, (end - LINING, end), (low, high), (0.0, head)),
-        _bar(boundary, (start, end), (low, high), (head - LINING, head)),
+    jambs = _bars(
+        boundary,
+        (start, start + LINING, low, high, 0.0, head),
+        (end - LINING, end, low, high, 0.0, head),
+        (start, end, low, high, head - LINING, head),
     )
     width, thickness = _CASING
     casings = {}
     for room, face, sign in ((boundary.rooms[0], -HALF_WALL, -1), (boundary.rooms[1], HALF_WALL, 1)):
         if room == OUTSIDE:
             continue
-        across = (min(face, face + sign * thickness), max(face, face + sign * thickness))
-        casings[room] = part(
-            merged(
-                _bar(boundary, (start - width, start + 0.01), across, (0.0, head + width)),
-                _bar(boundary, (end - 0.01, end + width), across, (0.0, head + width)),
-                _bar(boundary, (start, end), across, (head - 0.01, head + width)),
-            ),
-            style.frame,
-            repeat,
+        across, top = sorted((face, face + sign * thickness)), head + width
+        casing = _bars(
+            boundary,
+            (start - width, start + 0.01, *across, 0.0, top),
+            (end - 0.01, end + width, *across, 0.0, top),
+            (start, end, *across, head - 0.01, top),
         )
+        casings[room] = part(casing, style.frame, repeat)
     return part(jambs, style.frame, repeat), casings
 
 
@@ -136,25 +135,20 @@ def _window(window: Opening, style: Style) -> tuple[Part, ...]:
     face = -outwards * HALF_WALL
     near, far = sorted((face + outwards * 0.11, face + outwards * 0.17))
     low, high, thick = window.sill, window.head, 0.05
-    bars = [
-        _bar(boundary, (start, start + thick), (near, far), (low, high)),
-        _bar(boundary, (end - thick, end), (near, far), (low, high)),
-        _bar(boundary, (start + thick, end - thick), (near, far), (low, low + thick)),
-        _bar(boundary, (start + thick, end - thick), (near, far), (high - thick, high)),
+    bars: list[tuple[float, ...]] = [
+        (start, start + thick, near, far, low, high),
+        (end - thick, end, near, far, low, high),
+        (start + thick, end - thick, near, far, low, low + thick),
+        (start + thick, end - thick, near, far, high - thick, high),
     ]
     count = 0 if end - start < 0.75 else 1 if end - start < 1.7 else 2
     middle = (near + far) / 2
     for i in range(count):
         at = start + (i + 1) * (end - start) / (count + 1)
-        bars.append(_bar(boundary, (at - 0.035, at + 0.035), (near + 0.005, far - 0.005), (low + thick, high - thick)))
+        bars.append((at - 0.035, at + 0.035, near + 0.005, far - 0.005, low + thick, high - thick))
     if high - low > 1.1:
         at = high - 0.42
-        bars.append(
-            _bar(boundary, (start + thick, end - thick), (middle - 0.015, middle + 0.015), (at - 0.02, at + 0.02))
-        )
-    inside, front = face - outwards * 0.035, face + outwards * 0.11
-    sill = [
-        _bar(boundary, (start, end), (min(face, front), max(face, front)), (low, low + 0.022)),
-        _bar(boundary, (start - 0.04, end + 0.04), (min(inside, face), max(inside, face)), (low - 0.01, low + 0.022)),
-    ]
-    return (part(merged(*bars, *sill), style.window, REPEAT["paint"]),)
+        bars.append((start + thick, end - thick, middle - 0.015, middle + 0.015, at - 0.02, at + 0.02))
+    bars.append((start, end, *sorted((face, face + outwards * 0.11)), low, low + 0.022))  # the sill board
+    bars.append((start - 0.04, end + 0.04, *sorted((face - outwards * 0.035, face)), low - 0.01, low + 0.022))
+    return (part(_bars(boundary, *bars), style.window, REPEAT["paint"]),)

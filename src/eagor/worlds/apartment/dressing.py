@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from eagor.worlds.apartment.furnisher import Furnisher, NoRoom, Piece
-from eagor.worlds.apartment.placement import footprint, from_rectangle, overlaps
-from eagor.worlds.apartment.sites import Sites, before, in_room, joined, on_face, relative
+from eagor.worlds.apartment.placement import footprint, from_rectangle, untouched
+from eagor.worlds.apartment.sites import Sites, advanced, before, in_room, joined, on_face, relative
 
 _TOPS = {"table": 0.6, "coffee table": 0.6, "desk": 0.6, "dresser": 0.8, "nightstand": 0.5}  # chance of something on it
 _EYE_LEVEL = 1.52
@@ -17,28 +17,22 @@ _EYE_LEVEL = 1.52
 def rug(f: Furnisher, room: int) -> Piece | None:
     """A rug: under the coffee table or the dining table, beside the bed, or where the floor is free."""
     made = f.make("rug")
-    size = made[0].size
+    size = made.size
     sites = in_room(f.floor, room, size, f.rng, 30)
     sites = Sites(sites.boxes, np.where(f.floor.clear(sites.boxes), sites.scores, -np.inf))
     for category, bonus in (("coffee table", 3.0), ("table", 2.0)):
         for table in f.of(category, room):
-            turns = (0.0, math.pi / 2)
-            boxes = np.array([relative(table.box, 0, 0, float(size[0]), float(size[1]), turn) for turn in turns])
+            boxes = np.array([relative(table.box, 0, 0, size, turn) for turn in (0.0, math.pi / 2)])
             sites = joined(sites, Sites(boxes, np.array([bonus + 0.1, bonus])))
     for bed in f.of("bed", room):
-        ahead = before(bed.box, 1.0)[0]
-        boxes = [relative(ahead, 0, 0, float(size[0]), float(size[1]), 0.0)]
+        boxes = [relative(before(bed.box, 1.0)[0], 0, 0, size)]
         for side in (-1, 1):
             out = side * float(bed.box[3] + size[0] / 2 - 0.1)
-            boxes.append(relative(bed.box, 0.2, out, float(size[0]), float(size[1]), math.pi / 2))
+            boxes.append(relative(bed.box, 0.2, out, size, math.pi / 2))
         sites = joined(sites, Sites(np.array(boxes), np.full(3, 1.0)))
-    good = np.isfinite(sites.scores) & f.floor.inside(room, sites.boxes)
-    doors = [d.leaf_box for d in f.floor.plan.doorways if d.leaf_box is not None]
-    if doors:
-        good &= ~overlaps(sites.boxes, np.array([from_rectangle(box) for box in doors])).any(axis=1)
+    doors = [from_rectangle(d.leaf_box) for d in f.floor.plan.doorways if d.leaf_box is not None]
     others = [piece.box for piece in f.of("rug")]
-    if others:
-        good &= ~overlaps(sites.boxes, np.array(others)).any(axis=1)
+    good = np.isfinite(sites.scores) & f.floor.inside(room, sites.boxes) & untouched(sites.boxes, doors + others)
     for place in sites.best(good, 1):
         return f.record(made, room, sites.boxes[place], 0.0, solid=False)
     return None
@@ -47,42 +41,34 @@ def rug(f: Furnisher, room: int) -> Piece | None:
 def painting(f: Furnisher, room: int) -> Piece | None:
     """A picture on a free patch of wall, best over a sofa, a bed or a low piece."""
     made = f.make("painting")
-    depth, width, height = (float(length) for length in made[0].size)
+    depth, width, height = (float(length) for length in made.size)
     z = min(_EYE_LEVEL + 0.08, f.floor.plan.height - height / 2 - 0.25)
+    low = [p for p in f.pieces if p.room == room and p.category in ("sofa", "bed", "dresser", "desk")]
     found = []
     for face in f.floor.faces:
         free = face.end - face.start - width - 0.3
         if face.room != room or free < 0:
             continue
         along = face.start + 0.15 + width / 2 + free * np.concatenate([[0.5], f.rng.random(6)])
-        over = [
-            piece.box[face.axis]  # above the middle of a low piece is best
-            for piece in f.pieces
-            if piece.room == room and piece.category in ("sofa", "bed", "dresser", "desk")
-            and face.start + width / 2 < piece.box[face.axis] < face.end - width / 2
+        over = [  # above the middle of a low piece is best
+            piece.box[face.axis] for piece in low
+            if face.start + width / 2 < piece.box[face.axis] < face.end - width / 2
             and abs(piece.box[1 - face.axis] - face.line) < piece.box[2] + 0.15
         ]  # fmt: skip
         scores = f.rng.uniform(0, 1, len(along) + len(over)) + np.repeat([0.0, 1.0], [len(along), len(over)])
-        found.append(Sites(on_face(face, np.append(along, over), 0.0, depth, width), scores))
+        found.append(Sites(on_face(face, np.append(along, over), 0.0, made.size), scores))
     sites = joined(*found)
-    if not len(sites.boxes):
-        return None
-    wide = sites.boxes.copy()  # free air around and before it
-    wide[:, 0] += (0.18 - depth / 2) * np.cos(wide[:, 4])
-    wide[:, 1] += (0.18 - depth / 2) * np.sin(wide[:, 4])
+    wide = advanced(sites.boxes, 0.18 - depth / 2)  # free air around and before it
     wide[:, 2], wide[:, 3] = 0.18, wide[:, 3] + 0.1
     good = f.floor.fits(room, wide, (z - height / 2 - 0.04, z + height / 2 + 0.04), 0.0, kept=False)
     good &= f.floor.beside_windows(wide, z + height / 2)
-    doors = np.array([from_rectangle(d.approach(0.4, 0.1)) for d in f.floor.plan.doorways])
-    good &= ~overlaps(wide, doors).any(axis=1)
+    good &= untouched(wide, [from_rectangle(d.approach(0.4, 0.1)) for d in f.floor.plan.doorways])
     for place in sites.best(good, 1):
         box = sites.boxes[place]
         f.floor.solid.append(np.concatenate([box, (z - height / 2, z + height / 2)]))
         back = box[:2] - depth / 2 * np.array([math.cos(box[4]), math.sin(box[4])])
-        model, seed = made
-        piece = Piece("painting", room, model, seed, box, np.array([*back, z]), solid=False)
-        f.pieces.append(piece)
-        return piece
+        f.pieces.append(Piece(room, made, box, np.array([*back, z]), solid=False))
+        return f.pieces[-1]
     return None
 
 
@@ -94,27 +80,22 @@ def small_things(f: Furnisher, categories: tuple[str, ...]) -> None:
         taken: list[np.ndarray] = []
         for _ in range(int(f.rng.integers(1, 3))):
             made = f.make(str(f.rng.choice(categories)))
-            size = made[0].size
-            room = piece.box[2:4] - np.hypot(size[0], size[1]) / 2 - 0.05
+            room = piece.box[2:4] - np.hypot(made.size[0], made.size[1]) / 2 - 0.05
             if piece.category in ("table", "coffee table"):
                 room = room * 0.6  # tops may be round
             if (room < 0).any():
                 continue
             forward, left = f.rng.uniform(-room, room)
-            box = relative(piece.box, forward, left, float(size[0]), float(size[1]), float(f.rng.uniform(-0.6, 0.6)))
-            if taken and overlaps(box, np.array(taken)).any():
-                continue
-            taken.append(box)
-            f.record(made, piece.room, box, piece.top, solid=False)
+            box = relative(piece.box, forward, left, made.size, float(f.rng.uniform(-0.6, 0.6)))
+            if untouched(box[None], taken)[0]:
+                taken.append(box)
+                f.record(made, piece.room, box, piece.top, solid=False)
 
 
 def ceiling_lamps(f: Furnisher, room: int) -> None:
-    """One lamp in the middle of each part of a room, two in a large or long one; beside what reaches up to it.
-
-    Raises `NoRoom` where none finds a place.
-    """
+    """One lamp in the middle of each part of a room, two in a large or long one; `NoRoom` where none has a place."""
     made = f.make("ceiling lamp")
-    depth, width, height = (float(length) for length in made[0].size)
+    depth, width, height = (float(length) for length in made.size)
     ceiling = f.floor.plan.height
     for part, (x0, y0, x1, y1) in enumerate(f.floor.rooms[room].rectangles):
         sides = np.array([x1 - x0, y1 - y0])

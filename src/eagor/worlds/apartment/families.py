@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 Rectangle = tuple[float, float, float, float]  # x0, y0, x1, y1
+Rooms = list[tuple[str, tuple[Rectangle, ...]]]  # kinds, and what they consist of
 
 
 @dataclass(frozen=True)
@@ -42,9 +43,9 @@ def corridor(rng: np.random.Generator) -> Layout:
     rng.shuffle(far)
     widths, others = _widths(rng, near), _widths(rng, far)
     length = _snap((sum(widths) + sum(others)) / 2)
-    rooms: list[tuple[str, tuple[Rectangle, ...]]] = [("hall", ((0.0, front, length, front + passage),))]
-    rooms += _row(near, _fitted(widths, length), 0.0, front)
-    rooms += _row(far, _fitted(others, length), front + passage, depth)
+    rooms: Rooms = [("hall", ((0.0, front, length, front + passage),))]
+    for kinds, sizes, y0, y1 in ((near, widths, 0.0, front), (far, others, front + passage, depth)):
+        rooms += _row(kinds, [width * length / sum(sizes) for width in sizes], y0, y1)
     if end:
         rooms.append(("living room", ((length, 0.0, length + end, depth),)))
     doors = [(0, i) for i in range(1, len(rooms))]
@@ -73,20 +74,15 @@ def open_plan(rng: np.random.Generator) -> Layout:
         living += ((0.0, strip, arm, kitchen),)
     else:
         kitchen = strip
-    rooms: list[tuple[str, tuple[Rectangle, ...]]] = [("living room", living)]
-    rooms.append(("kitchen", ((0.0, kitchen, arm, depth),)))
-    openings = [(0, 1)]
+    rooms: Rooms = [("living room", living), ("kitchen", ((0.0, kitchen, arm, depth),))]
+    openings, doors = [(0, 1)], []
     if dining:
         rooms.append(("dining room", ((split, 0.0, length, strip),)))
         openings.append((0, 2))
-    doors = []
-    at = arm
-    for kind, (_, (rectangle,)) in zip(private, _row(private, widths, strip, depth), strict=True):
-        x0, y0, x1, y1 = rectangle
-        middle = arm + (x0 + x1) / 2
-        host = 2 if dining and middle > split + 0.6 else 0
+    for kind, ((x0, y0, x1, y1),) in _row(private, widths, strip, depth):
+        host = 2 if dining and arm + (x0 + x1) / 2 > split + 0.6 else 0
         doors.append((host, len(rooms)))
-        rooms.append((kind, ((_snap(x0 + at), y0, _snap(x1 + at), y1),)))
+        rooms.append((kind, ((_snap(x0 + arm), y0, _snap(x1 + arm), y1),)))
     return Layout(tuple(rooms), tuple(doors), tuple(openings), 0)
 
 
@@ -97,29 +93,22 @@ def central_hall(rng: np.random.Generator) -> Layout:
     x1, y1 = left, low
     x2, y2 = _snap(x1 + across), _snap(y1 + along)
     width, depth = _snap(x2 + right), _snap(y2 + high)
-    wings: list[Rectangle] = [
-        (0.0, 0.0, x2, y1),
-        (x2, 0.0, width, y2),
-        (x1, y2, width, depth),
-        (0.0, y1, x1, depth),
-    ]
-    order = sorted(range(4), key=lambda i: -_area(wings[i]))
-    living = order[0]
+    wings: list[Rectangle] = [(0.0, 0.0, x2, y1), (x2, 0.0, width, y2), (x1, y2, width, depth), (0.0, y1, x1, depth)]
+    living = max(range(4), key=lambda i: (wings[i][2] - wings[i][0]) * (wings[i][3] - wings[i][1]))
     rest = [i for i in range(4) if i != living]
     rng.shuffle(rest)
     divided, kitchen, bedroom = rest
-    rooms: list[tuple[str, tuple[Rectangle, ...]]] = [("hall", ((x1, y1, x2, y2),))]
-    doors = [(0, 1), (0, 2), (0, 3)]
-    rooms += [("living room", (wings[living],)), ("kitchen", (wings[kitchen],)), ("bedroom", (wings[bedroom],))]
+    rooms: Rooms = [("hall", ((x1, y1, x2, y2),)), ("living room", (wings[living],))]
+    rooms += [("kitchen", (wings[kitchen],)), ("bedroom", (wings[bedroom],))]
+    doors, behind = [(0, 1), (0, 2), (0, 3)], {living: 1, kitchen: 2, bedroom: 3}
     inner, outer = _divided(rng, divided, wings[divided], (x1, y1, x2, y2))
     second = "bedroom" if rng.random() < 0.5 else "study"
     if rng.random() < 0.5:  # the bathroom at the hall, the other room reached from the next wing ...
         rooms += [("bathroom", (inner,)), (second, (outer,))]
-        behind = {living: 1, kitchen: 2, bedroom: 3}.get((divided - 1) % 4, 0)
-        doors += [(0, 4), (behind, 5)]
+        doors += [(0, 4), (behind.get((divided - 1) % 4, 0), 5)]
     else:  # ... or a room at the hall, and a bathroom off that room
         rooms += [(second, (inner,)), ("bathroom", (outer,))]
-        doors += [(0, 4), (4, 5) if rng.random() < 0.5 else ({living: 1, kitchen: 2, bedroom: 3}[(divided - 1) % 4], 5)]
+        doors += [(0, 4), (4 if rng.random() < 0.5 else behind[(divided - 1) % 4], 5)]
     return Layout(tuple(rooms), tuple(doors), (), 1)
 
 
@@ -136,11 +125,9 @@ def railroad(rng: np.random.Generator) -> Layout:
         night.append("bedroom" if rng.random() < 0.4 else "study")
     passage, slot = _draw(rng, 1.2, 1.5), _draw(rng, 1.8, 2.4)
     at_low = rng.random() < 0.5
-    sequence = [*day, "hall", *night]
-    rooms: list[tuple[str, tuple[Rectangle, ...]]] = []
-    doors, openings = [], []
-    x, hall = 0.0, 0
-    for kind in sequence:
+    rooms: Rooms = []
+    doors, openings, x, hall = [], [], 0.0, 0
+    for kind in [*day, "hall", *night]:
         (wide,) = [slot] if kind == "hall" else _widths(rng, [kind])
         if kind not in ("hall", "living room"):
             wide = _snap(wide * 0.9)
@@ -168,7 +155,7 @@ def studio(rng: np.random.Generator) -> Layout:
     kitchen, bed = _draw(rng, 2.1, 2.9), _draw(rng, 3.0, 3.8)
     x1, x2 = column, _snap(column + kitchen)
     width = _snap(x2 + bed)
-    rooms: list[tuple[str, tuple[Rectangle, ...]]] = [
+    rooms: Rooms = [
         ("living room", ((x1, 0.0, width, strip),)),
         ("bedroom", ((x2, strip, width, depth),)),
         ("kitchen", ((x1, strip, x2, depth),)),
@@ -181,21 +168,12 @@ def studio(rng: np.random.Generator) -> Layout:
 
 
 FAMILIES: dict[str, Callable[[np.random.Generator], Layout]] = {
-    "corridor": corridor,
-    "open plan": open_plan,
-    "central hall": central_hall,
-    "railroad": railroad,
-    "studio": studio,
-}
-
+    "corridor": corridor, "open plan": open_plan, "central hall": central_hall, "railroad": railroad, "studio": studio,
+}  # fmt: skip
 _WIDTHS = {
-    "living room": (4.0, 5.6),
-    "bedroom": (3.0, 4.3),
-    "kitchen": (2.6, 3.8),
-    "bathroom": (1.75, 2.5),
-    "study": (2.3, 3.2),
-    "dining room": (2.8, 3.6),
-}
+    "living room": (4.0, 5.6), "bedroom": (3.0, 4.3), "kitchen": (2.6, 3.8), "bathroom": (1.75, 2.5),
+    "study": (2.3, 3.2), "dining room": (2.8, 3.6),
+}  # fmt: skip
 
 
 def _draw(rng: np.random.Generator, low: float, high: float) -> float:
@@ -206,21 +184,11 @@ def _snap(metres: float) -> float:
     return round(metres * 20) / 20
 
 
-def _area(rectangle: Rectangle) -> float:
-    x0, y0, x1, y1 = rectangle
-    return (x1 - x0) * (y1 - y0)
-
-
 def _widths(rng: np.random.Generator, kinds: list[str]) -> list[float]:
     return [_draw(rng, *_WIDTHS[kind]) for kind in kinds]
 
 
-def _fitted(widths: list[float], length: float) -> list[float]:
-    """`widths` stretched to `length`."""
-    return [width * length / sum(widths) for width in widths]
-
-
-def _row(kinds: list[str], widths: list[float], y0: float, y1: float) -> list[tuple[str, tuple[Rectangle, ...]]]:
+def _row(kinds: list[str], widths: list[float], y0: float, y1: float) -> Rooms:
     """Rooms side by side along x from 0."""
     ends = [_snap(x) for x in np.cumsum([0.0, *widths])]
     return [(kind, ((ends[i], y0, ends[i + 1], y1),)) for i, kind in enumerate(kinds)]
@@ -228,16 +196,13 @@ def _row(kinds: list[str], widths: list[float], y0: float, y1: float) -> list[tu
 
 def _divided(rng: np.random.Generator, wing: int, rectangle: Rectangle, hall: Rectangle) -> tuple[Rectangle, Rectangle]:
     """A wing of the pinwheel cut in two: the part at the hall, and the part at the corner of the building."""
-    x0, y0, x1, y1 = rectangle
-    hx0, hy0, hx1, hy1 = hall
-    if wing == 0:
-        cut = _draw(rng, max(x0 + 1.7, hx0 - 0.9), hx1 - 1.7)
-        return (cut, y0, x1, y1), (x0, y0, cut, y1)
-    if wing == 1:
-        cut = _draw(rng, max(y0 + 1.7, hy0 - 0.9), hy1 - 1.2)
-        return (x0, cut, x1, y1), (x0, y0, x1, cut)
-    if wing == 2:
-        cut = _draw(rng, hx0 + 1.7, min(x1 - 1.7, hx1 + 0.9))
-        return (x0, y0, cut, y1), (cut, y0, x1, y1)
-    cut = _draw(rng, hy0 + 1.2, min(y1 - 1.7, hy1 + 0.9))
-    return (x0, y0, x1, cut), (x0, cut, x1, y1)
+    axis = wing % 2  # along which it is cut
+    low, high, start, end = rectangle[axis], rectangle[axis + 2], hall[axis], hall[axis + 2]
+    first, last = list(rectangle), list(rectangle)
+    if wing < 2:
+        cut = _draw(rng, max(low + 1.7, start - 0.9), end - (1.2 if axis else 1.7))
+    else:
+        cut = _draw(rng, start + (1.2 if axis else 1.7), min(high - 1.7, end + 0.9))
+    first[axis + 2] = last[axis] = cut
+    parts: list[Rectangle] = [(a, b, c, d) for a, b, c, d in (first, last)]
+    return (parts[1], parts[0]) if wing < 2 else (parts[0], parts[1])

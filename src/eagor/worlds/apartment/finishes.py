@@ -1,21 +1,33 @@
-"""How the rooms of an apartment are painted, tiled and floored."""
+"""How the rooms of an apartment are painted, tiled and floored, and how strong their ceiling lamps have to be."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from eagor._srgb import to_coded, to_linear
+from eagor.worlds.apartment.furnisher import Piece
 from eagor.worlds.apartment.plans import Plan
 from eagor.worlds.apartment.textures import material
-from eagor.worlds.scene import Material
+from eagor.worlds.scene import Material, Room
+from eagor.worlds.sources import mean_colour
 
 Look = tuple[str, Material]  # kind of material (its repeat), and the material
 
 # sRGB of wall paint: warm whites first, then pastel tints.
 _WHITES = ((240, 234, 222), (238, 236, 230), (236, 228, 214))
 _TINTS = ((222, 230, 216), (214, 224, 232), (238, 222, 204), (232, 216, 214), (226, 220, 236), (240, 230, 196))
+
+
+# A room in which one ceiling lamp of the power that it is built with is right: square metres of floor, walls and
+# ceiling, and the share of the light that they swallow.
+_SURFACE, _ABSORPTION = 60.0, 0.45
+_SHARES = (0.2, 1.7)  # of that power: no lamp is much weaker or stronger than those on sale
+_FURNISHED = 0.15  # share of the surface that furniture and open doors hide
+_DARK = 0.75  # what those swallow
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,3 +83,33 @@ def _tinted(look: Material, tone: tuple[int, int, int], rng: np.random.Generator
         linear = linear / to_linear(look.texture[::4, ::4] / 255).mean(axis=(0, 1))
     r, g, b = to_coded(linear)
     return replace(look, name=f"wall {look.name}", colour=(float(r), float(g), float(b)))
+
+
+def lit(pieces: Sequence[Piece], rooms: Sequence[Room], finishes: Sequence[Finish], height: float) -> list[Piece]:
+    """The same pieces, the ceiling lamps as strong as their rooms want it; `height` of the rooms in metres.
+
+    The light between walls is the power of the lamps over what the surfaces swallow (the integrating sphere).
+    """
+    count = Counter(piece.room for piece in pieces if piece.category == "ceiling lamp")
+    shares = {
+        room: float(np.clip(_swallowed(rooms[room], finishes[room], height) / (_SURFACE * _ABSORPTION) / n, *_SHARES))
+        for room, n in count.items()
+    }
+    return [_dimmed(piece, shares[piece.room]) if piece.category == "ceiling lamp" else piece for piece in pieces]
+
+
+def _swallowed(room: Room, finish: Finish, height: float) -> float:
+    """Square metres of black that would swallow as much light as floor, walls and ceiling of a room do."""
+    x0, y0, x1, y1 = room.rectangles.T
+    walls = float((2 * (x1 - x0 + y1 - y0)).sum()) * height
+    low, high = (float(np.clip(level, 0, height)) for level in finish.tiled)
+    tiled = (high - low) / height if finish.tiles else 0.0
+    surfaces = [(room.area, finish.floor[1]), (room.area, finish.ceiling[1]), ((1 - tiled) * walls, finish.wall[1])]
+    surfaces.append((tiled * walls, (finish.tiles or finish.wall)[1]))
+    bare = sum(area * (1 - float(mean_colour(look).mean())) for area, look in surfaces)
+    return (1 - _FURNISHED) * bare + _FURNISHED * _DARK * (walls + 2 * room.area)
+
+
+def _dimmed(piece: Piece, share: float) -> Piece:
+    lights = tuple(replace(light, power=share * light.power) for light in piece.model.lamps)
+    return replace(piece, model=replace(piece.model, lamps=lights))

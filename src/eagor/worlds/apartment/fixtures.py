@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from eagor.worlds.apartment.finishes import Look
 from eagor.worlds.apartment.furnisher import Furnisher, Piece
 from eagor.worlds.apartment.furniture import Model
-from eagor.worlds.apartment.mesh import Part, part
+from eagor.worlds.apartment.mesh import Part, box, part, placed
 from eagor.worlds.apartment.placement import from_rectangle, overlaps
 from eagor.worlds.apartment.plans import Plan
 from eagor.worlds.apartment.sites import GAP, along_walls, before, on_face
-from eagor.worlds.apartment.solids import box
 from eagor.worlds.apartment.textures import REPEAT
-from eagor.worlds.apartment.things import placed
 
-Made = tuple[Model, int]
 _ROWS = (
     ("refrigerator", "cabinet", "sink", "cabinet", "stove"),
     ("refrigerator", "cabinet", "sink", "stove"),
@@ -29,11 +28,14 @@ _ROWS = (
 def kitchen(f: Furnisher, room: int) -> bool:
     """A row of units along one wall, as many as it takes; what is not in the row stands elsewhere, if it can."""
     start = f.mark()
-    sinks = sorted((f.make("sink", "grey") for _ in range(2)), key=lambda made: float(made[0].size[1]))
-    units = {"sink": sinks[0], "stove": f.make("stove"), "refrigerator": f.make("refrigerator")}
+
+    def width(model: Model) -> float:
+        return float(model.size[1])
+
+    sink = min((f.make("sink", "grey") for _ in range(2)), key=width)
+    units = {"sink": sink, "stove": f.make("stove"), "refrigerator": f.make("refrigerator")}
     first = f.make("cabinet")
-    others = [f.make("cabinet", first[0].colour) for _ in range(2)]
-    cabinets = sorted([first, *others], key=lambda made: float(made[0].size[1]))
+    cabinets = sorted([first, *(f.make("cabinet", first.colour) for _ in range(2))], key=width)
     for row in _ROWS:
         if row.count("cabinet") == 2:
             choices = [[made, made] for made in (cabinets[1], cabinets[0])]  # under one kind of worktop
@@ -74,16 +76,14 @@ def splashback(piece: Piece, plan: Plan, tiles: Look) -> Part | None:
     return made
 
 
-def _at_wall(f: Furnisher, room: int, made: Made, front: float, side: float = 0.03) -> bool:
-    sites = along_walls(f.floor, room, made[0].size, f.rng, corner=0.6, side=side)
+def _at_wall(f: Furnisher, room: int, made: Model, front: float, side: float = 0.03) -> bool:
+    sites = along_walls(f.floor, room, made.size, f.rng, corner=0.6, side=side)
     return f.settle(made, room, sites, front=front) is not None
 
 
-def _row(f: Furnisher, room: int, units: list[Made]) -> bool:
+def _row(f: Furnisher, room: int, units: list[Model]) -> bool:
     """Set units down side by side, flush with each other, at the longest wall that takes them."""
-    widths = np.array([float(model.size[1]) for model, _ in units]) + 0.004
-    heights = [float(model.size[2]) for model, _ in units]
-    sills = [1.0 if model.category == "sink" else float(model.size[2]) for model, _ in units]  # a tap may stand there
+    widths = np.array([float(model.size[1]) for model in units]) + 0.004
     starts = np.cumsum([0.0, *widths])
     faces = [face for face in f.floor.faces if face.room == room]
     for face in sorted(faces, key=lambda face: face.start - face.end):
@@ -95,24 +95,17 @@ def _row(f: Furnisher, room: int, units: list[Made]) -> bool:
                 middle = face.start + GAP + offset + starts[:-1] + widths / 2
                 if turned:  # the row read from its other end
                     middle = face.start + face.end - middle
-                boxes = np.concatenate(
-                    [
-                        on_face(face, middle[i : i + 1], GAP, float(model.size[0]), float(model.size[1]))
-                        for i, (model, _) in enumerate(units)
-                    ]
-                )
-                zone = before(boxes, 0.7)
-                if not (
-                    all(
-                        f.floor.fits(room, unit[None], (0.0, height), 0.004)[0]
-                        and f.floor.beside_windows(unit[None], sill)[0]
-                        for unit, height, sill in zip(boxes, heights, sills, strict=True)
-                    )
-                    and f.floor.clear(zone).all()
-                    and f.floor.open_inside(room, zone).all()
-                ):
+                boxes = [on_face(face, middle[[i]], GAP, model.size) for i, model in enumerate(units)]
+                zone = before(np.concatenate(boxes), 0.7)
+                if not all(map(partial(_unit_fits, f, room), units, boxes)) or not f.open_before(room, zone).all():
                     continue
-                if f.set_down(list(zip(units, boxes, strict=True)), room):
+                if f.set_down([(model, box[0]) for model, box in zip(units, boxes, strict=True)], room):
                     f.floor.kept.extend(zone)
                     return True
     return False
+
+
+def _unit_fits(f: Furnisher, room: int, model: Model, box: np.ndarray) -> bool:
+    """Whether a unit has its place ``(1, 5)`` in a row; before a window only a sink, where a tap may stand."""
+    sill = 1.0 if model.category == "sink" else model.height
+    return bool(f.floor.fits(room, box, (0.0, model.height), 0.004)[0] and f.floor.beside_windows(box, sill)[0])

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from eagor.worlds.apartment import dressing, fixtures, groups
-from eagor.worlds.apartment.colours import tell_apart
-from eagor.worlds.apartment.furnisher import Furnisher, NoRoom, Piece
+from eagor.worlds.apartment.furnisher import Furnisher, NoRoom, Piece, tell_apart
 from eagor.worlds.apartment.furniture import KINDS
 from eagor.worlds.apartment.placement import Floor
 from eagor.worlds.apartment.sites import along_walls
@@ -77,7 +76,7 @@ def furnish(floor: Floor, rng: np.random.Generator) -> list[Piece]:
             dressing.rug(f, room)
         for _ in range(int(rng.integers(_PAINTINGS[kind][0], _PAINTINGS[kind][1] + 1))):
             dressing.painting(f, room)
-    dressing.small_things(f, tuple(sorted(kind.category for kind in KINDS.values() if kind.placement == "top")))
+    dressing.small_things(f, tuple(sorted(name for name, kind in KINDS.items() if kind.placement == "top")))
     tell_apart(f)
     return f.pieces
 
@@ -116,7 +115,7 @@ def _one_more(f: Furnisher, room: int, category: str, front: float) -> bool:
     made = f.make(category, f.habits["chair"] if category == "chair" else None)
     corner = {"plant": 0.8, "lamp": 0.8, "wardrobe": 0.5, "bookshelf": 0.3}.get(category, 0.0)
     gap = 0.06 if category in ("plant", "lamp") else 0.02
-    sites = along_walls(f.floor, room, made[0].size, f.rng, corner=corner, middle=0.2, gap=gap, side=gap)
+    sites = along_walls(f.floor, room, made.size, f.rng, corner=corner, middle=0.2, gap=gap, side=gap)
     return f.settle(made, room, sites, front=front) is not None
 
 

@@ -8,36 +8,41 @@ import numpy as np
 
 from eagor.worlds.apartment.cells import WallFace
 from eagor.worlds.apartment.furnisher import Furnisher, Piece
-from eagor.worlds.apartment.furniture import Model
-from eagor.worlds.apartment.sites import GAP, Sites, along_walls, before, in_room, joined, on_face, relative, reversed_
-
-Made = tuple[Model, int]
+from eagor.worlds.apartment.sites import (
+    GAP,
+    Sites,
+    advanced,
+    along_walls,
+    before,
+    in_room,
+    joined,
+    on_face,
+    relative,
+    reversed_,
+)  # fmt: skip
 
 
 def lounge(f: Furnisher, room: int) -> bool:
     """A television at a wall, a sofa that faces it, and mostly a coffee table between."""
     television, sofa, low_table = f.make("tv"), f.make("sofa"), f.make("coffee table")
-    sites, screen, gap = _facing_pairs(f, room, television[0], sofa[0])
+    sites, screen, gap = _facing_pairs(f, room, television.size, sofa.size)
     if not len(gap):
         return False
     seat = sites.boxes
     between = before(seat, 0.5)
     between[:, :2] = (screen[:, :2] + seat[:, :2]) / 2
     between[:, 2], between[:, 3] = gap / 2 - 0.01, 0.55
-    tv_height, height = float(television[0].size[2]), float(sofa[0].size[2])
-    good = f.floor.fits(room, screen, (0, tv_height)) & f.floor.beside_windows(screen, tv_height)
-    good &= f.floor.fits(room, seat, (0, height)) & f.floor.beside_windows(seat, height)
-    good &= f.floor.clear(between) & f.floor.open_inside(room, between)
+    good = f.fits(room, screen, television) & f.fits(room, seat, sofa) & f.open_before(room, between)
     # A sofa stands at a wall, or else far enough from it to walk behind.
     behind = reversed_(seat)
     good &= ~f.floor.open_inside(room, before(behind, 0.12)) | f.floor.open_inside(room, before(behind, 0.65))
-    low_depth, low_width, _ = low_table[0].size
+    deep = float(low_table.size[0])
     for place in sites.best(good, 12):
         group = [(television, screen[place]), (sofa, seat[place])]
         reach = float(f.rng.uniform(0.36, 0.44))
-        if gap[place] > reach + low_depth + 0.5:
-            forward = float(sofa[0].size[0] + low_depth) / 2 + reach
-            group.append((low_table, relative(seat[place], forward, 0.0, float(low_depth), float(low_width), 0.0)))
+        if gap[place] > reach + deep + 0.5:
+            forward = float(sofa.size[0] + deep) / 2 + reach
+            group.append((low_table, relative(seat[place], forward, 0.0, low_table.size)))
         if f.set_down(group, room):
             f.floor.kept.append(between[place])
             return True
@@ -46,59 +51,54 @@ def lounge(f: Furnisher, room: int) -> bool:
 
 def easy_seat(f: Furnisher, room: int) -> Piece | None:
     """An armchair beside the coffee table, turned to it, or else one that stands at a wall."""
-    made = f.make("armchair")
-    size = made[0].size
+    chair = f.make("armchair")
+    size = chair.size
     sites = along_walls(f.floor, room, size, f.rng, corner=0.4, side=0.1, gap=0.08)
     for low_table in f.of("coffee table", room):
         turn = np.concatenate([f.rng.uniform(0.9, 2.2, 14), -f.rng.uniform(0.9, 2.2, 14)])
         away = f.rng.uniform(0.25, 0.6, 28) + size[0] / 2 + low_table.box[2:4].max()
-        angle = low_table.box[4] + turn
         boxes = np.empty((28, 5))
-        boxes[:, 0] = low_table.box[0] + away * np.cos(angle)
-        boxes[:, 1] = low_table.box[1] + away * np.sin(angle)
-        boxes[:, 2:4] = size[:2] / 2
-        boxes[:, 4] = np.remainder(angle, 2 * math.pi) - math.pi
+        boxes[:, :2], boxes[:, 2:4], boxes[:, 4] = low_table.box[:2], size[:2] / 2, low_table.box[4] + turn
+        boxes = advanced(boxes, away)
+        boxes[:, 4] = np.remainder(boxes[:, 4], 2 * math.pi) - math.pi
         scores = 1.0 + f.rng.uniform(0, 0.5, 28) - 0.3 * np.abs(np.abs(turn) - 1.5)
         sites = joined(sites, Sites(boxes, scores))
-    return f.settle(made, room, sites, front=0.2, reserve=False)
+    return f.settle(chair, room, sites, front=0.2, reserve=False)
 
 
 def second_sofa(f: Furnisher, room: int) -> Piece | None:
     """Another sofa, across the corner of the coffee table from the first, or at a wall."""
-    made = f.make("sofa")
-    size = made[0].size
-    sites = along_walls(f.floor, room, size, f.rng, middle=0.3)
+    sofa = f.make("sofa")
+    sites = along_walls(f.floor, room, sofa.size, f.rng, middle=0.3)
     for low_table in f.of("coffee table", room):
-        across = float(low_table.box[3] + size[0] / 2) + f.rng.uniform(0.36, 0.5, 8)
+        across = float(low_table.box[3] + sofa.size[0] / 2) + f.rng.uniform(0.36, 0.5, 8)
         beside = [
-            relative(low_table.box, float(f.rng.uniform(-0.3, 0.5)), side * out, float(size[0]), float(size[1]), turn)
+            relative(low_table.box, float(f.rng.uniform(-0.3, 0.5)), side * out, sofa.size, -side * math.pi / 2)
             for out in across
-            for side, turn in ((1, -math.pi / 2), (-1, math.pi / 2))
+            for side in (1, -1)
         ]
         sites = joined(sites, Sites(np.array(beside), 1.0 + f.rng.uniform(0, 0.5, len(beside))))
-    return f.settle(made, room, sites, front=0.3, reserve=False)
+    return f.settle(sofa, room, sites, front=0.3, reserve=False)
 
 
 def dining(f: Furnisher, room: int, least: int, most: int) -> bool:
     """A table with `least` to `most` equal chairs round it that face it."""
     table, chair = f.make("table"), f.make("chair", f.habits["chair"])
-    size, height = table[0].size, float(table[0].size[2])
+    size = table.size
     flat = along_walls(f.floor, room, size, f.rng, middle=0.3, gap=0.06)
     end_on = along_walls(f.floor, room, size[[1, 0, 2]], f.rng, middle=0.3, gap=0.06)
     end_on.boxes[:, 2:] = end_on.boxes[:, [3, 2, 4]] + [0.0, 0.0, math.pi / 2]
     free = in_room(f.floor, room, size, f.rng)
     sites = joined(free, Sites(flat.boxes, flat.scores - 1.6), Sites(end_on.boxes, end_on.scores - 1.6))
-    good = f.floor.fits(room, sites.boxes, (0.0, height))
+    good = f.floor.fits(room, sites.boxes, (0.0, table.height))
     wanted = int(f.rng.integers(least, most + 1))
     options = []
     for rank, place in enumerate(sites.best(good, 14)):
-        seats = _round_table(f, sites.boxes[place], chair[0], wanted)
-        fits = f.floor.fits(room, seats, (0.0, float(chair[0].size[2])))
-        options.append((min(int(fits.sum()), wanted) - 0.2 * rank, int(place), seats[fits][:wanted]))
+        seats = _round_table(f, sites.boxes[place], chair.size, wanted)
+        fits = f.floor.fits(room, seats, (0.0, chair.height))
+        options.append((min(int(fits.sum()), wanted) - 0.2 * rank, sites.boxes[place], seats[fits][:wanted]))
     for _, place, seats in sorted(options, key=lambda option: -option[0]):
-        if len(seats) < least:
-            continue
-        if f.set_down([(table, sites.boxes[place]), *((chair, seat) for seat in seats)], room):
+        if len(seats) >= least and f.set_down([(table, place), *((chair, seat) for seat in seats)], room):
             return True
     return False
 
@@ -106,17 +106,13 @@ def dining(f: Furnisher, room: int, least: int, most: int) -> bool:
 def workplace(f: Furnisher, room: int) -> bool:
     """A desk at a wall or window with a chair that faces it."""
     desk, chair = f.make("desk"), f.make("chair", f.habits["chair"])
-    height, size = float(desk[0].size[2]), desk[0].size
-    sites = along_walls(f.floor, room, size, f.rng, corner=0.3, gap=0.05)
-    good = f.floor.fits(room, sites.boxes, (0.0, height))
-    zone = before(sites.boxes, float(chair[0].size[0]) + 0.35)
-    good &= f.floor.clear(zone) & f.floor.open_inside(room, zone) & f.floor.beside_windows(sites.boxes, height)
-    forward = float(size[0] + chair[0].size[0]) / 2 + 0.04
-    for place in sites.best(good, 8):
-        turn = math.pi + float(f.rng.uniform(-0.1, 0.1))
-        seat = relative(sites.boxes[place], forward, 0.0, float(chair[0].size[0]), float(chair[0].size[1]), turn)
-        fits = f.floor.fits(room, seat[None], (0.0, float(chair[0].size[2])))[0]
-        if fits and f.set_down([(desk, sites.boxes[place]), (chair, seat)], room):
+    sites = along_walls(f.floor, room, desk.size, f.rng, corner=0.3, gap=0.05)
+    good = f.fits(room, sites.boxes, desk) & f.open_before(room, before(sites.boxes, float(chair.size[0]) + 0.35))
+    forward = float(desk.size[0] + chair.size[0]) / 2 + 0.04
+    for box in sites.boxes[sites.best(good, 8)]:
+        seat = relative(box, forward, 0.0, chair.size, math.pi + float(f.rng.uniform(-0.1, 0.1)))
+        fits = f.floor.fits(room, seat[None], (0.0, chair.height))[0]
+        if fits and f.set_down([(desk, box), (chair, seat)], room):
             return True
     return False
 
@@ -125,11 +121,9 @@ def sleeping(f: Furnisher, room: int) -> bool:
     """A bed with its head to a wall and what nightstands find a place beside it."""
     for _ in range(3):  # beds are of very different widths
         made = f.make("bed")
-        size = made[0].size
-        double = size[1] > 1.3
-        sites = along_walls(
-            f.floor, room, size, f.rng, corner=0.0 if double else 0.5, middle=0.4 if double else 0.0, side=0.06
-        )
+        double = made.size[1] > 1.3
+        corner, middle = (0.0, 0.4) if double else (0.5, 0.0)
+        sites = along_walls(f.floor, room, made.size, f.rng, corner=corner, middle=middle, side=0.06)
         wide = sites.boxes.copy()
         wide[:, 3] += 0.45
         sites = Sites(sites.boxes, sites.scores + 0.6 * f.floor.open_inside(room, wide) * double)
@@ -139,44 +133,37 @@ def sleeping(f: Furnisher, room: int) -> bool:
     else:
         return False
     stand = f.make("nightstand")
-    depth, width, _ = stand[0].size
+    depth, width, _ = stand.size
     for side in (1, -1) if f.rng.random() < 0.8 else (1,):
         left = side * (float(bed.box[3]) + width / 2 + 0.04)
-        box = relative(bed.box, float(depth) / 2 - float(bed.box[2]), left, float(depth), float(width), 0.0)
-        sides = Sites(box[None], np.zeros(1))
-        f.settle(stand, room, sides, front=0.3, reserve=False)
+        box = relative(bed.box, float(depth) / 2 - float(bed.box[2]), left, stand.size)
+        f.settle(stand, room, Sites(box[None], np.zeros(1)), front=0.3, reserve=False)
     return True
 
 
-def _round_table(f: Furnisher, table: np.ndarray, chair: Model, wanted: int) -> np.ndarray:
-    """Places ``(n, 5)`` for chairs round a table, the most natural first."""
-    depth, width = float(chair.size[0]), float(chair.size[1])
+def _round_table(f: Furnisher, table: np.ndarray, chair: np.ndarray, wanted: int) -> np.ndarray:
+    """Places ``(n, 5)`` for chairs of a size round a table, the most natural first."""
+    depth, width = float(chair[0]), float(chair[1])
     hx, hy = float(table[2]), float(table[3])
     square = abs(hx - hy) < 0.1
     count = 1 if square else max(1, int(2 * hy / (width + 0.12)))
-    slots = []
-    for i in range(count):
-        left = (i + 0.5) * 2 * hy / count - hy
-        slots += [(1, left, True), (-1, left, True)]
+    slots = [(sign, (i + 0.5) * 2 * hy / count - hy, True) for i in range(count) for sign in (1, -1)]
     heads = [(1, 0.0, False), (-1, 0.0, False)]
-    slots = slots + heads if not square and wanted > 2 else [*slots, *heads]
     places = []
-    for sign, left, long_side in slots:
+    for sign, left, long_side in slots + heads if not square and wanted > 2 else [*slots, *heads]:
         out = float(f.rng.uniform(0.05, 0.12)) + depth / 2
         turn = float(f.rng.uniform(-0.07, 0.07))
         if long_side:
-            places.append(relative(table, sign * (hx + out), left, depth, width, (math.pi if sign > 0 else 0.0) + turn))
+            places.append(relative(table, sign * (hx + out), left, chair, (math.pi if sign > 0 else 0.0) + turn))
         else:
-            turn -= sign * math.pi / 2
-            places.append(relative(table, 0.0, sign * (hy + out), depth, width, turn))
+            places.append(relative(table, 0.0, sign * (hy + out), chair, turn - sign * math.pi / 2))
     return np.array(places)
 
 
-def _facing_pairs(f: Furnisher, room: int, tv: Model, sofa: Model) -> tuple[Sites, np.ndarray, np.ndarray]:
+def _facing_pairs(f: Furnisher, room: int, tv: np.ndarray, sofa: np.ndarray) -> tuple[Sites, np.ndarray, np.ndarray]:
     """Candidates: the sofa's places, the television's ``(n, 5)``, and the metres between them ``(n,)``."""
-    depth, width = float(sofa.size[0]), float(sofa.size[1])
-    tv_depth, tv_width = float(tv.size[0]), float(tv.size[1])
-    screens, seats, scores, gaps = [], [], [], []
+    depth, tv_depth, tv_width = float(sofa[0]), float(tv[0]), float(tv[1])
+    screens, seats, gaps = [np.zeros((0, 5))], [joined()], [np.zeros(0)]
     for face in f.floor.faces:
         free = face.end - face.start - tv_width - 0.12
         if face.room != room or free < 0:
@@ -184,24 +171,18 @@ def _facing_pairs(f: Furnisher, room: int, tv: Model, sofa: Model) -> tuple[Site
         along = face.start + tv_width / 2 + 0.06 + free * np.concatenate([[0.5], f.rng.random(11)])
         options = [(float(f.rng.uniform(1.9, 2.9)), 0.2) for _ in range(3)]
         for other in f.floor.faces:
-            if _opposite(face, other) and other.end - other.start > width:
+            if _opposite(face, other) and other.end - other.start > float(sofa[1]):
                 apart = abs(other.line - face.line) - tv_depth - depth - 2 * GAP - 0.02
                 if 1.6 <= apart <= 4.0:
                     options.append((apart, 1.2 - 0.15 * abs(apart - 2.6)))
         for distance, score in options:
-            screen = on_face(face, along, GAP, tv_depth, tv_width)
-            seat = reversed_(screen)
-            seat[:, 2:4] = depth / 2, width / 2
-            ahead = tv_depth / 2 + distance + depth / 2
-            seat[:, 0] += ahead * np.cos(screen[:, 4])
-            seat[:, 1] += ahead * np.sin(screen[:, 4])
+            screen = on_face(face, along, GAP, tv)
+            seat = reversed_(advanced(screen, tv_depth / 2 + distance + depth / 2))
+            seat[:, 2:4] = sofa[:2] / 2
             screens.append(screen)
-            seats.append(seat)
-            scores.append(score + f.rng.uniform(0, 0.5, len(along)) + 0.3 * (np.arange(len(along)) == 0))
+            seats.append(Sites(seat, score + f.rng.uniform(0, 0.5, len(along)) + 0.3 * (np.arange(len(along)) == 0)))
             gaps.append(np.full(len(along), distance))
-    if not screens:
-        return Sites(np.zeros((0, 5)), np.zeros(0)), np.zeros((0, 5)), np.zeros(0)
-    return Sites(np.concatenate(seats), np.concatenate(scores)), np.concatenate(screens), np.concatenate(gaps)
+    return joined(*seats), np.concatenate(screens), np.concatenate(gaps)
 
 
 def _opposite(face: WallFace, other: WallFace) -> bool:

@@ -1,15 +1,17 @@
-"""Meshes: what one is, moving and joining them, covering them with a material.
+"""Meshes: what one is, moving and joining them, covering them with a material; solids with flat faces.
 
 Model frame: x forward, y left, z up, right-handed, metres. Triangles run counter-clockwise seen from outside. Corners
 that share a vertex are meant to be shaded smoothly, hard edges have vertices of their own. Texture coordinates are
 metres along the surface until `part` divides them by the size of one repeat; textures with a direction (the grain of
-wood) run along u.
+wood) run along u. `eagor.worlds.apartment.curved` has the round and soft shapes.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -17,6 +19,10 @@ from eagor.errors import WorldError
 from eagor.worlds.scene import Material
 
 Triple = Sequence[float] | np.ndarray
+
+# Corners of a box: bit 0 of the number is x, bit 1 y, bit 2 z. Faces counter-clockwise from outside.
+CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], dtype=np.float64)
+_FACES = np.array([[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +45,9 @@ class Mesh:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class Part(Mesh):
     """A mesh with one material; `uv` ``(T, 3, 2)`` in repeats of the material's texture, u to the right, v up."""
 
-    vertices: np.ndarray
-    triangles: np.ndarray
-    uv: np.ndarray
     material: Material
 
 
@@ -87,6 +90,24 @@ def merged(*meshes: Mesh) -> Mesh:
     )
 
 
+def turned_about_z(angle: float) -> np.ndarray:
+    """The matrix ``(3, 3)`` of a turn by `angle` radians, counter-clockwise from above; quarters are exact."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    quarters = angle / (math.pi / 2)
+    if abs(quarters - round(quarters)) < 1e-9:
+        cosine, sine = float(round(cosine)), float(round(sine))
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+def placed(parts: Sequence[Part], angle: float, position: Sequence[float] | np.ndarray) -> tuple[Part, ...]:
+    """Parts of a model turned by `angle` radians about z, then shifted to `position` ``(3,)``."""
+    rotation, offset = turned_about_z(angle), np.asarray(position, dtype=np.float64)
+    return tuple(
+        Part((part.vertices @ rotation.T + offset).astype(np.float32), part.triangles, part.uv, part.material)
+        for part in parts
+    )
+
+
 def planar_uv(vertices: np.ndarray, triangles: np.ndarray, grain: int | None = None) -> np.ndarray:
     """Texture coordinates ``(T, 3, 2)`` by projection along the axis that each triangle faces most, metres.
 
@@ -124,15 +145,154 @@ def checked_bounds(low: Triple, high: Triple, what: str) -> tuple[np.ndarray, np
     return low, high
 
 
+def quad_triangles(count: int) -> np.ndarray:
+    """Two triangles for each of so many faces with four corners of their own ``(2 count, 3)``."""
+    return (np.arange(count)[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3).astype(np.int32)
+
+
 def projected(vertices: np.ndarray, triangles: np.ndarray, grain: int | None) -> Mesh:
     """The mesh of these vertices and triangles with a texture by `planar_uv`."""
     vertices = np.ascontiguousarray(vertices, dtype=np.float32)
     return Mesh(vertices, triangles, planar_uv(vertices, triangles, grain))
 
 
+def halves(grid: np.ndarray) -> np.ndarray:
+    """The corners of two triangles for each cell of a grid ``(rows, columns, ...)``: ``(n, m, 2, 3, ...)``."""
+    a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
+    return np.stack([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)], axis=2)
+
+
+def whole(triangles: np.ndarray) -> np.ndarray:
+    """Which triangles ``(..., 3)`` have three different corners."""
+    p, q, r = np.moveaxis(triangles, -1, 0)
+    return (p != q) & (q != r) & (r != p)
+
+
 def grid_triangles(index: np.ndarray) -> np.ndarray:
     """Two triangles for each cell of a grid of vertex numbers (rows, columns), less those with a repeated corner."""
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    triangles = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=-2).reshape(-1, 3)
-    p, q, r = triangles.T
-    return triangles[(p != q) & (q != r) & (r != p)].astype(np.int32)
+    triangles = halves(index).reshape(-1, 3)
+    return triangles[whole(triangles)].astype(np.int32)
+
+
+def hexahedron(corners: Triple | np.ndarray, grain: int | None = None) -> Mesh:
+    """A box with its eight corners ``(8, 3)`` anywhere: corner i has high x, y, z where bits 0, 1, 2 of i are set."""
+    return projected(np.asarray(corners, dtype=np.float64)[_FACES.ravel()], quad_triangles(6), grain)
+
+
+def box(low: Triple, high: Triple, grain: int | None = None) -> Mesh:
+    """A box between two corners ``(3,)``, 12 triangles; `grain` as in `planar_uv`."""
+    low, high = checked_bounds(low, high, "a box")
+    return hexahedron(low + CORNERS * (high - low), grain)
+
+
+def board(low: Triple, high: Triple) -> Mesh:
+    """A box with the grain along its longest side."""
+    return box(low, high, int(np.argmax(np.subtract(high, low))))
+
+
+def post(foot: Triple, top: Triple, foot_size: Triple, top_size: Triple) -> Mesh:
+    """A leg, perhaps leaning and tapered, from `foot` ``(3,)`` to `top`, with sizes (x, y) there; grain along z."""
+    sides = (CORNERS - 0.5) * [1, 1, 0]
+    down, up = np.append(np.asarray(foot_size, float), 0), np.append(np.asarray(top_size, float), 0)
+    high = CORNERS[:, 2:]
+    corners = (1 - high) * (np.asarray(foot) + sides * down) + high * (np.asarray(top) + sides * up)
+    return hexahedron(corners, grain=2)
+
+
+@lru_cache(maxsize=8)
+def _rounded(segments: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A ball cut into eight octants: outward directions (K, 3), the octant's signs (K, 3), and triangles."""
+    quarter = np.arange(segments + 1) * (math.pi / 2 / segments)
+    polar = np.concatenate([math.pi - quarter, quarter[::-1]])  # from -z to +z, the equator twice
+    azimuth = np.concatenate([quarter + k * math.pi / 2 for k in range(4)])
+    sign_xy = np.repeat([[1, 1], [-1, 1], [-1, -1], [1, -1]], segments + 1, axis=0)
+    rows, columns = len(polar), len(azimuth)
+    t, a = np.meshgrid(polar, azimuth, indexing="ij")
+    outward = np.stack([np.sin(t) * np.cos(a), np.sin(t) * np.sin(a), np.cos(t)], axis=-1)
+    signs = np.empty((rows, columns, 3))
+    signs[..., :2] = sign_xy
+    signs[..., 2] = np.where(np.arange(rows) > segments, 1, -1)[:, None]
+    index = np.arange(rows * columns).reshape(rows, columns)
+    for pole in (0, -1):  # one vertex per octant there
+        index[pole] = index[pole].reshape(4, -1)[:, :1].repeat(segments + 1, axis=1).ravel()
+    triangles = grid_triangles(np.concatenate([index, index[:, :1]], axis=1))
+    caps = []
+    for pole, order in ((0, (0, 3, 2, 1)), (-1, (0, 1, 2, 3))):
+        a, b, c, d = index[pole].reshape(4, -1)[list(order), 0]
+        caps += [[a, b, c], [a, c, d]]
+    triangles = np.concatenate([triangles, caps])
+    used, inverse = np.unique(triangles, return_inverse=True)
+    triangles = inverse.reshape(-1, 3).astype(np.int32)
+    return outward.reshape(-1, 3)[used], signs.reshape(-1, 3)[used], triangles
+
+
+def bevelled(low: Triple, high: Triple, radius: float, segments: int = 1, grain: int | None = None) -> Mesh:
+    """A box with edges rounded by `radius` (or half of the shortest side) in `segments` steps: 44 triangles for 1."""
+    low, high = checked_bounds(low, high, "a bevelled box")
+    half = (high - low) / 2
+    radius = min(float(radius), 0.499 * 2 * float(half.min()))
+    outward, signs, triangles = _rounded(segments)
+    return projected((low + high) / 2 + signs * (half - radius) + outward * radius, triangles, grain)
+
+
+def prism(outline: np.ndarray, low: float, high: float, axis: int = 2, grain: int | None = None) -> Mesh:
+    """A convex outline ``(n, 2)``, counter-clockwise, drawn out from `low` to `high` along `axis`.
+
+    The outline's coordinates are (x, y) for axis 2, (y, z) for axis 0 and (z, x) for axis 1.
+    """
+    outline = np.asarray(outline, dtype=np.float64)
+    n = len(outline)
+    ends = np.empty((2, n, 3))
+    ends[..., (axis + 1) % 3], ends[..., (axis + 2) % 3] = outline.T[:, None]
+    ends[0, :, axis], ends[1, :, axis] = low, high
+    fan = np.array([[0, k, k + 1] for k in range(1, n - 1)])
+    step = (np.arange(n) + 1) % n
+    walls = np.stack([ends[0], ends[0][step], ends[1][step], ends[1]], axis=1).reshape(-1, 3)
+    triangles = np.concatenate([fan[:, ::-1], fan + n, quad_triangles(n) + 2 * n]).astype(np.int32)
+    return projected(np.concatenate([ends[0], ends[1], walls]), triangles, grain)
+
+
+def rounded_rectangle(width: float, depth: float, radius: float, segments: int = 4) -> np.ndarray:
+    """A counter-clockwise outline ``(4 * (segments + 1), 2)`` about the origin, `width` along its first coordinate."""
+    radius = min(radius, 0.499 * width, 0.499 * depth)
+    angle = np.concatenate([np.linspace(k, k + 1, segments + 1) for k in range(4)]) * (math.pi / 2)
+    sign = np.repeat([[1, 1], [-1, 1], [-1, -1], [1, -1]], segments + 1, axis=0)
+    middle = sign * [width / 2 - radius, depth / 2 - radius]
+    return middle + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def loft(rings: np.ndarray, smooth: bool = False) -> Mesh:
+    """A bar through rings of corners ``(n, k, 3)``, counter-clockwise seen from its far end.
+
+    Its ends are flat and must be visible as a whole from the mean of their corners. u runs along the bar. `smooth`
+    rounds the edges that run along it in the shading; else only its bends are.
+    """
+    rings = np.asarray(rings, dtype=np.float64)
+    if rings.ndim != 3 or rings.shape[2] != 3 or rings.shape[0] < 2 or rings.shape[1] < 3:
+        raise WorldError(f"rings of shape {rings.shape}; wanted (n, k, 3) with n >= 2 rings of k >= 3 corners")
+    n, k, _ = rings.shape
+    around = np.concatenate([rings, rings[:, :1]], axis=1)
+    u = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(rings.mean(axis=1), axis=0), axis=1))])
+    v = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(around, axis=1), axis=2).mean(axis=0))])
+    if smooth:
+        index = np.concatenate([np.arange(n * k).reshape(n, k), np.arange(n)[:, None] * k], axis=1)
+        vertices, sides = rings.reshape(-1, 3), grid_triangles(index)
+    else:
+        strips = np.stack([around[:, :-1], around[:, 1:]], axis=2)  # (n, k, 2, 3)
+        index = np.arange(n * k * 2).reshape(n, k, 2)
+        vertices = strips.reshape(-1, 3)
+        sides = np.concatenate([grid_triangles(index[:, j]) for j in range(k)])
+    a, b = np.meshgrid(np.arange(n - 1), np.arange(k), indexing="ij")
+    if not smooth:
+        a, b = a.T, b.T
+    corners = np.stack([[a, b], [a, b + 1], [a + 1, b + 1], [a + 1, b]]).transpose(2, 3, 0, 1).reshape(-1, 4, 2)
+    corners = corners[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3, 2)
+    uv = np.stack([u[corners[..., 0]], v[corners[..., 1]]], axis=-1)
+    start = len(vertices)
+    hub = np.arange(k)
+    fan = np.stack([np.full(k, k), hub, (hub + 1) % k], axis=1)  # about the middle of each end
+    caps = np.concatenate([fan[:, ::-1], fan + k + 1]) + start
+    ends = np.concatenate([rings[[0, -1]], rings[[0, -1]].mean(axis=1, keepdims=True)], axis=1)
+    vertices = np.concatenate([vertices, ends.reshape(-1, 3)]).astype(np.float32)
+    uv = np.concatenate([uv, planar_uv(vertices, caps)]).astype(np.float32)
+    return Mesh(vertices, np.concatenate([sides, caps]).astype(np.int32), uv)

@@ -18,6 +18,10 @@ OUTER_WALL = 0.25
 LINING = 0.03  # thickness of a door's lining, within the hole
 DOOR_HEAD = 2.08
 OUTSIDE = -1
+# Windows, metres: the least and the most width, and the heights of sills to choose from.
+_WINDOWS: dict[str, tuple[float, float, list[float]]] = {
+    "bathroom": (0.5, 0.7, [1.45]), "living room": (1.2, 2.0, [0.45, 0.95]), "bedroom": (0.9, 1.5, [0.85, 0.95, 1.1]),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -163,15 +167,12 @@ def cut_windows(
             long = [b for b in outer if b.end - b.start > 2.4]
             if long:
                 outer.remove(long[rng.integers(len(long))])
+        narrow, wide, sills = _WINDOWS.get(space.kind, _WINDOWS["bedroom"])
         for boundary in outer:
             free = boundary.end - boundary.start - 2 * HALF_WALL - 0.7
-            if space.kind == "bathroom":
-                width, sill, count = float(rng.uniform(0.5, 0.7)), 1.45, 1
-            elif space.kind == "living room":
-                width, sill = float(rng.uniform(1.2, 2.0)), float(rng.choice([0.45, 0.95]))
-                count = 1 if free < 2 * width + 0.8 else 2
-            else:
-                width, sill, count = float(rng.uniform(0.9, 1.5)), float(rng.choice([0.85, 0.95, 1.1])), 1
+            width = float(rng.uniform(narrow, wide))
+            sill = float(rng.choice(sills)) if len(sills) > 1 else sills[0]
+            count = 2 if space.kind == "living room" and free >= 2 * width + 0.8 else 1
             if space.kind == "kitchen":
                 sill = 1.2  # above the worktop and what stands on it
             if boundary is not outer[0] and rng.random() < 0.35:
@@ -184,10 +185,9 @@ def cut_windows(
                 shift = float(rng.uniform(0.2, 0.8)) if count == 1 else 0.5
                 start = round(boundary.start + HALF_WALL + 0.35 + i * part + shift * max(part - width, 0.0), 3)
                 window = Opening(boundary, start, round(start + width, 3), round(sill, 2), 2.15)
-                inside = window.approach(0.3, 0.1)
-                if not any(_overlap(inside, d.approach(0.3, 0.15)) for d in doorways) and not any(
-                    d.leaf_box and _overlap(inside, d.leaf_box) for d in doorways
-                ):
+                inside, kept = window.approach(0.3, 0.1), [d.approach(0.3, 0.15) for d in doorways]
+                kept += [d.leaf_box for d in doorways if d.leaf_box]
+                if not any(_overlap(inside, other) for other in kept):
                     windows.append(window)
     return tuple(windows)
 

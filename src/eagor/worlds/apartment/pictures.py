@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor.worlds.apartment.canvas import Canvas, linear, noise
+from eagor.worlds.apartment.canvas import TONES, Canvas, linear, noise
 from eagor.worlds.apartment.paintings import MOTIFS_OF, paint
-from eagor.worlds.apartment.palette import TONES
 
 SPINES = 15
 """Book spines side by side in a "books" texture, each 1/16 of its width; the last sixteenth is cut pages."""
@@ -84,10 +83,6 @@ def _rug(rng: np.random.Generator, colour: str | None, variant: int) -> np.ndarr
     return c.rgb * np.exp(pile)[..., None]
 
 
-def _art(rng: np.random.Generator, colour: str | None, variant: int) -> np.ndarray:
-    return paint(rng, colour or "blue", variant)
-
-
 def _books(rng: np.random.Generator, colour: str | None, variant: int) -> np.ndarray:
     """Spines with title bands in subdued colours."""
     names = ("red", "blue", "green", "brown", "beige", "grey", "black", "orange", "white", "purple", "yellow")
@@ -133,7 +128,7 @@ def _screen(rng: np.random.Generator, colour: str | None, variant: int) -> np.nd
 
 PICTURES: dict[str, Picture] = {
     "rug": Picture(tuple(_PARTNERS), 18, _rug),
-    "art": Picture(tuple(MOTIFS_OF), 24, _art),
+    "art": Picture(tuple(MOTIFS_OF), 24, lambda rng, colour, variant: paint(rng, colour or "blue", variant)),
     "books": Picture((), 4, _books),
     "screen": Picture((), 4, _screen, 0.5),
 }

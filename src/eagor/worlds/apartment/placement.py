@@ -34,10 +34,7 @@ def from_rectangle(rectangle: tuple[float, float, float, float]) -> np.ndarray:
 
 
 def overlaps(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Whether footprints `a` ``(n, 5)`` and `b` ``(m, 5)`` overlap: ``(n, m)`` bool.
-
-    Separating axes: two rectangles are apart exactly if they are so along a side of one of them.
-    """
+    """Whether footprints `a` ``(n, 5)`` and `b` ``(m, 5)`` overlap: ``(n, m)`` bool, by separating axes."""
     a, b = np.atleast_2d(a), np.atleast_2d(b)
     between = b[None, :, :2] - a[:, None, :2]
     turn = b[None, :, 4] - a[:, None, 4]
@@ -80,8 +77,8 @@ def _within(rectangles: np.ndarray, boxes: np.ndarray) -> np.ndarray:
     return np.asarray(hit.any(axis=0).all(axis=-1))
 
 
-def _untouched(boxes: np.ndarray, others: list[np.ndarray]) -> np.ndarray:
-    """Which footprints ``(n, 5)`` overlap none of the others: ``(n,)`` bool."""
+def untouched(boxes: np.ndarray, others: list[np.ndarray]) -> np.ndarray:
+    """Which footprints ``(n, 5)`` overlap none of the others ``(5,)``: ``(n,)`` bool."""
     if not others:
         return np.ones(len(boxes), dtype=bool)
     return ~np.asarray(overlaps(boxes, np.array(others)).any(axis=1))
@@ -120,7 +117,7 @@ class Floor:
     def beside_windows(self, boxes: np.ndarray, height: float) -> np.ndarray:
         """Which footprints ``(n, 5)`` do not stand before a window whose sill is lower than `height`."""
         low = [from_rectangle(w.approach(0.4)) for w in self.plan.windows if w.sill < height + 0.03]
-        return _untouched(boxes, low)
+        return untouched(boxes, low)
 
     def fits(
         self, room: int, boxes: np.ndarray, z: tuple[float, float], margin: float = 0.02, kept: bool = True
@@ -128,12 +125,12 @@ class Floor:
         """Which footprints ``(n, 5)`` from z[0] to z[1] are in the room, hit nothing and leave free what is kept."""
         grown = boxes + np.array([0.0, 0.0, margin, margin, 0.0])
         solid = [other[:5] for other in self.solid if other[5] < z[1] and other[6] > z[0]]
-        good = self.inside(room, boxes) & _untouched(grown, solid)
-        return good & _untouched(boxes, self.kept) if kept else good
+        good = self.inside(room, boxes) & untouched(grown, solid)
+        return good & untouched(boxes, self.kept) if kept else good
 
     def clear(self, boxes: np.ndarray) -> np.ndarray:
         """Which footprints ``(n, 5)`` no solid that stands on the floor reaches into: ``(n,)`` bool."""
-        return _untouched(np.atleast_2d(boxes), [solid[:5] for solid in self.solid if solid[5] < 1.0])
+        return untouched(np.atleast_2d(boxes), [solid[:5] for solid in self.solid if solid[5] < 1.0])
 
     def put(self, boxes: list[np.ndarray], heights: list[float]) -> bool:
         """Set solids down on the floor together, if all rooms and pieces can then still be reached; else do nothing."""

@@ -6,16 +6,29 @@ whatever the plan. Faces that lie side by side and look alike are merged into re
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from eagor.worlds.apartment.cells import SOLID, Cells, rectangles_of, wall_faces
 from eagor.worlds.apartment.finishes import Finish
-from eagor.worlds.apartment.mesh import Mesh, Part, merged, part, projected
+from eagor.worlds.apartment.mesh import Mesh, Part, box, merged, part, projected, quad_triangles
 from eagor.worlds.apartment.openings import OUTSIDE
 from eagor.worlds.apartment.plans import Plan
-from eagor.worlds.apartment.solids import box
 from eagor.worlds.apartment.textures import REPEAT
-from eagor.worlds.apartment.things import Thing
+from eagor.worlds.scene import Lamp
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """What becomes one `Instance`: its name, the room it is in, and its parts and lamps in the world frame."""
+
+    category: str
+    colour: str | None
+    room: str | None
+    parts: tuple[Part, ...]
+    lamps: tuple[Lamp, ...] = ()
+
 
 WALL, TILES, FACADE, REVEAL, FLOOR, CEILING = range(6)  # kinds of surface
 
@@ -32,27 +45,25 @@ def shell(plan: Plan, cells: Cells, finishes: tuple[Finish, ...]) -> tuple[dict[
         for sign in (1, -1):
             key = _faces(cells, axis, sign, tiled)
             for k in np.flatnonzero(key.any(axis=(1, 2))):
-                for value, a0, b0, a1, b1 in rectangles_of(key[k]):
-                    room, surface = divmod(value - 1, 8)
-                    corners = _corners(cells, axis, sign, int(k), (a0, b0, a1, b1))
-                    meshes.setdefault((room, surface), []).append(corners)
+                for value, *rectangle in rectangles_of(key[k]):
+                    corners = _corners(cells, axis, sign, int(k), rectangle)
+                    meshes.setdefault(divmod(value - 1, 8), []).append(corners)
     rooms = tuple({"wall": [], "floor": [], "ceiling": []} for _ in plan.spaces)
     for (place, surface), pieces in sorted(meshes.items()):
         finish = finishes[place]
-        kind, look = (
-            finish.wall, finish.tiles or finish.wall, finish.facade, finish.reveal, finish.floor, finish.ceiling,
-        )[surface]  # fmt: skip
+        tiles = finish.tiles or finish.wall
+        looks = (finish.wall, tiles, finish.facade, finish.reveal, finish.floor, finish.ceiling)
+        kind, look = looks[surface]
         name = {FLOOR: "floor", CEILING: "ceiling"}.get(surface, "wall")
         rooms[place][name].append(part(merged(*pieces), look, REPEAT[kind]))
     for face in wall_faces(cells):
         finish = finishes[face.room]
         if finish.skirting is not None and face.end - face.start > 0.02:
             low, high = sorted((face.line, face.line + face.side * 0.012))
-            bounds = np.array([[face.start, low, 0.0], [face.end, high, 0.08]])
-            if face.axis == 1:
-                bounds = bounds[:, [1, 0, 2]]
-            board = box(bounds[0], bounds[1], grain=face.axis)
-            rooms[face.room]["wall"].append(part(board, finish.skirting[1], REPEAT[finish.skirting[0]]))
+            order = [0, 1, 2] if face.axis == 0 else [1, 0, 2]
+            bounds = np.array([[face.start, low, 0.0], [face.end, high, 0.08]])[:, order]
+            board, (kind, look) = box(*bounds, grain=face.axis), finish.skirting
+            rooms[face.room]["wall"].append(part(board, look, REPEAT[kind]))
     return rooms
 
 
@@ -66,10 +77,7 @@ def structure(plan: Plan, rooms: tuple[dict[str, list[Part]], ...]) -> list[Thin
 
 
 def _faces(cells: Cells, axis: int, sign: int, tiled: np.ndarray) -> np.ndarray:
-    """Room and surface, coded in one number (0: no face), of each face that looks along `sign` times `axis`.
-
-    Planes between cells come first, then the other two axes in their order.
-    """
+    """Room and surface, coded in one number (0: no face), of each face that looks along `sign` times `axis`."""
     air = np.moveaxis(cells.air, axis, 0)
     hole = np.moveaxis(cells.hole, axis, 0)
     owner = np.moveaxis(np.broadcast_to(cells.owner[:, :, None], cells.air.shape), axis, 0)
@@ -96,7 +104,7 @@ def _faces(cells: Cells, axis: int, sign: int, tiled: np.ndarray) -> np.ndarray:
     return np.where(shows & (room >= 0), room * 8 + surface + 1, 0)
 
 
-def _corners(cells: Cells, axis: int, sign: int, k: int, rectangle: tuple[int, int, int, int]) -> Mesh:
+def _corners(cells: Cells, axis: int, sign: int, k: int, rectangle: list[int]) -> Mesh:
     """The rectangle of cells in plane `k` as two triangles that look along `sign` times `axis`."""
     first, second = (other for other in range(3) if other != axis)
     lines = cells.lines
@@ -107,4 +115,4 @@ def _corners(cells: Cells, axis: int, sign: int, k: int, rectangle: tuple[int, i
     corners[:, first], corners[:, second] = a[[0, 1, 1, 0]], b[[0, 0, 1, 1]]
     if (sign < 0) != (axis == 1):  # x, z runs clockwise seen from +y
         corners = corners[::-1]
-    return projected(corners, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32), None)
+    return projected(corners, quad_triangles(1), None)

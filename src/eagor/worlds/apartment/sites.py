@@ -40,39 +40,31 @@ def facing(face: WallFace) -> float:
     return 0.0 if face.side > 0 else math.pi
 
 
-def on_face(face: WallFace, along: np.ndarray, away: float, depth: float, width: float) -> np.ndarray:
-    """Footprints ``(n, 5)`` with their middles `along` ``(n,)`` a wall and their backs `away` metres from it."""
+def on_face(face: WallFace, along: np.ndarray, away: float, size: np.ndarray) -> np.ndarray:
+    """Footprints ``(n, 5)`` of a `size`: middles `along` ``(n,)`` a wall, backs `away` metres from it."""
     boxes = np.zeros((len(along), 5))
     boxes[:, face.axis] = along
-    boxes[:, 1 - face.axis] = face.line + face.side * (away + depth / 2)
-    boxes[:, 2:] = depth / 2, width / 2, facing(face)
+    boxes[:, 1 - face.axis] = face.line + face.side * (away + size[0] / 2)
+    boxes[:, 2:] = size[0] / 2, size[1] / 2, facing(face)
     return boxes
 
 
 def along_walls(
-    floor: Floor,
-    room: int,
-    size: np.ndarray,
-    rng: np.random.Generator,
-    *,
-    corner: float = 0.0,
-    middle: float = 0.0,
-    gap: float = GAP,
-    side: float = 0.04,
-) -> Sites:
+    floor: Floor, room: int, size: np.ndarray, rng: np.random.Generator, *,
+    corner: float = 0.0, middle: float = 0.0, gap: float = GAP, side: float = 0.04,
+) -> Sites:  # fmt: skip
     """Backs to the walls of a room: at both ends of each wall (score `corner`), in its middle, and between.
 
     `side` metres are left free at the ends of a wall.
     """
     found = []
     for face in floor.faces:
-        room_for = face.end - face.start - size[1] - 2 * side
-        if face.room != room or room_for < 0:
+        if face.room != room or face.end - face.start - size[1] - 2 * side < 0:
             continue
         first, last = face.start + side + size[1] / 2, face.end - side - size[1] / 2
         along = np.concatenate([[first, last, (first + last) / 2], rng.uniform(first, last, 5)])
         scores = rng.uniform(0, 0.5, len(along)) + np.array([corner, corner, middle, 0, 0, 0, 0, 0])
-        found.append(Sites(on_face(face, along, gap, float(size[0]), float(size[1])), scores))
+        found.append(Sites(on_face(face, along, gap, size), scores))
     return joined(*found)
 
 
@@ -91,21 +83,24 @@ def in_room(floor: Floor, room: int, size: np.ndarray, rng: np.random.Generator,
     return Sites(boxes, rng.uniform(0, 0.3, count) - 0.3 * off)
 
 
-def relative(box: np.ndarray, forward: float, left: float, depth: float, width: float, turn: float) -> np.ndarray:
+def relative(box: np.ndarray, forward: float, left: float, size: np.ndarray, turn: float = 0.0) -> np.ndarray:
     """The footprint of something `forward` of and to the `left` of another's middle, turned against it (radians)."""
     c, s = math.cos(box[4]), math.sin(box[4])
     x, y = box[0] + forward * c - left * s, box[1] + forward * s + left * c
-    angle = math.remainder(box[4] + turn, 2 * math.pi)
-    return np.array([x, y, depth / 2, width / 2, angle])
+    return np.array([x, y, size[0] / 2, size[1] / 2, math.remainder(box[4] + turn, 2 * math.pi)])
+
+
+def advanced(boxes: np.ndarray, reach: np.ndarray | float) -> np.ndarray:
+    """Footprints ``(n, 5)`` moved `reach` metres the way they face."""
+    boxes = np.atleast_2d(boxes).copy()
+    boxes[:, 0] += reach * np.cos(boxes[:, 4])
+    boxes[:, 1] += reach * np.sin(boxes[:, 4])
+    return boxes
 
 
 def before(boxes: np.ndarray, depth: float) -> np.ndarray:
     """The floor ``(n, 5)`` in front of footprints, `depth` metres deep."""
-    boxes = np.atleast_2d(boxes)
-    zone = boxes.copy()
-    reach = boxes[:, 2] + depth / 2
-    zone[:, 0] += reach * np.cos(boxes[:, 4])
-    zone[:, 1] += reach * np.sin(boxes[:, 4])
+    zone = advanced(boxes, np.atleast_2d(boxes)[:, 2] + depth / 2)
     zone[:, 2] = depth / 2 - 1e-3
     return zone
 

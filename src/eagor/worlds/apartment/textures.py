@@ -15,8 +15,7 @@ import numpy as np
 
 from eagor._srgb import to_coded, to_linear
 from eagor.errors import WorldError
-from eagor.worlds.apartment.canvas import noise
-from eagor.worlds.apartment.palette import sRGB
+from eagor.worlds.apartment.canvas import noise, sRGB
 from eagor.worlds.apartment.pictures import PICTURES
 from eagor.worlds.scene import Material
 
@@ -31,24 +30,16 @@ REPEAT: dict[str, float] = {
 
 # What a kind is made of where no colour is asked for: a named colour, or sRGB tones (0 to 255).
 _NATURAL: dict[str, tuple[str | tuple[int, int, int], ...]] = {
-    "fabric": ("grey", "beige", "blue"),
-    "leather": ("brown", "black"),
+    "fabric": ("grey", "beige", "blue"), "leather": ("brown", "black"), "plastic": ("white", "black"),
+    "ceramic": ("white",), "paint": ("white",), "leaf": ("green",), "earth": ((72, 54, 42),),
+    "glass": ((186, 204, 212),), "lampshade": ((255, 240, 214),), "metal": ((176, 178, 182), (150, 152, 156)),
+    "wicker": ((176, 140, 96), (150, 112, 72)), "marble": ((232, 230, 226), (222, 214, 202)),
     "wood": ((150, 104, 66), (122, 80, 50), (176, 134, 92), (92, 60, 40)),
-    "metal": ((176, 178, 182), (150, 152, 156)),
-    "plastic": ("white", "black"),
-    "ceramic": ("white",),
-    "paint": ("white",),
-    "wicker": ((176, 140, 96), (150, 112, 72)),
-    "glass": ((186, 204, 212),),
-    "marble": ((232, 230, 226), (222, 214, 202)),
     "tile": ((232, 230, 224), (206, 212, 214), (214, 204, 188), (186, 196, 196)),
     "parquet": ((178, 138, 96), (150, 110, 74), (196, 164, 124), (122, 86, 58)),
     "carpet": ((178, 170, 158), (150, 150, 150), (140, 128, 116), (126, 134, 142)),
     "plaster": ((240, 236, 226), (238, 232, 216), (226, 230, 226), (222, 228, 232), (236, 224, 212), (230, 230, 214)),
-    "earth": ((72, 54, 42),),
-    "leaf": ("green",),
-    "lampshade": ((255, 240, 214),),
-}
+}  # fmt: skip
 
 
 def material(kind: str, colour: str | None = None, rng: np.random.Generator | None = None) -> Material:
@@ -66,10 +57,9 @@ def material(kind: str, colour: str | None = None, rng: np.random.Generator | No
         if colour is None and picture.colours:
             colour = picture.colours[rng.integers(len(picture.colours))]
         if colour is not None and colour not in picture.colours:
-            raise WorldError(
-                f"{kind} does not come in {colour!r}; wanted one of {', '.join(picture.colours) or 'none'}"
-            )
-        texture, _ = _picture(kind, colour, int(rng.integers(picture.variants)))
+            wanted = ", ".join(picture.colours) or "none"
+            raise WorldError(f"{kind} does not come in {colour!r}; wanted one of {wanted}")
+        texture = _picture(kind, colour, int(rng.integers(picture.variants)))
         return Material(name, (1.0, 1.0, 1.0), texture, picture.emission)
     tone = np.array(_tone(kind, colour, rng))
     # A coloured shade at full strength would bleach to a primary.
@@ -96,35 +86,39 @@ def _tone(kind: str, colour: str | None, rng: np.random.Generator) -> tuple[floa
 
 @cache
 def _surface(kind: str, variant: int) -> tuple[np.ndarray, np.ndarray]:
-    """A tintable texture ``(h, w, 3)`` uint8 and its mean ``(3,)`` in linear light."""
-    _, draw = SURFACES[kind]
-    return _finished(draw(_generator(kind, variant), variant))
+    """A tintable texture ``(h, w, 3)`` uint8, as bright as 8 bits allow, and its mean ``(3,)`` in linear light."""
+    relative = SURFACES[kind][1](_generator(kind, variant), variant)
+    if relative.ndim == 2:
+        relative = relative[..., None] * np.ones(3)
+    texture = _coded(relative / np.percentile(relative, 99))
+    mean = to_linear(texture / 255).mean(axis=(0, 1))
+    mean.setflags(write=False)
+    return texture, mean
 
 
 @cache
-def _picture(kind: str, colour: str | None, variant: int) -> tuple[np.ndarray, np.ndarray]:
+def _picture(kind: str, colour: str | None, variant: int) -> np.ndarray:
     """A coloured texture, brightness as drawn."""
-    drawn = PICTURES[kind].draw(_generator(f"{kind} {colour}", variant), colour, variant)
-    return _coded(drawn)
+    return _coded(PICTURES[kind].draw(_generator(f"{kind} {colour}", variant), colour, variant))
 
 
 def _generator(name: str, variant: int) -> np.random.Generator:
     return np.random.default_rng([zlib.crc32(name.encode()), variant])
 
 
-def _finished(relative: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`relative` linear reflectance ``(h, w)`` or ``(h, w, 3)``, any scale, made as bright as 8 bits allow."""
-    if relative.ndim == 2:
-        relative = relative[..., None] * np.ones(3)
-    return _coded(relative / np.percentile(relative, 99))
-
-
-def _coded(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _coded(linear: np.ndarray) -> np.ndarray:
     texture = np.rint(255 * to_coded(linear)).astype(np.uint8)
     texture.setflags(write=False)
-    mean = to_linear(texture / 255).mean(axis=(0, 1))
-    mean.setflags(write=False)
-    return texture, mean
+    return texture
+
+
+def _carpet(rng: np.random.Generator, variant: int) -> np.ndarray:
+    return np.exp(0.1 * noise(rng, (256, 256), 0.1 + 0.3 * variant) + 0.05 * noise(rng, (256, 256), 1.5))
+
+
+def _leather(rng: np.random.Generator, variant: int) -> np.ndarray:
+    grain = np.abs(noise(rng, (256, 256), 0.8)) ** 0.5
+    return np.exp(0.12 * grain + 0.06 * noise(rng, (256, 256), 2.0))
 
 
 def _fabric(rng: np.random.Generator, variant: int) -> np.ndarray:
@@ -144,11 +138,6 @@ def _fabric(rng: np.random.Generator, variant: int) -> np.ndarray:
     return np.exp(0.045 * weave + 0.05 * threads + 0.035 * noise(rng, (size, size), 1.6))
 
 
-def _leather(rng: np.random.Generator, variant: int) -> np.ndarray:
-    grain = np.abs(noise(rng, (256, 256), 0.8)) ** 0.5
-    return np.exp(0.12 * grain + 0.06 * noise(rng, (256, 256), 2.0))
-
-
 def _wood(rng: np.random.Generator, variant: int) -> np.ndarray:
     """Grain along u: growth rings cut at a slant, pores, and slow changes of tone."""
     shape = (256, 256)
@@ -157,14 +146,6 @@ def _wood(rng: np.random.Generator, variant: int) -> np.ndarray:
     rings = np.sin(2 * np.pi * (v * (10, 6, 4)[variant] + bend))
     grain = 0.5 * rings + 0.5 * noise(rng, shape, 0.9, 30) + 0.4 * noise(rng, shape, 0.2, 60)
     return np.exp(0.11 * grain[..., None] * np.array([0.8, 1.0, 1.25]))
-
-
-def _brushed(rng: np.random.Generator, variant: int) -> np.ndarray:
-    return np.exp(0.06 * noise(rng, (128, 128), 0.3, 60) + 0.04 * noise(rng, (128, 128), 1.5))
-
-
-def _speckled(rng: np.random.Generator, variant: int) -> np.ndarray:
-    return np.exp(0.025 * noise(rng, (128, 128), 0.6) + 0.02 * noise(rng, (128, 128), 2))
 
 
 def _wicker(rng: np.random.Generator, variant: int) -> np.ndarray:
@@ -212,18 +193,6 @@ def _parquet(rng: np.random.Generator, variant: int) -> np.ndarray:
     return joint[..., None] * np.exp((tone + 0.09 * grain)[..., None] * np.array([0.85, 1.0, 1.2]))
 
 
-def _carpet(rng: np.random.Generator, variant: int) -> np.ndarray:
-    return np.exp(0.1 * noise(rng, (256, 256), 0.1 + 0.3 * variant) + 0.05 * noise(rng, (256, 256), 1.5))
-
-
-def _plaster(rng: np.random.Generator, variant: int) -> np.ndarray:
-    return np.exp(0.012 * noise(rng, (256, 256), 0.5) + 0.015 * noise(rng, (256, 256), 2.0))
-
-
-def _earth(rng: np.random.Generator, variant: int) -> np.ndarray:
-    return np.exp(0.35 * noise(rng, (128, 128), 0.5))
-
-
 def _leaf(rng: np.random.Generator, variant: int) -> np.ndarray:
     """A midrib along u at the middle of v, side veins, and mottling; u from stalk to tip."""
     v, u = (np.mgrid[:128, :128] + 0.5) / 128
@@ -242,10 +211,21 @@ def _lampshade(rng: np.random.Generator, variant: int) -> np.ndarray:
     return (glow * weave)[..., None] * (glow[..., None] ** np.array([0.0, 0.12, 0.35]))
 
 
+def _layers(size: int, *layers: tuple[float, ...]) -> Callable[[np.random.Generator, int], np.ndarray]:
+    """What draws a sum of layers of noise: how strong each is, its slope, and how far it is stretched."""
+
+    def draw(rng: np.random.Generator, variant: int) -> np.ndarray:
+        return np.exp(sum(strength * noise(rng, (size, size), *shape) for strength, *shape in layers))
+
+    return draw
+
+
 SURFACES: dict[str, tuple[int, Callable[[np.random.Generator, int], np.ndarray]]] = {
-    "fabric": (4, _fabric), "leather": (2, _leather), "wood": (3, _wood), "metal": (1, _brushed),
-    "wicker": (1, _wicker), "marble": (2, _marble), "tile": (4, _tile), "parquet": (3, _parquet),
-    "carpet": (2, _carpet), "plaster": (2, _plaster), "earth": (1, _earth),
-    "leaf": (2, _leaf), "lampshade": (1, _lampshade), "paint": (1, _speckled),
+    "fabric": (4, _fabric), "leather": (2, _leather), "wood": (3, _wood), "wicker": (1, _wicker),
+    "marble": (2, _marble), "tile": (4, _tile), "parquet": (3, _parquet), "carpet": (2, _carpet),
+    "leaf": (2, _leaf), "lampshade": (1, _lampshade), "earth": (1, _layers(128, (0.35, 0.5))),
+    "metal": (1, _layers(128, (0.06, 0.3, 60), (0.04, 1.5))),
+    "paint": (1, _layers(128, (0.025, 0.6), (0.02, 2))),
+    "plaster": (2, _layers(256, (0.012, 0.5), (0.015, 2.0))),
 }  # fmt: skip
 """Kinds that are tinted: how many variants there are, and what draws one. The other kinds are plain."""

@@ -1,29 +1,54 @@
-"""Furniture: one module per family, each with its `KINDS` and `BUILDERS`; this one knows them all."""
+"""Furniture: a table of all kinds, each with what builds it; one module per family of builders."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from eagor.errors import WorldError
-from eagor.worlds.apartment.furniture import (
-    bathroom,
-    beds,
-    chairs,
-    decor,
-    electronics,
-    kitchen,
-    seats,
-    storage,
-    tables,
-)
-from eagor.worlds.apartment.furniture.model import Builder, Kind, Model, assembled, finish
-from eagor.worlds.apartment.meshes import Part
+from eagor.worlds.apartment.furniture import bathroom, beds, chairs, decor, kitchen, seats, storage, tables
+from eagor.worlds.apartment.furniture.model import WOODS, Kind, Model, assembled
+from eagor.worlds.apartment.furniture.plants import plant
+from eagor.worlds.apartment.pictures import PICTURES
 
-__all__ = ["KINDS", "Kind", "Model", "Part", "assembled", "build", "finish"]
+__all__ = ["KINDS", "Kind", "Model", "build"]
 
-_FAMILIES = (chairs, seats, beds, tables, storage, kitchen, bathroom, decor, electronics)
-KINDS: dict[str, Kind] = {kind.category: kind for family in _FAMILIES for kind in family.KINDS}
-_BUILDERS: dict[str, Builder] = {name: builder for family in _FAMILIES for name, builder in family.BUILDERS.items()}
+_ROOMS = ("living room", "bedroom", "study", "dining room", "hall")
+_ALL = (*_ROOMS, "kitchen", "bathroom")
+_COSY = ("living room", "bedroom", "study")
+_STORING = ("bedroom", "hall")
+_CHAIRS = ("brown", "black", "white", "grey", "red", "blue", "green", "beige", "orange", "yellow", "purple", "pink")
+_LACQUERED = (*WOODS, "grey", "blue", "green")
+_SHADES = ("white", "beige", "yellow", "orange", "red")
+_COVERS = ("red", "blue", "green", "brown", "white", "yellow")
+_UNITS = ("white", "grey", "beige", "brown", "green", "blue")
+_GLAZED = ("white", "blue", "green", "red", "yellow", "purple", "pink", "black")
+KINDS: dict[str, Kind] = {
+    "chair": Kind("free", ("dining room", "kitchen", "study", "bedroom", "living room"), _CHAIRS, chairs.chair),
+    "armchair": Kind("corner", _COSY, seats.CLOTHS, seats.armchair),
+    "sofa": Kind("wall", ("living room",), seats.CLOTHS, seats.sofa),
+    "bed": Kind("wall", ("bedroom",), beds.COLOURS, beds.bed),
+    "table": Kind("free", ("dining room", "kitchen", "living room"), WOODS, tables.table),
+    "coffee table": Kind("free", ("living room",), (*WOODS, "grey"), tables.coffee_table),
+    "desk": Kind("wall", ("study", "bedroom"), (*WOODS, "grey"), tables.desk),
+    "nightstand": Kind("wall", ("bedroom",), _LACQUERED, tables.nightstand),
+    "dresser": Kind("wall", _STORING, _LACQUERED, storage.dresser),
+    "wardrobe": Kind("wall", _STORING, (*WOODS, "grey"), storage.wardrobe),
+    "bookshelf": Kind("wall", ("living room", "study", *_STORING), WOODS, storage.bookshelf),
+    "cabinet": Kind("wall", ("kitchen",), _UNITS, storage.cabinet),
+    "book": Kind("top", ("living room", "study", "bedroom"), _COVERS, storage.book),
+    "refrigerator": Kind("wall", ("kitchen",), ("white", "grey", "black"), kitchen.refrigerator),
+    "stove": Kind("wall", ("kitchen",), ("white", "black", "grey"), kitchen.stove),
+    "sink": Kind("wall", ("bathroom", "kitchen"), ("white", "grey"), kitchen.sink),
+    "toilet": Kind("wall", ("bathroom",), ("white",), bathroom.toilet),
+    "bathtub": Kind("wall", ("bathroom",), ("white",), bathroom.bathtub),
+    "plant": Kind("corner", _ALL, ("green",), plant),
+    "lamp": Kind("corner", _COSY, _SHADES, decor.lamp),
+    "rug": Kind("flat", (*_ROOMS, "bathroom"), PICTURES["rug"].colours, decor.rug),
+    "painting": Kind("hung", (*_ROOMS, "kitchen"), PICTURES["art"].colours, decor.painting),
+    "ceiling lamp": Kind("ceiling", _ALL, ("white", "beige", "black", "grey"), decor.ceiling_lamp),
+    "vase": Kind("top", _ROOMS, _GLAZED, decor.vase),
+    "tv": Kind("wall", ("living room", "bedroom"), (), tables.tv),
+}
 
 
 def build(category: str, colour: str | None, rng: np.random.Generator) -> Model:
@@ -33,10 +58,10 @@ def build(category: str, colour: str | None, rng: np.random.Generator) -> Model:
     """
     if category not in KINDS:
         raise WorldError(f"no furniture is called {category!r}; wanted one of {', '.join(sorted(KINDS))}")
-    colours = KINDS[category].colours
-    if colour is None and colours:
-        colour = str(rng.choice(colours))
-    if colour is not None and colour not in colours:
-        wanted = f"one of {', '.join(colours)}, or None" if colours else "None"
+    kind = KINDS[category]
+    if colour is None and kind.colours:
+        colour = str(rng.choice(kind.colours))
+    if colour is not None and colour not in kind.colours:
+        wanted = f"one of {', '.join(kind.colours)}, or None" if kind.colours else "None"
         raise WorldError(f"a {category} does not come in {colour!r}; wanted {wanted}")
-    return _BUILDERS[category](colour, rng)
+    return assembled(category, colour, kind.make(colour, rng), kind.placement)

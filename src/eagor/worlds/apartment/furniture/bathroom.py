@@ -1,4 +1,4 @@
-"""Toilets and bathtubs."""
+"""Toilets and bathtubs, and what they share with sinks: vessels from rings, flat bottoms, taps."""
 
 from __future__ import annotations
 
@@ -7,17 +7,45 @@ import math
 import numpy as np
 
 from eagor.sphere import rotation
-from eagor.worlds.apartment.furniture.ceramics import disc, ellipse, tap, vessel
-from eagor.worlds.apartment.furniture.model import Builder, Kind, Model, assembled, finish
-from eagor.worlds.apartment.meshes import bevelled, cylinder, merged, moved, prism, rounded_rectangle, tube, turned
-
-KINDS = (
-    Kind("toilet", "wall", ("bathroom",), ("white",)),
-    Kind("bathtub", "wall", ("bathroom",), ("white",)),
-)
+from eagor.worlds.apartment.curved import cylinder, sheet, tube
+from eagor.worlds.apartment.furniture.model import finish
+from eagor.worlds.apartment.mesh import Mesh, Part, bevelled, merged, moved, prism, rounded_rectangle, turned
 
 
-def toilet(colour: str, rng: np.random.Generator) -> Model:
+def ellipse(x: float, y: float, sides: int = 20, front: float = 0.0) -> np.ndarray:
+    """An outline ``(sides, 2)`` with half axes `x`, `y`, counter-clockwise; its half at +x is `front` longer."""
+    angle = np.arange(sides) * (2 * math.pi / sides)
+    cosine = np.cos(angle)
+    return np.stack([np.where(cosine > 0, x + front, x) * cosine, y * np.sin(angle)], axis=-1)
+
+
+def vessel(rings: list[tuple[np.ndarray, float, float]]) -> Mesh:
+    """A surface through rings (outline ``(n, 2)``, shift along x, height); a ring given twice makes a sharp edge."""
+    points = np.stack([np.column_stack([r[:, 0] + shift, r[:, 1], np.full(len(r), z)]) for r, shift, z in rings])
+    points = np.concatenate([points, points[:, :1]], axis=1)
+    same = [k for k in range(1, len(points)) if np.allclose(points[k], points[k - 1])]
+    pieces = np.split(points, same)
+    return merged(*(sheet(piece) for piece in pieces if len(piece) > 1))
+
+
+def disc(outline: np.ndarray, shift: float, z: float) -> Mesh:
+    """The flat inside of an outline ``(n, 2)`` at height `z`, seen from above: a bottom or a lid."""
+    ring = np.column_stack([outline[:, 0] + shift, outline[:, 1], np.full(len(outline), z)])
+    vertices = np.concatenate([ring, ring.mean(axis=0, keepdims=True)]).astype(np.float32)
+    k = np.arange(len(ring))
+    triangles = np.stack([k, (k + 1) % len(ring), np.full(len(ring), len(ring))], axis=-1).astype(np.int32)
+    return Mesh(vertices, triangles, vertices[triangles][..., :2].astype(np.float32))
+
+
+def tap(x: float, y: float, z: float, reach: float, height: float) -> Mesh:
+    """A tap that stands at (x, y, z) and reaches towards +x, with a lever."""
+    bow = [(x, y, z), (x, y, z + 0.75 * height), (x + 0.25 * reach, y, z + height), (x + 0.8 * reach, y, z + height)]
+    spout = tube([*bow, (x + reach, y, z + 0.72 * height)], 0.012, 8)
+    lever = tube([(x, y + 0.01, z + 0.4 * height), (x, y + 0.06, z + 0.5 * height)], 0.007, 6)
+    return merged(spout, lever, cylinder((x, y, z), 0.024, 0.02, 10))
+
+
+def toilet(colour: str, rng: np.random.Generator) -> list[Part]:
     """A bowl on its foot, a seat, a lid that is up or down, and a cistern at the wall."""
     glaze, metal = finish("ceramic", colour, rng), finish("metal", None, rng)
     seat = finish("plastic", colour, rng)
@@ -55,10 +83,10 @@ def toilet(colour: str, rng: np.random.Generator) -> Model:
     button = cylinder((back + tank / 2, 0, tall), 0.022, 0.008, 12)
     hinge = tube([(-rim + 0.012, -0.08, top + 0.01), (-rim + 0.012, 0.08, top + 0.01)], 0.011, 6)
     pool = finish("glass", None, rng)
-    return assembled("toilet", colour, [glaze(bowl, cistern), pool(water), seat(ring, lid), metal(button, hinge)])
+    return [glaze(bowl, cistern), pool(water), seat(ring, lid), metal(button, hinge)]
 
 
-def bathtub(colour: str, rng: np.random.Generator) -> Model:
+def bathtub(colour: str, rng: np.random.Generator) -> list[Part]:
     """A tub with panelled sides at the wall, or a free oval one; its length along y, the tap at one end."""
     glaze, metal = finish("ceramic", colour, rng), finish("metal", None, rng)
     x, y, height = rng.uniform(0.36, 0.41), rng.uniform(0.78, 0.88), rng.uniform(0.54, 0.6)
@@ -66,11 +94,8 @@ def bathtub(colour: str, rng: np.random.Generator) -> Model:
     if oval:
         outer, inner, foot = ellipse(x, y, 32), ellipse(x - 0.055, y - 0.055, 32), 0.72
     else:
-        outer, inner, foot = (
-            rounded_rectangle(2 * x, 2 * y, 0.03, 7),
-            rounded_rectangle(2 * x - 0.14, 2 * y - 0.16, 0.2, 7),
-            1.0,
-        )
+        outer, foot = rounded_rectangle(2 * x, 2 * y, 0.03, 7), 1.0
+        inner = rounded_rectangle(2 * x - 0.14, 2 * y - 0.16, 0.2, 7)
     floor = height - 0.42
     tub = vessel(
         [
@@ -85,7 +110,4 @@ def bathtub(colour: str, rng: np.random.Generator) -> Model:
     drain = cylinder((0, 0.74 * (y - 0.08) - 0.12, floor), 0.026, 0.004, 10)
     valves = [cylinder((s, end, height), 0.02, 0.05, 8) for s in (-0.09, 0.09)]
     parts.append(metal(moved(spout, (0, end, height)), drain, *valves))
-    return assembled("bathtub", colour, parts)
-
-
-BUILDERS: dict[str, Builder] = {"toilet": toilet, "bathtub": bathtub}
+    return parts

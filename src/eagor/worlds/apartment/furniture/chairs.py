@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from eagor.worlds.apartment.furniture.joinery import fittings, legs, timber
-from eagor.worlds.apartment.furniture.model import Builder, Kind, Model, assembled, finish
-from eagor.worlds.apartment.meshes import Mesh, Part, bevelled, box, cushion, loft, moved, post, reshaped, slab, tube
+from eagor.worlds.apartment.curved import cushion, slab, tube
+from eagor.worlds.apartment.furniture.model import finish, fittings, legs, timber
+from eagor.worlds.apartment.mesh import Mesh, Part, bevelled, box, loft, moved, post, reshaped
 
-_COLOURS = ("brown", "black", "white", "grey", "red", "blue", "green", "beige", "orange", "yellow", "purple", "pink")
-KINDS = (Kind("chair", "free", ("dining room", "kitchen", "study", "bedroom", "living room"), _COLOURS),)
+
+def chair(colour: str, rng: np.random.Generator) -> list[Part]:
+    """A chair: wooden, upholstered or a moulded shell."""
+    design, woody = rng.random(), colour in ("brown", "beige")
+    if design < (0.8 if woody else 0.3):
+        return _wooden(colour, rng)
+    return (_upholstered if design < 0.65 or woody else _shell)(colour, rng)
 
 
 def _rail(y: float, z: float, height: float, thickness: float, x: float, hollow: float) -> Mesh:
@@ -22,7 +27,7 @@ def _rail(y: float, z: float, height: float, thickness: float, x: float, hollow:
     return loft(rings)
 
 
-def _wooden_chair(colour: str, rng: np.random.Generator) -> list[Part]:
+def _wooden(colour: str, rng: np.random.Generator) -> list[Part]:
     """Four legs, a solid seat, a back of upright slats, of cross rails, or of turned spindles."""
     wood = timber(colour, rng)
     w, d, seat, top = rng.uniform(0.4, 0.46), rng.uniform(0.4, 0.45), rng.uniform(0.44, 0.47), rng.uniform(0.84, 0.98)
@@ -47,27 +52,24 @@ def _wooden_chair(colour: str, rng: np.random.Generator) -> list[Part]:
     design = rng.integers(3)
     if design == 1:  # cross rails
         count = int(rng.integers(3, 5)) if top - seat > 0.45 else 3
-        meshes += [_rail(y, z, 0.055, 0.018, back(z), hollow) for z in np.linspace(seat + 0.14, top - 0.05, count)]
-        return [wood(*meshes)]
+        levels = np.linspace(seat + 0.14, top - 0.05, count)
+        return [wood(*meshes, *(_rail(y, z, 0.055, 0.018, back(z), hollow) for z in levels))]
     head, sill = top - 0.04, seat + rng.uniform(0.08, 0.14)
     meshes += [_rail(y, head, 0.08, 0.024, back(head), hollow), _rail(y, sill, 0.04, 0.02, back(sill), hollow)]
     count = int(rng.integers(4, 6)) if design == 0 else 6
     for place in np.linspace(-y, y, count + 2)[1:-1]:
         bent = hollow * (1 - (place / y) ** 2)
         low, high = (back(sill) - bent, place, sill + 0.01), (back(head) - bent, place, head - 0.03)
-        if design == 0:
-            meshes.append(post(low, high, (0.012, 0.38 * w / count), (0.012, 0.38 * w / count)))
-        else:
-            meshes.append(tube([low, high], 0.008, sides=6))
+        flat = (0.012, 0.38 * w / count)
+        meshes.append(post(low, high, flat, flat) if design == 0 else tube([low, high], 0.008, sides=6))
     return [wood(*meshes)]
 
 
-def _upholstered_chair(colour: str, rng: np.random.Generator) -> list[Part]:
+def _upholstered(colour: str, rng: np.random.Generator) -> list[Part]:
     """A padded seat and a padded, leaning back on slim legs."""
     cloth = finish("leather" if colour in ("brown", "black", "white") and rng.random() < 0.5 else "fabric", colour, rng)
     w, d, seat, top = rng.uniform(0.44, 0.5), rng.uniform(0.44, 0.5), rng.uniform(0.46, 0.49), rng.uniform(0.82, 1.0)
-    deep = rng.uniform(0.08, 0.12)
-    wings, lean = rng.uniform(0.0, 0.08), rng.uniform(0.06, 0.1)
+    deep, wings, lean = rng.uniform(0.08, 0.12), rng.uniform(0.0, 0.08), rng.uniform(0.06, 0.1)
     base = seat - 0.12 if rng.random() < 0.6 else seat + 0.08
     plump = cushion((-d / 2, -w / 2, seat - deep), (d / 2, w / 2, seat), 0.02, 0.04)
 
@@ -83,22 +85,15 @@ def _upholstered_chair(colour: str, rng: np.random.Generator) -> list[Part]:
     x, y = d / 2 - 0.04, w / 2 - 0.04
     frame = [legs((-x, -y, x, y), seat - deep + 0.02, 0.036, 0.022, rng.uniform(0.0, 0.03))]
     if base > seat:  # the back stands clear of the seat, on two posts
-        start, end = -d / 2 + 0.03, -d / 2 - 0.4 * lean
-        frame += [
-            post((start, s, seat - deep), (end, s, (base + top) / 2), (0.03, 0.04), (0.02, 0.035)) for s in (-y, y)
-        ]
+        foot, head = (-d / 2 + 0.03, seat - deep), (-d / 2 - 0.4 * lean, (base + top) / 2)
+        frame += [post((foot[0], s, foot[1]), (head[0], s, head[1]), (0.03, 0.04), (0.02, 0.035)) for s in (-y, y)]
     return [cloth(plump, back), wood(*frame)]
 
 
-def _shell_chair(colour: str, rng: np.random.Generator) -> list[Part]:
+def _shell(colour: str, rng: np.random.Generator) -> list[Part]:
     """A moulded shell of plastic on wooden pegs, on metal legs or on runners."""
-    plastic = finish("plastic", colour, rng)
-    w, seat, top, curl = (
-        rng.uniform(0.45, 0.5),
-        rng.uniform(0.43, 0.46),
-        rng.uniform(0.8, 0.86),
-        rng.uniform(0.03, 0.09),
-    )
+    plastic, w, seat = finish("plastic", colour, rng), rng.uniform(0.45, 0.5), rng.uniform(0.43, 0.46)
+    top, curl = rng.uniform(0.8, 0.86), rng.uniform(0.03, 0.09)
     # From the front lip over the seat and up the back: x, height, share of the width, how much the sides curl up.
     side = np.array(
         [
@@ -132,25 +127,8 @@ def _shell_chair(colour: str, rng: np.random.Generator) -> list[Part]:
         bars = [tube([(u, v, 0), (0.7 * u, 0.7 * v, under - 0.01)], 0.011, 7) for u, v in feet]
         bars += [tube([(0.7 * u, -0.7 * 0.21, under), (0.7 * u, 0.7 * 0.21, under)], 0.011, 6) for u in (-0.21, 0.21)]
     else:
-        loop = [
-            (-0.22, 0, 0.012),
-            (0.22, 0, 0.012),
-            (0.17, 0, under - 0.03),
-            (-0.17, 0, under - 0.03),
-            (-0.22, 0, 0.013),
-        ]
-        bars = [moved(tube(loop, 0.011, 7), (0, s * 0.17, 0)) for s in (-1, 1)]
+        corners = ((-0.22, 0.012), (0.22, 0.012), (0.17, under - 0.03), (-0.17, under - 0.03), (-0.22, 0.013))
+        loop = tube([(u, 0, z) for u, z in corners], 0.011, 7)
+        bars = [moved(loop, (0, s * 0.17, 0)) for s in (-1, 1)]
         bars += [tube([(u, -0.17, under - 0.02), (u, 0.17, under - 0.02)], 0.01, 6) for u in (-0.14, 0.14)]
     return [plastic(shell), metal(*bars)]
-
-
-def chair(colour: str, rng: np.random.Generator) -> Model:
-    """A chair: wooden, upholstered or a moulded shell."""
-    design = rng.random()
-    if design < (0.8 if colour in ("brown", "beige") else 0.3):
-        return assembled("chair", colour, _wooden_chair(colour, rng))
-    build = _upholstered_chair if design < 0.65 or colour in ("brown", "beige") else _shell_chair
-    return assembled("chair", colour, build(colour, rng))
-
-
-BUILDERS: dict[str, Builder] = {"chair": chair}

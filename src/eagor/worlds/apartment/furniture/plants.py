@@ -2,42 +2,33 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from eagor.worlds.apartment.furniture.model import Model, assembled, finish
-from eagor.worlds.apartment.meshes import Mesh, Part, cylinder, lathe, merged, moved, reshaped, tube
+from eagor.worlds.apartment.curved import cylinder, lathe, tube
+from eagor.worlds.apartment.furniture.model import finish, polar
+from eagor.worlds.apartment.mesh import Mesh, Part, merged, moved, reshaped
+
+Grown = tuple[list[Mesh], list[Mesh]]  # stems and leaves
 
 _POTS = ("white", "grey", "black", "orange", "brown", "beige", "blue", "red", "yellow")
 
 _SPREAD = 0.48  # metres from the middle that leaves may reach
 
 
-def foliage(
-    base: np.ndarray,
-    azimuth: np.ndarray,
-    pitch: np.ndarray,
-    length: np.ndarray,
-    width: np.ndarray,
-    bend: float | np.ndarray,
-    *,
-    steps: int = 4,
-    fold: float = 0.2,
-    blunt: float = 0.8,
-) -> Mesh:
-    """Leaves as bent strips, all at once; 4 * steps - 4 triangles each.
+def polars(radius: np.ndarray | float, azimuth: np.ndarray, z: np.ndarray | float) -> np.ndarray:
+    """Points ``(n, 3)`` so far from the z axis, in these directions, at these heights."""
+    return np.stack(np.broadcast_arrays(radius * np.cos(azimuth), radius * np.sin(azimuth), z), axis=-1)
 
-    Args:
-        base: where each is attached ``(n, 3)``.
-        azimuth: where it points, radians ``(n,)``.
-        pitch: how steeply it rises at its base, radians ``(n,)``; it loses `bend` radians on its way to the tip.
-        length: of its midrib, metres ``(n,)``.
-        width: across its widest place, metres ``(n,)``.
-        bend: radians ``(n,)`` or one for all.
-        steps: pieces along the midrib.
-        fold: how far the edges stand above the midrib, as a share of the half width.
-        blunt: below 1 the widest place is nearer to the base, above nearer to the tip.
+
+def foliage(
+    base: np.ndarray, azimuth: np.ndarray, pitch: np.ndarray, length: np.ndarray, width: np.ndarray,
+    bend: float | np.ndarray, *, steps: int = 4, fold: float = 0.2, blunt: float = 0.8,
+) -> Mesh:  # fmt: skip
+    """Leaves as bent strips, all at once; 4 * steps - 4 triangles each. Metres and radians, ``(n,)`` each.
+
+    `base` ``(n, 3)``: where they are attached; `azimuth`: where they point; `pitch`: how steeply they rise there, of
+    which they lose `bend` on the way to the tip; `width` across the widest place, which is nearer to the base for
+    `blunt` below 1; `steps`: pieces along the midrib; `fold`: how far the edges stand above it, in half widths.
     """
     n = len(base)
     t = np.linspace(0, 1, steps + 1)
@@ -76,28 +67,13 @@ def _pot(radius: float, height: float, rng: np.random.Generator) -> tuple[list[P
     """A pot with earth in it, and the height of the earth."""
     design, r, h = rng.integers(4), radius, height
     if design == 0:  # tapered, with a rim
-        profile = [
-            (0, 0),
-            (0.68 * r, 0),
-            (0.68 * r, 0),
-            (0.92 * r, 0.82 * h),
-            (r, 0.82 * h),
-            (r, 0.82 * h),
-            (r, h),
-            (r, h),
-        ]
+        rim = [(0.92 * r, 0.82 * h), (r, 0.82 * h), (r, 0.82 * h), (r, h), (r, h)]
+        profile = [(0, 0), (0.68 * r, 0), (0.68 * r, 0), *rim]
     elif design == 1:  # a cylinder
         profile = [(0, 0), (0.9 * r, 0), (0.92 * r, 0.02), (0.92 * r, h), (0.92 * r, h)]
     elif design == 2:  # round
-        profile = [
-            (0, 0),
-            (0.55 * r, 0),
-            (0.85 * r, 0.2 * h),
-            (r, 0.5 * h),
-            (0.92 * r, 0.82 * h),
-            (0.8 * r, h),
-            (0.8 * r, h),
-        ]
+        belly = [(0.85 * r, 0.2 * h), (r, 0.5 * h), (0.92 * r, 0.82 * h)]
+        profile = [(0, 0), (0.55 * r, 0), *belly, (0.8 * r, h), (0.8 * r, h)]
     else:  # a basket
         profile = [(0, 0), (0.78 * r, 0), (0.82 * r, 0.02), (r, 0.5 * h), (0.88 * r, h), (0.88 * r, h)]
     mouth = profile[-1][0]
@@ -113,48 +89,36 @@ def _around(n: int, rng: np.random.Generator) -> np.ndarray:
     return rng.uniform(0, 6.3) + np.arange(n) * 2.39996 + rng.normal(0, 0.2, n)
 
 
-def _broad(top: float, tall: float, rng: np.random.Generator) -> tuple[list[Mesh], list[Mesh]]:
+def _broad(top: float, tall: float, rng: np.random.Generator) -> Grown:
     """Stalks that rise from the earth, each with one large leaf."""
     n = int(rng.integers(15, 22))
     azimuth, share = _around(n, rng), np.linspace(0.35, 1, n) ** 0.8
     lean = 0.75 - 0.55 * share + rng.normal(0, 0.06, n)
     reach = share * (tall - top) * 0.78
-    tips = np.stack(
-        [reach * np.sin(lean) * np.cos(azimuth), reach * np.sin(lean) * np.sin(azimuth), top + reach * np.cos(lean)], -1
-    )
-    stalks = [
-        tube([(0.02 * math.cos(a), 0.02 * math.sin(a), top - 0.02), tip], [0.008, 0.005], 3)
-        for a, tip in zip(azimuth, tips, strict=True)
-    ]
-    length = rng.uniform(0.2, 0.3, n) * (0.7 + 0.3 * tall)
-    leaves = foliage(
-        tips, azimuth, rng.uniform(-0.1, 0.5, n), length, 0.62 * length, 0.9, steps=5, fold=0.15, blunt=0.75
-    )
-    return stalks, [leaves]
+    tips = polars(reach * np.sin(lean), azimuth, top + reach * np.cos(lean))
+    ends = [(polar(0.02, a, top - 0.02), tip) for a, tip in zip(azimuth, tips, strict=True)]
+    length, pitch = rng.uniform(0.2, 0.3, n) * (0.7 + 0.3 * tall), rng.uniform(-0.1, 0.5, n)
+    leaves = foliage(tips, azimuth, pitch, length, 0.62 * length, 0.9, steps=5, fold=0.15, blunt=0.75)
+    return [tube([foot, tip], [0.008, 0.005], 3) for foot, tip in ends], [leaves]
 
 
-def _rubber(top: float, tall: float, rng: np.random.Generator) -> tuple[list[Mesh], list[Mesh]]:
+def _rubber(top: float, tall: float, rng: np.random.Generator) -> Grown:
     """Upright stems set with glossy oval leaves from the ground up."""
     stems, bases, azimuths = [], [], []
     for k in range(int(rng.integers(2, 4))):
         a, high = rng.uniform(0, 6.3), (tall - 0.12) * (1 - 0.17 * k)
-        foot, head = (
-            np.array([0.03 * math.cos(a), 0.03 * math.sin(a), top - 0.02]),
-            np.array([0.14 * math.cos(a), 0.14 * math.sin(a), high]),
-        )
+        foot, head = np.array(polar(0.03, a, top - 0.02)), np.array(polar(0.14, a, high))
         stems.append(tube([foot, head], [0.011, 0.006], 5))
         count = int(12 * (high - top) / 0.9) + 4
         at = np.linspace(0.22, 1, count)[:, None]
         bases.append(foot + at * (head - foot))
         azimuths.append(_around(count, rng))
     base, azimuth = np.concatenate(bases), np.concatenate(azimuths)
-    length = rng.uniform(0.17, 0.26, len(base))
-    return stems, [
-        foliage(base, azimuth, rng.uniform(0.3, 0.9, len(base)), length, 0.45 * length, 0.8, steps=4, fold=0.25)
-    ]
+    length, pitch = rng.uniform(0.17, 0.26, len(base)), rng.uniform(0.3, 0.9, len(base))
+    return stems, [foliage(base, azimuth, pitch, length, 0.45 * length, 0.8, steps=4, fold=0.25)]
 
 
-def _palm(top: float, tall: float, rng: np.random.Generator) -> tuple[list[Mesh], list[Mesh]]:
+def _palm(top: float, tall: float, rng: np.random.Generator) -> Grown:
     """Arching fronds with two rows of narrow leaflets."""
     fronds, ribs, leaflets = int(rng.integers(9, 13)), [], []
     for k, a in enumerate(_around(fronds, rng)):
@@ -163,56 +127,52 @@ def _palm(top: float, tall: float, rng: np.random.Generator) -> tuple[list[Mesh]
         bend = rng.uniform(0.75, 1.1)
         t = np.linspace(0, 1, 9)
         slope = pitch - bend * (t[:-1] + t[1:]) / 2
-        out, up = (
-            np.append(0, np.cumsum(np.cos(slope))) * length / 8,
-            np.append(0, np.cumsum(np.sin(slope))) * length / 8,
-        )
-        rib = np.stack([out * math.cos(a), out * math.sin(a), top + up], axis=-1)
+        out, up = (np.append(0, np.cumsum(along(slope))) * length / 8 for along in (np.cos, np.sin))
+        rib = np.stack(polar(out, a, top + up), axis=-1)
         ribs.append(tube(rib[::2], np.linspace(0.007, 0.003, 5), 3))
         at = np.repeat(np.linspace(0.24, 1.0, 10), 2)
         base = np.stack([np.interp(at, t, rib[:, i]) for i in range(3)], axis=-1)
         turn = np.tile([1, -1], 10) * (1.0 - 0.6 * at)
         size = length * (0.32 - 0.2 * np.abs(at - 0.45))
-        leaflets.append(
-            foliage(base, a + turn, pitch - bend * at - 0.1, size, 0.13 * size + 0.01, 0.6, steps=2, fold=0.1)
-        )
+        rise = pitch - bend * at - 0.1
+        leaflets.append(foliage(base, a + turn, rise, size, 0.13 * size + 0.01, 0.6, steps=2, fold=0.1))
     return ribs, leaflets
 
 
-def _swords(top: float, tall: float, rng: np.random.Generator) -> tuple[list[Mesh], list[Mesh]]:
+def _swords(top: float, tall: float, rng: np.random.Generator) -> Grown:
     """Stiff upright leaves in a cluster."""
     n = int(rng.integers(16, 24))
     azimuth, away = _around(n, rng), 0.09 * np.sqrt(np.arange(n) / n)
-    base = np.stack([away * np.cos(azimuth), away * np.sin(azimuth), np.full(n, top - 0.02)], axis=-1)
+    base = polars(away, azimuth, top - 0.02)
     length = (tall - top) * rng.uniform(0.6, 1.0, n)
     pitch = 1.5 - 3.2 * away + rng.normal(0, 0.04, n)
     return [], [foliage(base, azimuth, pitch, length, rng.uniform(0.055, 0.08, n), 0.08, steps=5, fold=0.5, blunt=0.6)]
 
 
-def _tree(top: float, tall: float, rng: np.random.Generator) -> tuple[list[Mesh], list[Mesh]]:
+def _tree(top: float, tall: float, rng: np.random.Generator) -> Grown:
     """A slim trunk that forks, under a round crown of small leaves."""
     crown, centre = rng.uniform(0.24, 0.34), np.array([rng.normal(0, 0.03), rng.normal(0, 0.03), tall])
     centre[2] = tall - crown
     fork = np.array([centre[0] * 0.5, centre[1] * 0.5, top + 0.55 * (centre[2] - crown * 0.3 - top)])
     limbs = [tube([(0, 0, top - 0.02), fork], [0.02, 0.015], 6)]
     for a in _around(4, rng):
-        end = centre + 0.55 * crown * np.array([math.cos(a), math.sin(a), 0.2])
+        end = centre + 0.55 * crown * np.array(polar(1.0, a, 0.2))
         limbs.append(tube([fork, end], [0.011, 0.005], 4))
     n = 110
     height = rng.uniform(-0.85, 1, n)
     azimuth, ring = _around(n, rng), np.sqrt(1 - height**2)
     radius = crown * rng.uniform(0.55, 0.95, n)
-    base = centre + radius[:, None] * np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), 0.95 * height], -1)
+    base = centre + radius[:, None] * polars(ring, azimuth, 0.95 * height)
     length = rng.uniform(0.12, 0.19, n)
     return limbs, [foliage(base, azimuth + rng.normal(0, 0.5, n), 0.9 * height, length, 0.55 * length, 0.8, steps=3)]
 
 
-def _rosette(top: float, tall: float, rng: np.random.Generator) -> tuple[list[Mesh], list[Mesh]]:
+def _rosette(top: float, tall: float, rng: np.random.Generator) -> Grown:
     """Thick pointed leaves from one place, as of an agave."""
     n = int(rng.integers(26, 36))
     share = np.arange(n) / n
     azimuth, pitch = _around(n, rng), 1.45 - 1.3 * share[::-1]
-    base = np.stack([0.02 * np.cos(azimuth), 0.02 * np.sin(azimuth), top + 0.03 * (1 - share)], axis=-1)
+    base = polars(0.02, azimuth, top + 0.03 * (1 - share))
     length = (tall - top) * rng.uniform(0.7, 1.0, n)
     return [], [foliage(base, azimuth, pitch[::-1], length, 0.2 * length + 0.012, 0.25, steps=4, fold=0.6, blunt=0.65)]
 
@@ -224,7 +184,7 @@ _GROWTHS = (
 )  # fmt: skip
 
 
-def plant(colour: str, rng: np.random.Generator) -> Model:
+def plant(colour: str, rng: np.random.Generator) -> list[Part]:
     """A potted plant; `colour` is that of its leaves."""
     grow, least, most, radius = _GROWTHS[rng.integers(len(_GROWTHS))]
     tall, radius = rng.uniform(least, most), radius * rng.uniform(0.9, 1.2)
@@ -234,28 +194,13 @@ def plant(colour: str, rng: np.random.Generator) -> Model:
     if spread > _SPREAD:  # it stands in a corner: drawn in, as if pruned
         narrow = np.array([_SPREAD / spread, _SPREAD / spread, 1.0])
         stems, leaves = ([reshaped(mesh, lambda at: at * narrow) for mesh in group] for group in (stems, leaves))
-    light, dark = finish("leaf", colour, rng), finish("leaf", colour, rng)
-    parts.append(light(*leaves[::2]))
-    if leaves[1::2]:
-        parts.append(dark(*leaves[1::2]))
+    shades = finish("leaf", colour, rng), finish("leaf", colour, rng)
+    parts += [shade(*leaves[k::2]) for k, shade in enumerate(shades) if leaves[k::2]]
     if stems:
         woody = grow in (_tree, _rubber)
         parts.append(finish("wood" if woody else "paint", "brown" if woody else colour, rng)(*stems))
-    stand = rng.random() < 0.2
-    if stand:  # a low stool under the pot
-        stool = merged(
-            cylinder((0, 0, -0.03), radius * 1.05, 0.03, 16),
-            *(
-                tube(
-                    [
-                        (1.1 * radius * math.cos(a), 1.1 * radius * math.sin(a), -0.22),
-                        (0.8 * radius * math.cos(a), 0.8 * radius * math.sin(a), -0.03),
-                    ],
-                    0.012,
-                    5,
-                )
-                for a in (0.5, 2.6, 4.7)
-            ),
-        )
-        parts.append(finish("wood", None, rng)(stool))
-    return assembled("plant", colour, parts)
+    if rng.random() < 0.2:  # a low stool under the pot
+        ends = [(polar(1.1 * radius, a, -0.22), polar(0.8 * radius, a, -0.03)) for a in (0.5, 2.6, 4.7)]
+        seat = cylinder((0, 0, -0.03), radius * 1.05, 0.03, 16)
+        parts.append(finish("wood", None, rng)(merged(seat, *(tube(pair, 0.012, 5) for pair in ends))))
+    return parts

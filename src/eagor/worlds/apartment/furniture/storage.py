@@ -6,19 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from eagor.worlds.apartment.furniture.joinery import WOODS, fittings, knob, legs, panel, pull, timber
-from eagor.worlds.apartment.furniture.model import Builder, Kind, Model, assembled, finish
-from eagor.worlds.apartment.meshes import Mesh, Part, bevelled, box, cylinder, lathe, merged, moved
+from eagor.worlds.apartment.curved import cylinder, lathe
+from eagor.worlds.apartment.furniture.model import finish, fittings, knob, legs, panel, pull, timber
+from eagor.worlds.apartment.mesh import CORNERS, Mesh, Part, bevelled, box, merged, moved, quad_triangles
 from eagor.worlds.apartment.pictures import SPINES
 from eagor.worlds.apartment.textures import material
-
-KINDS = (
-    Kind("dresser", "wall", ("bedroom", "hall"), (*WOODS, "grey", "blue", "green")),
-    Kind("wardrobe", "wall", ("bedroom", "hall"), (*WOODS, "grey")),
-    Kind("bookshelf", "wall", ("living room", "study", "bedroom", "hall"), WOODS),
-    Kind("cabinet", "wall", ("kitchen",), ("white", "grey", "beige", "brown", "green", "blue")),
-    Kind("book", "top", ("living room", "study", "bedroom"), ("red", "blue", "green", "brown", "white", "yellow")),
-)
 
 
 def front(x: float, y0: float, y1: float, z0: float, z1: float, framed: bool) -> Mesh:
@@ -26,16 +18,15 @@ def front(x: float, y0: float, y1: float, z0: float, z1: float, framed: bool) ->
     if not framed:
         return bevelled((x, y0, z0), (x + 0.018, y1, z1), 0.004, grain=2)
     rail = min(0.07, 0.25 * (y1 - y0), 0.25 * (z1 - z0))
+    a, b, c, d = y0 + rail, y1 - rail, z0 + rail, z1 - rail
+    frame = ((y0, a, z0, z1, 2), (b, y1, z0, z1, 2), (a, b, z0, c, 1), (a, b, d, z1, 1))
+    sunk = box((x, a, c), (x + 0.009, b, d), 2)
     return merged(
-        box((x, y0, z0), (x + 0.02, y0 + rail, z1), 2),
-        box((x, y1 - rail, z0), (x + 0.02, y1, z1), 2),
-        box((x, y0 + rail, z0), (x + 0.02, y1 - rail, z0 + rail), 1),
-        box((x, y0 + rail, z1 - rail), (x + 0.02, y1 - rail, z1), 1),
-        box((x, y0 + rail, z0 + rail), (x + 0.009, y1 - rail, z1 - rail), 2),
+        *(box((x, left, low), (x + 0.02, right, high), grain) for left, right, low, high, grain in frame), sunk
     )
 
 
-def dresser(colour: str, rng: np.random.Generator) -> Model:
+def dresser(colour: str, rng: np.random.Generator) -> list[Part]:
     """A chest of drawers in one to three columns, on feet or a plinth."""
     wood, metal = timber(colour, rng), fittings(rng)
     columns, rows = ((1, 4), (2, 3), (2, 4), (3, 3))[rng.integers(4)]
@@ -60,10 +51,10 @@ def dresser(colour: str, rng: np.random.Generator) -> Model:
                 handles += [knob(x - 0.012, (y0 + y1) / 2 + s * (y1 - y0), middle) for s in places]
             else:
                 handles.append(pull(x - 0.012, (y0 + y1) / 2, middle, 0.32 * (y1 - y0)))
-    return assembled("dresser", colour, [wood(*body), metal(*handles)])
+    return [wood(*body), metal(*handles)]
 
 
-def wardrobe(colour: str, rng: np.random.Generator) -> Model:
+def wardrobe(colour: str, rng: np.random.Generator) -> list[Part]:
     """Two to four tall doors, flat or framed, some with drawers below; one may be a mirror."""
     wood, metal = timber(colour, rng), fittings(rng)
     doors = int(rng.integers(2, 5))
@@ -88,10 +79,10 @@ def wardrobe(colour: str, rng: np.random.Generator) -> Model:
         for y0, y1 in ((-y + 0.004, 0), (0, y - 0.004)):
             body.append(panel(x - 0.024, y0 + 0.003, y1 - 0.003, 0.08, low - 0.006))
             handles.append(pull(x - 0.006, (y0 + y1) / 2, (0.08 + low) / 2, 0.2))
-    return assembled("wardrobe", colour, [wood(*body), metal(*handles), *parts])
+    return [wood(*body), metal(*handles), *parts]
 
 
-def bookshelf(colour: str, rng: np.random.Generator) -> Model:
+def bookshelf(colour: str, rng: np.random.Generator) -> list[Part]:
     """Open shelves with books, upright and in piles, gaps, and a vase or a box here and there."""
     wood, t = timber(colour, rng), 0.022
     columns = 1 if rng.random() < 0.7 else 2
@@ -99,33 +90,26 @@ def bookshelf(colour: str, rng: np.random.Generator) -> Model:
     width = columns * (rng.uniform(0.7, 0.95) if columns == 1 else rng.uniform(0.5, 0.65))
     rows, x, y = max(3, round(height / 0.34)), depth / 2, width / 2
     levels = np.linspace(0.06, height - t, rows + 1)
-    body = [box((-x, -y, 0), (-x + 0.012, y, height), 2)]
-    body += [
-        box((-x, s - t / 2, 0), (x, s + t / 2, height), 2) for s in np.linspace(-y + t / 2, y - t / 2, columns + 1)
-    ]
+    body, sides = [box((-x, -y, 0), (-x + 0.012, y, height), 2)], np.linspace(-y + t / 2, y - t / 2, columns + 1)
+    body += [box((-x, s - t / 2, 0), (x, s + t / 2, height), 2) for s in sides]
     body += [box((-x, -y + t / 2, z), (x - 0.004, y - t / 2, z + t), 1) for z in levels]
     body.append(box((-x + 0.02, -y + t / 2, 0), (x - 0.02, y - t / 2, 0.06), 1))
     low, high, things = [], [], []
     bay = (width - t) / columns
     for left in np.arange(columns) * bay - y + t:
         for z, ceiling in zip(levels[:-1] + t, levels[1:], strict=True):
-            _fill_shelf(rng, (left, left + bay - t), (-x + 0.014, x), (z, ceiling), (low, high, things))
+            _fill_shelf(rng, left, left + bay - t, -x + 0.014, x, z, ceiling, low, high, things)
     parts = [wood(*body), _bound(np.array(low), np.array(high), rng)]
     if things:
         parts.append(finish("ceramic", str(rng.choice(["white", "blue", "green", "orange"])), rng)(*things))
-    return assembled("bookshelf", colour, parts)
+    return parts
 
 
 def _fill_shelf(
-    rng: np.random.Generator,
-    span_y: tuple[float, float],
-    span_x: tuple[float, float],
-    span_z: tuple[float, float],
-    made: tuple[list[list[float]], list[list[float]], list[Mesh]],
-) -> None:
-    """One shelf from left to right; `made` collects the corners of books, and other things."""
-    (y, end), (back, edge), (z, ceiling) = span_y, span_x, span_z
-    low, high, things = made
+    rng: np.random.Generator, y: float, end: float, back: float, edge: float, z: float, ceiling: float,
+    low: list[list[float]], high: list[list[float]], things: list[Mesh],
+) -> None:  # fmt: skip
+    """One shelf from `y` to `end` and from `back` to `edge`: corners of books in `low` and `high`, other `things`."""
     room = ceiling - z
     while y < end - 0.05:
         choice = rng.random()
@@ -162,12 +146,8 @@ def _fill_shelf(
 
 def _bound(low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> Part:
     """Books between corners ``(n, 3)``: a spine each, the cloth at both sides, cut pages on top; no back, no bottom."""
-    corner = np.stack([low, high], axis=1)
-    bits = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)])
-    faces = np.array([[1, 3, 7, 5], [3, 2, 6, 7], [0, 1, 5, 4], [5, 7, 6, 4]])  # front, right, left, top
-    place = np.take_along_axis(corner, bits[faces].reshape(1, 16, 3), axis=1).reshape(-1, 3)
-    first = np.arange(len(low) * 4)[:, None, None] * 4
-    triangles = (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3).astype(np.int32)
+    faces = CORNERS[[[1, 3, 7, 5], [3, 2, 6, 7], [0, 1, 5, 4], [5, 7, 6, 4]]].astype(int)  # front, right, left, top
+    place = np.take_along_axis(np.stack([low, high], axis=1), faces.reshape(1, 16, 3), axis=1).reshape(-1, 3)
     unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float)
     size = high - low
     flat = size[:, 2] < size[:, 1]
@@ -179,10 +159,12 @@ def _bound(low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> Part:
     uv[flat, 3] = unit * [0.1, 0.2] + [0.04, 0.3]
     uv[..., 0] = (slices[..., None] + 0.04 + 0.92 * uv[..., 0]) / (SPINES + 1)
     uv = uv.reshape(-1, 4, 2)[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3, 2)
-    return Part(place.astype(np.float32), triangles, uv.astype(np.float32), material("books", None, rng))
+    return Part(
+        place.astype(np.float32), quad_triangles(4 * len(low)), uv.astype(np.float32), material("books", None, rng)
+    )
 
 
-def book(colour: str, rng: np.random.Generator) -> Model:
+def book(colour: str, rng: np.random.Generator) -> list[Part]:
     """A pile of one to four books, the uppermost of the colour, covers of cloth round white pages."""
     z, parts = 0.0, []
     for k in reversed(range(int(rng.integers(1, 5)))):
@@ -190,20 +172,15 @@ def book(colour: str, rng: np.random.Generator) -> Model:
         dx, dy = rng.uniform(-0.012, 0.012, 2)
         x0, x1, y0, y1 = dx - deep / 2, dx + deep / 2, dy - wide / 2, dy + wide / 2
         cover = finish("paint", colour if k == 0 else str(rng.choice(["blue", "grey", "beige", "red", "black"])), rng)
-        parts.append(
-            cover(
-                box((x0, y0, z), (x1, y1, z + 0.003)),
-                box((x0, y0, z + thick - 0.003), (x1, y1, z + thick)),
-                box((x1 - 0.003, y0, z), (x1, y1, z + thick)),
-            )
-        )
-        pages = box((x0 + 0.004, y0 + 0.004, z + 0.002), (x1 - 0.002, y1 - 0.004, z + thick - 0.002))
-        parts.append(finish("paint", "white", rng)(pages))
-        z += thick
-    return assembled("book", colour, parts, placement="top")
+        top = z + thick
+        lids = [box((x0, y0, z), (x1, y1, z + 0.003)), box((x0, y0, top - 0.003), (x1, y1, top))]
+        pages = box((x0 + 0.004, y0 + 0.004, z + 0.002), (x1 - 0.002, y1 - 0.004, top - 0.002))
+        parts += [cover(*lids, box((x1 - 0.003, y0, z), (x1, y1, top))), finish("paint", "white", rng)(pages)]
+        z = top
+    return parts
 
 
-def worktop(x: float, y: float, low: float, rng: np.random.Generator) -> Part:
+def _worktop(x: float, y: float, low: float, rng: np.random.Generator) -> Part:
     """A kitchen worktop over [-x, x + 0.02] x [-y, y] from `low` up by 4 cm: stone, wood, or dark laminate."""
     kind, tone = (("marble", None), ("wood", None), ("marble", "grey"), ("paint", "black"))[rng.integers(4)]
     return finish(kind, tone, rng)(bevelled((-x, -y, low), (x + 0.02, y, low + 0.04), 0.006, grain=1))
@@ -230,28 +207,18 @@ def base_units(
     return merged(*body), merged(*handles)
 
 
-def cabinet(colour: str, rng: np.random.Generator) -> Model:
+def cabinet(colour: str, rng: np.random.Generator) -> list[Part]:
     """Kitchen base units under one worktop, with a few things on it."""
     depth, width, top = 0.58, rng.uniform(1.0, 2.2), rng.uniform(0.84, 0.88)
     x, y = depth / 2, width / 2
     body, handles = base_units(x, y, top, rng, framed=rng.random() < 0.4)
-    parts = [
-        finish("wood" if colour == "brown" else "paint", colour, rng)(body),
-        fittings(rng)(handles),
-        worktop(x, y, top, rng),
-    ]
-    surface = top + 0.04
+    cover, surface = finish("wood" if colour == "brown" else "paint", colour, rng), top + 0.04
+    parts = [cover(body), fittings(rng)(handles), _worktop(x, y, top, rng)]
     if rng.random() < 0.7:  # jars
-        jars, at = [], rng.uniform(-y + 0.1, y - 0.5)
-        for k in range(int(rng.integers(2, 4))):
-            jars.append(cylinder((-x + 0.12, at + 0.13 * k, surface), 0.05, 0.18 - 0.03 * k, 12))
+        at, count = rng.uniform(-y + 0.1, y - 0.5), int(rng.integers(2, 4))
+        jars = [cylinder((-x + 0.12, at + 0.13 * k, surface), 0.05, 0.18 - 0.03 * k, 12) for k in range(count)]
         parts.append(finish("ceramic", str(rng.choice(["white", "red", "beige", "green"])), rng)(*jars))
     if width > 1.4 and rng.random() < 0.6:  # a kettle
         kettle = lathe([(0, 0), (0.085, 0), (0.085, 0), (0.06, 0.18), (0.06, 0.18), (0.02, 0.21), (0, 0.22)], 14)
         parts.append(finish("metal", None, rng)(moved(kettle, (-0.03, y - 0.2, surface))))
-    return assembled("cabinet", colour, parts)
-
-
-BUILDERS: dict[str, Builder] = {
-    "dresser": dresser, "wardrobe": wardrobe, "bookshelf": bookshelf, "cabinet": cabinet, "book": book,
-}  # fmt: skip
+    return parts
