@@ -333,21 +333,27 @@ def test_diffusion_does_not_know_the_neighbours_in_a_batch(kind, sigma):
     assert np.abs(np.asarray(found[2]) - alone).max() <= limit
 
 
-@given(SEEDS, st.floats(0.01, 0.1))
-@settings(max_examples=8, deadline=None, derandomize=True)  # a rare belief is off by a little more
+@given(SEEDS, st.floats(0.03, 0.1))
+@settings(max_examples=8, deadline=None)
 def test_diffusion_of_any_belief_matches_the_heat_equation(seed, sigma):
+    """Divergence (nats) from the heat equation's density, which no field of this degree can hold.
+
+    What diffusion leaves of it is at most 0.45 for 400 beliefs at 0.03 radians, and falls to 0.22 at 0.1; the best
+    field of the same degree leaves 0.15 to 0.1.
+    """
     degree = 9
     c = field(degree, seed, width=0.15)
     c *= 10 / np.ptp(RealHarmonics(degree).synthesise(c, ErpGrid(32, 64)))
     big, grid = RealHarmonics(47), ErpGrid(96, 192)
-    p = np.exp(Belief(c).log_ratio(grid))
-    p /= np.sum(p * grid.weights)
-    q = big.synthesise(big.smooth(big.analyse(p, grid), sigma), grid)
-    ours = np.exp(Belief(c).diffuse(sigma).log_ratio(grid))
-    ours /= np.sum(ours * grid.weights)
-    apart = 0.5 * np.sum(np.abs(ours - q) * grid.weights)
-    moved = 0.5 * np.sum(np.abs(p - q) * grid.weights)
-    assert apart < max(0.5 * moved, 0.01)
+
+    def density(belief):
+        found = np.exp(belief.log_ratio(grid))
+        return found / np.sum(found * grid.weights)
+
+    before, after = density(Belief(c)), density(Belief(c).diffuse(sigma))
+    heat = np.maximum(big.synthesise(big.smooth(big.analyse(before, grid), sigma), grid), 1e-30)
+    left, moved = (np.sum(heat * np.log(heat / found) * grid.weights) for found in (after, before))
+    assert left < 0.5 * moved
 
 
 def test_batches_are_loops():
