@@ -100,7 +100,7 @@ class Run:
         found = {f"{kind} {name}": plugins.version_of(known[name]) for kind, known, name in used if name in known}
         return {name: version for name, version in found.items() if version is not None}
 
-    def units(self) -> list[Unit]:
+    def units(self, config: object = None) -> list[Unit]:
         """One unit per episode; where the task is walked, one per episode and method: each goes its own way there."""
         found, walked = [], tasks.load(self.task).walked
         for slot in slots(self.task, self.episodes, self.seed, self.world):

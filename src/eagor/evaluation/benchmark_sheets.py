@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from eagor.evaluation.published_search import FAILURE_TAGS, PUBLISHED
+from eagor.evaluation.page import Box, Row, Sheet
+from eagor.evaluation.published import FAILURE_TAGS, OURS, PUBLISHED
 from eagor.evaluation.samples import Record, cause_of, finished
-from eagor.evaluation.sheets import Box, Row, Sheet
 from eagor.tasks.benchmark import load
 
 Summary = Mapping[str, Any]
-OURS = "eagor"
 
 
 def label_of(summary: Summary) -> str:

@@ -1,4 +1,4 @@
-"""Tables as Markdown and as CSV."""
+"""Tables as Markdown, as LaTeX and as CSV."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from eagor._csv import as_csv
+from eagor.evaluation.page import Box, Sheet
 from eagor.evaluation.published import compared_with
-from eagor.evaluation.sheets import Box, Sheet
 from eagor.tasks.task import load
 
 FIELDS = (
@@ -43,6 +43,23 @@ def words(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def latex(sheet: Sheet) -> str:
+    """The main table as a LaTeX tabular, without its intervals."""
+    marks = str.maketrans({
+        "%": r"\%", "&": r"\&", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}", "\\": r"\textbackslash{}", "·": r"$\cdot$", "↑": r"$\uparrow$",
+        "↓": r"$\downarrow$", "–": "--",
+    })  # fmt: skip
+
+    def plain(text: str) -> str:
+        return text.translate(marks)
+
+    lines = [rf"\begin{{tabular}}{{l{'r' * (len(sheet.heads) - 1)}}}", r"\toprule"]
+    lines += [" & ".join(map(plain, sheet.heads)) + r" \\", r"\midrule"]
+    lines += [" & ".join([plain(row.head), *(plain(box.text) for box in row.boxes)]) + r" \\" for row in sheet.rows]
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
 def table_csv(summary: dict[str, Any]) -> str:

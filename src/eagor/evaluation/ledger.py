@@ -183,6 +183,13 @@ def read(folder: Path) -> list[dict[str, Any]]:
     return [found[key] for key in sorted(found)]
 
 
+def recorded(folder: Path) -> list[dict[str, Any]]:
+    """`read`, of a run that must have records. Raises `EagorError` as well where it has none."""
+    if found := read(folder):
+        return found
+    raise EagorError(f"{folder} has no records yet; run something into it first")
+
+
 def files(folder: Path) -> list[Path]:
     """The ``worker-<k>.jsonl`` of a run, by k."""
     named = [(path.stem.removeprefix("worker-"), path) for path in Path(folder).glob(WORKER.format("*"))]

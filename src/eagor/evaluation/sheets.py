@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any
 
 from eagor.evaluation import curves, parts
 from eagor.evaluation.kernels import half_width_deg, highest_sidelobe
+from eagor.evaluation.page import Box, Row, Sheet
 from eagor.evaluation.published import FIGURES, OURS, PAPERS, RIVALS, is_ablation, is_rival
 from eagor.evaluation.samples import FEW, Gap, Record, gap, lowest_p, sample
 from eagor.evaluation.tables import SIGNIFICANT, best, corrected, mark, shown, shown_columns
@@ -41,35 +41,6 @@ KEYS = {
     "death": "how often a target disappears",
     "drift": "drift of the odometry",
 }
-
-
-@dataclass(frozen=True)
-class Box:
-    """A cell: its text, an interval in small print, a mark, and whether it is the best of its column."""
-
-    text: str
-    small: str = ""
-    mark: str = ""
-    best: bool = False
-
-
-@dataclass(frozen=True)
-class Row:
-    """A row: its head, its cells, and its kind ("ours", "paper", or "")."""
-
-    head: str
-    boxes: tuple[Box, ...]
-    kind: str = ""
-
-
-@dataclass(frozen=True)
-class Sheet:
-    """A table: what it shows, the heads of its columns (the first is that of the row heads), rows and notes."""
-
-    title: str
-    heads: tuple[str, ...]
-    rows: tuple[Row, ...]
-    notes: tuple[str, ...] = field(default=())
 
 
 def main_sheet(summary: dict[str, Any]) -> Sheet:

@@ -11,6 +11,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from eagor.errors import EagorError
+from eagor.evaluation.page import in_columns
 from eagor.evaluation.published import OURS, compared_with, is_ablation, is_rival, ordered
 from eagor.evaluation.samples import (
     Cell,
@@ -55,8 +56,8 @@ def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any
         EagorError: the records are of several tasks, or of one that has no table.
         FormatError: a record is not what a task writes.
     """
-    records = checked(list(records), SIMULATED)
-    task = _task(records)
+    records = list(records)
+    task = task_of(records)
     checked(records, WALKED if task.walked else WATCHED)
     if any("leg" in record.get("truth", {}) for record in finished(records)):
         checked(records, IN_LEGS)
@@ -76,6 +77,16 @@ def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any
     }
 
 
+def task_of(records: Sequence[Record]) -> Task:
+    """The one task that records are of. Raises as `summarise`."""
+    checked(records, SIMULATED)
+    names = {record.get("task") for record in records} - {None}
+    if len(names) != 1:
+        found = sorted(map(str, names)) or "none"
+        raise EagorError(f"the records are of the tasks {found}; wanted one of {', '.join(known())}")
+    return load(str(names.pop()))
+
+
 def as_text(summary: dict[str, Any]) -> list[str]:
     """The table for a terminal: a line per method, one with the numbers of cases, and what the marks mean."""
     columns = shown_columns(summary)
@@ -92,18 +103,13 @@ def as_text(summary: dict[str, Any]) -> list[str]:
         rows.append(row)
     counts = [summary["counts"][name] for name in summary["methods"]]
     rows.append(["cases", *(f"{_span([count[column.key] for count in counts])} " for column in columns)])
-    wide = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = [
-        "  ".join(text.ljust(wide[k]) if k == 0 else text.rjust(wide[k]) for k, text in enumerate(row)).rstrip()
-        for row in rows
-    ]
     head = f"{load(summary['task']).title}: {summary['episodes']} episodes"
     if summary["failed"]:
         head += f"; {summary['failed']} could not be run"
     notes = [text for sign, text in (("-", "- worse"), ("+", "+ better")) if sign in marks]
     other = f"{summary['reference']} (a variant: than what it varies)"
     tail = [f"{', '.join(notes)} than {other}: p < {SIGNIFICANT}, corrected for the number of tests"] if notes else []
-    return [head, *lines, *tail]
+    return [head, *in_columns(rows), *tail]
 
 
 def mark(summary: dict[str, Any], name: str, column: Column) -> str:
@@ -147,15 +153,6 @@ def corrected(gaps: dict[tuple[str, ...], Gap | None]) -> dict[tuple[str, ...], 
     for name, found in gaps.items():
         nested.setdefault(name[:-1], {})[name[-1]] = None if found is None else replace(found, p_holm=values[name])
     return nested
-
-
-def _task(records: Sequence[Record]) -> Task:
-    tasks = {record.get("task") for record in records} - {None}
-    if len(tasks) != 1:
-        raise EagorError(
-            f"the records are of the tasks {sorted(map(str, tasks)) or 'none'}; wanted one of {', '.join(known())}"
-        )
-    return load(str(tasks.pop()))
 
 
 def _cells(records: Sequence[Record], columns: Sequence[Column]) -> tuple[dict[str, Any], dict[str, dict[str, Sample]]]:
