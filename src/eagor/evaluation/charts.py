@@ -101,7 +101,8 @@ def line_chart(
     for side in axes.spines.values():
         side.set_visible(False)
     axes.grid(axis="y", color=colour_of("rule"), linewidth=1, clip_on=False)
-    axes.tick_params(length=0, labelsize=12, labelcolor=colour_of("quiet"))
+    axes.locator_params(nbins=6, steps=[1, 2, 5, 10])
+    axes.tick_params(length=0, pad=6, labelsize=12, labelcolor=colour_of("quiet"))
     axes.set_xlabel(x_label, color=colour_of("ink"), fontsize=12)
     axes.set_ylabel(y_label, color=colour_of("ink"), fontsize=12)
     xs = [x for line in series for x in line.curve.x]
