@@ -1,7 +1,7 @@
 """Worker processes: one unit at a time is given to each, and each keeps its own results.
 
-The parent gives out units and notes what came of them; it writes to the ledger only what a dead worker no longer can.
-Workers are new processes (spawn): none inherits the parent's threads, locks or open files.
+Not concurrent.futures: a pool there breaks as a whole when one worker dies, does not tell whose unit it was, and its
+workers outlive a killed parent. Workers are new processes (spawn): they inherit no threads, locks or open files.
 """
 
 from __future__ import annotations

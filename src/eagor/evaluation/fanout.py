@@ -1,7 +1,7 @@
-"""Units whose work is waiting for servers: many at once in one process, each result kept the moment it is there.
+"""Units whose work is waiting for servers: many at once in one process.
 
-All threads share what `work` set up (one perception, one client per server), so the work has to be safe to use from
-several threads; those of `eagor.perception.endpoint` are, and deal their requests out among their servers.
+Not concurrent.futures: the end of the process would wait for a pool's threads. All share what `work` set up, which has
+to be safe for several threads.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from eagor.evaluation.units import Book, Unit, attempt_unit, load
 def work_in_threads(book: Book, work: str, config: dict[str, Any], count: int) -> None:
     """All units of `book`, at most `count` at once. Raises as `eagor.evaluation.workers.run_units` does.
 
-    On an error that ends the run, and on Ctrl-C, nothing more is begun; what is under way is not waited for, nor does
-    the process wait for it when it ends (a pool's threads would be).
+    On an error that ends the run, and on Ctrl-C, nothing more is begun, and what is under way is not waited for.
     """
     do = load(work, config)
     kept = _Shared(book.ledger)

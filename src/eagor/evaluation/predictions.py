@@ -26,8 +26,8 @@ def read(
 ) -> tuple[dict[str, Any], list[Case], dict[str, dict[str, Any]]]:
     """Settings, cases, and predictions by case, from a JSON lines file or the folder of a run.
 
-    `task` and `data` are needed where `source` is no run; `options` are the benchmark's own, over those of the run.
-    Raises `EagorError` or `FormatError`, naming the line.
+    `task` and `data` are needed where `source` is no run; `options` go over those of the run. Raises `EagorError` or
+    `FormatError`, naming the line.
     """
     source = Path(source)
     if source.is_dir():

@@ -77,7 +77,7 @@ PUBLISHED: dict[str, dict[str, dict[str, float]]] = {
 }
 # The paper's failure table on HOS: share of the episodes and success, by our tags where one corresponds.
 FAILURE_TAGS: dict[str, dict[str, tuple[float, float]]] = {
-    "hstar-hos": {"ocr_fine": (18.5, 13.2), "rare": (16.9, 3.6), "multi_instance": (12.5, 33.3)},
+    "hstar-hos": {"ocr_fine": (18.5, 13.2), "rare": (16.9, 3.6), "multi_instance": (12.5, 33.3)}
 }
 
 

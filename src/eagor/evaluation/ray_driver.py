@@ -1,8 +1,7 @@
 """The process that talks to Ray: it joins the cluster, or begins one here, and gives units to actors.
 
-It lives in a session of its own, with all that Ray starts: so that they can be found and ended together
-(`end_session`), and a signal that is meant for the run ends none of Ray's servers under the others' feet. What is left
-to do and what was done is known to the process that started it, and asked for over a line.
+It has a session of its own, so that all that Ray starts can be ended together (`end_session`), and a signal meant for
+the run ends none of Ray's servers. It asks the process that started it what is left to do.
 """
 
 from __future__ import annotations
@@ -28,10 +27,7 @@ OVER, READY = "over", "ready"
 
 
 def drive(line: Connection, work: str, config: dict[str, Any], count: int, address: str | None, task: Any) -> None:
-    """The life of this process; the last word on the line is `OVER`, with the error if there was one.
-
-    Ray shuts down by itself when this process ends.
-    """
+    """The life of this process; the last word on the line is `OVER`, with the error if there was one."""
     os.setsid()
     threading.Thread(target=_leave_with_parent, daemon=True).start()
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):  # the parent has gone

@@ -1,11 +1,7 @@
-"""Units on a Ray cluster: many machines, each worker an actor, each result kept by the process that started the run.
+"""Units on a Ray cluster: each worker an actor; their records come back and are kept by the process that began the run.
 
-Workers may be anywhere and share no disk, so they send their records back; the one ledger is written here, and a unit
-counts as done once its record is on this disk. An actor, or a whole machine, that dies takes its unit's attempt with
-it; the unit is tried again elsewhere. Ray's own authentication is left as the cluster has it.
-
-Ray itself is kept out of this process (`eagor.evaluation.ray_driver`): it takes over signals, and waits for a minute
-where one of its servers has gone.
+An actor or a machine that dies takes its unit's attempt with it. Ray lives in a process of its own
+(`eagor.evaluation.ray_driver`): it takes over signals, and waits for a minute where one of its servers has gone.
 """
 
 from __future__ import annotations
@@ -26,17 +22,11 @@ PATIENCE = 2.0  # seconds that Ray has to end by itself
 
 
 def work_on_ray(book: Book, work: str, config: dict[str, Any], count: int, address: str | None = None) -> None:
-    """All units of `book` on at most `count` actors of the cluster at `address`.
+    """All units of `book` on at most `count` actors, one processor each, of the cluster at `address`.
 
-    Args:
-        book: what is left to do.
-        work: ``"package.module:function"``; has to be importable on every machine, as eagor itself.
-        config: settings for `work`; files that it names must be there under the same path.
-        count: actors, one processor each.
-        address: of the cluster, such as ``auto`` or ``ray://head:10001``; None: the one that this process has joined,
-            RAY_ADDRESS, else this machine alone.
-
-    Raises as `eagor.evaluation.workers.run_units` does, and `EagorError` without ray, or where no cluster answers.
+    `work` and the files that `config` names have to be on every machine. Without an address: the cluster that this
+    process has joined, RAY_ADDRESS, else this machine alone. Raises as `eagor.evaluation.workers.run_units`, and
+    `EagorError` without ray, or where no cluster answers.
     """
     if lacking := [name for name in ("ray", "psutil") if find_spec(name) is None]:
         raise EagorError(

@@ -1,7 +1,4 @@
-"""Single episodes to look at: from above, and through the camera at six moments.
-
-The world is made again from its seed; nothing of it is in the records but its hash, which has to agree.
-"""
+"""Single episodes to look at, in a world made again: from above, and through the camera at six moments."""
 
 from __future__ import annotations
 

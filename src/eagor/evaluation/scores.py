@@ -1,8 +1,6 @@
-"""From the records of a benchmark's run to its figures: with intervals, by turn, by tag, by cause.
+"""From the records of a benchmark's run to its figures, per cent: with intervals, by turn, by tag, by cause.
 
-Shares are in per cent. Two intervals stand at every figure: Wilson's, which takes every case for itself, and a cluster
-bootstrap, which knows that cases share targets or scenes (four starts of one target succeed or fail together more
-often than not). Where they differ, the wider one is to be believed.
+Wilson's interval takes every case for itself; the cluster bootstrap knows that cases share targets or scenes.
 """
 
 from __future__ import annotations
@@ -118,9 +116,8 @@ def compare(
 ) -> dict[str, Any]:
     """Two runs of one benchmark over the cases that both have a result of, figure by figure, a minus b.
 
-    Per figure: both values, the difference with its cluster-bootstrap interval, p by sign flips of whole clusters; and
-    McNemar's exact test where every score is 0 or 1 (cases taken as independent). Raises `EagorError` if the runs
-    are of different benchmarks or data, or share no case.
+    With a cluster-bootstrap interval, p by sign flips of clusters, and McNemar's exact test where every score is 0 or
+    1. Raises `EagorError` if the runs are of different benchmarks or data, or share no case.
     """
     (settings_a, records_a), (settings_b, records_b) = a, b
     for key in ("task", "data"):

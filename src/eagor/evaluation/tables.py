@@ -1,7 +1,6 @@
-"""From the records of a run to its table: one row per method, with intervals, counts and differences.
+"""From the records of a simulated run to its table: one row per method, with intervals, counts and differences.
 
-Shares are in percent (0 to 100), angles in degrees. A cell without cases is None. Everything is plain Python, ready for
-JSON.
+Shares are in percent, angles in degrees; a cell without cases is None. All is plain Python, ready for JSON.
 """
 
 from __future__ import annotations
@@ -35,26 +34,16 @@ SIGNIFICANT = 0.05
 
 
 def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any]:
-    """The table of one task, as plain values.
+    """The table of one task, as plain values; each method is compared with `reference`.
 
-    - ``"task"``, ``"reference"``: names; ``"episodes"``: how many have a result of some method; ``"apartments"``;
-      ``"failed"``: units that have none, ``"failures"``: ``[{"key", "attempt", "error"}]``.
-    - ``"methods"``: ``{name: {column: value or None}}``; ``"counts"``: ``{name: {column: n}}``.
-    - ``"intervals"``: ``{name: {column: [low, high] or None}}``, 95 %; Wilson's for shares of success, cluster
-      bootstrap by apartment for means.
-    - ``"differences"``: ``{name: {column: {difference, low, high, p, p_holm, n, groups} or None}}``, method minus
-      reference over the episodes that both have; p by sign flips of whole apartments; p_holm is corrected for all tests
-      of the table. Ablations ("eagor:degree=7") make a table of their own, in which each is compared with the method
-      that it varies.
-    - ``"strata"``: ``{title: {label: {"episodes", "methods", "intervals", "counts"}}}``.
+    - "methods" {name: {column: value}}, "counts" and "intervals" (95 %: Wilson's for shares of success, else a
+      bootstrap of apartments) alike; "episodes" with a result, "apartments", "failed" units and "failures".
+    - "differences" {name: {column: {difference, low, high, p, p_holm, n, groups}}}: method minus reference over shared
+      episodes; p by sign flips of apartments, p_holm corrected for all tests. Ablations are a family of their own, each
+      compared with the method that it varies.
+    - "strata" {title: {label: {"episodes", "methods", "intervals", "counts"}}}.
 
-    Args:
-        records: of one task, such as `eagor.evaluation.ledger.read` returns.
-        reference: the method that all others are compared with.
-
-    Raises:
-        EagorError: the records are of several tasks, or of one that has no table.
-        FormatError: a record is not what a task writes.
+    Raises `EagorError` for records of several tasks, or of an unknown one; `FormatError` for one that no task writes.
     """
     records = list(records)
     task = task_of(records)

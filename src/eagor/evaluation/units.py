@@ -21,10 +21,9 @@ Told = Callable[[dict[str, Any]], object]
 
 @dataclass(frozen=True)
 class Unit:
-    """One piece of work: its `key` in the ledger, the `group` whose things it shares, and what it needs to know.
+    """One piece of work: its `key` in the ledger, the `group` whose things it shares, and its `payload` for the work.
 
-    Units of one group (the episodes of one apartment) are given to one process as long as there are others to give.
-    `payload` is handed to the work; with several processes it has to survive pickling.
+    Units of one group (the episodes of one apartment) go to one process as long as there are others to give.
     """
 
     key: str
@@ -68,7 +67,7 @@ class Book:
         return sum(map(len, self._queues.values()))
 
     def next(self, group: str | None, taken: set[str]) -> tuple[Unit, int] | None:
-        """The next unit, and which attempt it is, for a worker that has just done one of `group`; None: all given out.
+        """The next unit and its attempt, for a worker that has just done one of `group`; None: all given out.
 
         Its own group first, then one that is not among those `taken` by others, then help with the longest.
         """

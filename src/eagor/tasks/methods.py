@@ -1,8 +1,7 @@
 """Every method behind one face: told where the odometry believes the camera to be, fed evidence, asked for a direction.
 
-A method is named by a line of text: ``eagor``, ``vmf``, or a variant such as ``eagor:degree=7,decode=mean``. All of
-them take late evidence the same way: it counts for the moment at which its panorama was taken. Our tracker does so by
-itself; the filters, which only know `predict` and `update`, are rewound to that moment and brought forward again.
+A method is named by text: ``eagor``, ``vmf``, or a variant such as ``eagor:degree=7,decode=mean``. Late evidence counts
+for the moment of its panorama: our tracker sees to that itself, filters are rewound and brought forward again.
 """
 
 from __future__ import annotations
@@ -202,9 +201,7 @@ def make_method(
 ) -> Method:
     """The method that `name` says; `rng` is for those that draw. Raises `EagorError` for a name that is none.
 
-    `perception` (as `eagor.perception.load` reads it) tells which fitted settings a rival starts from
-    (`eagor.tasks.fitted`), `calibration` how that perception reads its response maps and `detector` its detections; our
-    tracker and its variants start from `ours` (default: the default tracker).
+    A rival starts from the settings fitted for `perception`, ours from `ours`, with its `calibration` or `detector`.
     """
     base, _, text = name.partition(":")
     if base not in EVERY:
