@@ -160,7 +160,7 @@ def test_the_three_files_hold_the_same_numbers(written):
 
 def test_the_sections_are_those_of_the_task(written):
     _, text, summary = written
-    ids = set(Page(text).ids)
+    ids = {name for name in Page(text).ids if not re.fullmatch("m[0-9a-f]{10}", name)}  # those are marks in charts
     wanted = {
         "waypoint": {"parts", "ordering", "turns", "seam", "coverage", "variants"},
         "navigation": {"parts", "ordering", "steps", "seam", "strata", "coverage", "failed"},

@@ -65,7 +65,7 @@ def _serve(book: Book, line: Connection, begun: list[bool]) -> None:
         book.ledger.append(found)
         book.ended(unit, head_of(found))
 
-    answers = {"left": lambda: book.left, "next": lambda: _next(book), "record": record}
+    answers = {"left": lambda: book.left, "next": lambda *now: _next(book, *now), "record": record}
     while True:
         what, said = line.recv()
         if what == READY:
@@ -78,13 +78,13 @@ def _serve(book: Book, line: Connection, begun: list[bool]) -> None:
             line.send(answers[what](*said))
 
 
-def _next(book: Book) -> bytes:
+def _next(book: Book, group: str | None, taken: set[str]) -> bytes:
     """The next unit that can be sent, pickled with the number of its attempt; None, pickled, if there is none."""
-    while (found := book.next(None, set())) is not None:
+    while (found := book.next(group, taken)) is not None:
         try:
             return pickle.dumps(found)
         except Exception as error:
-            book.cannot_be_sent(*found, error)
+            book.lost(*found, f"cannot be sent: {type(error).__name__}: {error}", 0.0)
     return pickle.dumps(None)
 
 

@@ -83,9 +83,9 @@ class Book:
         """`unit` has not been begun after all."""
         self._queues[unit.group].appendleft((unit, attempt))
 
-    def cannot_be_sent(self, unit: Unit, attempt: int, error: Exception) -> None:
-        """The payload of `unit` cannot be pickled: no worker will ever get it."""
-        record = failure(unit, attempt, self.task, f"cannot be sent: {type(error).__name__}: {error}", 0.0)
+    def lost(self, unit: Unit, attempt: int, error: str, seconds: float) -> None:
+        """Record an attempt at `unit` that no worker can: it has died, or the unit could not be sent."""
+        record = failure(unit, attempt, self.task, error, seconds)
         self.ledger.append(record)
         self.ended(unit, record)
 

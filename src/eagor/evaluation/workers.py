@@ -67,14 +67,11 @@ def run_units(
                 work_on_ray(book, work, config, workers, address)
             elif workers == 1:
                 _alone(book, work, config)
-            elif engine == "threads":
-                from eagor.evaluation.fanout import work_in_threads
-
-                work_in_threads(book, work, config, workers)
             else:
-                from eagor.evaluation.crew import work_together
+                from eagor.evaluation.crew import ProcessSeat, in_threads, work_together
 
-                work_together(book, work, config, workers)
+                threads = in_threads(book, work, config) if engine == "threads" else None
+                work_together(book, threads or (lambda: ProcessSeat(book, work, config)), workers)
     return Outcome(book.done, book.failed, book.skipped)
 
 
