@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from eagor.evaluation.page import Box, Row, Sheet
-from eagor.evaluation.published import FAILURE_TAGS, OURS, PUBLISHED
+from eagor.evaluation.published import FAILURE_TAGS, FIGURES, OURS
 from eagor.evaluation.samples import Record, cause_of, finished
 from eagor.tasks.benchmark import load
 
@@ -38,7 +38,7 @@ def main_sheet(summaries: Sequence[Summary], published: bool = True) -> Sheet:
     for label, summary in zip(labels, summaries, strict=True):
         boxes = [_figure(summary, figure.key) for figure in figures]
         rows.append(_row(label, summary, [*boxes, _number(summary.get("views"), 1)] if views else boxes))
-    known = PUBLISHED.get(task.name, {}) if published else {}
+    known = FIGURES.get(task.name, {}) if published else {}
     for name, values in known.items():
         texts = [f"{values[f.key]:.2f}".rstrip("0").rstrip(".") if f.key in values else NOTHING for f in figures]
         rows.append(Row(f"{name}, published", tuple(map(Box, [*texts, NOTHING] if views else texts)), "paper"))

@@ -13,7 +13,6 @@ from eagor._json import parsed, shown
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger
 from eagor.evaluation.benchmarks import KIND, BenchmarkRun, read_run
-from eagor.evaluation.lines import as_line
 from eagor.evaluation.samples import finished
 from eagor.tasks.benchmark import Case, Record, load, read_options
 
@@ -83,7 +82,7 @@ def keep(settings: Mapping[str, Any], records: Sequence[Record], folder: Path) -
 
 def _same(record: Record, kept: Record) -> bool:
     """Whether a result that is kept says what `record` says, whenever and however quickly it came about."""
-    found = json.loads(as_line(record))
+    found = json.loads(ledger.as_line(record))
     return all(kept.get(name) == value for name, value in found.items() if name not in ("attempt", "seconds"))
 
 

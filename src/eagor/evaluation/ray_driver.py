@@ -171,7 +171,7 @@ class _Kept:
     record: dict[str, Any]
 
     def append(self, record: Mapping[str, Any]) -> None:
-        from eagor.evaluation.lines import as_line
+        from eagor.evaluation.ledger import as_line
 
         as_line(record)
         self.record = dict(record)
