@@ -121,8 +121,9 @@ def run(options: BenchRun) -> int:
             if record["status"] == "failed":
                 terminal.warning(f"{record['key']} could not be run: {record['error']}")
 
-        how = options.workers, done, options.retry_failed, options.engine, options.address, options.force
-        outcome = carry_out(units, study.work, config, out, *how)
+        names = "workers", "retry_failed", "engine", "address", "force"
+        how = {name: getattr(options, name) for name in names}
+        outcome = carry_out(units, study.work, config, out, on_done=done, **how)
     if outcome.skipped:
         terminal.log(f"{outcome.skipped} of {len(units)} units were already in {out}")
     return _said(study, study.read(out).summary, out, options.json)

@@ -147,17 +147,9 @@ def mean_intervals(values: np.ndarray, labels: Sequence[Any]) -> tuple[list[floa
     times = np.stack([(drawn == index).sum(axis=1) for index in range(len(names))], axis=1).astype(float)
     total = times @ counts
     means = np.where(total > 0, (times @ sums) / np.maximum(total, 1.0), np.nan)
-    low: list[float | None] = []
-    high: list[float | None] = []
-    for column in range(values.shape[1]):
-        kept = means[np.isfinite(means[:, column]), column]
-        if np.count_nonzero(counts[:, column]) < 2:
-            low.append(None)
-            high.append(None)
-        else:
-            ends = np.quantile(kept, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-            low.append(float(ends[0]))
-            high.append(float(ends[1]))
+    told = np.count_nonzero(counts, axis=0) >= 2
+    ends = np.nanquantile(np.where(told, means, 0.0), [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)
+    low, high = ([float(v) if there else None for v, there in zip(row, told, strict=True)] for row in ends)
     return low, high
 
 

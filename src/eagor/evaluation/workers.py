@@ -81,23 +81,20 @@ def carry_out(
     config: dict[str, Any],
     folder: Path,
     workers: int = 1,
-    on_done: Told | None = None,
-    retry_failed: bool = False,
     engine: Engine = "processes",
-    address: str | None = None,
     force: bool = False,
+    **how: Any,
 ) -> Outcome:
-    """A whole run: `run_units` into the folder of the run that `config` describes.
+    """A whole run: `run_units`, which `how` is for as well, into the folder of the run that `config` describes.
 
     What was made to check `config` (a perception, a model) is released before workers make their own, and after the
     run. Raises as `run_units` and `eagor.evaluation.ledger.begin`.
     """
     ledger.begin(folder, config, inputs_of(config), force)
-    here = engine == "threads" or (engine == "processes" and workers == 1)
-    if not here:
+    if engine == "ray" or (engine == "processes" and workers > 1):
         release()
     try:
-        return run_units(units, work, config, folder, workers, 2, on_done, retry_failed, engine=engine, address=address)
+        return run_units(units, work, config, folder, workers, engine=engine, **how)
     finally:
         release()
 
