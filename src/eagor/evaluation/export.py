@@ -64,36 +64,30 @@ def latex(sheet: Sheet) -> str:
 
 def table_csv(summary: dict[str, Any]) -> str:
     """One row per stratum ("" for all episodes), method and column, at full precision; empty where there is no case."""
-    rows: list[dict[str, Any]] = []
+    rows: list[list[Any]] = []
     parts, columns = {"": summary}, load(summary["task"]).columns
     for title, labels in summary["strata"].items():
         parts |= {f"{title}: {label}": part for label, part in labels.items()}
     for stratum, part in parts.items():
         for method, values in part["methods"].items():
             for column in columns:
-                low, high = part["intervals"][method][column.key] or (None, None)
-                row = {
-                    "task": summary["task"],
-                    "stratum": stratum,
-                    "method": method,
-                    "column": column.key,
-                    "unit": column.unit,
-                    "value": values[column.key],
-                    "low": low,
-                    "high": high,
-                    "n": part["counts"][method][column.key],
-                }
-                if found := part.get("differences", {}).get(method, {}).get(column.key):
-                    row |= {
-                        "reference": compared_with(method, summary["reference"]),
-                        "difference": found["difference"],
-                        "difference_low": found["low"],
-                        "difference_high": found["high"],
-                        "p": found["p"],
-                        "p_holm": found["p_holm"],
-                    }
-                rows.append(row)
-    return as_csv([FIELDS, *([row.get(name) for name in FIELDS] for row in rows)])
+                key = column.key
+                ends = part["intervals"][method][key] or (None, None)
+                row = [
+                    summary["task"],
+                    stratum,
+                    method,
+                    key,
+                    column.unit,
+                    values[key],
+                    *ends,
+                    part["counts"][method][key],
+                ]
+                if found := part.get("differences", {}).get(method, {}).get(key):
+                    row += [compared_with(method, summary["reference"])]
+                    row += [found[name] for name in ("difference", "low", "high", "p", "p_holm")]
+                rows.append(row + [None] * (len(FIELDS) - len(row)))
+    return as_csv([FIELDS, *rows])
 
 
 def _plain(text: str) -> str:
