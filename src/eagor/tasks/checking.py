@@ -86,7 +86,8 @@ def _check_rules(task: Task, settings: dict[str, Any]) -> Any:
             f"the task {task.name} has rules that cannot be made, written and read again: {error}. Wanted a default "
             "for each, and numbers, texts, booleans and tuples of them"
         ) from error
-    _require(back == rules, f"has the rules {rules}, which JSON brings back as {back}; wanted plain values and tuples")
+    said = f"has the rules {rules}, which come back from JSON as {back}; wanted plain values and tuples"
+    _require(back == rules, said)
     return rules
 
 
