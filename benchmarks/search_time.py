@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from eagor.evaluation import ledger
-from eagor.evaluation.benchmarks import BenchmarkRun, units
+from eagor.evaluation.benchmarks import BenchmarkRun
 from eagor.evaluation.workers import carry_out
 from eagor.tasks.hstar import agents, looking
 from eagor.tasks.hstar.apartments import spot, write_scene
@@ -110,8 +110,8 @@ def measured(options: argparse.Namespace, data: Path, out: Path) -> dict[str, An
         limit=options.episodes,
     )  # fmt: skip
     began = time.perf_counter()
-    settings = run.settings()
-    outcome = carry_out(units(settings, run.cases(settings)), run.benchmark.work, settings, out, options.workers)
+    settings = run.config()
+    outcome = carry_out(run.units(settings), run.benchmark.work, settings, out, options.workers)
     asked = outcome.done + outcome.failed + outcome.skipped
     wall = time.perf_counter() - began
     records = [record for record in ledger.read(out) if record["status"] == "ok"]

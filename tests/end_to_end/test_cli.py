@@ -662,15 +662,15 @@ def test_the_demo_leaves_a_report(tmp_path):
 
 
 def test_a_method_has_one_colour_in_both_pictures_of_the_demo(monkeypatch):
-    from eagor.cli import demo_report
+    from eagor.cli import demo
 
     trace = {"error_deg": [3.0, 2.0], "pose": [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]}
     search = SimpleNamespace(methods={name: {"trace": trace} for name in NAMES}, episode={"targets": (0,)})
     ground = SimpleNamespace(free=np.ones((2, 2)), structure=np.zeros((2, 2)), origin=(0, 0), cell=1.0)
     place = SimpleNamespace(ground=ground, scene=SimpleNamespace(instances=[SimpleNamespace(centre=np.zeros(3))]))
-    monkeypatch.setattr(demo_report, "draw_errors", lambda stamps, errors: list(errors))
-    monkeypatch.setattr(demo_report, "draw_map", lambda walls, free, extent, paths, target: list(paths))
-    assert demo_report._errors(search) == demo_report._map(search, place)  # colours are given in this order
+    monkeypatch.setattr(demo, "draw_errors", lambda stamps, errors: list(errors))
+    monkeypatch.setattr(demo, "draw_map", lambda walls, free, extent, paths, target: list(paths))
+    assert demo._errors(search) == demo._map(search, place)  # colours are given in this order
 
 
 def test_a_bench_run_goes_on_where_it_stopped_and_is_reported(tmp_path):

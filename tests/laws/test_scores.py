@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from eagor.evaluation import scores
-from eagor.evaluation.benchmark_report import latex
+from eagor.evaluation.export import latex
 from eagor.evaluation.sheets import Box, Row, Sheet
 from eagor.tasks.benchmark import Figure
 

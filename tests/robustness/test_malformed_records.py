@@ -1,6 +1,7 @@
 """Promised: a record that is not what was written is named, with what is wrong; ``benchmarks/attack.py`` does more."""
 
 import copy
+import html
 import json
 
 import hstar_data
@@ -73,8 +74,8 @@ def test_a_record_that_lacks_what_only_pictures_need(walk, tmp_path):
     bad = copy.deepcopy(walk)
     for record in bad:
         put(record, "episode/seed", GONE)
-    page = write_report(synthetic_runs.write_run(tmp_path / "run", bad)).read_text()
-    assert f"No pictures: the record &#x27;{bad[0]['key']}&#x27; does not hold all that they need" in page
+    page = html.unescape(write_report(synthetic_runs.write_run(tmp_path / "run", bad)).read_text())
+    assert f"No pictures: the record '{bad[0]['key']}' does not hold all that they need" in page
 
 
 @pytest.fixture(scope="module")

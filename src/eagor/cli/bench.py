@@ -1,36 +1,19 @@
-"""``eagor bench``: run simulated tasks and benchmarks with published data, and score predictions.
-
-What there is to run is told in `eagor.cli.offers`, what came of runs in `eagor.cli.results`.
-"""
+"""``eagor bench``: what there is to run, runs, and scores; what came of runs is in `eagor.cli.results`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eagor.cli import terminal
-from eagor.cli.columns import table
-from eagor.cli.offers import info, listed
-from eagor.cli.options import (
-    Bench,
-    BenchCompare,
-    BenchExport,
-    BenchFailures,
-    BenchInfo,
-    BenchList,
-    BenchReport,
-    BenchRun,
-    BenchScore,
-    given,
-    pairs_of,
-)
-from eagor.cli.results import compare, export, failures, report
-from eagor.errors import EagorError
+from eagor.cli.columns import columns, facts
+from eagor.cli.options import Bench, BenchInfo, BenchList, BenchRun, BenchScore, given, pairs_of
+from eagor.cli.results import COMMANDS as RESULTS
+from eagor.errors import EagorError, FormatError
 
 if TYPE_CHECKING:
-    from eagor.evaluation.workers import Unit
+    from eagor.evaluation.study import Planned, Study
 
 SEED = 2000
 PERCEPTION = "scout"
@@ -42,27 +25,125 @@ FLAGS = ("scoring", "labels")  # options of benchmarks that have a flag of their
 
 def bench(options: Bench) -> int:
     """Run the command; returns its exit code."""
-    return _COMMANDS[type(options.action)](options.action)
+    commands = {BenchList: listed, BenchInfo: info, BenchRun: run, BenchScore: score, **RESULTS}
+    return commands[type(options.action)](options.action)
+
+
+def listed(options: BenchList) -> int:
+    """``eagor bench list``."""
+    from eagor import worlds
+    from eagor.evaluation.studies import SIMULATED, offers
+
+    found = offers()
+    if options.json:
+        terminal.emit(found)
+        return terminal.OK
+    simulated = {name: entry for name, entry in found.items() if entry["kind"] == SIMULATED}
+    print("Simulated, no data needed (eagor bench run TASK)")
+    columns(
+        {name: entry.get("what", f"not available ({entry.get('unavailable')})") for name, entry in simulated.items()}
+    )
+    print(f"  worlds (--world): {', '.join(sorted(worlds.known()))}, or a GLB file\n")
+    for name, entry in found.items():
+        if name in simulated:
+            continue
+        if "unavailable" in entry:
+            print(f"{name}: not available ({entry['unavailable']})\n")
+            continue
+        print(f"{name}  {entry['title']} (eagor bench run {name} --data DIR)")
+        print("  agents")
+        columns(entry["agents"])
+        print("  options (--scoring, --labels, others with --set OPTION=VALUE)")
+        columns({key: f"{value['what']} (default {value['default']})" for key, value in entry["options"].items()})
+        print("  exports")
+        columns(entry["exports"])
+        print()
+    return terminal.OK
+
+
+def info(options: BenchInfo) -> int:
+    """``eagor bench info``."""
+    from eagor.evaluation.studies import unimportable
+    from eagor.tasks import benchmark
+
+    found: dict[str, dict[str, Any]] = {}
+    refused: dict[str, list[str]] = {}
+    broken = {} if options.task else unimportable((benchmark.GROUP, benchmark.BUILT_IN))
+    for name in [options.task] if options.task else sorted(benchmark.known()):
+        if name in broken:
+            refused.setdefault(broken[name], []).append(name)
+            continue
+        try:
+            told = benchmark.load(name).info(options.data)
+        except EagorError as error:
+            refused.setdefault(str(error), []).append(name)
+            continue
+        if told not in found.values():
+            found[name] = told
+    if not found:
+        reasons = "; ".join(f"as {', '.join(names)}: {why}" for why, names in refused.items())
+        raise FormatError(f"{options.data} is no benchmark's data that is known here; " + reasons)
+    if options.json:
+        terminal.emit(found)
+    else:
+        for told in found.values():
+            facts(told)
+    return terminal.OK
 
 
 def run(options: BenchRun) -> int:
     """``eagor bench run``."""
-    from eagor.tasks import benchmark, task
+    from eagor.evaluation import studies
+    from eagor.evaluation.workers import carry_out
 
-    if options.task in task.known():
-        return _simulated(options)
-    if options.task in benchmark.known():
-        return _published(options)
-    known = ", ".join((*task.known(), *sorted(benchmark.known())))
-    raise terminal.UsageError(f"there is no task {options.task!r}; known are {known}")
+    kind = studies.known().get(options.task)
+    if kind is None:
+        studies.load(options.task)  # says what there is
+    simulated = kind == studies.SIMULATED
+    what, others = ("a simulated task", PUBLISHED_ONLY) if simulated else (
+        "a benchmark with published data", SIMULATED_ONLY
+    )  # fmt: skip
+    if wrong := given(options, others):
+        raise terminal.UsageError(f"{options.task} is {what} and takes no --{wrong[0]}")
+    if options.workers < 1:
+        raise terminal.UsageError(f"--workers {options.workers}; wanted 1 or more")
+    if options.address is not None and options.engine != "ray":
+        raise terminal.UsageError(f"--address {options.address} is of a Ray cluster; add --engine ray")
+    planned = (_simulated if simulated else _published)(options)
+    config = planned.config()  # what cannot be is told before anything is said to go on
+    units, study = planned.units(config), studies.load(options.task)
+    out = options.out or Path("runs") / _folder(config)
+    terminal.log(f"{options.task}: {len(units)} units of work; records go to {out}")
+    with terminal.progress(options.task, len(units)) as advance:
+
+        def done(record: dict[str, Any]) -> None:
+            advance()
+            if record["status"] == "failed":
+                terminal.warning(f"{record['key']} could not be run: {record['error']}")
+
+        names = "workers", "retry_failed", "engine", "address", "force"
+        how = {name: getattr(options, name) for name in names}
+        outcome = carry_out(units, study.work, config, out, on_done=done, **how)
+    if outcome.skipped:
+        terminal.log(f"{outcome.skipped} of {len(units)} units were already in {out}")
+    return _said(study, study.read(out).summary, out, options.json)
+
+
+def _folder(config: dict[str, Any]) -> str:
+    """What the folder of a run is called where nobody says."""
+    from eagor.perception import short_name
+
+    who = config.get("perception") or (config.get("model") or "").partition("@")[0]
+    parts = config["task"], config.get("agent"), short_name(who) if who else "", str(config["seed"])
+    return "-".join(part for part in parts if part)
 
 
 def score(options: BenchScore) -> int:
     """``eagor bench score``."""
-    from eagor.evaluation import predictions, scores
+    from eagor.evaluation import predictions, scores, studies
 
-    settings, cases, given = predictions.read(options.predictions, options.task, options.data, _options(options))
-    records, missing = predictions.judged(settings, cases, given)
+    settings, cases, told = predictions.read(options.predictions, options.task, options.data, _options(options))
+    records, missing = predictions.judged(settings, cases, told)
     if not records:
         raise EagorError(f"{options.predictions} has no prediction for any of the {len(cases)} cases")
     if options.out:
@@ -70,77 +151,45 @@ def score(options: BenchScore) -> int:
     summary = scores.summarise(settings, records) | {"missing": missing}
     if missing:
         terminal.warning(f"{missing} of {len(cases)} cases have no prediction; the figures are about the others")
-    code = _said(summary, options.out, options.json)
+    code = _said(studies.load(str(settings["task"])), summary, options.out, options.json)
     return terminal.INCOMPLETE if missing and code == terminal.OK else code
 
 
-_COMMANDS: dict[type, Callable[[Any], int]] = {
-    BenchList: listed,
-    BenchInfo: info,
-    BenchRun: run,
-    BenchScore: score,
-    BenchReport: report,
-    BenchCompare: compare,
-    BenchFailures: failures,
-    BenchExport: export,
-}
-
-
-def _simulated(options: BenchRun) -> int:
-    """``eagor bench run`` of a simulated task."""
+def _simulated(options: BenchRun) -> Planned:
     from eagor.cli.looking import calibrated, check_looks, checked_rows
-    from eagor.evaluation import bench, ledger, tables
-    from eagor.perception import short_name
+    from eagor.evaluation import bench
     from eagor.tasks.methods import default_methods
     from eagor.tasks.rules import Disturbances
 
-    _check(options, "a simulated task", PUBLISHED_ONLY)
     checked_rows(options.rows)
     if options.engine == "threads":
         raise terminal.UsageError("--engine threads is for work that waits for servers; simulated tasks compute")
     perception = options.perception or PERCEPTION
     check_looks(perception)
-    seed = SEED if options.seed is None else options.seed
     methods = bench.named(options.methods) or default_methods(perception)
     if options.ablations:
         methods += tuple(name for name in bench.variants(options.task) if name not in methods)
-    disturbances = Disturbances.walking(options.latency) if options.walking else Disturbances(latency=options.latency)
-    wanted = bench.Run(
+    return bench.Run(
         task=options.task,
         perception=perception,
         episodes=options.episodes,
-        seed=seed,
+        seed=SEED if options.seed is None else options.seed,
         methods=methods,
         world=options.world,
         rows=options.rows,
-        disturbances=disturbances,
+        disturbances=(Disturbances.walking if options.walking else Disturbances)(latency=options.latency),
         calibrated=calibrated(perception, options.calibration, options.detector, options.force),
         settings=pairs_of(options.set),
     )
-    out = options.out or Path("runs") / f"{options.task}-{short_name(perception)}-{seed}"
-    units = wanted.units()
-    config = wanted.config()  # what cannot be is told before anything is said to go on
-    terminal.log(f"{options.episodes} episodes, {len(methods)} methods; records go to {out}")
-    _play(options, units, bench.WORK, config, out, "units")
-    summary = tables.summarise(ledger.read(out))
-    if options.json:
-        terminal.emit({key: summary[key] for key in ("task", "episodes", "failed", "methods")} | {"out": str(out)})
-    else:
-        print("\n".join(tables.as_text(summary)))
-        print(f"\nFor pictures and intervals: eagor bench report {out}")
-    return _code(summary, "episode", out)
 
 
-def _published(options: BenchRun) -> int:
-    """``eagor bench run`` of a benchmark with published data."""
+def _published(options: BenchRun) -> Planned:
     from eagor.cli.looking import calibrated
-    from eagor.evaluation import benchmarks, scores
-    from eagor.perception import short_name
+    from eagor.evaluation.benchmarks import BenchmarkRun
 
-    _check(options, "a benchmark with published data", SIMULATED_ONLY)
     if options.data is None:
         raise terminal.UsageError(f"{options.task} needs its published files; name their folder with --data")
-    wanted = benchmarks.BenchmarkRun(
+    wanted = BenchmarkRun(
         task=options.task,
         data=options.data,
         agent=options.agent,
@@ -151,46 +200,10 @@ def _published(options: BenchRun) -> int:
         limit=options.limit,
         shard=_shard(options.shard),
     )
-    settings = wanted.settings()
-    if options.calibration:
-        found = calibrated(str(settings.get("perception")), options.calibration, None, options.force)
-        wanted = replace(wanted, calibrated=found.as_json() if found else None)
-        settings = wanted.settings()
-    who = settings.get("perception") or (settings.get("model") or "").partition("@")[0]
-    parts = [options.task, settings["agent"], short_name(who) if who else "", str(wanted.seed)]
-    out = options.out or Path("runs") / "-".join(part for part in parts if part)
-    cases = wanted.cases(settings)
-    terminal.log(f"{len(cases)} cases for the agent {settings['agent']}; records go to {out}")
-    _play(options, benchmarks.units(settings, cases), wanted.benchmark.work, settings, out, "cases")
-    summary = scores.summarise(settings, benchmarks.read_run(out)[1])
-    return _said(summary, out, options.json)
-
-
-def _check(options: BenchRun, what: str, others: tuple[str, ...]) -> None:
-    """Raise `UsageError` for an option among `others`, which `what` does not have, and for workers that cannot be."""
-    if wrong := given(options, others):
-        raise terminal.UsageError(f"{options.task} is {what} and takes no --{wrong[0]}")
-    if options.workers < 1:
-        raise terminal.UsageError(f"--workers {options.workers}; wanted 1 or more")
-    if options.address is not None and options.engine != "ray":
-        raise terminal.UsageError(f"--address {options.address} is of a Ray cluster; add --engine ray")
-
-
-def _play(options: BenchRun, units: list[Unit], work: str, config: dict[str, Any], out: Path, what: str) -> None:
-    """Do those of `units` that `out` has no record of yet; a bar goes on, and what could not be run is told."""
-    from eagor.evaluation.workers import carry_out
-
-    with terminal.progress(options.task, len(units)) as advance:
-
-        def done(record: dict[str, Any]) -> None:
-            advance()
-            if record["status"] == "failed":
-                terminal.warning(f"{record['key']} could not be run: {record['error']}")
-
-        how = options.workers, done, options.retry_failed, options.engine, options.address, options.force
-        outcome = carry_out(units, work, config, out, *how)
-    if outcome.skipped:
-        terminal.log(f"{outcome.skipped} of {len(units)} {what} were already in {out}")
+    if not options.calibration:
+        return wanted
+    found = calibrated(str(wanted.config().get("perception")), options.calibration, None, options.force)
+    return replace(wanted, calibrated=found.as_json() if found else None)
 
 
 def _options(options: BenchRun | BenchScore) -> dict[str, Any]:
@@ -210,30 +223,15 @@ def _shard(text: str | None) -> tuple[int, int]:
     return int(part), int(parts)
 
 
-def _said(summary: dict[str, Any], out: Path | None, as_json: bool) -> int:
-    from eagor.evaluation import benchmark_sheets
-
+def _said(study: Study, summary: dict[str, Any], out: Path | None, as_json: bool) -> int:
+    """Show what came of a run or of scores; returns the exit code."""
     if as_json:
-        terminal.emit(summary | ({"out": str(out)} if out else {}))
+        terminal.emit(study.as_json(summary) | ({"out": str(out)} if out else {}))
     else:
-        sheet = benchmark_sheets.main_sheet([summary], published=False)
-        boxes = [
-            [row.head, *(f"{box.text} ({box.small})" if box.small else box.text for box in row.boxes)]
-            for row in sheet.rows
-        ]
-        print(f"{sheet.title}: {summary['episodes']} cases in {summary['clusters']} clusters")
-        table([list(sheet.heads), *boxes])
-        print("In brackets: 95 %, Wilson's | cluster bootstrap.")
-        if summary["failed"]:
-            print(f"{summary['failed']} could not be run; they are in no figure.")
+        print("\n".join(study.as_text(summary)))
         if out:
-            print(f"\nFor pictures, turns and failures: eagor bench report {out}")
-    return _code(summary, "case", out)
-
-
-def _code(summary: dict[str, Any], what: str, out: Path | None) -> int:
-    """The exit code of a run or of scores."""
+            print(f"\nFor pictures and intervals: eagor bench report {out}")
     if not summary["episodes"]:
-        terminal.error(f"no {what} could be run" + (f"; {out} says why" if out else ""))
+        terminal.error(f"no {study.case} could be run" + (f"; {out} says why" if out else ""))
         return terminal.FAILED
     return terminal.INCOMPLETE if summary["failed"] else terminal.OK

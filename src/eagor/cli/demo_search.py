@@ -69,21 +69,17 @@ def play(seed: int, index: int, perception: str, say: bool = False) -> Search:
         )
     found: dict[str, dict[str, Any]] = {}
     record: dict[str, Any] = {}
-    with terminal.progress("searching", len(NAMES)) as advance:
-        for name in NAMES:
-            keep = _keeper(estimates) if name == OURS else None
-            record = player.play(slot, [name], keep)
-            found |= record["methods"]
-            advance()
-    return Search(slot, rules, record["episode"], found, estimates)
 
-
-def _keeper(estimates: list[Estimate]):
     def keep(method: Any) -> None:
         if isinstance(method, TrackerMethod):
             estimates.append(method.estimate)
 
-    return keep
+    with terminal.progress("searching", len(NAMES)) as advance:
+        for name in NAMES:
+            record = player.play(slot, [name], keep if name == OURS else None)
+            found |= record["methods"]
+            advance()
+    return Search(slot, rules, record["episode"], found, estimates)
 
 
 def summary(search: Search) -> list[str]:

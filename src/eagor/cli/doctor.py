@@ -15,7 +15,8 @@ from eagor.cli.options import Doctor
 from eagor.tasks import benchmark, task
 
 PACKAGES = (
-    "numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich", "gymnasium", "trimesh", "onnxruntime",
+    "numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "jinja2", "tyro", "rich", "gymnasium", "trimesh",
+    "onnxruntime",
 )  # fmt: skip
 OPTIONAL = {
     "embreex": "faster rays in simulated worlds",

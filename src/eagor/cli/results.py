@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 from eagor.cli import terminal
-from eagor.cli.columns import table, words
+from eagor.cli.columns import words
 from eagor.cli.options import BenchCompare, BenchExport, BenchFailures, BenchReport, pairs_of
 
 
 def report(options: BenchReport) -> int:
     """``eagor bench report``. Raises `StorageError` where the disk does not take it."""
     from eagor.cli.looking import checked_folder
-    from eagor.evaluation import benchmark_report, benchmarks
-    from eagor.evaluation import report as task_report
+    from eagor.evaluation import studies
+    from eagor.evaluation.report import write_report
 
     if not options.folders:
         raise terminal.UsageError("no run is named; wanted the folder of one")
-    first, *others = options.folders
-    if benchmarks.is_benchmark(first):
-        if options.out is not None:
-            checked_folder(options.out)
-        page = benchmark_report.write_report(options.folders, options.out)
-    else:
-        if others or options.out:
+    if options.out is not None:
+        if not studies.of(options.folders[0]).several:
             raise terminal.UsageError("a run of a simulated task is reported alone, into its own folder")
-        page = task_report.write_report(first)
+        checked_folder(options.out)
+    page = write_report(options.folders, out=options.out)
     if options.json:
         terminal.emit({"report": str(page)})
     else:
@@ -34,6 +30,7 @@ def report(options: BenchReport) -> int:
 def compare(options: BenchCompare) -> int:
     """``eagor bench compare``."""
     from eagor.evaluation import benchmarks, scores
+    from eagor.evaluation.page import in_columns
     from eagor.evaluation.samples import FEW, lowest_p
 
     found = scores.compare(benchmarks.read_run(options.a), benchmarks.read_run(options.b))
@@ -63,7 +60,7 @@ def compare(options: BenchCompare) -> int:
                 f"{test['p']:.2g}" if test else "-",
             ]
         )
-    table(rows)
+    print(*in_columns(rows), sep="\n")
     print("p: sign flips of whole clusters; McNemar takes cases as independent.")
     clusters = max((figure.get("clusters", 1) for figure in found["figures"].values()), default=1)
     if clusters == 1:
@@ -79,8 +76,9 @@ def compare(options: BenchCompare) -> int:
 def failures(options: BenchFailures) -> int:
     """``eagor bench failures``."""
     from eagor.evaluation import benchmark_sheets, benchmarks, scores
-    from eagor.evaluation.benchmark_report import failure_sheets
+    from eagor.evaluation.page import in_columns
     from eagor.evaluation.samples import cause_of
+    from eagor.tasks import benchmark
 
     if options.limit < 0:
         raise terminal.UsageError(f"--limit {options.limit}; wanted 0 or more")
@@ -96,10 +94,9 @@ def failures(options: BenchFailures) -> int:
         ]
         terminal.emit({key: summary[key] for key in keys} | {"cases": listed[: options.limit]})
         return terminal.OK
-    for sheet in failure_sheets(settings, summary):
-        print(sheet.title)
-        table([list(sheet.heads), *([row.head, *(box.text for box in row.boxes)] for row in sheet.rows)])
-        print()
+    for sheet in benchmarks.Published(benchmark.load(str(settings["task"]))).failure_sheets(summary):
+        rows = [list(sheet.heads), *([row.head, *(box.text for box in row.boxes)] for row in sheet.rows)]
+        print(sheet.title, *in_columns(rows), "", sep="\n")
     if not lines:
         print("No case failed." if summary["episodes"] else "No case has a result.")
     for line in lines[: options.limit]:
@@ -114,12 +111,10 @@ def failures(options: BenchFailures) -> int:
 def export(options: BenchExport) -> int:
     """``eagor bench export``."""
     from eagor.cli.looking import checked_folder
-    from eagor.evaluation import predictions
+    from eagor.evaluation import benchmarks, predictions
     from eagor.tasks import benchmark
 
     if options.run is not None:
-        from eagor.evaluation import benchmarks
-
         if options.task or options.set:
             raise terminal.UsageError(f"{options.run} says what it is a run of; leave out --task and --set")
         settings, records = benchmarks.read_run(options.run)
@@ -145,3 +140,6 @@ def export(options: BenchExport) -> int:
     else:
         print("\n".join(str(file) for file in files))
     return terminal.OK
+
+
+COMMANDS = {BenchReport: report, BenchCompare: compare, BenchFailures: failures, BenchExport: export}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any
 from eagor import plugins, worlds
 from eagor._version import __version__
 from eagor.errors import EagorError
-from eagor.evaluation.workers import Engine, Outcome, Unit, carry_out
+from eagor.evaluation.workers import Outcome, Unit, carry_out
 from eagor.perception import rows_of
 from eagor.perception.calibrated import Calibrated
 from eagor.tasks import task as tasks
@@ -100,7 +100,7 @@ class Run:
         found = {f"{kind} {name}": plugins.version_of(known[name]) for kind, known, name in used if name in known}
         return {name: version for name, version in found.items() if version is not None}
 
-    def units(self) -> list[Unit]:
+    def units(self, config: object = None) -> list[Unit]:
         """One unit per episode; where the task is walked, one per episode and method: each goes its own way there."""
         found, walked = [], tasks.load(self.task).walked
         for slot in slots(self.task, self.episodes, self.seed, self.world):
@@ -114,23 +114,14 @@ class Run:
         return found
 
 
-def start(
-    run: Run,
-    folder: Path,
-    workers: int = 1,
-    retry_failed: bool = False,
-    on_done: Callable[[dict[str, Any]], object] | None = None,
-    engine: Engine = "processes",
-    address: str | None = None,
-    force: bool = False,
-) -> Outcome:
-    """Play what `folder` has no record of yet, and record it.
+def start(run: Run, folder: Path, **how: Any) -> Outcome:
+    """Play what `folder` has no record of yet, and record it; `how` as in `eagor.evaluation.workers.carry_out`.
 
-    Raises `EagorError` if the folder holds another run, or without `force` one of other inputs (it says what
-    differs), or for anything that `run` names and does not exist; `StorageError` if the disk does not take the results.
+    Raises `EagorError` if the folder holds another run, or for anything that `run` names and does not exist;
+    `StorageError` if the disk does not take the results.
     """
     config = run.config()  # makes the perception: one that cannot be made is no failure of an episode
-    return carry_out(run.units(), WORK, config, folder, workers, on_done, retry_failed, engine, address, force)
+    return carry_out(run.units(), WORK, config, folder, **how)
 
 
 @lru_cache(maxsize=1)

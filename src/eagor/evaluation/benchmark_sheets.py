@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from eagor.evaluation.published_search import FAILURE_TAGS, PUBLISHED
+from eagor.evaluation.page import Box, Row, Sheet
+from eagor.evaluation.published import FAILURE_TAGS, FIGURES, OURS
 from eagor.evaluation.samples import Record, cause_of, finished
-from eagor.evaluation.sheets import Box, Row, Sheet
 from eagor.tasks.benchmark import load
 
 Summary = Mapping[str, Any]
-OURS = "eagor"
+NOTHING = "–"  # a cell without a case
 
 
 def label_of(summary: Summary) -> str:
@@ -31,38 +31,34 @@ def labels_of(summaries: Sequence[Summary]) -> list[str]:
 
 def main_sheet(summaries: Sequence[Summary], published: bool = True) -> Sheet:
     """The paper's Table 1: a row per run, then what was published."""
-    task = str(summaries[0]["task"])
-    figures = [f for f in load(task).figures if any(s.get(f.key) is not None for s in summaries)]
-    columns = [figure.key for figure in figures]
+    task, labels = load(str(summaries[0]["task"])), labels_of(summaries)
+    figures = [f for f in task.figures if any(s.get(f.key) is not None for s in summaries)]
+    views = any("views" in s for s in summaries)
     rows = []
-    for label, summary in zip(labels_of(summaries), summaries, strict=True):
-        boxes = [_figure(summary, key) for key in columns]
-        if any("views" in s for s in summaries):
-            boxes.append(Box("–" if summary.get("views") is None else f"{summary['views']:.1f}"))
-        rows.append(Row(label, tuple(boxes), "ours" if summary["agent"] == OURS else ""))
-    wide = len(rows[0].boxes) if rows else 0
-    if published:
-        for name, values in PUBLISHED.get(task, {}).items():
-            boxes = [Box(f"{values[key]:.2f}".rstrip("0").rstrip(".") if key in values else "–") for key in columns]
-            rows.append(Row(f"{name}, published", (*boxes, *[Box("–")] * (wide - len(boxes))), "paper"))
-    heads = ["agent", *(f"{figure.title} ↑, %" for figure in figures)]
-    heads += ["views"] if wide > len(columns) else []
+    for label, summary in zip(labels, summaries, strict=True):
+        boxes = [_figure(summary, figure.key) for figure in figures]
+        rows.append(_row(label, summary, [*boxes, _number(summary.get("views"), 1)] if views else boxes))
+    known = FIGURES.get(task.name, {}) if published else {}
+    for name, values in known.items():
+        texts = [f"{values[f.key]:.2f}".rstrip("0").rstrip(".") if f.key in values else NOTHING for f in figures]
+        rows.append(Row(f"{name}, published", tuple(map(Box, [*texts, NOTHING] if views else texts)), "paper"))
+    heads = ["agent", *(f"{figure.title} ↑, %" for figure in figures), *(["views"] if views else [])]
     counts = "; ".join(
         f"{label}: {summary['episodes']} cases in {summary['clusters']} clusters"
         + (f", {summary['failed']} could not be run" if summary["failed"] else "")
-        for label, summary in zip(labels_of(summaries), summaries, strict=True)
+        for label, summary in zip(labels, summaries, strict=True)
     )
     notes = [
         "Small print: 95 % intervals; Wilson's | cluster bootstrap, which knows that the cases of one target or scene "
-        "are not independent. " + counts + ".",
+        f"are not independent. {counts}.",
         *(f"{figure.title}: {figure.what}." for figure in figures),
     ]
-    if published and PUBLISHED.get(task):
+    if known:
         notes.append(
             "Published rows were measured with the models named, on the whole published data: they compare with ours "
             "only where model, data and scoring are the same."
         )
-    return Sheet(load(task).title, tuple(heads), tuple(rows), tuple(notes))
+    return Sheet(task.title, tuple(heads), tuple(rows), tuple(notes))
 
 
 def turn_sheet(summaries: Sequence[Summary]) -> Sheet | None:
@@ -73,17 +69,14 @@ def turn_sheet(summaries: Sequence[Summary]) -> Sheet | None:
     longest = max(len(summary["by_turn"]["success"]) for _, summary in with_turns)
     rows = []
     for label, summary in with_turns:
-        curve = summary["by_turn"]
-        ends = zip(curve["success"], curve["low"], curve["high"], strict=True)
+        ends = zip(*(summary["by_turn"][key] for key in ("success", "low", "high")), strict=True)
         boxes = [Box(f"{v:.1f}", "" if low is None else f"{low:.0f} to {high:.0f}") for v, low, high in ends]
-        rows.append(
-            Row(label, (*boxes, *[Box("–")] * (longest - len(boxes))), "ours" if summary["agent"] == OURS else "")
-        )
-    notes = (
+        rows.append(_row(label, summary, [*boxes, *[Box(NOTHING)] * (longest - len(boxes))]))
+    note = (
         "Per cent of the episodes whose answer would have succeeded, had it been given at this turn; after a "
-        "submission its outcome stands. Small print: 95 % cluster bootstrap.",
+        "submission its outcome stands. Small print: 95 % cluster bootstrap."
     )
-    return Sheet("Success by turn", ("agent", *(str(k + 1) for k in range(longest))), tuple(rows), notes)
+    return Sheet("Success by turn", ("agent", *(str(k + 1) for k in range(longest))), tuple(rows), (note,))
 
 
 def views_sheet(summaries: Sequence[Summary]) -> Sheet | None:
@@ -92,35 +85,26 @@ def views_sheet(summaries: Sequence[Summary]) -> Sheet | None:
     for label, summary in zip(labels_of(summaries), summaries, strict=True):
         if summary.get("views") is None:
             continue
-        sure = summary.get("sure") or {}
-        right = sure.get("right")
-        rows.append(
-            Row(
-                label,
-                (
-                    Box(f"{summary['views']:.2f}"),
-                    Box("–" if summary["views_to_success"] is None else f"{summary['views_to_success']:.2f}"),
-                    Box(str(sure.get("episodes", "–"))),
-                    Box("–" if right is None else f"{right:.1f}", "" if right is None else _to(sure["wilson"])),
-                    Box(
-                        "–" if summary.get("calibration_error") is None else f"{100 * summary['calibration_error']:.1f}"
-                    ),
-                ),
-                "ours" if summary["agent"] == OURS else "",
-            )
-        )
+        sure, error = summary.get("sure") or {}, summary.get("calibration_error")
+        boxes = [
+            _number(summary["views"]),
+            _number(summary["views_to_success"]),
+            Box(str(sure.get("episodes", NOTHING))),
+            _number(sure.get("right"), 1, sure.get("wilson")),
+            _number(None if error is None else 100 * error, 1),
+        ]
+        rows.append(_row(label, summary, boxes))
     if not rows:
         return None
     heads = (
-        "agent",
         "views ↓",
         "views of successes ↓",
         "submitted because sure",
         "of those right ↑, %",
         "calibration error ↓, %",
     )
-    notes = ("Calibration error: mean gap between the stated probability of success and the share that succeeded.",)
-    return Sheet("Views, and stopping", heads, tuple(rows), notes)
+    note = "Calibration error: mean gap between the stated probability of success and the share that succeeded."
+    return Sheet("Views, and stopping", ("agent", *heads), tuple(rows), (note,))
 
 
 def tag_sheet(summary: Summary) -> Sheet | None:
@@ -130,32 +114,26 @@ def tag_sheet(summary: Summary) -> Sheet | None:
     published = FAILURE_TAGS.get(str(summary["task"]), {})
     rows = []
     for tag, found in summary["tags"].items():
-        boxes = (
-            Box(str(found["episodes"])),
-            Box(f"{found['share']:.1f}"),
-            Box(f"{found['success']:.1f}", _to(found["wilson"])),
-        )
+        boxes = Box(str(found["episodes"])), _number(found["share"], 1), _number(found["success"], 1, found["wilson"])
         rows.append(Row(tag, boxes))
         if tag in published:
-            share, success = published[tag]
-            rows.append(Row("published", (Box("–"), Box(f"{share:g}"), Box(f"{success:g}")), "paper"))
-    notes = (
+            rows.append(Row("published", (Box(NOTHING), *(Box(f"{value:g}") for value in published[tag])), "paper"))
+    note = (
         "Exclusive tags that are given before anything runs, from the words and the boxes; the rules are ours, since "
-        "the paper names its kinds and not how they were found.",
+        "the paper names its kinds and not how they were found."
     )
-    return Sheet("By what is asked for", ("tag", "cases", "share, %", "success ↑, %"), tuple(rows), notes)
+    return Sheet("By what is asked for", ("tag", "cases", "share, %", "success ↑, %"), tuple(rows), (note,))
 
 
 def cause_sheet(summary: Summary, meanings: Mapping[str, str]) -> Sheet | None:
     """The second layer: why cases failed, crossed with the first."""
-    causes = summary["causes"]
+    causes, tags = summary["causes"], summary["tags"]
     if not causes:
         return None
-    tags = list(summary["tags"])
     rows = []
     for cause, count in causes.items():
-        boxes = [Box(str(count)), Box(f"{100 * count / summary['episodes']:.1f}")]
-        boxes += [Box(str(summary["tags"][tag]["causes"].get(cause, 0))) for tag in tags]
+        boxes = [Box(str(count)), _number(100 * count / summary["episodes"], 1)]
+        boxes += [Box(str(tag["causes"].get(cause, 0))) for tag in tags.values()]
         rows.append(Row(cause.replace("_", " "), tuple(boxes)))
     notes = tuple(f"{cause.replace('_', ' ')}: {meanings[cause]}." for cause in causes if cause in meanings)
     return Sheet("Why cases failed", ("cause", "cases", "of all, %", *tags), tuple(rows), notes)
@@ -179,13 +157,20 @@ def failed_lines(records: Sequence[Record], limit: int | None = None) -> list[st
     return found[:limit]
 
 
+def _row(label: str, summary: Summary, boxes: Sequence[Box]) -> Row:
+    return Row(label, tuple(boxes), "ours" if summary["agent"] == OURS else "")
+
+
+def _number(value: float | None, digits: int = 2, interval: Sequence[float] | None = None) -> Box:
+    return Box(NOTHING) if value is None else Box(f"{value:.{digits}f}", _to(interval))
+
+
 def _figure(summary: Summary, key: str) -> Box:
     value = summary.get(key)
     if value is None:
-        return Box("–")
+        return Box(NOTHING)
     ends = summary["intervals"][key]
-    small = " | ".join(_to(ends[kind]) for kind in ("wilson", "cluster") if ends[kind])
-    return Box(f"{value:.2f}", small)
+    return Box(f"{value:.2f}", " | ".join(_to(ends[kind]) for kind in ("wilson", "cluster") if ends[kind]))
 
 
 def _to(ends: Sequence[float] | None) -> str:

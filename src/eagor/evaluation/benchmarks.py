@@ -1,19 +1,26 @@
-"""A run of a benchmark with published data: its settings, its units of work, and its folder."""
+"""A benchmark with published data as a study: its runs, how they are counted, and what their report says."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from eagor._csv import as_csv
 from eagor.errors import EagorError, FormatError
-from eagor.evaluation import ledger
+from eagor.evaluation import benchmark_sheets, export, ledger, scores
+from eagor.evaluation.benchmark_sheets import OURS, labels_of
+from eagor.evaluation.page import Facts, Folded, Items, Part, Pictures, Section, Sheet, Text, could_not, in_columns
+from eagor.evaluation.samples import LEVEL, RESAMPLES, computing_time
 from eagor.evaluation.shapes import checked, published
-from eagor.evaluation.workers import Unit
+from eagor.evaluation.study import Report, Settings, Summary, Told
+from eagor.evaluation.units import Unit
 from eagor.tasks.benchmark import Benchmark, Case, Record, known, load, read_options
 
 KIND = "benchmark"  # in run.json: which kind of run this is
+EXPORT = {"jsonl": "samples as JSON lines with lmms-eval's keys"}  # of every benchmark
+LISTED = 200  # failed cases in a report
 
 
 @dataclass(frozen=True)
@@ -40,7 +47,7 @@ class BenchmarkRun:
         """The benchmark of the task."""
         return load(self.task)
 
-    def settings(self) -> dict[str, Any]:
+    def config(self) -> dict[str, Any]:
         """Everything that decides the results, as the JSON of run.json. Raises `EagorError` for what does not fit."""
         benchmark = self.benchmark
         if self.seed < 0:
@@ -58,40 +65,218 @@ class BenchmarkRun:
             told["calibrated"] = dict(self.calibrated)
         return {"kind": KIND, **benchmark.settle(told)}
 
-    def cases(self, settings: Mapping[str, Any]) -> list[Case]:
+    def cases(self, config: Settings) -> list[Case]:
         """The cases of this part of the run. Raises `EagorError` for an impossible limit or shard."""
         part, parts = self.shard
         if not (1 <= part <= parts):
             raise EagorError(f"shard {part}/{parts}; wanted i/n with 1 <= i <= n, such as 1/4")
         if self.limit is not None and self.limit < 1:
             raise EagorError(f"a limit of {self.limit} cases; wanted 1 or more")
-        found = self.benchmark.cases(Path(self.data), settings)[: self.limit]
+        found = self.benchmark.cases(Path(self.data), config)[: self.limit]
         return found[part - 1 :: parts]
 
+    def units(self, config: Settings) -> list[Unit]:
+        """One unit of work per case."""
+        return [Unit(f"{self.task}/{case.id}", case.group, case.payload) for case in self.cases(config)]
 
-def units(settings: Mapping[str, Any], cases: list[Case]) -> list[Unit]:
-    """One unit of work per case."""
-    return [Unit(f"{settings['task']}/{case.id}", case.group, case.payload) for case in cases]
 
+@dataclass(frozen=True)
+class Published:
+    """See `eagor.evaluation.study.Study`."""
 
-def is_benchmark(folder: Path) -> bool:
-    """Whether the run in `folder` is one of a benchmark with published data. Raises `FormatError` if it is no run."""
-    return ledger.description(folder).get("kind") == KIND
+    benchmark: Benchmark
+    case, several = "case", True
+
+    @classmethod
+    def of(cls, settings: Settings, folder: Path) -> Published:
+        """The study of the run in `folder`. Raises `EagorError` if it is no run of a benchmark."""
+        if settings.get("kind") != KIND:
+            task = settings.get("task")
+            raise EagorError(f"{folder} holds a run of {task}, which is no benchmark with published data")
+        for key in ("task", "data"):
+            if not isinstance(settings.get(key), str):
+                raise FormatError(f"{Path(folder) / ledger.RUN} does not name its {key}; restore it")
+        return cls(load(settings["task"]))
+
+    @property
+    def name(self) -> str:
+        """Of the benchmark."""
+        return self.benchmark.name
+
+    @property
+    def work(self) -> str:
+        """Of the benchmark."""
+        return self.benchmark.work
+
+    def offer(self) -> dict[str, Any]:
+        options = self.benchmark.options.items()
+        return {
+            "title": self.benchmark.title,
+            "agents": dict(self.benchmark.agents),
+            "options": {
+                key: {"default": o.default, "what": o.what, "choices": _short(o.choices)} for key, o in options
+            },
+            "exports": {**EXPORT, **self.benchmark.exports},
+        }
+
+    def read(self, folder: Path) -> Told:
+        settings, records = read_run(folder)
+        return Told(settings, records, scores.summarise(settings, records))
+
+    def as_text(self, summary: Summary) -> list[str]:
+        sheet = benchmark_sheets.main_sheet([summary], published=False)
+        rows = [
+            [row.head, *(f"{box.text} ({box.small})" if box.small else box.text for box in row.boxes)]
+            for row in sheet.rows
+        ]
+        lines = [f"{sheet.title}: {summary['episodes']} cases in {summary['clusters']} clusters"]
+        lines += [*in_columns([list(sheet.heads), *rows]), "In brackets: 95 %, Wilson's | cluster bootstrap."]
+        return lines + ([f"{summary['failed']} could not be run; they are in no figure."] if summary["failed"] else [])
+
+    def as_json(self, summary: Summary) -> dict[str, Any]:
+        return summary
+
+    def failure_sheets(self, summary: Summary) -> list[Sheet]:
+        """Both layers of the failure table of one run."""
+        meanings = getattr(self.benchmark, "causes", {})
+        found = benchmark_sheets.tag_sheet(summary), benchmark_sheets.cause_sheet(summary, meanings)
+        return [sheet for sheet in found if sheet is not None]
+
+    def report(self, runs: Sequence[Told], open_place: Any = None) -> Report:
+        summaries = [run.summary for run in runs]
+        labels = labels_of(summaries)
+        turns, views = benchmark_sheets.turn_sheet(summaries), benchmark_sheets.views_sheet(summaries)
+        sheets = [benchmark_sheets.main_sheet(summaries)]
+        sections = [Section("figures", "Figures", [*sheets])]
+        if turns is not None:
+            sheets.append(turns)
+            sections.append(Section("turns", "By turn", [_turn_chart(summaries), Folded("The numbers", [turns])]))
+        if views is not None:
+            sheets.append(views)
+            sections.append(Section("views", "Views, and stopping", [views, *_reliability_charts(summaries)]))
+        facts: list[tuple[str, str]] = []
+        for label, run in zip(labels, runs, strict=True):
+            if found := self.failure_sheets(run.summary):
+                parts: list[Part] = [*found]
+                if lines := benchmark_sheets.failed_lines(run.records, LISTED):
+                    parts.append(Folded(f"The cases that failed ({len(lines)} shown)", [Items(lines)]))
+                sections.append(Section(f"failures-{len(sections)}", f"Failures: {label}", parts))
+                sheets += [Sheet(f"{sheet.title}: {label}", sheet.heads, sheet.rows, sheet.notes) for sheet in found]
+            if run.summary["failed"]:
+                title = f"What could not be run: {label}"
+                sections.append(Section(f"errors-{len(sections)}", title, could_not(run.summary)))
+            facts += [("Run", label)] if len(runs) > 1 else []
+            facts += _facts(run)
+        many = f", {len(runs)} runs" if len(runs) > 1 else ""
+        return Report(
+            f"{self.benchmark.title}: {summaries[0]['episodes']} cases{many}",
+            [Text(_outcome(labels, summaries)), Folded("What was run", [Facts(facts)])],
+            sections,
+            facts,
+            sheets,
+            {"tables.csv": _csv(self.benchmark, labels, summaries), "tables.tex": export.latex(sheets[0])},
+        )
 
 
 def read_run(folder: Path) -> tuple[dict[str, Any], Sequence[Record]]:
-    """The settings and the records of a benchmark's run.
+    """The settings and the records of a benchmark's run, which need not be installed here.
 
     Raises `EagorError` if it is none, or has no records; `FormatError`, which names it, for a malformed record.
     """
     settings = ledger.description(folder)
-    if settings.get("kind") != KIND:
-        raise EagorError(f"{folder} holds a run of {settings.get('task')}, which is no benchmark with published data")
-    for key in ("task", "data"):
-        if not isinstance(settings.get(key), str):
-            raise FormatError(f"{Path(folder) / ledger.RUN} does not name its {key}; restore it")
-    more = getattr(load(settings["task"]), "record", {}) if settings["task"] in known() else {}
-    records = checked(ledger.read(folder), published(more))
-    if not records:
-        raise EagorError(f"{folder} has no records yet; run something into it first")
-    return settings, records
+    installed = settings.get("task") in known()
+    more = getattr(Published.of(settings, folder).benchmark, "record", {}) if installed else {}
+    return settings, checked(ledger.recorded(folder), published(more))
+
+
+def _short(choices: tuple[Any, ...]) -> Any:
+    """Ranges of numbers as their ends: nobody reads fifty of them."""
+    if len(choices) > 8 and all(isinstance(choice, int) for choice in choices):
+        return f"{min(choices)} to {max(choices)}"
+    return list(choices)
+
+
+def _outcome(labels: Sequence[str], summaries: Sequence[Summary]) -> str:
+    said = []
+    for label, summary in zip(labels, summaries, strict=True):
+        if summary["overall"] is None:
+            said.append(f"{label}: no results")
+            continue
+        ends = summary["intervals"]["overall"]["cluster"] or summary["intervals"]["overall"]["wilson"]
+        span = f" ({ends[0]:.1f} to {ends[1]:.1f})" if ends else ""
+        said.append(f"{label}: {summary['overall']:.1f} %{span}")
+    return "Overall: " + "; ".join(said) + "."
+
+
+def _facts(run: Told) -> list[tuple[str, str]]:
+    settings = [(key, value) for key, value in run.settings.items() if key != "kind" and value is not None]
+    return [
+        *((key.capitalize(), export.words(value)) for key, value in settings),
+        ("Cases", f"{run.summary['episodes']} with results, {run.summary['failed']} without"),
+        ("Computing time", computing_time(run.records)),
+        ("Intervals", f"{100 * LEVEL:.0f} %; Wilson's, and {RESAMPLES} resamples of whole clusters"),
+    ]
+
+
+def _csv(benchmark: Benchmark, labels: Sequence[str], summaries: Sequence[Summary]) -> str:
+    """One row per run and figure, at full precision; empty where there is no case."""
+    heads = (
+        "task", "run", "agent", "perception", "model", "figure", "value", "n",
+        "wilson_low", "wilson_high", "cluster_low", "cluster_high",
+    )  # fmt: skip
+    rows: list[Sequence[Any]] = []
+    for label, summary in zip(labels, summaries, strict=True):
+        who = summary.get("task"), label, *(summary.get(key) for key in ("agent", "perception", "model"))
+        for figure in benchmark.figures:
+            ends = summary["intervals"][figure.key]
+            both = (*(ends["wilson"] or (None, None)), *(ends["cluster"] or (None, None)))
+            rows.append((*who, figure.key, summary[figure.key], summary["counts"][figure.key], *both))
+    return as_csv([heads, *rows])
+
+
+def _lines(summaries: Sequence[Summary], curve_of: Callable[[Summary], Any]) -> Iterator[Any]:
+    """A line of a chart for each run that has one."""
+    from eagor.evaluation.charts import Series
+
+    for index, (label, summary) in enumerate(zip(labels_of(summaries), summaries, strict=True)):
+        if (curve := curve_of(summary)) is not None:
+            yield Series(label, curve, f"x{index % 8}", summary["agent"] == OURS)
+
+
+def _turn_chart(summaries: Sequence[Summary]) -> Pictures:
+    from eagor.evaluation.charts import line_chart
+    from eagor.evaluation.curves import Curve
+
+    def curve(summary: Summary) -> Curve | None:
+        if not (told := summary.get("by_turn")):
+            return None
+        count = len(told["success"])
+        x = tuple(float(k + 1) for k in range(count))
+        return Curve(x, tuple(told["success"]), tuple(told["low"]), tuple(told["high"]), (summary["episodes"],) * count)
+
+    chart = line_chart(list(_lines(summaries, curve)), "Success by turn", "turn", "success, %", (0.0, 100.0))
+    return Pictures([(chart, "Success had the answer been given at this turn; 95 % bands.")])
+
+
+def _reliability_charts(summaries: Sequence[Summary]) -> list[Part]:
+    """Stated against found: of the submissions, and of what would have been submitted at every turn."""
+    from eagor.evaluation.charts import line_chart
+    from eagor.evaluation.curves import Curve
+
+    pictures = []
+    for key, title in (("reliability", "of submissions"), ("reliability_by_step", "of the answers at every turn")):
+
+        def curve(summary: Summary, key: str = key) -> Curve | None:
+            rows = [row for row in summary.get(key, ()) if row[2]]
+            none = (None,) * len(rows)
+            x, y, n = (tuple(row[k] for row in rows) for k in (3, 4, 2))
+            return Curve(x, y, none, none, n) if rows else None
+
+        series = list(_lines(summaries, curve))
+        if any(len(line.curve.x) > 1 for line in series):
+            labels = "stated probability of success", "share that succeeded"
+            chart = line_chart(series, f"Reliability {title}", *labels, (0.0, 1.0), diagonal=True)
+            counts = "; ".join(f"{line.name}: {' '.join(map(str, line.curve.n))}" for line in series)
+            caption = "on the dotted line what is stated is what happens. Cases per mark"
+            pictures.append((chart, f"Reliability {title}: {caption}, {counts}."))
+    return [Pictures(pictures)] if pictures else []

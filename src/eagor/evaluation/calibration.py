@@ -1,17 +1,10 @@
 """Fitting how the looks of a perception are read, and how its targets come to move, by log score.
 
-Episodes of Waypoint Following and `tracking` in development apartments are recorded once: poses, and looks for two
-queries, one for the target and one that nothing there answers. A trial reads them with other settings. Its score,
-in nats, higher is better, has two parts, and only honest beliefs maximise them (Good, 1952): the log density that the
-belief gave to the true direction, and the log of the probability that it gave to the truth about presence.
-
-A perception gives response maps, which a `Calibration` reads, or detections, which a `DetectorModel` reads: `READING`
-and `DETECTING` are the numbers of each, `MOVING` those of `MotionModel`. What can be counted on the recordings is
-counted (`counted`): how scores are read, in which time mistakes fade, where the searches for the spread and for the
-share of mistakes that repeats begin, and the rates, which are stated or learnt with the belief, whichever scores
-better.
-
-`eagor.evaluation.fitting` searches for the settings with the best score.
+Development episodes are recorded once: poses, and looks for two queries, one of which nothing there answers. A trial
+reads them with other settings; its score (nats) is the log density given to the true direction plus the log of the
+probability given to the truth about presence, which only honest beliefs maximise (Good, 1952). `READING` and
+`DETECTING` are the numbers of response maps and detections, `MOVING` those of `MotionModel`; what can be counted is
+`counted`. `eagor.evaluation.fitting` searches.
 """
 
 from __future__ import annotations
@@ -111,9 +104,7 @@ def counted(recordings: Sequence[Recording]) -> DetectorModel | None:
     """The detector's model with what can be counted on the recordings; None where they hold no detections.
 
     A detection within `HIT` of the target is right, every other one false. How often right ones have a score, over how
-    often false ones have it, is the ratio by which that score counts. The share of mistakes that repeats, and the time
-    in which it fades, are those by which misses and offsets of right detections correlate
-    (`eagor.evaluation.lasting`).
+    often false ones have it, is the ratio by which that score counts; what repeats is `lasting`.
     """
     timely = [_timely(recording) for recording in recordings]
     looks = [look for one in timely for look in one]
@@ -179,10 +170,9 @@ def _timely(recording: Recording) -> list[_Look]:
 
 
 def _mistakes(look: _Look, recall: float) -> np.ndarray:
-    """What one look with the target in sight mistook ``(3,)``: missed or not, less the mean; and how far off it was.
+    """What one look with the target in sight mistook ``(3,)``: missed, less the mean; and how far off, left and up.
 
-    How far off: of the right detection with the best score, to the left and up in axes of the world, which do not turn
-    with the body; NaN where the target was missed.
+    Of the right detection with the best score, in axes of the world; NaN where the target was missed.
     """
     near = np.flatnonzero(np.asarray(angular_distance(look.detections.directions, look.direction)) < HIT)
     if not len(near):
@@ -219,9 +209,8 @@ def short(value: float) -> float:
 class Score:
     """How a tracker did on one recording, over its readings.
 
-    `direction`: log densities (nats per steradian) at the true direction; `presence`: logs of the probabilities that
-    the truth was given, for the target and for what is not there; `error`: degrees; `inside`: whether the truth lay in
-    the 90 % region (empty if that was not asked for).
+    `direction`: log densities at the true direction; `presence`: logs of the probabilities of the truth, for the target
+    and for what is not there; `error`: degrees; `inside`: whether the truth lay in the 90 % region.
     """
 
     seed: int

@@ -1,40 +1,45 @@
-"""Charts as SVG, written by hand: they scale, follow the page's light or dark colours, and can be read aloud.
+"""Charts by matplotlib, as SVG for a page: they scale, and follow the page's light or dark colours.
 
 A method is told apart by its colour, its dashes and the shape of its marks, so that colour alone is never needed. The
-colours themselves are in the page's style sheet, as the CSS variable ``--c`` of the class ``s-<name>``.
+colours are variables of the page's style sheet: matplotlib is given a stand-in for each, which `finished` replaces.
 """
 
 from __future__ import annotations
 
 import html
+import io
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from typing import Any
+
+import numpy as np
 
 from eagor.evaluation.curves import Curve
+from eagor.evaluation.page import LIGHT, SPARE
 
-WIDTH, HEIGHT = 480, 300
-LEFT, RIGHT, TOP, BOTTOM = 46, 16, 12, 42
-STYLES = {
-    "eagor": ("", "circle"),
-    "eagor_paper": ("7 3", "square"),
-    "centroid": ("2 3", "triangle"),
-    "cent_circ": ("9 3 2 3", "down"),
-    "grid": ("5 3", "diamond"),
-    "vmf": ("3 2", "cross"),
-    "grid_filter": ("10 4", "plus"),
-    "particle_filter": ("1 3", "ring"),
-    "oracle": ("", "ring"),
-    "plain": ("1 2", "diamond"),
+RING = "ring"
+STYLES: dict[str, tuple[Any, str]] = {  # dashes and marks, as matplotlib names them
+    "eagor": ("-", "o"),
+    "eagor_paper": ((0, (7, 3)), "s"),
+    "centroid": ((0, (2, 3)), "^"),
+    "cent_circ": ((0, (9, 3, 2, 3)), "v"),
+    "grid": ((0, (5, 3)), "D"),
+    "vmf": ((0, (3, 2)), "x"),
+    "grid_filter": ((0, (10, 4)), "+"),
+    "particle_filter": ((0, (1, 3)), RING),
+    "oracle": ("-", RING),
+    "plain": ((0, (1, 2)), "D"),
 }
-SHAPES = ("circle", "square", "triangle", "diamond", "down", "cross", "plus", "ring")
-SPARE = 8  # colours for series that are no methods
+MARKS = ("o", "s", "^", "D", "v", "x", "+", RING)
+_PAGE = ("ink", "quiet", "paper", "rule", "target")
+_COLOURS = (*_PAGE, *(f"c-{name}" for name in LIGHT), *(f"c-x{k}" for k in range(SPARE)))
 
 
 @dataclass(frozen=True)
 class Series:
-    """A line of a chart: what it is called, its points, and the class of its looks."""
+    """A line of a chart: what it is called, its points, and the name of its looks."""
 
     name: str
     curve: Curve
@@ -43,8 +48,34 @@ class Series:
 
 
 def look_of(name: str, index: int = 0) -> str:
-    """The class of a method's looks; others get one of the spare ones, by `index`."""
+    """The looks of a method; others get one of the spare ones, by `index`."""
     return name if name in STYLES else f"x{index % SPARE}"
+
+
+def style_of(look: str, **more: Any) -> dict[str, Any]:
+    """How matplotlib draws a line of these looks, and its marks."""
+    dashes, mark = STYLES.get(look) or ("-", MARKS[int(look[1:]) % len(MARKS)])
+    found = {"color": colour_of(f"c-{look}"), "linestyle": dashes, "marker": mark, "clip_on": False}
+    if mark == RING:
+        found |= {"marker": "o", "markerfacecolor": colour_of("paper")}
+    return found | more
+
+
+def colour_of(name: str) -> str:
+    """The stand-in for a colour of the page."""
+    return f"#fe00{_COLOURS.index(name):02x}"
+
+
+def blank(width: float, height: float, inside: tuple[float, float, float, float] = (0, 0, 1, 1)) -> tuple[Any, Any]:
+    """A figure of this many pixels, and its axes within (left, bottom, width, height: shares); nothing is drawn yet."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width / 72, height / 72), dpi=72)
+    axes = figure.add_axes(inside)
+    axes.axis("off")
+    figure.patch.set_visible(False)
+    axes.patch.set_visible(False)
+    return figure, axes
 
 
 def line_chart(
@@ -56,168 +87,98 @@ def line_chart(
     event: str = "",
     diagonal: bool = False,
 ) -> str:
-    """Lines with their 95 % bands; the strong ones come last, on top.
+    """Lines with their 95 % bands and a legend; the strong ones lie on top.
 
     `event` names what happens at x = 0, where a line is drawn; `diagonal` draws y = x.
     """
-    xs = [x for line in series for x in line.curve.x]
     values = [v for line in series for v in (*line.curve.y, *line.curve.low, *line.curve.high) if v is not None]
-    x_axis = Axis.over(min(xs), max(xs), LEFT, WIDTH - RIGHT)
     low, high = y_range or (0.0, max(values, default=1.0) * 1.04)
-    y_axis = Axis.over(low, max(high, low + 1e-6), HEIGHT - BOTTOM, TOP)
-    parts = [_axes(x_axis, y_axis, x_label, y_label)]
-    if event and x_axis.low < 0 < x_axis.high:
-        at = x_axis(0)
-        parts.append(f'<line class="event" x1="{at:.1f}" x2="{at:.1f}" y1="{TOP}" y2="{HEIGHT - BOTTOM}"/>')
-        parts.append(f'<text class="event" x="{at + 4:.1f}" y="{TOP + 11}">{html.escape(event)}</text>')
+    high = max(high, low + 1e-6)
+    rows = math.ceil(len(series) / 3)
+    height = 300 + 16 * rows
+    figure, axes = blank(480, height, (46 / 480, (42 + 16 * rows) / height, 418 / 480, 246 / height))
+    axes.axis("on")
+    for side in axes.spines.values():
+        side.set_visible(False)
+    axes.grid(axis="y", color=colour_of("rule"), linewidth=1, clip_on=False)
+    axes.locator_params(nbins=6, steps=[1, 2, 5, 10])
+    axes.tick_params(length=0, pad=6, labelsize=12, labelcolor=colour_of("quiet"))
+    axes.set_xlabel(x_label, color=colour_of("ink"), fontsize=12)
+    axes.set_ylabel(y_label, color=colour_of("ink"), fontsize=12)
+    xs = [x for line in series for x in line.curve.x]
+    axes.set_xlim(min(xs), max(xs) if max(xs) > min(xs) else min(xs) + 1)
+    axes.set_ylim(low, high)
+    quiet = {"color": colour_of("quiet"), "linewidth": 1, "linestyle": (0, (2, 3)), "clip_on": False}
+    if event and min(xs) < 0 < max(xs):
+        axes.plot([0, 0], [low, high], **quiet)
+        axes.annotate(event, (0, 1), (4, -11), xycoords=("data", "axes fraction"), textcoords="offset points",
+                      color=colour_of("quiet"), fontsize=11)  # fmt: skip
     if diagonal:
-        ends = max(x_axis.low, y_axis.low), min(x_axis.high, y_axis.high)
-        points = " ".join(f"{x_axis(v):.1f},{y_axis(v):.1f}" for v in ends)
-        parts.append(f'<polyline class="event" points="{points}"/>')
-    ranked = sorted(series, key=lambda line: line.strong)
-    parts += [_band(line, x_axis, y_axis) for line in ranked]
-    parts += [_line(line, x_axis, y_axis, index) for index, line in enumerate(ranked)]
-    return svg("".join(parts), WIDTH, HEIGHT, title, _in_words(series, x_label, y_label))
+        ends = max(axes.get_xlim()[0], low), min(axes.get_xlim()[1], high)
+        axes.plot(ends, ends, **quiet)
+    for index, line in enumerate(sorted(series, key=lambda line: line.strong)):
+        x = np.array(line.curve.x, dtype=float)
+        y, below, above = (np.clip(_floats(v), low, high) for v in (line.curve.y, line.curve.low, line.curve.high))
+        axes.fill_between(x, below, above, where=np.isfinite(y + below + above), linewidth=0, alpha=0.13,
+                          color=colour_of(f"c-{line.look}"), clip_on=False)  # fmt: skip
+        every = max(1, math.ceil(np.count_nonzero(np.isfinite(y)) / 7))
+        axes.plot(x, y, label=line.name, markevery=(index % every, every), markersize=7 if line.strong else 6,
+                  linewidth=3.2 if line.strong else 1.7, **style_of(line.look))  # fmt: skip
+    _legend(figure, axes, [line.name for line in series])
+    return finished(figure, title, _in_words(series, x_label, y_label))
 
 
-def legend(series: Sequence[Series]) -> str:
-    """A list of the lines' names, each with a sample."""
-    items = []
-    for line in series:
-        dashes, shape = style_of(line.look)
-        sample = (
-            f'<svg class="s-{line.look}" viewBox="0 0 36 12" width="36" height="12" aria-hidden="true">'
-            f'<line class="line{" strong" if line.strong else ""}" x1="1" x2="35" y1="6" y2="6"{_dashed(dashes)}/>'
-            f"{mark(shape, 18, 6)}</svg>"
-        )
-        items.append(f"<li>{sample} {html.escape(line.name)}</li>")
-    return f'<ul class="legend">{"".join(items)}</ul>'
+def legend(names: Sequence[str], strong: str, of: str) -> str:
+    """The names of methods, each with a sample of its line, as a picture of its own; `of`: what it belongs to."""
+    figure, axes = blank(480, 16 * math.ceil(len(names) / 3) + 2)
+    for name in names:
+        axes.plot([], [], label=name, linewidth=3.2 if name == strong else 1.7, **style_of(look_of(name)))
+    _legend(figure, axes, names)
+    return finished(figure, f"Legend of {of}", f"the methods {', '.join(names)}")
 
 
-def svg(content: str, width: float, height: float, title: str, words: str) -> str:
-    """An SVG picture with a title and a description for those who do not see it."""
+def finished(figure: Any, title: str, words: str, image: str = "") -> str:
+    """A figure as SVG, with a title and a description for those who do not see it; `image`: what lies below it.
+
+    Numbers of ids come from the title and the words, so that the same chart is the same text, and differ by chart.
+    """
+    import matplotlib.text
+
+    for each in figure.findobj(matplotlib.text.Text):
+        each.set_parse_math(False)  # a dollar in a name is a dollar
+    settings: Any = {"svg.fonttype": "none", "svg.hashsalt": f"{title}{words}"}
+    with matplotlib.rc_context(settings), io.StringIO() as buffer:
+        figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True)
+        text = buffer.getvalue()
+    box = re.search(r'viewBox="([^"]*)"', text)
+    body = re.search(r"<svg[^>]*>(.*)</svg>", text, re.DOTALL)
+    assert box is not None
+    assert body is not None
+    inner = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", body[1], flags=re.DOTALL)
+    inner = re.sub(r' id="(?!m[0-9a-f]{10}")[^"]*"', "", inner.replace("xlink:href", "href"))
+    inner = re.sub(r"font-family: [^;\"]*", "font-family: system-ui, sans-serif", inner)
+    inner = re.sub(r"#fe00([0-9a-f]{2})", lambda found: f"var(--{_COLOURS[int(found[1], 16)]})", inner)
+    inner = re.sub(r"\s*\n\s*", " ", inner)
+    below = f'<image href="{image}" width="100%" height="100%" preserveAspectRatio="none"/>' if image else ""
+    said = html.escape(f"{title}. {words}")
     return (
-        f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{html.escape(f"{title}. {words}")}">'
-        f"<title>{html.escape(title)}</title>{content}</svg>"
+        f'<svg viewBox="{box[1]}" role="img" aria-label="{said}" stroke-linejoin="round"><title>{html.escape(title)}'
+        f"</title>{below}{inner}</svg>"
     )
 
 
-def mark(shape: str, x: float, y: float, size: float = 3.6) -> str:
-    """A small mark at a point; its colour is that of its surroundings."""
-    r = size
-    outlines = {
-        "square": [(-r, -r), (r, -r), (r, r), (-r, r)],
-        "triangle": [(0, -1.2 * r), (1.1 * r, r), (-1.1 * r, r)],
-        "down": [(0, 1.2 * r), (1.1 * r, -r), (-1.1 * r, -r)],
-        "diamond": [(0, -1.35 * r), (1.35 * r, 0), (0, 1.35 * r), (-1.35 * r, 0)],
-    }
-    if shape in outlines:
-        points = " ".join(f"{x + dx:.1f},{y + dy:.1f}" for dx, dy in outlines[shape])
-        return f'<polygon class="mark" points="{points}"/>'
-    if shape in ("cross", "plus"):
-        d = r if shape == "plus" else 0.8 * r
-        ends = [(-d, 0, d, 0), (0, -d, 0, d)] if shape == "plus" else [(-d, -d, d, d), (-d, d, d, -d)]
-        strokes = "".join(f"M{x + a:.1f} {y + b:.1f}L{x + c:.1f} {y + e:.1f}" for a, b, c, e in ends)
-        return f'<path class="open mark" d="{strokes}"/>'
-    kind = "open mark" if shape == "ring" else "mark"
-    return f'<circle class="{kind}" cx="{x:.1f}" cy="{y:.1f}" r="{r:g}"/>'
+def _legend(figure: Any, axes: Any, names: Sequence[str]) -> None:
+    """All lines that are named, in this order, at the foot of the figure."""
+    handles = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+    figure.legend(
+        [handles[name] for name in names], names, loc="lower center", ncol=min(3, len(names)), frameon=False,
+        fontsize=12, labelcolor=colour_of("ink"), handlelength=3, borderpad=0, borderaxespad=0, columnspacing=1.5,
+        labelspacing=0.3,
+    )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Axis:
-    """Maps `low`..`high` to the pixels `begin`..`end`, with round numbers to write at it."""
-
-    low: float
-    high: float
-    begin: float
-    end: float
-    ticks: tuple[float, ...]
-
-    @classmethod
-    def over(cls, low: float, high: float, begin: float, end: float) -> Axis:
-        """An axis for this range."""
-        if high <= low:
-            high = low + 1.0
-        raw = (high - low) / 6
-        power = 10.0 ** math.floor(math.log10(raw))
-        step = next(power * factor for factor in (1, 2, 3, 5, 10) if power * factor >= raw * 0.999)
-        first = math.ceil(low / step - 1e-9)
-        count = math.floor((high - first * step) / step + 1e-9)
-        return cls(low, high, begin, end, tuple((first + k) * step for k in range(count + 1)))
-
-    def __call__(self, value: float) -> float:
-        return self.begin + (value - self.low) / (self.high - self.low) * (self.end - self.begin)
-
-
-def style_of(look: str) -> tuple[str, str]:
-    """Dashes (for SVG) and shape of the marks."""
-    if look in STYLES:
-        return STYLES[look]
-    return "", SHAPES[int(look[1:]) % len(SHAPES)]
-
-
-def _axes(x_axis: Axis, y_axis: Axis, x_label: str, y_label: str) -> str:
-    parts = []
-    for value in y_axis.ticks:
-        at = y_axis(value)
-        parts.append(f'<line class="rule" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{at:.1f}" y2="{at:.1f}"/>')
-        parts.append(f'<text text-anchor="end" x="{LEFT - 5}" y="{at + 4:.1f}">{_number(value)}</text>')
-    for value in x_axis.ticks:
-        at = x_axis(value)
-        parts.append(f'<text text-anchor="middle" x="{at:.1f}" y="{HEIGHT - BOTTOM + 16}">{_number(value)}</text>')
-    middle = (LEFT + WIDTH - RIGHT) / 2
-    parts.append(
-        f'<text class="label" text-anchor="middle" x="{middle}" y="{HEIGHT - 6}">{html.escape(x_label)}</text>'
-    )
-    parts.append(
-        f'<text class="label" text-anchor="middle" transform="translate(12 {(TOP + HEIGHT - BOTTOM) / 2}) rotate(-90)">'
-        f"{html.escape(y_label)}</text>"
-    )
-    return "".join(parts)
-
-
-def _pieces(line: Series) -> list[list[int]]:
-    """The runs of points that have a value."""
-    there = [index for index, value in enumerate(line.curve.y) if value is not None]
-    return [[k for _, k in run] for _, run in groupby(enumerate(there), key=lambda pair: pair[1] - pair[0])]
-
-
-def _band(line: Series, x_axis: Axis, y_axis: Axis) -> str:
-    parts = []
-    for piece in _pieces(line):
-        ends = [(k, line.curve.low[k], line.curve.high[k]) for k in piece]
-        whole = [(x_axis(line.curve.x[k]), low, high) for k, low, high in ends if low is not None and high is not None]
-        if len(whole) < 2:
-            continue
-        points = [(x, y_axis(_within(high, y_axis))) for x, _, high in whole]
-        points += [(x, y_axis(_within(low, y_axis))) for x, low, _ in reversed(whole)]
-        outline = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-        parts.append(f'<polygon class="band s-{line.look}" points="{outline}"/>')
-    return "".join(parts)
-
-
-def _line(line: Series, x_axis: Axis, y_axis: Axis, index: int) -> str:
-    dashes, shape = style_of(line.look)
-    parts = []
-    for piece in _pieces(line):
-        points = [(x_axis(line.curve.x[k]), y_axis(_within(line.curve.y[k] or 0.0, y_axis))) for k in piece]
-        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-        parts.append(f'<polyline class="line{" strong" if line.strong else ""}" points="{path}"{_dashed(dashes)}/>')
-        every = max(1, math.ceil(len(points) / 7))
-        parts += [mark(shape, x, y) for x, y in points[index % every :: every]]
-    return f'<g class="s-{line.look}"><title>{html.escape(line.name)}</title>{"".join(parts)}</g>'
-
-
-def _dashed(dashes: str) -> str:
-    return f' stroke-dasharray="{dashes}"' if dashes else ""
-
-
-def _within(value: float, axis: Axis) -> float:
-    return min(max(value, axis.low), axis.high)
-
-
-def _number(value: float) -> str:
-    return f"{value:g}".replace("-", "−")
+def _floats(values: Sequence[float | None]) -> np.ndarray:
+    return np.array([math.nan if value is None else value for value in values], dtype=float)
 
 
 def _in_words(series: Sequence[Series], x_label: str, y_label: str) -> str:

@@ -1,7 +1,8 @@
-"""Worker processes: one unit at a time is given to each, and each keeps its own results.
+"""Several workers on one run: processes or threads of this machine, or Ray's actors (`eagor.evaluation.ray_driver`).
 
-The parent gives out units and notes what came of them; it writes to the ledger only what a dead worker no longer can.
-Workers are new processes (spawn): none inherits the parent's threads, locks or open files.
+Each has a `Seat` here, whose thread talks with it; what is given to it comes back in a future. Not the pools of
+concurrent.futures: one breaks as a whole when a worker dies, does not tell whose unit that was, outlives a killed
+parent, and the end of the process waits for its threads.
 """
 
 from __future__ import annotations
@@ -9,19 +10,19 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 import time
-from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
-from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
+from multiprocessing.connection import Connection
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 from eagor.errors import StorageError, WorkError
 from eagor.evaluation.ledger import Ledger, records
-from eagor.evaluation.units import Book, Unit, attempt_unit, failure, load
+from eagor.evaluation.units import Book, Do, Unit, attempt_unit, load
 from eagor.plugins import readable_lists
 
 THREADS = (
@@ -35,148 +36,235 @@ STARTS = 3  # so many workers in a row that die before they are ready mean that 
 PATIENCE = 3.0  # seconds that workers have to leave by themselves, all together
 
 
-@dataclass
-class _Worker:
-    """A process, the line to it, and what it is busy with."""
+class Lost(Exception):
+    """The worker has died. `begun`: whether in the middle of a unit; `kept`: the unit's record, if it got so far."""
 
-    process: BaseProcess
-    line: Connection
-    ready: bool = False
-    gone: bool = False
-    group: str | None = None
-    unit: Unit | None = None
-    attempt: int = 0
-    began: float = 0.0
-    path: Path | None = None
-    news: deque[tuple[str, Any]] = field(default_factory=deque)
+    def __init__(self, how: str, begun: bool = True, kept: dict[str, Any] | None = None) -> None:
+        super().__init__(how)
+        self.begun, self.kept = begun, kept
 
 
-def work_together(book: Book, work: str, config: dict[str, Any], count: int) -> None:
-    """All units of `book`, on at most `count` processes. Raises as `eagor.evaluation.workers.run_units` does."""
-    crew: list[_Worker] = []
+class Unsent(Exception):
+    """The payload of a unit cannot be pickled."""
+
+
+class Seat:
+    """One worker, and the thread that talks with it. `group`: of the unit that it did last."""
+
+    def __init__(self) -> None:
+        self.group: str | None = None
+        self.ready: Future[None] = Future()
+        self._orders: SimpleQueue[tuple[Unit, int, Future[dict[str, Any]]] | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def give(self, unit: Unit, attempt: int) -> Future[dict[str, Any]]:
+        """Have a unit done: its record's head, `Lost`, `Unsent`, or what ends the run."""
+        future: Future[dict[str, Any]] = Future()
+        self._orders.put((unit, attempt, future))
+        return future
+
+    def leave(self) -> None:
+        """Nothing more will be given."""
+        self._orders.put(None)
+
+    def stop(self, late: float) -> None:
+        """After `leave`: see that it is gone by `late` (of time.monotonic), where that matters."""
+
+    def _settle(self) -> None:
+        """Wait until the worker can begin."""
+
+    def _do(self, unit: Unit, attempt: int) -> dict[str, Any]:
+        raise NotImplementedError
+
+    def _serve(self) -> None:
+        future: Future[Any] = self.ready
+        try:
+            self._settle()
+            future.set_result(None)
+            while (order := self._orders.get()) is not None:
+                unit, attempt, future = order
+                try:
+                    future.set_result(self._do(unit, attempt))
+                except Unsent as error:
+                    future.set_exception(error)
+        except BaseException as error:  # raised where it ends the run, or the seat
+            future.set_exception(error)
+
+
+def work_together(book: Any, hire: Callable[[], Seat], count: int) -> None:
+    """All units of `book` on at most `count` seats; one that is lost is replaced, and its unit has had an attempt.
+
+    Raises as `eagor.evaluation.workers.run_units` does.
+    """
+    crew: list[Seat] = []
+    starting: dict[Future[Any], Seat] = {}
+    busy: dict[Future[Any], tuple[Seat, Unit, int, float]] = {}
+    idle: list[Seat] = []
     stillborn = 0
     try:
-        while book.left or any(worker.unit for worker in crew):
-            busy = sum(worker.unit is not None for worker in crew)
-            while len(crew) < min(count, book.left + busy):
-                crew.append(_start(book, work, config))
-            for worker in crew:
-                if worker.ready and worker.unit is None:
-                    _hand_out(book, worker, crew)
-            if not book.left and not any(worker.unit for worker in crew):
-                break  # the last units could not be sent: nobody will say anything more
-            _listen(crew)
-            for worker in list(crew):
-                while worker.news:
-                    _hear(book, worker, *worker.news.popleft())
-                if not worker.gone:
+        while book.left or busy:
+            while len(crew) < min(count, book.left + len(busy)):
+                crew.append(hire())
+                starting[crew[-1].ready] = crew[-1]
+            while idle:
+                seat = idle[-1]
+                taken = {other.group for other in crew if other is not seat and other.group is not None}
+                if (found := book.next(seat.group, taken)) is None:
+                    seat.group = None
+                    break
+                seat.group = found[0].group
+                busy[seat.give(*found)] = (idle.pop(), *found, time.perf_counter())
+            if not (starting or busy):
+                break  # the last units could not be sent
+            for future in wait([*starting, *busy], return_when=FIRST_COMPLETED).done:
+                if future in starting:
+                    seat = starting.pop(future)
+                    try:
+                        future.result()
+                        stillborn = 0
+                        idle.append(seat)
+                    except Lost as lost:
+                        crew.remove(seat)
+                        stillborn += 1
+                        if stillborn >= STARTS:
+                            raise WorkError(
+                                f"{STARTS} workers in a row ended before they were ready ({lost}); what they wrote to "
+                                "stderr says why. Try workers=1"
+                            ) from None
                     continue
-                crew.remove(worker)
-                stillborn = 0 if worker.ready else stillborn + 1
-                _bury(book, worker)
-                if stillborn >= STARTS:
-                    raise WorkError(
-                        f"{STARTS} workers in a row ended before they were ready (exit code "
-                        f"{worker.process.exitcode}); what they wrote to stderr says why. Try workers=1"
-                    )
+                seat, unit, attempt, began = busy.pop(future)
+                try:
+                    book.ended(unit, future.result())
+                    idle.append(seat)
+                except Unsent as error:
+                    book.lost(unit, attempt, f"cannot be sent: {error}", 0.0)
+                    idle.append(seat)
+                except Lost as lost:
+                    crew.remove(seat)
+                    if lost.kept is not None:
+                        book.ended(unit, lost.kept)
+                    elif lost.begun:
+                        how = f"the worker died in this unit ({lost})"
+                        book.lost(unit, attempt, how, time.perf_counter() - began)
+                    else:
+                        book.give_back(unit, attempt)
     finally:
-        _dismiss(crew)
+        for seat in crew:
+            seat.leave()
+        late = time.monotonic() + PATIENCE
+        for seat in crew:
+            seat.stop(late)
 
 
-def _start(book: Book, work: str, config: dict[str, Any]) -> _Worker:
-    context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe()
-    process = context.Process(target=_serve, args=(there, work, config, book.folder, book.task), daemon=True)
-    with _one_thread():
-        process.start()
-    there.close()  # so that the line ends when the process does
-    return _Worker(process, here)
+class ThreadSeat(Seat):
+    """A thread of this process: for work that waits for servers, and is safe to use from several threads."""
+
+    def __init__(self, do: Do, task: str | None, ledger: Ledger) -> None:
+        self._attempt = lambda unit, attempt: attempt_unit(do, unit, attempt, task, ledger)
+        super().__init__()
+
+    def _do(self, unit: Unit, attempt: int) -> dict[str, Any]:
+        return self._attempt(unit, attempt)
 
 
-def _hand_out(book: Book, worker: _Worker, crew: list[_Worker]) -> None:
-    taken = {other.group for other in crew if other is not worker and other.group is not None}
-    while (found := book.next(worker.group, taken)) is not None:
-        unit, attempt = found
-        worker.group = unit.group
+def in_threads(book: Book, work: str, config: dict[str, Any]) -> Callable[[], Seat]:
+    """What hires threads, which share what `work` set up and the ledger of `book`."""
+    do, ledger = load(work, config), _Shared(book.ledger)
+    return lambda: ThreadSeat(do, book.task, ledger)
+
+
+class _Shared(Ledger):
+    """A ledger that several threads append to, one at a time."""
+
+    def __init__(self, ledger: Ledger) -> None:
+        self._ledger, self._lock = ledger, threading.Lock()
+
+    def append(self, record: Mapping[str, Any]) -> None:
+        with self._lock:
+            self._ledger.append(record)
+
+
+class ProcessSeat(Seat):
+    """A new process (spawn: it inherits no threads, locks or open files), which keeps its results itself."""
+
+    def __init__(self, book: Book, work: str, config: dict[str, Any]) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._line, there = context.Pipe()
+        arguments = (there, work, config, book.folder, book.task)
+        self._process = context.Process(target=_serve, args=arguments, daemon=True)
+        self._path: Path | None = None
+        self._busy, self._how = True, ""
+        with _one_thread():
+            self._process.start()
+        there.close()  # so that the line ends when the process does
+        super().__init__()
+
+    def leave(self) -> None:
+        super().leave()
+        if self._busy:  # in the middle of a unit, or of its start
+            self._process.terminate()
+
+    def stop(self, late: float) -> None:
+        self._thread.join(max(0.0, late - time.monotonic()))
+        self._process.kill()
+        self._thread.join()
+
+    def _serve(self) -> None:
         try:
-            worker.line.send((unit, attempt))
-        except OSError:  # it has died; we hear of that soon
-            book.give_back(unit, attempt)
-            return
-        except Exception as error:  # try the next unit
-            book.cannot_be_sent(unit, attempt, error)
-        else:
-            worker.unit, worker.attempt, worker.began = unit, attempt, time.perf_counter()
-            return
-    worker.group = None
+            super()._serve()
+        finally:
+            with suppress(OSError):
+                self._line.send(None)
+            self._gone()
+            self._line.close()
 
-
-def _listen(crew: list[_Worker]) -> None:
-    """Wait until some worker says something or ends, and note what they say."""
-    wait([worker.line for worker in crew] + [worker.process.sentinel for worker in crew])
-    for worker in crew:
-        alive = worker.process.is_alive()  # asked first: what it said before its end is still in the line
+    def _settle(self) -> None:
         try:
-            while worker.line.poll():
-                worker.news.append(worker.line.recv())
+            self._path = Path(self._heard())
         except (EOFError, OSError):
-            alive = False
-        if not alive:
-            worker.gone = True
-            _end(worker.process)
+            raise Lost(self._gone()) from None
+        self._busy = False
 
+    def _do(self, unit: Unit, attempt: int) -> dict[str, Any]:
+        try:
+            self._line.send((unit, attempt))
+        except OSError:
+            raise Lost(self._gone(), begun=False) from None
+        except Exception as error:
+            raise Unsent(f"{type(error).__name__}: {error}") from error
+        self._busy = True
+        try:
+            return self._heard()
+        except (EOFError, OSError):
+            how = self._gone()
+        finally:
+            self._busy = False
+        assert self._path is not None
+        mine = (unit.key, attempt)
+        kept = next((found for found in records(self._path) if (found["key"], found["attempt"]) == mine), None)
+        raise Lost(how, kept=kept)
 
-def _hear(book: Book, worker: _Worker, what: str, said: Any) -> None:
-    if what == "ready":
-        worker.ready, worker.path = True, Path(said)
-    elif what == "ended" and worker.unit is not None:
-        unit, worker.unit = worker.unit, None
-        book.ended(unit, said)
-    elif what == "storage":
-        raise StorageError(said)
-    elif what == "work":
-        raise WorkError(said)
+    def _heard(self) -> Any:
+        """What the worker says next. Raises what it could not get over, or EOFError once it has died."""
+        said = self._line.recv()
+        if isinstance(said, StorageError | WorkError):
+            raise said
+        return said
 
-
-def _bury(book: Book, worker: _Worker) -> None:
-    """A worker has ended. Its unit has had an attempt, unless the result had been kept already."""
-    worker.line.close()
-    if worker.unit is None:
-        return
-    unit, worker.unit = worker.unit, None
-    if worker.path is not None:
-        for record in records(worker.path):
-            if (record["key"], record["attempt"]) == (unit.key, worker.attempt):
-                book.ended(unit, record)
-                return
-    code = worker.process.exitcode
-    if code == -signal.SIGTERM:
-        time.sleep(0.2)  # who ends a worker so ends us too, as a rule: then the unit has had no attempt
-    how = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
-    seconds = time.perf_counter() - worker.began
-    record = failure(unit, worker.attempt, book.task, f"the worker died in this unit ({how})", seconds)
-    book.ledger.append(record)
-    book.ended(unit, record)
-
-
-def _dismiss(crew: list[_Worker]) -> None:
-    """Send everybody home; whoever is in the middle of a unit, or of its start, is stopped."""
-    for worker in crew:
-        with suppress(OSError):
-            worker.line.send(None)
-        if worker.unit is not None or not worker.ready:
-            worker.process.terminate()
-    late = time.monotonic() + PATIENCE
-    for worker in crew:
-        _end(worker.process, late - time.monotonic())
-        worker.line.close()
-
-
-def _end(process: BaseProcess, patience: float = PATIENCE) -> None:
-    process.join(max(0.0, patience))
-    if process.is_alive():
-        process.kill()
-        process.join()
+    def _gone(self) -> str:
+        """See the process end; how it did."""
+        if self._how:
+            return self._how
+        self._process.join(PATIENCE)
+        if self._process.exitcode is None:
+            self._process.kill()
+            self._process.join()
+        code = self._process.exitcode
+        if code == -signal.SIGTERM:
+            time.sleep(0.2)  # who ends a worker so ends us too, as a rule: then the unit has had no attempt
+        self._how = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
+        return self._how
 
 
 @contextmanager
@@ -196,28 +284,24 @@ def _one_thread() -> Iterator[None]:
 
 def _serve(line: Connection, work: str, config: dict[str, Any], folder: Path, task: str | None) -> None:
     """The life of a worker process."""
-    import threading
-
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of the terminal; the parent decides
     threading.Thread(target=_leave_with_parent, daemon=True).start()
-    ledger = Ledger(folder, first=1)  # 0 is the parent's
-    try:
+    with (
+        suppress(EOFError, BrokenPipeError, ConnectionResetError),
+        Ledger(folder, first=1) as ledger,
+    ):  # 0: the parent's
         try:
-            with readable_lists():
-                do = load(work, config)
-        except Exception as error:
-            line.send(("work", f"{work} cannot be set up: {type(error).__name__}: {error}"))
-            return
-        line.send(("ready", str(ledger.open())))
-        while (order := line.recv()) is not None:
-            unit, attempt = order
-            line.send(("ended", attempt_unit(do, unit, attempt, task, ledger)))
-    except StorageError as error:
-        line.send(("storage", str(error)))
-    except (EOFError, BrokenPipeError, ConnectionResetError):
-        return  # the parent has gone
-    finally:
-        ledger.close()
+            try:
+                with readable_lists():
+                    do = load(work, config)
+            except Exception as error:
+                raise WorkError(f"{work} cannot be set up: {type(error).__name__}: {error}") from error
+            line.send(str(ledger.open()))
+            while (order := line.recv()) is not None:
+                unit, attempt = order
+                line.send(attempt_unit(do, unit, attempt, task, ledger))
+        except (StorageError, WorkError) as error:
+            line.send(type(error)(str(error)))
 
 
 def _leave_with_parent() -> None:

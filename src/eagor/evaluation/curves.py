@@ -54,10 +54,9 @@ def crossings(record: Record, method: str) -> list[int]:
 def around(
     records: Sequence[Record], method: str, events: Events, before: int, after: int, alone: bool = False
 ) -> Curve | None:
-    """Error of `method` from `before` steps before to `after` steps after the events of each episode.
+    """Error of `method` from `before` steps before to `after` steps after the events of each episode; None without any.
 
-    `alone` leaves out steps that belong to the neighbouring events: before the last one, or from the next one on. None
-    where no episode has an event.
+    `alone` leaves out steps that belong to the neighbouring events.
     """
     rows, labels = [], []
     for record in _of(records, method):
@@ -84,11 +83,7 @@ def by_step(records: Sequence[Record], method: str) -> Curve | None:
 
 
 def reliability(records: Sequence[Record], method: str) -> Curve | None:
-    """Share of steps, percent, at which the truth lay in the region of each mass (percent).
-
-    From the records' `mass_above`: the mass of the smallest credible region that reaches the truth. None for methods
-    that state no regions.
-    """
+    """Share of steps, percent, at which the truth lay in the region of each mass (percent); None where none is said."""
     rows, labels = [], []
     for record in _of(records, method):
         stated = numbers(record["methods"][method]["trace"].get("mass_above") or [])
@@ -100,10 +95,7 @@ def reliability(records: Sequence[Record], method: str) -> Curve | None:
 
 
 def coverage(records: Sequence[Record], method: str, visible: bool) -> Curve | None:
-    """Share of steps, percent, with the truth inside the 90 % region while the target is in sight, or out of it.
-
-    A curve of one point, or None where there is no case.
-    """
+    """Share of steps, percent, with the truth inside the 90 % region, the target in sight or out of it; one point."""
     rows, labels = [], []
     for record in _of(records, method):
         trace = record["methods"][method]["trace"]

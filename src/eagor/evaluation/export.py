@@ -1,4 +1,4 @@
-"""Tables as Markdown and as CSV."""
+"""Tables as Markdown, as LaTeX and as CSV."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from eagor._csv import as_csv
+from eagor.evaluation.page import Box, Sheet
 from eagor.evaluation.published import compared_with
-from eagor.evaluation.sheets import Box, Sheet
 from eagor.tasks.task import load
 
 FIELDS = (
@@ -45,38 +45,49 @@ def words(value: Any) -> str:
     return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
+def latex(sheet: Sheet) -> str:
+    """The main table as a LaTeX tabular, without its intervals."""
+    marks = str.maketrans({
+        "%": r"\%", "&": r"\&", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}", "\\": r"\textbackslash{}", "·": r"$\cdot$", "↑": r"$\uparrow$",
+        "↓": r"$\downarrow$", "–": "--",
+    })  # fmt: skip
+
+    def plain(text: str) -> str:
+        return text.translate(marks)
+
+    lines = [rf"\begin{{tabular}}{{l{'r' * (len(sheet.heads) - 1)}}}", r"\toprule"]
+    lines += [" & ".join(map(plain, sheet.heads)) + r" \\", r"\midrule"]
+    lines += [" & ".join([plain(row.head), *(plain(box.text) for box in row.boxes)]) + r" \\" for row in sheet.rows]
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
 def table_csv(summary: dict[str, Any]) -> str:
     """One row per stratum ("" for all episodes), method and column, at full precision; empty where there is no case."""
-    rows: list[dict[str, Any]] = []
+    rows: list[list[Any]] = []
     parts, columns = {"": summary}, load(summary["task"]).columns
     for title, labels in summary["strata"].items():
         parts |= {f"{title}: {label}": part for label, part in labels.items()}
     for stratum, part in parts.items():
         for method, values in part["methods"].items():
             for column in columns:
-                low, high = part["intervals"][method][column.key] or (None, None)
-                row = {
-                    "task": summary["task"],
-                    "stratum": stratum,
-                    "method": method,
-                    "column": column.key,
-                    "unit": column.unit,
-                    "value": values[column.key],
-                    "low": low,
-                    "high": high,
-                    "n": part["counts"][method][column.key],
-                }
-                if found := part.get("differences", {}).get(method, {}).get(column.key):
-                    row |= {
-                        "reference": compared_with(method, summary["reference"]),
-                        "difference": found["difference"],
-                        "difference_low": found["low"],
-                        "difference_high": found["high"],
-                        "p": found["p"],
-                        "p_holm": found["p_holm"],
-                    }
-                rows.append(row)
-    return as_csv([FIELDS, *([row.get(name) for name in FIELDS] for row in rows)])
+                key = column.key
+                ends = part["intervals"][method][key] or (None, None)
+                row = [
+                    summary["task"],
+                    stratum,
+                    method,
+                    key,
+                    column.unit,
+                    values[key],
+                    *ends,
+                    part["counts"][method][key],
+                ]
+                if found := part.get("differences", {}).get(method, {}).get(key):
+                    row += [compared_with(method, summary["reference"])]
+                    row += [found[name] for name in ("difference", "low", "high", "p", "p_holm")]
+                rows.append(row + [None] * (len(FIELDS) - len(row)))
+    return as_csv([FIELDS, *rows])
 
 
 def _plain(text: str) -> str:

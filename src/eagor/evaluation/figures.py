@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from eagor.evaluation import curves, page, sheets
-from eagor.evaluation.charts import Series, legend, line_chart, look_of
+from eagor.evaluation import curves, sheets
+from eagor.evaluation.charts import Series, line_chart, look_of
 from eagor.evaluation.curves import Curve
 from eagor.evaluation.kernels import kernel
+from eagor.evaluation.page import Box, Folded, Heading, Part, Pictures, Row, Section, Sheet, Text
 from eagor.evaluation.published import OURS, PAPERS, RESOLUTION_DEG, RIVALS, is_rival, ordered
 from eagor.evaluation.samples import Record, method_names
 from eagor.tasks.task import Task
-
-Section = tuple[str, str, str]  # id, heading, content
 
 
 def curve_sections(records: Sequence[Record], task: Task) -> list[Section]:
@@ -32,12 +31,12 @@ def curve_sections(records: Sequence[Record], task: Task) -> list[Section]:
     )
     if task.walked:
         steps = _panels(records, partial(curves.by_step, records), "Error by step")
-        note = page.paragraph(
+        note = Text(
             "Every method goes its own way. A line ends where fewer than half of its episodes go on: those that arrive "
             "early leave it, so the right end of a line is about the harder episodes.",
             "note",
         )
-        first: Section = ("steps", "Error by step", steps + note)
+        first = Section("steps", "Error by step", [*steps, note] if steps else [])
     else:
         turn = _panels(
             records,
@@ -46,20 +45,21 @@ def curve_sections(records: Sequence[Record], task: Task) -> list[Section]:
             "steps from the first step of a leg",
             "turn",
         )
-        first = ("turns", "Error after a turn", turn)
-    return [section for section in (first, ("seam", "Error around seam crossings", seam)) if section[2]]
+        first = Section("turns", "Error after a turn", turn)
+    return [section for section in (first, Section("seam", "Error around seam crossings", seam)) if section.parts]
 
 
 def _by_kind(records: Sequence[Record], task: Task) -> list[Section]:
     """Errors by step, for each kind of episode by itself (the first of the task's strata)."""
-    key, parts = next(iter(task.strata), ""), []
+    key = next(iter(task.strata), "")
+    parts: list[Part] = []
     labels = dict.fromkeys(record["episode"].get("stratum", {}).get(key) for record in records)
     for label in labels:
         some = [r for r in records if r["episode"].get("stratum", {}).get(key) == label]
         said = "all episodes" if label is None else str(label)
-        parts.append(f"<h3>{page.html.escape(said)}</h3>")
-        parts.append(_panels(records, lambda name, some=some: curves.by_step(some, name), f"Error by step, {said}"))
-    return [("steps", "Error by step", "".join(parts))] if parts else []
+        parts.append(Heading(said))
+        parts += _panels(records, lambda name, some=some: curves.by_step(some, name), f"Error by step, {said}")
+    return [Section("steps", "Error by step", parts)] if parts else []
 
 
 def _panels(
@@ -68,12 +68,12 @@ def _panels(
     title: str,
     x_label: str = "step",
     event: str = "",
-) -> str:
-    """Two charts with one scale: the paper's methods and ours, the further rivals and ours; "" without any case."""
+) -> list[Part]:
+    """Two charts with one scale: the paper's methods and ours, the further rivals and ours; none without any case."""
     names = [name for name in ordered(method_names(records)) if is_rival(name)]
     found = {name: curve for name in names if (curve := curve_of(name)) is not None}
     if not found:
-        return ""
+        return []
     top = max(v for curve in found.values() for v in (*curve.y, *curve.high) if v is not None)
     pictures, lines = [], []
     paper = (*RIVALS, PAPERS)
@@ -89,14 +89,12 @@ def _panels(
             continue
         whole = f"{title}: {label} and {OURS}" if group and OURS in chosen else title
         chart = line_chart(series, whole, x_label, "error, degrees", (0.0, 1.03 * top), event)
-        pictures.append(
-            (f"{chart}{legend(series)}", f"{whole}. Means over {_episodes(series)}; bands: 95 % intervals.")
-        )
+        pictures.append((chart, f"{whole}. Means over {_episodes(series)}; bands: 95 % intervals."))
         lines += [line for line in series if line not in lines]
-    return page.figures(pictures) + page.details("The numbers", page.table(_numbers(title, x_label, lines)))
+    return [Pictures(pictures), Folded("The numbers", [_numbers(title, x_label, lines)])]
 
 
-def _numbers(title: str, x_label: str, series: Sequence[Series]) -> sheets.Sheet:
+def _numbers(title: str, x_label: str, series: Sequence[Series]) -> Sheet:
     """A chart's numbers as a table."""
     xs = sorted({x for line in series for x in line.curve.x})
     rows = []
@@ -106,13 +104,11 @@ def _numbers(title: str, x_label: str, series: Sequence[Series]) -> sheets.Sheet
         for x in xs:
             y, low, high = known.get(x, (None, None, None))
             boxes.append(
-                sheets.Box(
-                    "–" if y is None else f"{y:.1f}", "" if low is None or high is None else f"{low:.1f} to {high:.1f}"
-                )
+                Box("–" if y is None else f"{y:.1f}", "" if low is None or high is None else f"{low:.1f} to {high:.1f}")
             )
-        rows.append(sheets.Row(line.name, tuple(boxes)))
+        rows.append(Row(line.name, tuple(boxes)))
     heads = (x_label, *(f"{x:g}".replace("-", "−") for x in xs))
-    return sheets.Sheet(title, heads, tuple(rows), (f"Means over {_episodes(series)}.",))
+    return Sheet(title, heads, tuple(rows), (f"Means over {_episodes(series)}.",))
 
 
 def _episodes(series: Sequence[Series]) -> str:
@@ -122,7 +118,7 @@ def _episodes(series: Sequence[Series]) -> str:
     return f"{high} episodes" if low == high else f"{low} to {high} episodes, by method"
 
 
-def reliability_chart(records: Sequence[Record]) -> str:
+def reliability_chart(records: Sequence[Record]) -> list[Part]:
     """Stated against found, for regions of every mass, where the records say enough."""
     names = [name for name in ordered(method_names(records)) if is_rival(name)]
     found = [
@@ -131,22 +127,20 @@ def reliability_chart(records: Sequence[Record]) -> str:
         if (curve := curves.reliability(records, name)) is not None
     ]
     if not found:
-        return ""
+        return []
     title = "Regions of every mass: stated, and found to hold the truth"
     chart = line_chart(
         found, title, "stated mass of the region, %", "steps with the truth inside, %", (0.0, 100.0), diagonal=True
     )
     caption = "On the dotted line statements are true; below it they are overconfident, above it too cautious."
-    return page.figures([(f"{chart}{legend(found)}", f"{title}. {caption}")]) + page.details(
-        "The numbers", page.table(_numbers(title, "stated, %", found))
-    )
+    return [Pictures([(chart, f"{title}. {caption}")]), Folded("The numbers", [_numbers(title, "stated, %", found)])]
 
 
-def kernel_chart(summary: dict[str, Any], degrees: dict[str, int]) -> str:
+def kernel_chart(summary: dict[str, Any], degrees: dict[str, int]) -> list[Part]:
     """The band-limited point at each degree that was tried."""
     tried = {sheets.degree_of(name) for name in summary["methods"] if sheets.split(name)[1] == ("degree",)}
     if not tried:
-        return ""
+        return []
     wanted = sorted({degree for degree in tried if degree is not None} | set(degrees.values()))
     angles = np.arange(0.0, 181.0, 1.0)
     series = []
@@ -160,4 +154,4 @@ def kernel_chart(summary: dict[str, Any], degrees: dict[str, int]) -> str:
     paper = "; ".join(
         f"the paper states about {width:g}° of resolution at degree {d}" for d, width in RESOLUTION_DEG.items()
     )
-    return page.figures([(f"{chart}{legend(series)}", f"{title}: width against ripples ({paper}).")])
+    return [Pictures([(chart, f"{title}: width against ripples ({paper}).")])]

@@ -1,8 +1,7 @@
 """The search behind ``eagor calibrate``: settings whose beliefs give the truth the best log score.
 
-It draws settings from a normal distribution in the logarithms of the parameters, and moves that distribution to the
-best quarter of each round (cross-entropy method; Rubinstein, Methodology and Computing in Applied Probability 1, 1999).
-It sees half of the apartments; what it found is judged by the other half.
+Draws come from a normal distribution in the logarithms of the parameters, which moves to the best quarter of each round
+(cross-entropy method; Rubinstein, 1999). Half of the apartments are searched on; the others judge.
 """
 
 from __future__ import annotations
@@ -59,12 +58,9 @@ def fit(
     on_trial: Callable[[], object] = lambda: None,
     on_round: Callable[[Calibrated], object] = lambda fitted: None,
 ) -> Calibrated:
-    """The settings with the best log score on `recordings`, which should span several apartments.
+    """The settings with the best log score on `recordings`, of which apartments are dealt into two halves.
 
-    Of a perception that gives detections, the model of the detector is counted first.
-
-    Apartments are dealt into two halves in turn: one is searched on, the other judges. `on_trial` is called after each
-    trial, `on_round` with the best so far. Raises `EagorError` if there are too few recordings for two halves.
+    `on_trial` is called after each trial, `on_round` with the best so far. Raises `EagorError` if there are too few.
     """
     seeds = sorted({recording.episode.slot.seed for recording in recordings})
     halves = [[r for r in recordings if seeds.index(r.episode.slot.seed) % 2 == half] for half in (0, 1)]
@@ -94,11 +90,7 @@ def fit(
 
 @dataclass(frozen=True)
 class _Space:
-    """What is searched: the `parameters`, and how looks are `read` before that.
-
-    That is a detector's model as it was counted, or the calibration that response maps have now. What is no parameter
-    stays as it is there.
-    """
+    """What is searched: the `parameters`, and how looks are `read` before that."""
 
     perception: str
     parameters: tuple[Parameter, ...]

@@ -1,8 +1,4 @@
-"""How long a perception's mistakes last, counted as their correlation at several lags.
-
-At a steady rate of looks a log score cannot tell a small share of mistakes that lasts from a large one that fades: what
-is left from one look to the next is the same. How the correlation falls with the lag tells them apart.
-"""
+"""How long a perception's mistakes last: how their correlation falls with the lag, which no log score can tell."""
 
 from __future__ import annotations
 
@@ -18,17 +14,10 @@ ENOUGH = 12.0  # by how much a share, or that it falls, has to mend the sum of s
 def lasting(stamps: Sequence[np.ndarray], mistakes: Sequence[np.ndarray]) -> tuple[float, float | None]:
     """The share of mistakes that repeats, and the seconds in which that fades.
 
-    Of each recording: `stamps` ``(n,)`` of its looks and their `mistakes` ``(n, d)``, d quantities whose mean over all
-    recordings is 0; NaN where there is none. The correlation at lag t is the mean of the products of the same quantity
-    in two looks t apart, over its mean square; all quantities and recordings count alike. To it
-
-        share * exp(-t / seconds)
-
-    is fitted by least squares, each lag weighed by its number of pairs. Lags are rounded to the usual time between two
-    looks, and the longest is half of the longest recording. It is assumed that the mistakes are stationary and that all
-    quantities repeat and fade alike; a recording whose target is harder than that of others looks like mistakes that
-    last. Seconds are at least half of the time between two looks, and None where the correlation does not fall over
-    these lags, or is none at all.
+    Of each recording: `stamps` ``(n,)`` of its looks and their `mistakes` ``(n, d)``, of mean 0 over all recordings,
+    NaN where there is none. To their correlation at each lag t ``share * exp(-t / seconds)`` is fitted by least
+    squares, weighed by the number of pairs. Seconds are None where the correlation does not fall over these lags, or is
+    none.
     """
     gaps = np.concatenate([np.zeros(0), *(np.diff(times) for times in stamps)])
     gaps = gaps[gaps > 0]

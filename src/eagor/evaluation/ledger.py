@@ -1,25 +1,27 @@
 """The ledger of a run: a folder of text files that survives a kill at any moment.
 
-``run.json`` says what is run; it is written once and never changed, but where `begin` is forced to. Each process that
-works on the run appends to a ``worker-<k>.jsonl`` of its own, one JSON object per line, each line in one unbuffered
-write that is on the disk (fsync) before the next unit begins. A record has at least "key", "attempt" (1, 2, ...) and
-"status" ("ok", "failed").
+``run.json`` says what is run. Each process appends to a ``worker-<k>.jsonl`` of its own, a JSON object per line, which
+is on the disk (fsync) before the next unit begins. A record has "key", "attempt" (1, 2, ...) and "status" ("ok",
+"failed").
 """
 
 from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from eagor._files import claimed, open_regular, written
 from eagor._json import parsed
+from eagor._secrets import redacted
 from eagor.errors import EagorError, FormatError, StorageError
-from eagor.evaluation.lines import as_line
 
 try:
     import fcntl
@@ -34,7 +36,7 @@ INPUTS, RESUMED = "inputs", "resumed"  # in run.json, beside the settings
 class Ledger:
     """Appends records to the first ``worker-<k>.jsonl`` of `folder` that no other process holds, k = `first`, ...
 
-    Cheap to make; the file is taken at the first `append`, or by `open`. `path` is None until then.
+    The file is taken at the first `append`, or by `open`; `path` is None until then.
     """
 
     def __init__(self, folder: Path, first: int = 0) -> None:
@@ -44,9 +46,8 @@ class Ledger:
     def append(self, record: Mapping[str, Any]) -> None:
         """Write one record and wait until it is on the disk.
 
-        Raises:
-            EagorError: the record holds a number that is not finite, or something that is no JSON; nothing is written.
-            StorageError: the disk is full or fails; the file ends as it did before.
+        Raises `EagorError` for what JSON cannot hold; `StorageError` if the disk is full or fails: the file ends as
+        before.
         """
         line = as_line(record)
         path = self.open()
@@ -103,15 +104,11 @@ def begin(
 ) -> None:
     """Make `folder` the folder of the run that `config` describes, or make sure that it already is.
 
-    `config` is anything that JSON can hold: task, seed, episodes, methods, versions, ... `inputs` are digests of what
-    the run is made of (`eagor.evaluation.inputs`), kept beside it. Where they have changed since, the run does not go
-    on, unless forced to: then it warns, and ``run.json`` has the new ones and says under "resumed" what has changed.
+    `inputs` are digests of what the run is made of (`eagor.evaluation.inputs`). Where they have changed since, the run
+    goes on only if forced: then it warns, and ``run.json`` says under "resumed" what has changed.
 
-    Raises:
-        EagorError: the folder holds a run with another description or of other inputs (the text lists what differs), or
-            can be none.
-        FormatError: its ``run.json`` is no JSON object.
-        StorageError: it cannot be written.
+    Raises `EagorError` if the folder holds another run or one of other inputs (the text lists what differs), or can be
+    none; `FormatError` if its ``run.json`` is no JSON object; `StorageError`.
     """
     wanted = json.loads(as_line({**config, INPUTS: inputs} if inputs else config))
     path = Path(folder) / RUN
@@ -167,12 +164,9 @@ def description(folder: Path) -> dict[str, Any]:
 def read(folder: Path) -> list[dict[str, Any]]:
     """The records of a run, one per key, in the order of their keys.
 
-    Of several records with one key one that is ok counts before any that failed (two processes may have tried the same
-    unit), then the one with the highest attempt, and the last of those. A last line that a kill left half written is
-    left out (whoever wrote it had not been told that it was kept).
-
-    Raises:
-        FormatError: any other line that is no record, or a file that cannot be read; names the file and the line.
+    Of several with one key one that is ok counts first, then the highest attempt, then the last. A last line that a
+    kill left half written is left out. Raises `FormatError` for any other line that is no record; names the file and
+    the line.
     """
     found: dict[str, dict[str, Any]] = {}
     for path in files(folder):
@@ -181,6 +175,13 @@ def read(folder: Path) -> list[dict[str, Any]]:
             if before is None or _rank(record) >= _rank(before):
                 found[record["key"]] = record
     return [found[key] for key in sorted(found)]
+
+
+def recorded(folder: Path) -> list[dict[str, Any]]:
+    """`read`, of a run that must have records. Raises `EagorError` as well where it has none."""
+    if found := read(folder):
+        return found
+    raise EagorError(f"{folder} has no records yet; run something into it first")
 
 
 def files(folder: Path) -> list[Path]:
@@ -202,6 +203,40 @@ def records(path: Path) -> Iterator[dict[str, Any]]:
         yield _record(line, path, number)
     if _is_json(torn):  # somebody's editor left out the last newline
         yield _record(torn, path, len(lines) + 1)
+
+
+def as_line(record: Mapping[str, Any]) -> bytes:
+    """`record` as one line of JSON with its newline; NumPy numbers and arrays become plain ones, secrets stars.
+
+    Raises `EagorError`, which names the place, for NaN, infinity, and what JSON does not know.
+    """
+    name = str(record.get("key", "record"))
+    text = json.dumps(_plain(record, name), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    text = redacted(text) + "\n"
+    return text.encode("utf-8", "backslashreplace")  # half a pair of surrogates is written as JSON escapes it
+
+
+def _plain(value: Any, place: str) -> Any:
+    """`value` in Python's own types, checked."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, float) and not math.isfinite(value):
+        raise EagorError(f"{place} is {value}; a record holds finite numbers, and null where there is no case")
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    if isinstance(value, Mapping):
+        return {_key(key, place): _plain(item, f"{place}: {key}") for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item, f"{place}[{index}]") for index, item in enumerate(value)]
+    raise EagorError(
+        f"{place} is a {type(value).__name__}, which JSON cannot hold; store numbers, text or lists of them"
+    )
+
+
+def _key(key: Any, place: str) -> str:
+    if not isinstance(key, str):
+        raise EagorError(f"{place} has the key {key!r}; wanted text, which is all that JSON can hold there")
+    return key
 
 
 def _text(found: Mapping[str, Any]) -> str:

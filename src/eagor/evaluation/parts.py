@@ -1,8 +1,6 @@
 """Where errors come from: before the target was first in sight, while it is, while it is hidden again; and distance.
 
-Before the first sighting nothing can be known but what is not there: that part is the price of the search, and no
-estimator avoids it. In sight, the errors are the perception's, as far as the estimator lets them through. Hidden, they
-are what the memory costs. Per episode first, then the mean over the episodes, with intervals that resample apartments.
+Before the first sighting, errors are the price of the search; in sight, the perception's; hidden, the memory's.
 """
 
 from __future__ import annotations
@@ -38,8 +36,7 @@ def error_in(records: Sequence[Record], method: str, part: str) -> Part | None:
 def distance_error(records: Sequence[Record], method: str) -> Part | None:
     """Relative error of the distance, percent, once the camera has moved by `BASELINE` of it since the first sighting.
 
-    The baseline is the largest distance between two places from which the target was in sight. None for methods that
-    state no distance.
+    None for methods that state no distance.
     """
 
     def read(trace: dict, truth: dict) -> tuple[np.ndarray, np.ndarray]:

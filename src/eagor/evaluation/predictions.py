@@ -13,7 +13,6 @@ from eagor._json import parsed, shown
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger
 from eagor.evaluation.benchmarks import KIND, BenchmarkRun, read_run
-from eagor.evaluation.lines import as_line
 from eagor.evaluation.samples import finished
 from eagor.tasks.benchmark import Case, Record, load, read_options
 
@@ -26,8 +25,8 @@ def read(
 ) -> tuple[dict[str, Any], list[Case], dict[str, dict[str, Any]]]:
     """Settings, cases, and predictions by case, from a JSON lines file or the folder of a run.
 
-    `task` and `data` are needed where `source` is no run; `options` are the benchmark's own, over those of the run.
-    Raises `EagorError` or `FormatError`, naming the line.
+    `task` and `data` are needed where `source` is no run; `options` go over those of the run. Raises `EagorError` or
+    `FormatError`, naming the line.
     """
     source = Path(source)
     if source.is_dir():
@@ -83,7 +82,7 @@ def keep(settings: Mapping[str, Any], records: Sequence[Record], folder: Path) -
 
 def _same(record: Record, kept: Record) -> bool:
     """Whether a result that is kept says what `record` says, whenever and however quickly it came about."""
-    found = json.loads(as_line(record))
+    found = json.loads(ledger.as_line(record))
     return all(kept.get(name) == value for name, value in found.items() if name not in ("attempt", "seconds"))
 
 

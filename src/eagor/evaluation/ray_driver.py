@@ -1,8 +1,7 @@
 """The process that talks to Ray: it joins the cluster, or begins one here, and gives units to actors.
 
-It lives in a session of its own, with all that Ray starts: so that they can be found and ended together
-(`end_session`), and a signal that is meant for the run ends none of Ray's servers under the others' feet. What is left
-to do and what was done is known to the process that started it, and asked for over a line.
+It has a session of its own, so that all that Ray starts can be ended together (`end_session`), and a signal meant for
+the run ends none of Ray's servers. It asks the process that started it what is left to do.
 """
 
 from __future__ import annotations
@@ -21,17 +20,14 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from eagor.errors import EagorError
+from eagor.evaluation.crew import Lost, Seat, work_together
 from eagor.evaluation.units import Unit, WorkError, attempt_unit, failure, load
 
-STARTS = 3  # so many actors in a row that die before they are ready mean that none ever will be
 OVER, READY = "over", "ready"
 
 
 def drive(line: Connection, work: str, config: dict[str, Any], count: int, address: str | None, task: Any) -> None:
-    """The life of this process; the last word on the line is `OVER`, with the error if there was one.
-
-    Ray shuts down by itself when this process ends.
-    """
+    """The life of this process; the last word on the line is `OVER`, with the error if there was one."""
     os.setsid()
     threading.Thread(target=_leave_with_parent, daemon=True).start()
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):  # the parent has gone
@@ -111,52 +107,41 @@ class _Book:
     def left(self) -> int:
         return self._ask("left")
 
-    def next(self) -> tuple[Unit, int] | None:
-        return pickle.loads(self._ask("next"))
+    def next(self, group: str | None, taken: set[str]) -> tuple[Unit, int] | None:
+        return pickle.loads(self._ask("next", group, taken))
 
-    def record(self, unit: Unit, record: Mapping[str, Any]) -> None:
-        """Keep the record of an attempt at `unit`, which is over."""
+    def ended(self, unit: Unit, record: Mapping[str, Any]) -> None:
+        """An attempt at `unit` is over: keep its record."""
         self._ask("record", unit, record)
+
+    def lost(self, unit: Unit, attempt: int, error: str, seconds: float) -> None:
+        self.ended(unit, failure(unit, attempt, self.task, error, seconds))
+
+
+class _ActorSeat(Seat):
+    """An actor somewhere on the cluster; its records come back whole."""
+
+    def __init__(self, ray: Any, actor: Any, work: str) -> None:
+        self._ray, self._actor, self._work = ray, actor, work
+        super().__init__()
+
+    def _settle(self) -> None:
+        if (said := self._got(self._actor.ready.remote())) is not None:
+            raise WorkError(f"{self._work} cannot be set up on a worker: {said}")
+
+    def _do(self, unit: Unit, attempt: int) -> dict[str, Any]:
+        return self._got(self._actor.do.remote(unit, attempt))
+
+    def _got(self, promise: Any) -> Any:
+        try:
+            return self._ray.get(promise)
+        except self._ray.exceptions.RayError as error:
+            raise Lost(type(error).__name__) from error
 
 
 def _work(ray: Any, book: _Book, work: str, config: dict[str, Any], count: int) -> None:
     actor = ray.remote(num_cpus=1, max_restarts=0)(Worker)
-    crew: list[Any] = []  # actors that wait for a unit
-    starting: dict[Any, Any] = {}  # the promise that an actor is ready -> the actor
-    busy: dict[Any, tuple[Any, Unit, int, float]] = {}  # the promise of a record -> who does what since when
-    stillborn = 0
-    while book.left or busy:
-        while len(crew) + len(starting) + len(busy) < min(count, book.left + len(busy)):
-            new = actor.remote(work, config, book.task)
-            starting[new.ready.remote()] = new
-        while crew and (found := book.next()) is not None:
-            unit, attempt = found
-            worker = crew.pop()
-            busy[worker.do.remote(unit, attempt)] = (worker, unit, attempt, time.perf_counter())
-        done, _ = ray.wait([*starting, *busy], num_returns=1)
-        for promise in done:
-            if promise in starting:
-                worker = starting.pop(promise)
-                try:
-                    said = ray.get(promise)
-                except ray.exceptions.RayError as error:
-                    stillborn += 1
-                    if stillborn >= STARTS:
-                        raise WorkError(f"{STARTS} actors in a row died before they were ready: {error}") from error
-                    continue
-                if said is not None:
-                    raise WorkError(f"{work} cannot be set up on a worker: {said}")
-                stillborn = 0
-                crew.append(worker)
-                continue
-            worker, unit, attempt, began = busy.pop(promise)
-            try:
-                record = ray.get(promise)
-                crew.append(worker)
-            except ray.exceptions.RayError as error:
-                text = f"the worker died in this unit ({type(error).__name__})"
-                record = failure(unit, attempt, book.task, text, time.perf_counter() - began)
-            book.record(unit, record)
+    work_together(book, lambda: _ActorSeat(ray, actor.remote(work, config, book.task), work), count)
 
 
 class Worker:
@@ -186,7 +171,7 @@ class _Kept:
     record: dict[str, Any]
 
     def append(self, record: Mapping[str, Any]) -> None:
-        from eagor.evaluation.lines import as_line
+        from eagor.evaluation.ledger import as_line
 
         as_line(record)
         self.record = dict(record)

@@ -1,11 +1,7 @@
-"""Units on a Ray cluster: many machines, each worker an actor, each result kept by the process that started the run.
+"""Units on a Ray cluster: each worker an actor; their records come back and are kept by the process that began the run.
 
-Workers may be anywhere and share no disk, so they send their records back; the one ledger is written here, and a unit
-counts as done once its record is on this disk. An actor, or a whole machine, that dies takes its unit's attempt with
-it; the unit is tried again elsewhere. Ray's own authentication is left as the cluster has it.
-
-Ray itself is kept out of this process (`eagor.evaluation.ray_driver`): it takes over signals, and waits for a minute
-where one of its servers has gone.
+An actor or a machine that dies takes its unit's attempt with it. Ray lives in a process of its own
+(`eagor.evaluation.ray_driver`): it takes over signals, and waits for a minute where one of its servers has gone.
 """
 
 from __future__ import annotations
@@ -26,17 +22,11 @@ PATIENCE = 2.0  # seconds that Ray has to end by itself
 
 
 def work_on_ray(book: Book, work: str, config: dict[str, Any], count: int, address: str | None = None) -> None:
-    """All units of `book` on at most `count` actors of the cluster at `address`.
+    """All units of `book` on at most `count` actors, one processor each, of the cluster at `address`.
 
-    Args:
-        book: what is left to do.
-        work: ``"package.module:function"``; has to be importable on every machine, as eagor itself.
-        config: settings for `work`; files that it names must be there under the same path.
-        count: actors, one processor each.
-        address: of the cluster, such as ``auto`` or ``ray://head:10001``; None: the one that this process has joined,
-            RAY_ADDRESS, else this machine alone.
-
-    Raises as `eagor.evaluation.workers.run_units` does, and `EagorError` without ray, or where no cluster answers.
+    `work` and the files that `config` names have to be on every machine. Without an address: the cluster that this
+    process has joined, RAY_ADDRESS, else this machine alone. Raises as `eagor.evaluation.workers.run_units`, and
+    `EagorError` without ray, or where no cluster answers.
     """
     if lacking := [name for name in ("ray", "psutil") if find_spec(name) is None]:
         raise EagorError(
@@ -75,7 +65,7 @@ def _serve(book: Book, line: Connection, begun: list[bool]) -> None:
         book.ledger.append(found)
         book.ended(unit, head_of(found))
 
-    answers = {"left": lambda: book.left, "next": lambda: _next(book), "record": record}
+    answers = {"left": lambda: book.left, "next": lambda *now: _next(book, *now), "record": record}
     while True:
         what, said = line.recv()
         if what == READY:
@@ -88,13 +78,13 @@ def _serve(book: Book, line: Connection, begun: list[bool]) -> None:
             line.send(answers[what](*said))
 
 
-def _next(book: Book) -> bytes:
+def _next(book: Book, group: str | None, taken: set[str]) -> bytes:
     """The next unit that can be sent, pickled with the number of its attempt; None, pickled, if there is none."""
-    while (found := book.next(None, set())) is not None:
+    while (found := book.next(group, taken)) is not None:
         try:
             return pickle.dumps(found)
         except Exception as error:
-            book.cannot_be_sent(*found, error)
+            book.lost(*found, f"cannot be sent: {type(error).__name__}: {error}", 0.0)
     return pickle.dumps(None)
 
 

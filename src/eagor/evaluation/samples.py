@@ -1,8 +1,7 @@
-"""From records to numbers per episode, and from those to means with their uncertainty.
+"""From records to figures per episode, and from those to means with their uncertainty.
 
-Per-episode figures first, then the mean over the episodes that have one. Episodes of one apartment (the "seed" of the
-episode) share its rooms and light, so whole apartments are resampled. The generator is seeded from a constant: the
-same records give the same intervals.
+Episodes of one apartment (the "seed") share its rooms and light, so whole apartments are resampled, always with the
+same seed.
 """
 
 from __future__ import annotations
@@ -133,8 +132,8 @@ def cell(found: Sample, column: Column) -> Cell | None:
 def mean_intervals(values: np.ndarray, labels: Sequence[Any]) -> tuple[list[float | None], list[float | None]]:
     """95 % intervals of the means of the columns of `values` ``(n, k)``, NaN where there is no case.
 
-    `eagor.statistics.bootstrap_interval` with groups, for many columns at once: the same groups are drawn, and a mean
-    over groups needs no more than their sums and counts. None for columns with cases from fewer than two groups.
+    `eagor.statistics.bootstrap_interval` with groups, for many columns at once. None with cases of fewer than two
+    groups.
     """
     names = list(dict.fromkeys(labels))
     place = {name: index for index, name in enumerate(names)}
@@ -148,17 +147,9 @@ def mean_intervals(values: np.ndarray, labels: Sequence[Any]) -> tuple[list[floa
     times = np.stack([(drawn == index).sum(axis=1) for index in range(len(names))], axis=1).astype(float)
     total = times @ counts
     means = np.where(total > 0, (times @ sums) / np.maximum(total, 1.0), np.nan)
-    low: list[float | None] = []
-    high: list[float | None] = []
-    for column in range(values.shape[1]):
-        kept = means[np.isfinite(means[:, column]), column]
-        if np.count_nonzero(counts[:, column]) < 2:
-            low.append(None)
-            high.append(None)
-        else:
-            ends = np.quantile(kept, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-            low.append(float(ends[0]))
-            high.append(float(ends[1]))
+    told = np.count_nonzero(counts, axis=0) >= 2
+    ends = np.nanquantile(np.where(told, means, 0.0), [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)
+    low, high = ([float(v) if there else None for v, there in zip(row, told, strict=True)] for row in ends)
     return low, high
 
 

@@ -1,14 +1,9 @@
-"""Single episodes to look at: from above, and through the camera at six moments.
-
-The world is made again from its seed; nothing of it is in the records but its hash, which has to agree.
-"""
+"""Single episodes to look at, in a world made again: from above, and through the camera at six moments."""
 
 from __future__ import annotations
 
 import base64
-import html
 import io
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +11,8 @@ import numpy as np
 
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import WorldError
-from eagor.evaluation.charts import look_of, mark, style_of, svg
+from eagor.evaluation.charts import blank, colour_of, look_of, style_of
+from eagor.evaluation.charts import finished as drawn
 from eagor.evaluation.published import OURS, is_rival, ordered
 from eagor.evaluation.samples import Record, finished
 
@@ -74,48 +70,44 @@ def moments_of(record: Record) -> list[int]:
 
 def floor_map(place: Place, record: Record, others: Sequence[Record]) -> str:
     """The episode from above: free floor, the target, and the way; in navigation each method's own (`others`)."""
+    from matplotlib.patches import Rectangle
+
     ground = place.ground
     rows, cols = np.nonzero(ground.free | ground.structure)
     low = ground.origin + ground.cell * np.array([cols.min(), rows.min()])
     high = ground.origin + ground.cell * np.array([cols.max() + 1, rows.max() + 1])
-    width, height = (high - low) * SCALE
-
-    def at(points: np.ndarray) -> np.ndarray:
-        return np.stack([(points[..., 0] - low[0]) * SCALE, (high[1] - points[..., 1]) * SCALE], axis=-1)
-
-    box = slice(rows.min(), rows.max() + 1), slice(cols.min(), cols.max() + 1)
-    parts = [
-        f'<image href="{_plan(ground.free[box], ground.structure[box])}" width="{width:.1f}" height="{height:.1f}" '
-        'preserveAspectRatio="none" class="plan"/>'
-    ]
-    for target in record["episode"]["targets"]:
-        if target < len(place.scene.instances):
-            thing = place.scene.instances[target]
-            (x0, y1), (x1, y0) = at(thing.low[:2]), at(thing.high[:2])
-            parts.append(
-                f'<rect class="target" x="{x0:.1f}" y="{y0:.1f}" width="{x1 - x0:.1f}" height="{y1 - y0:.1f}"/>'
+    figure, axes = blank(*(high - low) * SCALE)
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    target = colour_of("target")
+    for index in record["episode"]["targets"]:
+        if index < len(place.scene.instances):
+            thing = place.scene.instances[index]
+            axes.add_patch(
+                Rectangle(thing.low[:2], *(thing.high[:2] - thing.low[:2]), fill=False, ec=target, lw=3, clip_on=False)
             )
-    balls = [ball for ball in record["episode"].get("balls") or [] if ball is not None]
-    if balls:
-        parts.append(f'<polyline class="ball" points="{_points(at(np.array(balls)))}"/>')
-        parts += [f'<circle class="target" cx="{x:.1f}" cy="{y:.1f}" r="7"/>' for x, y in at(np.array(balls))[[0, -1]]]
+    balls = np.array([ball for ball in record["episode"].get("balls") or [] if ball is not None])
+    if len(balls):
+        axes.plot(balls[:, 0], balls[:, 1], color=target, linestyle=(0, (2, 2)), linewidth=2, clip_on=False)
+        axes.plot(*balls[[0, -1], :2].T, "o", color=target, fillstyle="none", markersize=14, mew=3, clip_on=False)
     for other in others:
         name = next(iter(other["methods"]))
-        dashes, _ = style_of(look_of(name))
-        parts.append(
-            f'<g class="s-{look_of(name)}"><title>{html.escape(name)}</title><polyline class="line" '
-            f'stroke-dasharray="{dashes or "none"}" points="{_points(at(_poses(other, name)[:, :2]))}"/></g>'
-        )
-    way = at(_poses(record)[:, :2])
-    parts.append(f'<g class="s-{OURS}"><polyline class="line strong" points="{_points(way)}"/></g>')
-    for label, (x, y) in _stops(way, moments_of(record)):
-        wide = 9.0 + 7.0 * (len(label) > 1)
-        parts.append(
-            f'<rect class="stop" x="{x - wide:.1f}" y="{y - 9:.1f}" width="{2 * wide:.1f}" height="18" rx="9"/>'
-            f'<text class="stop" x="{x:.1f}" y="{y + 4:.1f}" text-anchor="middle">{label}</text>'
-        )
+        look = style_of(look_of(name), marker="")
+        axes.plot(*_poses(other, name)[:, :2].T, linewidth=1.7, **look)
+    way = _poses(record)[:, :2]
+    axes.plot(*way.T, linewidth=3.2, **style_of(OURS, marker=""))
+    frame = {
+        "boxstyle": "round,pad=0.25,rounding_size=0.6",
+        "fc": colour_of("paper"),
+        "ec": colour_of("ink"),
+        "lw": 1.5,
+    }
+    for label, at in _stops(way, moments_of(record)):
+        axes.text(*at, label, ha="center", va="center", fontsize=12, weight="bold", color=colour_of("ink"), bbox=frame)
+    box = slice(rows.min(), rows.max() + 1), slice(cols.min(), cols.max() + 1)
     words = f"{len(way)} steps; the target is outlined; the numbers are the moments shown beside"
-    return svg("".join(parts), width, height, f"From above: {record['episode']['query']}", words)
+    title = f"From above: {record['episode']['query']}, episode {record['episode']['id']}"
+    return drawn(figure, title, words, _plan(ground.free[box], ground.structure[box]))
 
 
 def strip(place: Place, record: Record) -> list[tuple[str, str]]:
@@ -124,28 +116,27 @@ def strip(place: Place, record: Record) -> list[tuple[str, str]]:
     names = [name for name in ordered(traces) if is_rival(name)]
     poses, found = _poses(record), []
     for number, step in enumerate(moments_of(record), start=1):
-        pose = poses[step]
-        image = _panorama(place, record, pose, step)
-        parts = [f'<image href="{image}" width="360" height="{TOP - BOTTOM}" preserveAspectRatio="none"/>']
+        figure, axes = blank(360, TOP - BOTTOM)
+        axes.set_xlim(0, 360)
+        axes.set_ylim(TOP - BOTTOM, 0)
         azimuth, elevation = truth["azimuth_deg"][step], truth["elevation_deg"][step]
         there = truth.get("present", [True] * len(poses))[step]
-        for kind in ("truth below", "truth") if there else ():  # a dark ring below the white one
-            rings = _places(azimuth, elevation)
-            parts += [f'<circle class="{kind}" cx="{x:.1f}" cy="{y:.1f}" r="9"/>' for x, y in rings]
+        for colour, width in (("#111", 5), ("#fff", 2.6)) if there else ():  # a dark ring below the white one
+            for at in _places(azimuth, elevation):
+                axes.plot(*at, "o", color=colour, fillstyle="none", markersize=18, mew=width, clip_on=False)
         for name in sorted(names, key=lambda name: name == OURS):
-            trace = traces[name]
-            _, shape = style_of(look_of(name))
-            for x, y in _places(trace["azimuth_deg"][step], trace["elevation_deg"][step]):
-                drawn = mark(shape, x, y, 5.0 if name == OURS else 3.8)
-                look = f'<g class="said s-{look_of(name)}"><title>{html.escape(name)}</title>'
-                parts.append(f'<g class="below">{drawn}</g>{look}{drawn}</g>')
+            look = style_of(look_of(name), markersize=10 if name == OURS else 7.6)
+            for at in _places(traces[name]["azimuth_deg"][step], traces[name]["elevation_deg"][step]):
+                axes.plot(*at, **look | {"color": "#fff", "mew": 4.5})
+                axes.plot(*at, **look, mew=1.5)
         error = traces[OURS]["error_deg"][step]
         state = "in sight" if truth["visible"][step] else "out of sight" if there else "gone"
         off = "" if error is None else f"; off by {error:.0f}°"
         caption = f"{number}. step {step}: target {state}{off}"
         words = f"true azimuth {azimuth:.0f} degrees" if there else "no target"
         words += f"; {OURS} says {traces[OURS]['azimuth_deg'][step]:.0f} degrees; positive is to the left"
-        found.append((svg("".join(parts), 360, TOP - BOTTOM, f"Panorama at step {step}", words), caption))
+        title = f"Panorama at step {step} of episode {record['episode']['id']}"
+        found.append((drawn(figure, title, words, _panorama(place, record, poses[step], step)), caption))
     return found
 
 
@@ -219,7 +210,3 @@ def _png(pixels: np.ndarray, colours: int | None = None) -> str:
     buffer = io.BytesIO()
     image.save(buffer, format="PNG", optimize=True)
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
-
-
-def _points(pixels: np.ndarray) -> str:
-    return " ".join(f"{x:.1f},{y:.1f}" for x, y in pixels if math.isfinite(x) and math.isfinite(y))

@@ -1,8 +1,6 @@
-"""From the records of a benchmark's run to its figures: with intervals, by turn, by tag, by cause.
+"""From the records of a benchmark's run to its figures, per cent: with intervals, by turn, by tag, by cause.
 
-Shares are in per cent. Two intervals stand at every figure: Wilson's, which takes every case for itself, and a cluster
-bootstrap, which knows that cases share targets or scenes (four starts of one target succeed or fail together more
-often than not). Where they differ, the wider one is to be believed.
+Wilson's interval takes every case for itself; the cluster bootstrap knows that cases share targets or scenes.
 """
 
 from __future__ import annotations
@@ -48,9 +46,9 @@ def summarise(settings: Mapping[str, Any], records: Sequence[Record]) -> dict[st
         "failed": len(records) - len(good),
     }
     cells = {figure.key: cell(figure, good) for figure in benchmark.figures}
-    found |= {key: value["value"] for key, value in cells.items()}
-    found["intervals"] = {key: {"wilson": v["wilson"], "cluster": v["cluster"]} for key, v in cells.items()}
-    found["counts"] = {key: value["n"] for key, value in cells.items()}
+    found |= {key: cell["value"] for key, cell in cells.items()}
+    found["intervals"] = {key: {kind: c[kind] for kind in ("wilson", "cluster")} for key, c in cells.items()}
+    found["counts"] = {key: cell["n"] for key, cell in cells.items()}
     if good:
         found |= _by_turn(good) | _views(good) | _reliability(good)
     found["tags"] = tags(good)
@@ -67,16 +65,12 @@ def cell(figure: Figure, records: Sequence[Record]) -> dict[str, Any]:
     values = np.array([value for value, _ in chosen], dtype=np.float64)
     labels = [record["cluster"] for _, record in chosen]
     if figure.over is None:
-        value = float(values.mean())
         low, high = mean_intervals(values[:, None], labels)
         cluster = None if low[0] is None or high[0] is None else [100 * low[0], 100 * high[0]]
-        shares = bool(np.isin(values, (0.0, 1.0)).all())
-        wilson = wilson_interval(int(values.sum()), len(values), LEVEL) if shares else None
-        ends = None if wilson is None else [100 * wilson.low, 100 * wilson.high]
-        return {"value": 100 * value, "n": len(values), "wilson": ends, "cluster": cluster}
-    mean_of_means = _mean_of_means(values, [figure.over(record) for _, record in chosen])
+        wilson = _wilson(values) if bool(np.isin(values, (0.0, 1.0)).all()) else None
+        return {"value": 100 * float(values.mean()), "n": len(values), "wilson": wilson, "cluster": cluster}
+    mean_of_means, cluster = _mean_of_means(values, [figure.over(record) for _, record in chosen]), None
     everything = np.arange(len(values), dtype=np.float64)
-    cluster = None
     if len(set(labels)) > 1:
         rng = np.random.default_rng(SEED)
         drawn = bootstrap_interval(everything, rng, LEVEL, mean_of_means, labels, RESAMPLES)
@@ -118,9 +112,8 @@ def compare(
 ) -> dict[str, Any]:
     """Two runs of one benchmark over the cases that both have a result of, figure by figure, a minus b.
 
-    Per figure: both values, the difference with its cluster-bootstrap interval, p by sign flips of whole clusters; and
-    McNemar's exact test where every score is 0 or 1 (cases taken as independent). Raises `EagorError` if the runs
-    are of different benchmarks or data, or share no case.
+    With a cluster-bootstrap interval, p by sign flips of clusters, and McNemar's exact test where every score is 0 or
+    1. Raises `EagorError` if the runs are of different benchmarks or data, or share no case.
     """
     (settings_a, records_a), (settings_b, records_b) = a, b
     for key in ("task", "data"):
@@ -211,17 +204,22 @@ def _reliability(records: Sequence[Record]) -> dict[str, Any]:
     ]
     every = reliability([p for p, _ in steps], [good for _, good in steps], BINS) if steps else ()
     return {
-        "reliability": [[row.lower, row.upper, row.n, row.stated, row.frequency] for row in table],
+        "reliability": _rows(table),
         "calibration_error": calibration_error(table),
-        "reliability_by_step": [[row.lower, row.upper, row.n, row.stated, row.frequency] for row in every],
+        "reliability_by_step": _rows(every),
         "sure": {
             "episodes": len(sure),
             "right": 100 * float(np.mean(sure)) if sure else None,
-            "wilson": [100 * v for v in _ends(sure)] if sure else None,
+            "wilson": _wilson(sure) if sure else None,
         },
     }
 
 
-def _ends(outcomes: Sequence[bool]) -> tuple[float, float]:
-    found = wilson_interval(sum(outcomes), len(outcomes), LEVEL)
-    return found.low, found.high
+def _rows(table: Sequence[Any]) -> list[list[float]]:
+    return [[row.lower, row.upper, row.n, row.stated, row.frequency] for row in table]
+
+
+def _wilson(outcomes: Any) -> list[float]:
+    """The ends of Wilson's interval of a share, per cent."""
+    found = wilson_interval(int(sum(outcomes)), len(outcomes), LEVEL)
+    return [100 * found.low, 100 * found.high]

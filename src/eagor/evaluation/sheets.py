@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any
 
 from eagor.evaluation import curves, parts
 from eagor.evaluation.kernels import half_width_deg, highest_sidelobe
+from eagor.evaluation.page import Box, Row, Sheet
 from eagor.evaluation.published import FIGURES, OURS, PAPERS, RIVALS, is_ablation, is_rival
 from eagor.evaluation.samples import FEW, Gap, Record, gap, lowest_p, sample
 from eagor.evaluation.tables import SIGNIFICANT, best, corrected, mark, shown, shown_columns
@@ -43,35 +43,6 @@ KEYS = {
 }
 
 
-@dataclass(frozen=True)
-class Box:
-    """A cell: its text, an interval in small print, a mark, and whether it is the best of its column."""
-
-    text: str
-    small: str = ""
-    mark: str = ""
-    best: bool = False
-
-
-@dataclass(frozen=True)
-class Row:
-    """A row: its head, its cells, and its kind ("ours", "paper", or "")."""
-
-    head: str
-    boxes: tuple[Box, ...]
-    kind: str = ""
-
-
-@dataclass(frozen=True)
-class Sheet:
-    """A table: what it shows, the heads of its columns (the first is that of the row heads), rows and notes."""
-
-    title: str
-    heads: tuple[str, ...]
-    rows: tuple[Row, ...]
-    notes: tuple[str, ...] = field(default=())
-
-
 def main_sheet(summary: dict[str, Any]) -> Sheet:
     """The table laid out like the paper's, with the published row below each method that has one."""
     columns = shown_columns(summary)
@@ -80,7 +51,7 @@ def main_sheet(summary: dict[str, Any]) -> Sheet:
     published = FIGURES.get(summary["task"], {})
     rows = []
     for name in names:
-        rows.append(Row(name, _boxes(summary, name, columns, rivals), "ours" if name == OURS else ""))
+        rows.append(_row(name, _boxes(summary, name, columns, rivals)))
         if name in published:
             figures = [Box(shown(published[name].get(column.key), column)) for column in columns]
             rows.append(Row("as published", tuple(figures), "paper"))
@@ -141,12 +112,10 @@ def strata_sheets(summary: dict[str, Any]) -> list[Sheet]:
             view = {**summary, **part, "differences": {}}
             columns = shown_columns(view)
             names = [name for name in part["methods"] if not is_ablation(name)]
-            rivals = [name for name in names if is_rival(name)]
-            rows = tuple(
-                Row(name, _boxes(view, name, columns, rivals), "ours" if name == OURS else "") for name in names
-            )
-            notes = (_cases(view, names, columns),)
-            found.append(Sheet(f"{title}: {label} ({part['episodes']} episodes)", _heads(columns), rows, notes))
+            rivals = list(filter(is_rival, names))
+            rows = tuple(_row(name, _boxes(view, name, columns, rivals)) for name in names)
+            what = f"{title}: {label} ({part['episodes']} episodes)"
+            found.append(Sheet(what, _heads(columns), rows, (_cases(view, names, columns),)))
     return found
 
 
@@ -162,25 +131,17 @@ def ordering_sheet(records: Sequence[Record], task: str) -> Sheet | None:
             gaps[rival, column.key] = gap(*(pair if column.better == "low" else pair[::-1]))
     if not any(gaps.values()):
         return None
-    measured = corrected(gaps)
     rows, verdicts = [], []
-    for rival in RIVALS:
-        claimed = {
-            column.key: (published[rival][column.key] - published[PAPERS][column.key])
-            * (1 if column.better == "low" else -1)
-            for column in columns
-        }
-        ours = measured[rival,]
-        found = [verdict(claimed[column.key], ours[column.key]) for column in columns]
-        verdicts += found
-        rows.append(
-            Row(f"over {rival}: published", tuple(Box(shown(claimed[c.key], c, True)) for c in columns), "paper")
-        )
-        boxes = []
-        for column, said in zip(columns, found, strict=True):
-            value = ours[column.key]
-            low_high = f"{shown(value.low, column, True)} to {shown(value.high, column, True)}" if value else ""
-            boxes.append(Box(shown(value and value.difference, column, True), low_high, said))
+    for (rival,), measured in corrected(gaps).items():
+        claimed, boxes = [], []
+        for column in columns:
+            ahead = published[rival][column.key] - published[PAPERS][column.key]
+            margin, value = ahead * (1 if column.better == "low" else -1), measured[column.key]
+            claimed.append(Box(shown(margin, column, True)))
+            verdicts.append(verdict(margin, value))
+            ends = f"{shown(value.low, column, True)} to {shown(value.high, column, True)}" if value else ""
+            boxes.append(Box(shown(value and value.difference, column, True), ends, verdicts[-1]))
+        rows.append(Row(f"over {rival}: published", tuple(claimed), "paper"))
         rows.append(Row(f"over {rival}: measured", tuple(boxes)))
     counts = {said: verdicts.count(said) for said in ("holds", "open", "reversed")}
     notes = (
@@ -211,22 +172,17 @@ def coverage_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet 
     for name, row in summary["methods"].items():
         if is_ablation(name) or row["coverage"] is None:
             continue
-        boxes = [_box(summary, name, column)]
-        for visible in (True, False):
-            found = curves.coverage(records, name, visible)
-            if found is None:
-                boxes.append(Box("–"))
-            else:
-                boxes.append(Box(shown(found.y[0], column), _interval((found.low[0], found.high[0]), column)))
-        rows.append(Row(name, tuple(boxes), "ours" if name == OURS else ""))
+        found = [curves.coverage(records, name, visible) for visible in (True, False)]
+        parts = [Box(shown(c.y[0], column), _interval((c.low[0], c.high[0]), column)) if c else Box("–") for c in found]
+        rows.append(_row(name, [_box(summary, name, column), *parts]))
     if not rows:
         return None
-    notes = (
+    note = (
         "Share of steps, percent, at which the true direction lay in the stated 90 % region; 90 is right, less is "
-        "overconfident, more is too cautious. Methods that state no region are left out.",
+        "overconfident, more is too cautious. Methods that state no region are left out."
     )
     heads = ("method", "all steps, %", "target in sight, %", "target out of sight, %")
-    return Sheet("Coverage of the 90 % regions", heads, tuple(rows), notes)
+    return Sheet("Coverage of the 90 % regions", heads, tuple(rows), (note,))
 
 
 def parts_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet | None:
@@ -238,7 +194,7 @@ def parts_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet | N
         found = {part: parts.error_in(records, name, part) for part in parts.PARTS}
         shares |= {part: value.share for part, value in found.items() if value is not None and name == OURS}
         boxes = [_part_box(value) for value in (*found.values(), parts.distance_error(records, name))]
-        rows.append(Row(name, tuple(boxes), "ours" if name == OURS else ""))
+        rows.append(_row(name, boxes))
     if not rows:
         return None
     steps = ", ".join(f"{100 * share:.0f} % {part}" for part, share in shares.items())
@@ -250,12 +206,8 @@ def parts_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet | N
         f"Distance: mean relative error once the camera has moved by {100 * parts.BASELINE:.0f} % of it since the "
         "first sighting, for methods that state one.",
     )
-    return Sheet(
-        "What the errors are made of",
-        ("method", *(f"{p} ↓, °" for p in parts.PARTS), "distance ↓, %"),
-        tuple(rows),
-        notes,
-    )
+    heads = ("method", *(f"{p} ↓, °" for p in parts.PARTS), "distance ↓, %")
+    return Sheet("What the errors are made of", heads, tuple(rows), notes)
 
 
 def _part_box(value: parts.Part | None) -> Box:
@@ -317,6 +269,10 @@ def _kernel_boxes(degree: int | None) -> tuple[Box, ...]:
         Box("–" if width is None else f"{width:.1f}"),
         Box("–" if ripple is None else f"{100 * ripple:.1f}"),
     )
+
+
+def _row(name: str, boxes: Sequence[Box]) -> Row:
+    return Row(name, tuple(boxes), "ours" if name == OURS else "")
 
 
 def _heads(columns: Sequence[Column], first: str = "method") -> tuple[str, ...]:

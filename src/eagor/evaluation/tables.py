@@ -1,7 +1,6 @@
-"""From the records of a run to its table: one row per method, with intervals, counts and differences.
+"""From the records of a simulated run to its table: one row per method, with intervals, counts and differences.
 
-Shares are in percent (0 to 100), angles in degrees. A cell without cases is None. Everything is plain Python, ready for
-JSON.
+Shares are in percent, angles in degrees; a cell without cases is None. All is plain Python, ready for JSON.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from eagor.errors import EagorError
+from eagor.evaluation.page import in_columns
 from eagor.evaluation.published import OURS, compared_with, is_ablation, is_rival, ordered
 from eagor.evaluation.samples import (
     Cell,
@@ -34,29 +34,19 @@ SIGNIFICANT = 0.05
 
 
 def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any]:
-    """The table of one task, as plain values.
+    """The table of one task, as plain values; each method is compared with `reference`.
 
-    - ``"task"``, ``"reference"``: names; ``"episodes"``: how many have a result of some method; ``"apartments"``;
-      ``"failed"``: units that have none, ``"failures"``: ``[{"key", "attempt", "error"}]``.
-    - ``"methods"``: ``{name: {column: value or None}}``; ``"counts"``: ``{name: {column: n}}``.
-    - ``"intervals"``: ``{name: {column: [low, high] or None}}``, 95 %; Wilson's for shares of success, cluster
-      bootstrap by apartment for means.
-    - ``"differences"``: ``{name: {column: {difference, low, high, p, p_holm, n, groups} or None}}``, method minus
-      reference over the episodes that both have; p by sign flips of whole apartments; p_holm is corrected for all tests
-      of the table. Ablations ("eagor:degree=7") make a table of their own, in which each is compared with the method
-      that it varies.
-    - ``"strata"``: ``{title: {label: {"episodes", "methods", "intervals", "counts"}}}``.
+    - "methods" {name: {column: value}}, "counts" and "intervals" (95 %: Wilson's for shares of success, else a
+      bootstrap of apartments) alike; "episodes" with a result, "apartments", "failed" units and "failures".
+    - "differences" {name: {column: {difference, low, high, p, p_holm, n, groups}}}: method minus reference over shared
+      episodes; p by sign flips of apartments, p_holm corrected for all tests. Ablations are a family of their own, each
+      compared with the method that it varies.
+    - "strata" {title: {label: {"episodes", "methods", "intervals", "counts"}}}.
 
-    Args:
-        records: of one task, such as `eagor.evaluation.ledger.read` returns.
-        reference: the method that all others are compared with.
-
-    Raises:
-        EagorError: the records are of several tasks, or of one that has no table.
-        FormatError: a record is not what a task writes.
+    Raises `EagorError` for records of several tasks, or of an unknown one; `FormatError` for one that no task writes.
     """
-    records = checked(list(records), SIMULATED)
-    task = _task(records)
+    records = list(records)
+    task = task_of(records)
     checked(records, WALKED if task.walked else WATCHED)
     if any("leg" in record.get("truth", {}) for record in finished(records)):
         checked(records, IN_LEGS)
@@ -76,6 +66,16 @@ def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any
     }
 
 
+def task_of(records: Sequence[Record]) -> Task:
+    """The one task that records are of. Raises as `summarise`."""
+    checked(records, SIMULATED)
+    names = {record.get("task") for record in records} - {None}
+    if len(names) != 1:
+        found = sorted(map(str, names)) or "none"
+        raise EagorError(f"the records are of the tasks {found}; wanted one of {', '.join(known())}")
+    return load(str(names.pop()))
+
+
 def as_text(summary: dict[str, Any]) -> list[str]:
     """The table for a terminal: a line per method, one with the numbers of cases, and what the marks mean."""
     columns = shown_columns(summary)
@@ -92,18 +92,13 @@ def as_text(summary: dict[str, Any]) -> list[str]:
         rows.append(row)
     counts = [summary["counts"][name] for name in summary["methods"]]
     rows.append(["cases", *(f"{_span([count[column.key] for count in counts])} " for column in columns)])
-    wide = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = [
-        "  ".join(text.ljust(wide[k]) if k == 0 else text.rjust(wide[k]) for k, text in enumerate(row)).rstrip()
-        for row in rows
-    ]
     head = f"{load(summary['task']).title}: {summary['episodes']} episodes"
     if summary["failed"]:
         head += f"; {summary['failed']} could not be run"
     notes = [text for sign, text in (("-", "- worse"), ("+", "+ better")) if sign in marks]
     other = f"{summary['reference']} (a variant: than what it varies)"
     tail = [f"{', '.join(notes)} than {other}: p < {SIGNIFICANT}, corrected for the number of tests"] if notes else []
-    return [head, *lines, *tail]
+    return [head, *in_columns(rows), *tail]
 
 
 def mark(summary: dict[str, Any], name: str, column: Column) -> str:
@@ -147,15 +142,6 @@ def corrected(gaps: dict[tuple[str, ...], Gap | None]) -> dict[tuple[str, ...], 
     for name, found in gaps.items():
         nested.setdefault(name[:-1], {})[name[-1]] = None if found is None else replace(found, p_holm=values[name])
     return nested
-
-
-def _task(records: Sequence[Record]) -> Task:
-    tasks = {record.get("task") for record in records} - {None}
-    if len(tasks) != 1:
-        raise EagorError(
-            f"the records are of the tasks {sorted(map(str, tasks)) or 'none'}; wanted one of {', '.join(known())}"
-        )
-    return load(str(tasks.pop()))
 
 
 def _cells(records: Sequence[Record], columns: Sequence[Column]) -> tuple[dict[str, Any], dict[str, dict[str, Sample]]]:

@@ -21,10 +21,9 @@ Told = Callable[[dict[str, Any]], object]
 
 @dataclass(frozen=True)
 class Unit:
-    """One piece of work: its `key` in the ledger, the `group` whose things it shares, and what it needs to know.
+    """One piece of work: its `key` in the ledger, the `group` whose things it shares, and its `payload` for the work.
 
-    Units of one group (the episodes of one apartment) are given to one process as long as there are others to give.
-    `payload` is handed to the work; with several processes it has to survive pickling.
+    Units of one group (the episodes of one apartment) go to one process as long as there are others to give.
     """
 
     key: str
@@ -68,7 +67,7 @@ class Book:
         return sum(map(len, self._queues.values()))
 
     def next(self, group: str | None, taken: set[str]) -> tuple[Unit, int] | None:
-        """The next unit, and which attempt it is, for a worker that has just done one of `group`; None: all given out.
+        """The next unit and its attempt, for a worker that has just done one of `group`; None: all given out.
 
         Its own group first, then one that is not among those `taken` by others, then help with the longest.
         """
@@ -84,9 +83,9 @@ class Book:
         """`unit` has not been begun after all."""
         self._queues[unit.group].appendleft((unit, attempt))
 
-    def cannot_be_sent(self, unit: Unit, attempt: int, error: Exception) -> None:
-        """The payload of `unit` cannot be pickled: no worker will ever get it."""
-        record = failure(unit, attempt, self.task, f"cannot be sent: {type(error).__name__}: {error}", 0.0)
+    def lost(self, unit: Unit, attempt: int, error: str, seconds: float) -> None:
+        """Record an attempt at `unit` that no worker can: it has died, or the unit could not be sent."""
+        record = failure(unit, attempt, self.task, error, seconds)
         self.ledger.append(record)
         self.ended(unit, record)
 

@@ -1,7 +1,6 @@
-"""Many units of work on one or several processes, each result kept the moment it is there.
+"""Many units of work on one or several workers, each result kept the moment it is there.
 
-What has been recorded decides what is left to do, so a run that was stopped, by whatever, goes on where it stopped. A
-unit that raises, or takes its process down with it, has had an attempt; after so many it is left alone as failed.
+What is recorded decides what is left to do. A unit that raises, or takes its process down, has had an attempt.
 """
 
 from __future__ import annotations
@@ -46,28 +45,16 @@ def run_units(
 ) -> Outcome:
     """Do all of `units` that `folder` has no result of, and record each as soon as it ends.
 
-    Args:
-        units: what to do; their keys must differ.
-        work: ``"package.module:function"``. ``function(config)`` is called once per process and returns a callable,
-            payload -> dict; the dict becomes the record, together with key, attempt, status and seconds.
-        config: settings for `work`. Its "task", where it has one, is put into records that do not say theirs.
-        folder: of the run; see `eagor.evaluation.ledger`.
-        workers: 1 works in this process (a unit that kills its process then ends the run, and has had no attempt).
-            More start that many new ones with one BLAS thread each; one that dies is replaced, and its unit has had
-            an attempt.
-        attempts: how often a unit is tried, earlier runs on the same folder included.
-        on_done: called, in this process, with the record of each unit that is finished (done, or failed for good), but
-            without its "methods" and "truth".
-        retry_failed: give units that failed for good as many attempts again.
-        engine: who the workers are: ``processes`` of this machine; ``threads`` of this process, for work that waits
-            for servers; ``ray``, actors on the cluster at `address` (see `eagor.evaluation.ray_engine`).
-        address: of the Ray cluster.
+    `work` is ``"package.module:function"``: ``function(config)`` is called once per process and returns a callable,
+    payload -> dict; the dict becomes the record, together with key, attempt, status and seconds. One worker works in
+    this process (a unit that kills it ends the run, and has had no attempt); several are new `engine`s: processes with
+    one BLAS thread each, threads, or Ray actors on the cluster at `address`. A unit has so many `attempts`, earlier
+    runs included; `retry_failed` gives as many again. `on_done` gets the record of each unit that is finished, without
+    its "methods" and "truth".
 
-    Raises:
-        EagorError: two units have the same key, or a number is below 1.
-        WorkError: `work` cannot be imported or set up, or workers die before they have begun.
-        StorageError: the disk does not take the results.
-        KeyboardInterrupt: passed on, after the workers have been stopped; what was done is kept.
+    Raises `EagorError` for two units of one key or a number below 1; `WorkError` if `work` cannot be set up, or workers
+    die before they have begun; `StorageError` if the disk does not take the results. `KeyboardInterrupt` is passed on
+    after the workers have been stopped.
     """
     if workers < 1 or attempts < 1:
         raise EagorError(f"got {workers} workers and {attempts} attempts; wanted at least 1 of each")
@@ -80,14 +67,11 @@ def run_units(
                 work_on_ray(book, work, config, workers, address)
             elif workers == 1:
                 _alone(book, work, config)
-            elif engine == "threads":
-                from eagor.evaluation.fanout import work_in_threads
-
-                work_in_threads(book, work, config, workers)
             else:
-                from eagor.evaluation.crew import work_together
+                from eagor.evaluation.crew import ProcessSeat, in_threads, work_together
 
-                work_together(book, work, config, workers)
+                threads = in_threads(book, work, config) if engine == "threads" else None
+                work_together(book, threads or (lambda: ProcessSeat(book, work, config)), workers)
     return Outcome(book.done, book.failed, book.skipped)
 
 
@@ -97,24 +81,20 @@ def carry_out(
     config: dict[str, Any],
     folder: Path,
     workers: int = 1,
-    on_done: Told | None = None,
-    retry_failed: bool = False,
     engine: Engine = "processes",
-    address: str | None = None,
     force: bool = False,
+    **how: Any,
 ) -> Outcome:
-    """A whole run: `run_units` into the folder of the run that `config` describes.
+    """A whole run: `run_units`, which `how` is for as well, into the folder of the run that `config` describes.
 
-    What was made for making sure that it can be made (a perception, a model that talks) is let go of before workers
-    make their own, beside which it would only take room, and after the run. Raises as `run_units`, and `EagorError` if
-    the folder holds another run, or without `force` one of other inputs (`eagor.evaluation.ledger.begin`).
+    What was made to check `config` (a perception, a model) is released before workers make their own, and after the
+    run. Raises as `run_units` and `eagor.evaluation.ledger.begin`.
     """
     ledger.begin(folder, config, inputs_of(config), force)
-    here = engine == "threads" or (engine == "processes" and workers == 1)
-    if not here:
+    if engine == "ray" or (engine == "processes" and workers > 1):
         release()
     try:
-        return run_units(units, work, config, folder, workers, 2, on_done, retry_failed, engine=engine, address=address)
+        return run_units(units, work, config, folder, workers, engine=engine, **how)
     finally:
         release()
 

@@ -1,12 +1,7 @@
-"""A benchmark with published data: what `eagor bench` has to know of one, and nothing more.
+"""A benchmark with published data: it reads its data, says how a case is done and judged, and names its figures.
 
-A benchmark is anything that has what `Benchmark` asks for. `load` makes one from its name, and packages add their own
-under the entry-point group ``eagor.benchmarks`` (a name, and the benchmark or a function without arguments that makes
-it). `check_benchmark` is the test that every one of them has to pass.
-
-The division of labour: a benchmark reads its data, says how one case is done and judged, and which figures its table
-has. The ledger, workers, shards, resuming, intervals, comparisons and pages are the same for all
-(`eagor.evaluation`).
+Packages add theirs under the entry-point group ``eagor.benchmarks`` (a benchmark, or what makes one without arguments);
+`check_benchmark` tests them. All else is the same for every benchmark (`eagor.evaluation`).
 """
 
 from __future__ import annotations
@@ -41,12 +36,8 @@ Record = Mapping[str, Any]
 class Case:
     """One thing to be done: an episode of H*Bench, one question of OSR-Bench.
 
-    Attributes:
-        id: unique in the benchmark and the same for ever: it depends on the data alone, never on order, limit or shard.
-        group: what is loaded for it (its image): cases of one group go to one process one after the other.
-        cluster: what shares luck with it (four starts of one target, the questions of one scene): intervals resample
-            whole clusters.
-        payload: all that doing it needs besides the settings, as JSON.
+    `id` depends on the data alone, never on order, limit or shard. Cases of one `group` (its image) go to one process;
+    those of one `cluster` share luck (one target, one scene) and are resampled together. `payload`: JSON for the work.
     """
 
     id: str
@@ -97,13 +88,8 @@ def _number(kind: type[int] | type[float], value: Any) -> Any:
 class Figure:
     """One column of the benchmark's table: the mean of `read` over the records that have it, in per cent.
 
-    Attributes:
-        key: in ``--json`` and the CSV. The first figure of a benchmark is its headline and is called "overall".
-        title: of the column.
-        what: one line about it.
-        read: the score in [0, 1] that a record contributes, None if it does not belong to this column.
-        over: where given, records are averaged by what this returns, and the figure is the mean of those means (as
-            OSR-Bench averages over skills). None: the mean over all records.
+    `read`: the score in [0, 1] that a record contributes, None if it does not belong here. `over`: the figure is the
+    mean of the means by what this returns. The first figure of a benchmark is its headline, with the key "overall".
     """
 
     key: str
@@ -117,33 +103,16 @@ class Figure:
 class Benchmark(Protocol):
     """What `eagor bench` runs, scores, reports and exports.
 
-    Attributes:
-        name: as typed, such as ``hstar-hos``.
-        title: of reports.
-        agents: who can do it, each with one line about it; the first is the default.
-        options: its own settings; those of every benchmark (data, agent, perception, model, seed) are not among them.
-        work: ``"package.module:function"``: ``function(settings)`` is called once per process and returns a callable
-            that takes a payload and returns a record. It may raise; that is then a failed attempt, never a wrong
-            answer. `settings` is what `settle` returned.
-        figures: the columns of its table, the headline first.
-        exports: what `export` can write, each with one line about it.
+    `agents`, `options`, `exports`: each with one line about it; the first agent is the default. `figures`: the columns
+    of its table. `work`: ``"package.module:function"``; ``function(settings)`` is called once per process and returns a
+    callable, payload -> record, which may raise: a failed attempt, never a wrong answer.
 
-    A record is a JSON object with at least
-
-    - "case" (the id), "cluster" and "score" (in [0, 1]: 1 is success; what `compare` and `failures` read),
-
-    and, where they make sense, which the shared reports then show:
-
-    - "level": the stratum's title; "tags": list of texts, known before the run; "cause": why it failed, known after
-      (without it a score below 1 is "wrong");
-    - "by_turn": for every turn up to the last allowed, 1 if an answer given then would have succeeded, else 0;
-    - "views": how many looks were taken; "stated": the probability of success that the agent stated with its answer;
-      "sure": whether it stopped because it was sure;
-    - "steps": list of what happened, one object per turn; "answer": what was answered.
-
-    Anything else may stand in it too. A benchmark may also have ``causes``, {cause: what it means}, for reports, and
-    ``record``, {field: "text", "texts" or "figures"}, of what else its figures and exports read in a record: whoever
-    reads a run then names the records that lack it ("field?": it may be missing).
+    A record is a JSON object with "case" (the id), "cluster" and "score" in [0, 1] (1 is success), and, where they make
+    sense: "level" (the stratum's title); "tags", known before the run; "cause", why it failed (else "wrong");
+    "by_turn": 1 if an answer given at that turn would have succeeded; "views": looks taken; "stated": the probability
+    of success stated with the answer; "sure": whether it stopped because it was sure; "steps", "answer", and anything
+    else. A benchmark may also have ``causes``, {cause: meaning}, and ``record``, {field: "text", "texts" or "figures"}:
+    what its figures read in a record ("field?": it may be missing).
     """
 
     @property
@@ -172,9 +141,8 @@ class Benchmark(Protocol):
     def settle(self, settings: Mapping[str, Any]) -> dict[str, Any]:
         """The settings of a run, complete and checked, as the JSON of run.json; raises `EagorError` for bad ones.
 
-        They have "task", "data", "agent", "perception", "model" (None where nobody asks one), "seed", and the
-        benchmark's `options`, each with a value that `Option.read` has accepted. Here the perception is made once,
-        so that one that cannot be made is no failure of a case. What is left out of the result is not recorded.
+        They have "task", "data", "agent", "perception", "model", "seed" and the `options`. The perception is made here
+        once, so that one that cannot be made is no failure of a case.
         """
         ...
 
@@ -226,11 +194,9 @@ def read_options(benchmark: Benchmark, values: Mapping[str, Any]) -> dict[str, A
 
 
 def settled(benchmark: Benchmark, settings: Mapping[str, Any], looking: Sequence[str], truth: str) -> dict[str, Any]:
-    """What `Benchmark.settle` returns, complete, before anything is made: who plays, with what, by which options.
+    """What `Benchmark.settle` returns, before anything is made. Raises `EagorError` for what does not fit.
 
-    `looking`: the agents that need a perception; `truth`: what the perception truth is in this benchmark, for the text
-    of an error. Raises `EagorError` for an agent or an option that there is not, for a seed that is none, or where
-    something to look with, or to ask, is missing.
+    `looking`: the agents that need a perception; `truth`: what the perception truth is in this benchmark, in words.
     """
     agent = settings.get("agent") or next(iter(benchmark.agents))
     if agent not in benchmark.agents:
@@ -263,11 +229,7 @@ def settled(benchmark: Benchmark, settings: Mapping[str, Any], looking: Sequence
 
 
 def check_benchmark(benchmark: Benchmark, data: Path, agent: str) -> list[dict[str, Any]]:
-    """Raise `AssertionError` unless `benchmark` keeps the contract on `data`; returns the records of `agent`.
-
-    Its cases must be the same each time, with ids that differ; payloads and records must be JSON that survives
-    writing and reading; the settings must survive being settled twice; every figure must read every record.
-    """
+    """Raise `AssertionError` unless `benchmark` keeps the contract on `data`; returns the records of `agent`."""
     options = read_options(benchmark, {})
     told = {"task": benchmark.name, "data": str(data), "agent": agent, "perception": None, "model": None, "seed": 0}
     settings = benchmark.settle(told | options)

@@ -23,16 +23,12 @@ __all__ = ["IMAGE", "Chat", "Message", "Said", "digest", "load_chat", "shared_ch
 
 
 def load_chat(spec: str) -> Chat:
-    """The model that `spec` names.
+    """The model that `spec` names. Raises `EagorError` if it cannot be made.
 
-    - ``MODEL@ADDRESS[?option=value&...]``: on an OpenAI-compatible server; model or address may be missing (the
-      server's only model; ``http://localhost:8000/v1``). Options are the attributes of
-      `eagor.perception.endpoint.chat.ServedChat`.
-    - ``FOLDER[?option=value&...]`` with ``config.json``, or a hub name such as ``Qwen/Qwen2.5-VL-7B-Instruct``: on this
-      machine. Options are the arguments of `eagor.perception.transformers.chat.LocalChat`.
+    - ``MODEL@ADDRESS[?option=value&...]`` on an OpenAI-compatible server (`ServedChat`); model or address may be missing
+      (the server's only model; ``http://localhost:8000/v1``).
+    - ``FOLDER[?option=value&...]`` with ``config.json``, or a hub name: on this machine (`LocalChat`).
     - ``package.module:function``: what ``function()`` returns, a `Chat` of one's own.
-
-    Raises `EagorError` if it cannot be made.
     """
     module, colon, name = spec.partition(":")
     named = module.replace(".", "").isidentifier() and name.isidentifier()

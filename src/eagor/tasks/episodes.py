@@ -1,8 +1,7 @@
 """What an episode is, the same for every method that plays it, and how the episodes of a run are numbered.
 
-A run of N episodes with seed S uses the apartments S, S + 1, ..., with `PER_PLACE` episodes in each. Everything random
-about an episode comes from its identity, never from what was played before: any part of a run can be played alone, on
-any number of workers, and gives the same episodes.
+N episodes with seed S use the apartments S, S + 1, ..., `PER_PLACE` in each. All randomness comes from an episode's
+identity, so any part of a run can be played alone.
 """
 
 from __future__ import annotations

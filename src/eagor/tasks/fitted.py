@@ -1,9 +1,4 @@
-"""Settings of the rivals for each perception, as lines of text that `eagor.tasks.methods` reads.
-
-A filter reads a response through a calibration, and what is right for one perception is wrong for another. These won on
-development episodes: ``benchmarks/fit.py``, the same number of trials for each filter and for ours, whose calibration
-belongs to the perception itself.
-"""
+"""Settings of the rivals for each perception, which won on development episodes (``benchmarks/fit.py``)."""
 
 from __future__ import annotations
 

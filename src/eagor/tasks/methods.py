@@ -1,8 +1,7 @@
 """Every method behind one face: told where the odometry believes the camera to be, fed evidence, asked for a direction.
 
-A method is named by a line of text: ``eagor``, ``vmf``, or a variant such as ``eagor:degree=7,decode=mean``. All of
-them take late evidence the same way: it counts for the moment at which its panorama was taken. Our tracker does so by
-itself; the filters, which only know `predict` and `update`, are rewound to that moment and brought forward again.
+A method is named by text: ``eagor``, ``vmf``, or a variant such as ``eagor:degree=7,decode=mean``. Late evidence counts
+for the moment of its panorama: our tracker sees to that itself, filters are rewound and brought forward again.
 """
 
 from __future__ import annotations
@@ -30,7 +29,6 @@ from eagor.detector import DetectorModel
 from eagor.errors import EagorError, TimeError
 from eagor.estimate import Estimate, TrackerConfig
 from eagor.evidence import Evidence
-from eagor.motion import MotionModel
 from eagor.perception import is_model
 from eagor.ranged import log_ranges
 from eagor.sphere import FORWARD
@@ -202,9 +200,7 @@ def make_method(
 ) -> Method:
     """The method that `name` says; `rng` is for those that draw. Raises `EagorError` for a name that is none.
 
-    `perception` (as `eagor.perception.load` reads it) tells which fitted settings a rival starts from
-    (`eagor.tasks.fitted`), `calibration` how that perception reads its response maps and `detector` its detections; our
-    tracker and its variants start from `ours` (default: the default tracker).
+    A rival starts from the settings fitted for `perception`, ours from `ours`, with its `calibration` or `detector`.
     """
     base, _, text = name.partition(":")
     if base not in EVERY:
@@ -236,42 +232,76 @@ def _settings(name: str, text: str) -> dict[str, str]:
     return found
 
 
-def _numbers(settings: dict[str, str]) -> dict[str, float]:
-    """Settings from text, angles in radians. Raises ValueError for what is no number."""
-    return {key: _number(key, text) for key, text in settings.items()}
-
-
 def _number(key: str, text: str) -> float:
+    """A number from text, an angle in radians. Raises ValueError for what is none."""
     found = math.radians(float(text)) if key in _ANGLES else float(text)
     if math.isnan(found):
         raise ValueError(f"{key} = nan")
     return found
 
 
+def _whole(key: str, text: str, most: float = math.inf) -> int:
+    """A whole number from 0 to `most`. Raises `EagorError`."""
+    found = _number(key, text)
+    if not (found.is_integer() and 0 <= found <= most):
+        wanted = "a whole number, 0 or more" if most == math.inf else f"a whole number from 0 to {most:g}"
+        raise EagorError(f"{key} = {found:g}; wanted {wanted}")
+    return int(found)
+
+
+def _decode(key: str, text: str) -> str:
+    if text not in ("mode", "mean"):
+        raise EagorError(f"{key} = {text!r}; wanted mode or mean")
+    return text
+
+
+def _shells(key: str, text: str) -> tuple[float, ...] | None:
+    return tuple(log_ranges(count=count).tolist()) if (count := _whole(key, text)) else None
+
+
+def _heights(key: str, text: str) -> float | None:
+    return FLOOR if _whole(key, text, 1) else None
+
+
+def _rate(key: str, text: str) -> float | None:
+    return None if text == "?" else _number(key, text)
+
+
+def _kinds(key: str, text: str) -> tuple[float, ...]:
+    found = tuple(_number(key, each) for each in text.split("+"))
+    return () if found == (0.0,) else found
+
+
 _READING = ("floor", "neutral", "temperature")
-_REPEATING = (*_READING, "persistence", "persists_for", "persists_within", "spread")
-_DETECTING = {  # of a detector's model, by their names here
-    "pd": "detection_probability",
-    "clutter": "false_alarms_per_look",
-    "dspread": "spread",
-    "repeats": "repeats",
-    "repeats_for": "repeats_for",
-    "repeats_within": "repeats_within",
+_ANGLES = ("noise", "diffusion", "roughening", "kernel", "wander", "turn", "spread", "dspread", "drift")  # in degrees
+# The settings of our tracker: which part of its configuration they are of, what they are called there, how they read.
+_OURS: dict[str, tuple[str, str, Callable[[str, str], Any]]] = {
+    "degree": ("", "degree", _whole),
+    "decode": ("", "decode", _decode),
+    **{
+        key: ("calibration", key, _number)
+        for key in (*_READING, "persistence", "persists_for", "persists_within", "spread")
+    },
+    "pd": ("detector", "detection_probability", _rate),
+    "clutter": ("detector", "false_alarms_per_look", _rate),
+    "dspread": ("detector", "spread", _number),
+    **{key: ("detector", key, _number) for key in ("repeats", "repeats_for", "repeats_within")},
+    "shells": ("", "ranges", _shells),
+    "heights": ("", "floor", _heights),
+    **{key: ("motion", key, _kinds) for key in ("wander", "turn")},
+    **{key: ("motion", key, _number) for key in ("start", "stop", "jump", "birth", "death")},
+    "drift": ("", "drift", _number),
 }
-_KINDS = ("wander", "turn")  # of moving targets
-_MOVING = ("start", "stop", "jump", "birth", "death")
-_OURS = ("degree", "decode", *_REPEATING, *_DETECTING, "shells", "heights", *_KINDS, *_MOVING, "drift")
-_ANGLES = ("noise", "diffusion", "roughening", "kernel", *_KINDS, "spread", "dspread", "drift")  # typed in degrees
 SETTINGS: dict[str, tuple[str, ...]] = {
     "plain": (),
     "centroid": (),
     "cent_circ": (),
     "grid": (),
-    "eagor_paper": _OURS,
+    "eagor_paper": tuple(_OURS),
     "vmf": (*_READING, "noise"),
     "grid_filter": (*_READING, "diffusion", "mixing"),
     "particle_filter": (*_READING, "roughening", "reborn", "kernel"),
-    "eagor": _OURS,
+    "eagor": tuple(_OURS),
 }
 
 
@@ -291,57 +321,24 @@ def tracker_config(
     - of how detections are read: pd, clutter (?: to be learnt), dspread (degrees), repeats, repeats_for (seconds),
       repeats_within (metres). They change `detector` where the config has none of its own.
     """
-    if unknown := [key for key in settings if key not in _OURS]:
-        raise KeyError(unknown[0])
-    if settings.get("decode", "mode") not in ("mode", "mean"):
-        raise EagorError(f"decode = {settings['decode']!r}; wanted mode or mean")
-    learnt = [key for key in ("pd", "clutter") if settings.get(key) == "?"]
-    numbers = _numbers({key: text for key, text in settings.items() if key not in ("decode", *_KINDS, *learnt)})
-    changes: dict[str, Any] = {"motion": _motion(config.motion, settings, numbers)}
-    if "drift" in numbers:
-        changes["drift"] = numbers["drift"]
-    if "degree" in numbers:
-        changes["degree"] = _whole("degree", numbers)
-    if "decode" in settings:
-        changes["decode"] = settings["decode"]
-    if "heights" in numbers:
-        changes["floor"] = FLOOR if _whole("heights", numbers, 1) else None
-    if "shells" in numbers:
-        count = _whole("shells", numbers)
-        changes["ranges"] = tuple(log_ranges(count=count).tolist()) if count else None
-    if reading := {key: numbers[key] for key in _REPEATING if key in numbers}:
-        read = config.calibration or calibration or Calibration()
-        changes["calibration"] = replace(read, scale_to_max=False, **reading)
-    detecting: dict[str, Any] = {name: numbers.get(key) for key, name in _DETECTING.items() if key in settings}
-    if detecting:
-        changes["detector"] = replace(config.detector or detector or DetectorModel(), **detecting)
-    return replace(config, **changes)
-
-
-def _motion(motion: MotionModel, settings: dict[str, str], numbers: dict[str, float]) -> MotionModel:
-    """`motion` with the settings that are about it."""
-    found: dict[str, Any] = {key: numbers[key] for key in _MOVING if key in numbers}
-    for kind in (kind for kind in _KINDS if kind in settings):
-        angles = tuple(_number(kind, text) for text in settings[kind].split("+"))
-        found[kind] = () if angles == (0.0,) else angles
-    return replace(motion, **found)
-
-
-def _whole(key: str, numbers: dict[str, float], most: float = math.inf) -> int:
-    """The setting of this name as a whole number from 0 to `most`. Raises `EagorError`."""
-    if not (numbers[key].is_integer() and 0 <= numbers[key] <= most):
-        wanted = "a whole number, 0 or more" if most == math.inf else f"a whole number from 0 to {most:g}"
-        raise EagorError(f"{key} = {numbers[key]:g}; wanted {wanted}")
-    return int(numbers[key])
+    found: dict[str, dict[str, Any]] = {"": {}, "calibration": {}, "detector": {}, "motion": {}}
+    for key, (part, name, read) in ((key, _OURS[key]) for key in settings):
+        found[part][name] = read(key, settings[key])
+    changes = found[""]
+    if found["calibration"]:
+        read_by = config.calibration or calibration or Calibration()
+        changes["calibration"] = replace(read_by, scale_to_max=False, **found["calibration"])
+    if found["detector"]:
+        changes["detector"] = replace(config.detector or detector or DetectorModel(), **found["detector"])
+    return replace(config, motion=replace(config.motion, **found["motion"]), **changes)
 
 
 def _filter(base: str, settings: dict[str, str], rng: np.random.Generator) -> Method:
     if unknown := [key for key in settings if key not in SETTINGS[base]]:
         raise KeyError(unknown[0])
     state: Any = _FILTERS[base](rng)
-    numbers = _numbers(settings)
-    changes: dict[str, Any] = {key: value for key, value in numbers.items() if key not in _READING}
-    if reading := {key: numbers[key] for key in _READING if key in numbers}:
+    changes: dict[str, Any] = {key: _number(key, text) for key, text in settings.items()}
+    if reading := {key: changes.pop(key) for key in _READING if key in changes}:
         changes["calibration"] = replace(state.calibration, **reading)
     return FilterMethod(replace(state, **changes) if changes else state)
 

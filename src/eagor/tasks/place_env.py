@@ -40,10 +40,10 @@ VISIBLE = 2  # pixels of a 64 x 128 panorama that make a target visible, where t
 class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
     """What the three have in common: a camera in a place, and something to look for.
 
-    Args of all: `world` ("apartment", or the path of a GLB file); `seeds`, the apartments to draw episodes from (the
-    development ones); `panorama`, rows of the image (None: none is rendered); `with_range`; `instances`: whether
-    ``info["instances"]`` is filled; `camera` and `disturbances`; `render_mode` "rgb_array".
-    An episode of one's own choice is played with ``reset(options={"episode": episode})``.
+    Args of all: `world` ("apartment", or the path of a GLB file); `seeds`, the apartments to draw from; `panorama`,
+    rows of the image (None: none); `with_range`; `instances`: whether ``info["instances"]`` is filled; `camera`;
+    `disturbances`; `render_mode` "rgb_array". ``reset(options={"episode": episode})`` plays an episode of one's own
+    choice.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's own form)

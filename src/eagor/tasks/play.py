@@ -1,8 +1,6 @@
 """Playing an episode: every method on the same responses, and a record of what came of it.
 
-Waypoint and tracking episodes are open loop: the camera goes its way, and all methods see the same evidence. In
-navigation the estimate decides where the camera goes, so each method plays the episode alone; the perception's mistakes
-are drawn from the same seed for all of them.
+Waypoint and tracking episodes are open loop. In navigation each method plays alone, with mistakes of the same seed.
 """
 
 from __future__ import annotations
@@ -50,9 +48,8 @@ class Moment:
 class Recording:
     """An open-loop episode of n steps.
 
-    `truth`: lists for the record; `directions` ``(n, 3)``: the target's, body frame (held while it is away);
-    `rotations` ``(n - 1, 3, 3)`` and `translations` ``(n - 1, 3)``: the camera's true motions;
-    `looked`: what the perception says about itself and its cost.
+    `truth`: lists for the record; `directions` ``(n, 3)``: the target's, body frame (held while away); `rotations`,
+    `translations`: the camera's true motions; `looked`: what the perception says of itself and its cost.
     """
 
     episode: Episode
@@ -67,10 +64,8 @@ class Recording:
 class Player:
     """Plays the episodes of one run.
 
-    `config`: task, perception (as `eagor.perception.load` reads it), rules, camera, disturbances (JSON of
-    `eagor.tasks.rules`), rows (of the panorama; unused where the perception reads ids), and perhaps calibrated (JSON of
-    `eagor.perception.calibrated`: how our tracker reads and forgets). `perception` and `kind`, the task, where they are
-    at hand already.
+    `config`: task, perception, rules, camera, disturbances (JSON of `eagor.tasks.rules`), rows of the panorama, and
+    perhaps calibrated. `perception` and `kind`, the task, where they are at hand already.
     """
 
     def __init__(self, config: dict[str, Any], perception: Any = None, kind: task.Task | None = None) -> None:
@@ -122,10 +117,7 @@ class Player:
         return observation, info, open_eye(self.perception, info["instances"]["labels"], seed)
 
     def _look(self, eye: Eye, observation: dict, info: dict, query: str = "") -> Evidence | None:
-        """The evidence of this step about the episode's query, or another; stamped with the time of capture.
-
-        None where an answer could not be read.
-        """
+        """The evidence of this step, stamped with the time of capture; None where an answer could not be read."""
         stamp = info["num_steps"] * self.camera.seconds
         image = info["instances"]["ids"] if eye.privileged else observation["panorama"]
         return eye.look(image, query or info["query"], stamp, info["truth"]["world_R_body"])
@@ -167,10 +159,7 @@ class Player:
         return {"metrics": found, "trace": dict(trace)} | ({"looked": looked} if looked else {})
 
     def record(self, episode: Episode, other: str = "") -> Recording:
-        """An episode that is not walked as every method will meet it: poses, responses, and what was true.
-
-        `other`: a second query, about which nothing is known to be true; the perception is asked for it as well.
-        """
+        """An episode that is not walked as every method will meet it; `other`: a second query to be asked."""
         observation, info, eye = self._begin(episode)
         second = open_eye(
             self.perception, info["instances"]["labels"], int(episode.slot.rng("other").integers(1 << 31))

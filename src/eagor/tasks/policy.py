@@ -1,10 +1,7 @@
 """From an estimate to a step: straight at it, and around what is in the way by touch alone.
 
-The published policy goes a fixed step along the estimate, whatever happens. Among furniture that ends at the first
-corner that sliding does not lead around, for any estimate, the true direction included. With `detour`, the body
-remembers where it ran into something, and plans around that as if all else were open, anew at every step (planning
-under the free-space assumption; Koenig, Tovey and Smirnov, Artificial Intelligence 147, 2003). It has no map but what
-it touched, and nothing else feeds it: its odometry, and the directions that it was told.
+The published policy goes a fixed step along the estimate. With `detour` the body remembers where it ran into something
+and plans around that as if all else were open (free-space assumption; Koenig, Tovey and Smirnov, 2003).
 """
 
 from __future__ import annotations

@@ -8,7 +8,8 @@ Rules under which nothing can be played are refused when they are made, with a `
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Literal, TypeVar, get_args
 
 from eagor._checks import above, require, stretch, whole, within
@@ -17,13 +18,50 @@ from eagor.errors import WorldError
 Stop = Literal["reach", "call"]
 LEGS = ("L1", "L2", "L3", "L4")  # of a route
 
-_ABOVE = "metres above 0"
-_STEPS = "a whole number of steps, from 1 on"
-_SHARES = "two shares (from, to), from 0 to 1, the second not below the first"
+Fits = Callable[[Any], bool]
+Wanted = tuple[Fits, str]
+
+
+def _from(low: float, what: str, high: float | None = None) -> Wanted:
+    return (lambda value: within(value, low) if high is None else within(value, low, high)), what
+
+
+def _above(low: float, what: str) -> Wanted:
+    return (lambda value: above(value, low)), what
+
+
+def _count(least: int, what: str) -> Wanted:
+    return (lambda value: whole(value, least)), what
+
+
+def _is_turns(value: Any) -> bool:
+    pairs = value if isinstance(value, tuple | list) else ()
+    return len(pairs) == len(LEGS) and all(stretch(pair, 0, 180) for pair in pairs)
+
+
+_METRES = _above(0, "metres above 0")
+_STEPS = _count(1, "a whole number of steps, from 1 on")
+_PIXELS = _count(1, "a whole number of pixels, from 1 on")  # what no pixel shows is in no sight
+_SHARES = (lambda value: stretch(value, 0, 1)), "two shares (from, to), from 0 to 1, the second not below the first"
+_STOP = get_args(Stop).__contains__, " or ".join(get_args(Stop))
+_BOOL = (lambda value: isinstance(value, bool)), "true or false"
+
+
+def _rule(default: Any, wanted: Wanted) -> Any:
+    """A rule: what it is by default, and what it may be."""
+    return field(default=default, metadata={"wanted": wanted})
+
+
+class _Rules:
+    """Refuses rules under which nothing can be played."""
+
+    def __post_init__(self) -> None:
+        asked = [(rule.name, rule.metadata["wanted"]) for rule in fields(self)]  # type: ignore[arg-type]
+        require(self, {name: (fits(getattr(self, name)), text) for name, (fits, text) in asked}, WorldError)
 
 
 @dataclass(frozen=True)
-class Camera:
+class Camera(_Rules):
     """How the camera is carried, and how fast.
 
     - `height`: of the camera above the floor. `radius`: of the body that carries it.
@@ -31,25 +69,15 @@ class Camera:
     - `seconds`: from one step to the next; only forgetting and late responses depend on it.
     """
 
-    height: float = 1.25
-    radius: float = 0.18
-    step: float = 0.25
-    turn: float = 30.0
-    seconds: float = 0.5
-
-    def __post_init__(self) -> None:
-        wanted = {
-            "height": (above(self.height, 0), _ABOVE),
-            "radius": (within(self.radius, 0), "metres from 0 on"),
-            "step": (above(self.step, 0), _ABOVE),
-            "turn": (above(self.turn, 0, 360), "degrees above 0 and up to 360"),
-            "seconds": (above(self.seconds, 0), "seconds above 0"),
-        }
-        require(self, wanted, WorldError)
+    height: float = _rule(1.25, _METRES)
+    radius: float = _rule(0.18, _from(0, "metres from 0 on"))
+    step: float = _rule(0.25, _METRES)
+    turn: float = _rule(30.0, ((lambda value: above(value, 0, 360)), "degrees above 0 and up to 360"))
+    seconds: float = _rule(0.5, _above(0, "seconds above 0"))
 
 
 @dataclass(frozen=True)
-class Disturbances:
+class Disturbances(_Rules):
     """What a real body does to a camera; all off by default.
 
     - `bob`: the camera rises and falls by so many metres (amplitude), twice per second, and
@@ -59,21 +87,11 @@ class Disturbances:
     - `latency`: a response arrives so many steps after its panorama was taken.
     """
 
-    bob: float = 0.0
-    sway: float = 0.0
-    yaw_drift: float = 0.0
-    scale_drift: float = 0.0
-    latency: int = 0
-
-    def __post_init__(self) -> None:
-        wanted = {
-            "bob": (within(self.bob, 0), "metres from 0 on"),
-            "sway": (within(self.sway, 0), "degrees from 0 on"),
-            "yaw_drift": (within(self.yaw_drift, 0), "degrees per root metre, from 0 on"),
-            "scale_drift": (within(self.scale_drift, 0), "a relative error from 0 on"),
-            "latency": (whole(self.latency, 0), "a whole number of steps, from 0 on"),
-        }
-        require(self, wanted, WorldError)
+    bob: float = _rule(0.0, _from(0, "metres from 0 on"))
+    sway: float = _rule(0.0, _from(0, "degrees from 0 on"))
+    yaw_drift: float = _rule(0.0, _from(0, "degrees per root metre, from 0 on"))
+    scale_drift: float = _rule(0.0, _from(0, "a relative error from 0 on"))
+    latency: int = _rule(0, _count(0, "a whole number of steps, from 0 on"))
 
     @classmethod
     def walking(cls, latency: int = 0) -> Disturbances:
@@ -82,7 +100,7 @@ class Disturbances:
 
 
 @dataclass(frozen=True)
-class NavigationRules:
+class NavigationRules(_Rules):
     """Map-Free Navigation: start facing away, go a fixed step along the estimate, until the target is reached.
 
     - `max_steps`: then the episode is over, and lost (Habitat's limit).
@@ -99,39 +117,26 @@ class NavigationRules:
     - `visible_pixels`: so many pixels of a 64 x 128 panorama make a target visible.
     """
 
-    max_steps: int = 500
-    success_distance: float = 1.0
-    stop: Stop = "reach"
-    sliding: bool = True
-    detour: bool = True
-    nearest: float = 2.0
-    farthest: float = 8.0
-    ratio: float = 1.5
-    winding_above: float = 1.2
-    facing_away: float = 20.0
-    visible_pixels: int = 2
+    max_steps: int = _rule(500, _STEPS)
+    success_distance: float = _rule(1.0, _METRES)
+    stop: Stop = _rule("reach", _STOP)  # noqa: RUF009 (it is a field)
+    sliding: bool = _rule(True, _BOOL)
+    detour: bool = _rule(True, _BOOL)
+    nearest: float = _rule(2.0, _from(0, "metres from 0 on"))
+    farthest: float = _rule(8.0, _METRES)
+    ratio: float = _rule(1.5, _from(1, "a number from 1 on: no way is shorter than the straight line"))
+    winding_above: float = _rule(1.2, _from(0, "a number from 0 on"))
+    facing_away: float = _rule(20.0, _from(0, "degrees from 0 to 180", 180))
+    visible_pixels: int = _rule(2, _PIXELS)
 
     def __post_init__(self) -> None:
-        wanted = {
-            "max_steps": (whole(self.max_steps, 1), _STEPS),
-            "success_distance": (above(self.success_distance, 0), _ABOVE),
-            "stop": (self.stop in get_args(Stop), " or ".join(get_args(Stop))),
-            "sliding": (isinstance(self.sliding, bool), "true or false"),
-            "detour": (isinstance(self.detour, bool), "true or false"),
-            "nearest": (within(self.nearest, 0), "metres from 0 on"),
-            "farthest": (above(self.farthest, 0), _ABOVE),
-            "ratio": (within(self.ratio, 1), "a number from 1 on: no way is shorter than the straight line"),
-            "winding_above": (within(self.winding_above, 0), "a number from 0 on"),
-            "facing_away": (within(self.facing_away, 0, 180), "degrees from 0 to 180"),
-            **_pixels(self.visible_pixels),
-        }
-        require(self, wanted, WorldError)
+        super().__post_init__()
         order = (self.farthest >= self.nearest, f"no less than nearest = {self.nearest!r}")
         require(self, {"farthest": order}, WorldError)
 
 
 @dataclass(frozen=True)
-class WaypointRules:
+class WaypointRules(_Rules):
     """Waypoint Following: four legs along a given route, each beginning with a sharper turn; name the direction.
 
     - `turns`: degrees between which the turn at the beginning of each leg lies.
@@ -140,27 +145,17 @@ class WaypointRules:
     - `visible_pixels`: as for navigation.
     """
 
-    turns: tuple[tuple[float, float], ...] = ((0.0, 45.0), (45.0, 90.0), (90.0, 135.0), (135.0, 180.0))
-    leg_steps: int = 15
-    occluded: tuple[float, float] = (0.08, 0.5)
-    visible_pixels: int = 2
-
-    def __post_init__(self) -> None:
-        turns = self.turns if isinstance(self.turns, tuple | list) else ()
-        wanted = {
-            "turns": (
-                len(turns) == len(LEGS) and all(stretch(turn, 0, 180) for turn in turns),
-                f"{len(LEGS)} pairs of degrees (from, to), from 0 to 180, the second not below the first",
-            ),
-            "leg_steps": (whole(self.leg_steps, 1), _STEPS),
-            "occluded": (stretch(self.occluded, 0, 1), _SHARES),
-            **_pixels(self.visible_pixels),
-        }
-        require(self, wanted, WorldError)
+    turns: tuple[tuple[float, float], ...] = _rule(
+        ((0.0, 45.0), (45.0, 90.0), (90.0, 135.0), (135.0, 180.0)),
+        (_is_turns, f"{len(LEGS)} pairs of degrees (from, to), from 0 to 180, the second not below the first"),
+    )
+    leg_steps: int = _rule(15, _STEPS)
+    occluded: tuple[float, float] = _rule((0.08, 0.5), _SHARES)
+    visible_pixels: int = _rule(2, _PIXELS)
 
 
 @dataclass(frozen=True)
-class TrackingRules:
+class TrackingRules(_Rules):
     """Target Direction Estimation: a ball in the apartment; the camera, the ball, or neither keeps still.
 
     - `steps`: of an episode. `speed`: metres per second of a moving ball.
@@ -170,23 +165,15 @@ class TrackingRules:
     - `lost_above`: degrees of error beyond which the target counts as lost. `visible_pixels`: as for navigation.
     """
 
-    steps: int = 60
-    speed: float = 0.4
-    gone: tuple[float, float] = (0.4, 0.6)
-    seen: float = 0.7
-    lost_above: float = 30.0
-    visible_pixels: int = 2
+    steps: int = _rule(60, _STEPS)
+    speed: float = _rule(0.4, _above(0, "metres per second, above 0"))
+    gone: tuple[float, float] = _rule((0.4, 0.6), _SHARES)
+    seen: float = _rule(0.7, _from(0, "a share from 0 to 1", 1))
+    lost_above: float = _rule(30.0, _from(0, "degrees from 0 to 180", 180))
+    visible_pixels: int = _rule(2, _PIXELS)
 
     def __post_init__(self) -> None:
-        wanted = {
-            "steps": (whole(self.steps, 1), _STEPS),
-            "speed": (above(self.speed, 0), "metres per second, above 0"),
-            "gone": (stretch(self.gone, 0, 1), _SHARES),
-            "seen": (within(self.seen, 0, 1), "a share from 0 to 1"),
-            "lost_above": (within(self.lost_above, 0, 180), "degrees from 0 to 180"),
-            **_pixels(self.visible_pixels),
-        }
-        require(self, wanted, WorldError)
+        super().__post_init__()
         away, back = self.away
         shown = (away > 0 or back == 0, f"the ball there at the first of {self.steps} steps: begin later, or take more")
         require(self, {"gone": shown}, WorldError)
@@ -211,11 +198,6 @@ def from_dict(kind: type[Rules], values: dict[str, Any]) -> Rules:
     if unknown := set(values) - known:
         raise WorldError(f"{kind.__name__} has no {sorted(unknown)}; it has {sorted(known)}")
     return kind(**{key: _tupled(value) for key, value in values.items()})
-
-
-def _pixels(count: Any) -> dict[str, tuple[bool, str]]:
-    """What `visible_pixels` has to be in every task: what no pixel shows is in no sight."""
-    return {"visible_pixels": (whole(count, 1), "a whole number of pixels, from 1 on")}
 
 
 def _plain(value: Any) -> Any:

@@ -1,9 +1,6 @@
-"""A simulated task: what `eagor bench run` has to know of one, and nothing more.
+"""A simulated task: an environment with its rules, what is measured of a method, and the columns of the table.
 
-A task is a `Task`: an environment with its rules, what is measured of a method that has played an episode, and the
-columns of the table. `load` finds one by its name, and packages add their own under the entry-point group
-``eagor.tasks`` (a name, and the `Task`). `eagor.tasks.checking.check_task` is the test that every one of them has to
-pass. Perceptions, methods, the ledger, workers, intervals, comparisons and reports are the same for all.
+Packages add theirs under the entry-point group ``eagor.tasks``; `eagor.tasks.checking.check_task` tests them.
 """
 
 from __future__ import annotations
@@ -33,12 +30,10 @@ BUILT_IN = {
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a task's table.
+    """A column of a task's table: figures of the records' `metric` times `scale`.
 
-    `metric` is the name in the records' metrics; figures there times `scale` are what is shown. `better` is "low",
-    "high", or None where neither is better. `share`: the metric is 0 or 1 per episode, so its interval is Wilson's.
-    `only_if`: count only episodes whose metric of this name is above 0. `why`: what makes a method that is worse in all
-    other columns better in this one, for where ours is behind.
+    `better` is "low", "high", or None where neither is. `share`: the metric is 0 or 1, so its interval is Wilson's.
+    `only_if`: count only episodes whose metric of this name is above 0. `why`: why a worse method can look better here.
     """
 
     key: str
@@ -56,18 +51,16 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class Played:
-    """What one method did in one episode of n steps.
+    """What one method did in one episode of n steps, for `Task.measure`.
 
-    - `truth`: lists of n values: pose, azimuth_deg, elevation_deg, range_m, visible, present, and leg where the
-      environment tells of legs. Of a task that is walked they are in `trace`, with true_ before their names.
+    - `truth`: lists of n values: pose, azimuth_deg, elevation_deg, range_m, visible, present, perhaps leg. Of a task
+      that is walked they are in `trace`, with true_ before their names.
     - `trace`: lists of n values: azimuth_deg, elevation_deg, error_deg (None while the target is away), mass_above,
       inside, distance_m.
-    - `directions` and `estimates` ``(n, 3)``: the true ones (held while the target is away) and the method's, body
-      frame.
-    - `rotations` ``(n - 1, 3, 3)`` and `translations` ``(n - 1, 3)``: the camera's true motions, as
-      `eagor.metrics.ego_motion` gives them.
-    - `info`: the environment's last one; `walked`: metres that the body has gone; `shortest`: the episode's, metres.
-      Nothing of a task that is not walked, where they are the same for all methods.
+    - `directions`, `estimates` ``(n, 3)``: the true ones (held while the target is away) and the method's, body frame.
+    - `rotations` ``(n - 1, 3, 3)``, `translations` ``(n - 1, 3)``: the camera's true motions
+      (`eagor.metrics.ego_motion`).
+    - `info`: the environment's last one; metres `walked` and the `shortest` way. Only of a task that is walked.
     """
 
     truth: dict[str, list[Any]]
@@ -93,20 +86,14 @@ class Played:
 class Task:
     """A simulated task.
 
-    Attributes:
-        name: as typed, in lower-case letters, digits and dashes.
-        title: of tables.
-        what: one line for ``eagor bench list``.
-        environment: a subclass of `PlaceEnv` (of `AnsweringEnv`, mostly) that takes rules, camera, disturbances and
-            panorama by name; its `plan` says what the episode of a slot is.
-        rules: a frozen dataclass of plain numbers, texts and tuples, each with a default; every report prints them.
-        measure: the figures of one method in one episode, by name; None where there is no case.
-        columns: of the table.
-        headline: the key of the column that says most.
-        strata: kinds of episode to be reported apart: keys of `Episode.stratum`, with what they are called.
-        walked: whether the estimate decides where the body goes, so that each method plays alone: `step` then takes
-            (heading, distance), as `MapFreeNavigationEnv` does, and success, spl and mae are among its figures. Else
-            the camera goes its way whatever is answered, and all methods get the same evidence.
+    - `name`: as typed; `title`: of tables; `what`: one line for ``eagor bench list``.
+    - `environment`: a subclass of `PlaceEnv` that takes rules, camera, disturbances and panorama; its `plan` says what
+      the episode of a slot is. `rules`: a frozen dataclass of plain values, each with a default.
+    - `measure`: the figures of one method in one episode; None where there is no case. `columns`: of the table;
+      `headline`: the key of the one that says most; `strata`: keys of `Episode.stratum` to be reported apart, and their
+      titles.
+    - `walked`: the estimate decides where the body goes, so each method plays alone: `step` takes (heading, distance),
+      and success, spl and mae are among its figures. Else all methods get the same evidence.
     """
 
     name: str

@@ -22,16 +22,9 @@ def write_task(
 ) -> list[Path]:
     """Write ``NAME.yaml``, ``NAME_utils.py`` and ``NAME.jsonl`` into `folder`; returns the files.
 
-    Run them with ``python -m lmms_eval --include_path FOLDER --tasks NAME --model ...`` where eagor is installed.
-
-    Args:
-        folder: made where it is missing.
-        name: of the task.
-        module: of the package, with the functions that lmms-eval calls: `doc_to_text`, `doc_to_visual`,
-            `doc_to_target`, `process_results`, and `mean`, which aggregates every metric.
-        documents: one JSON object per case. A table is made of them: the same keys in all, and no nested lists.
-        metrics: names of what `process_results` returns.
-        turns: at most, of a conversation, which makes it an agentic task; None: one question, one answer.
+    `module` has the functions that lmms-eval calls: doc_to_text, doc_to_visual, doc_to_target, process_results, and
+    mean, which aggregates every one of `metrics`. `documents`: an object per case, the same keys in all, no nested
+    lists. `turns`: at most, of a conversation (an agentic task); None: one question, one answer.
     """
     folder = Path(folder).resolve()
     task, utils, data = (folder / f"{name}{ending}" for ending in (".yaml", "_utils.py", ".jsonl"))

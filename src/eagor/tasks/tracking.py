@@ -158,12 +158,10 @@ def _walk(
 
 
 def measure(played: Played) -> dict[str, float | None]:
-    """The columns of one episode, over the steps at which the ball is there.
+    """The columns of one episode, over the steps at which the ball is there; None where there is no case.
 
-    `error` (degrees), `tc` (mean angle, degrees per step, between the estimate and the one before it, carried along by
-    the camera's true motion and the ball's), `time_lost` (percentage of steps with more error than the rules allow),
-    `recovery` (seconds from when the ball comes back until the error is small again; all that is left if it never
-    is), `coverage`. None where there is no case.
+    `tc`: the angle between an estimate and the one before it, carried along by the true motions. `recovery`: seconds
+    from when the ball comes back until the error is small again, or to the end.
     """
     present, lost_above = np.array(played.truth["present"], dtype=bool), played.rules.lost_above
     errors = np.array([math.nan if e is None else e for e in played.trace["error_deg"]])
@@ -186,11 +184,7 @@ def measure(played: Played) -> dict[str, float | None]:
 def _consistency(
     directions: np.ndarray, estimates: np.ndarray, rotations: np.ndarray, present: np.ndarray
 ) -> float | None:
-    """Changes of the estimate that neither the camera's turn nor the change of the true bearing explains (deg/step).
-
-    The previous estimate is carried along by the camera's turn, then by the smallest rotation that takes the true
-    direction carried likewise to the true direction now; a perfect estimator scores 0.
-    """
+    """Changes of the estimate that neither the camera's turn nor the change of the true bearing explains (deg/step)."""
     steps = np.flatnonzero(present[1:] & present[:-1])
     if not len(steps):
         return None

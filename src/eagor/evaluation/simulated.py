@@ -1,0 +1,222 @@
+"""A simulated task as a study: how its runs are counted, and what their report says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from eagor import worlds
+from eagor._version import __version__
+from eagor.errors import EagorError
+from eagor.evaluation import export, figures, ledger, scenes, sheets, tables
+from eagor.evaluation.charts import legend
+from eagor.evaluation.page import Facts, Folded, Heading, Part, Pictures, Section, Sheet, Text, could_not
+from eagor.evaluation.published import OURS, PAPERS, is_ablation, is_rival, ordered
+from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, computing_time, finished
+from eagor.evaluation.study import Report, Settings, Summary, Told
+from eagor.evaluation.tables import shown
+from eagor.tasks.rules import Camera
+from eagor.tasks.task import Task, load
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """See `eagor.evaluation.study.Study`."""
+
+    task: Task
+    work = "eagor.tasks.play:work"
+    case, several = "episode", False
+
+    @classmethod
+    def of(cls, settings: Settings, folder: Path) -> Simulated:
+        """The study of a run: its records name their task, or else run.json does."""
+        return cls(tables.task_of(_records(settings, folder)))
+
+    @property
+    def name(self) -> str:
+        """Of the task."""
+        return self.task.name
+
+    def offer(self) -> dict[str, Any]:
+        return {"title": self.task.title, "what": self.task.what, "worlds": sorted(worlds.known())}
+
+    def read(self, folder: Path) -> Told:
+        settings = ledger.description(folder)
+        records = _records(settings, folder)
+        return Told(settings, records, tables.summarise(records))
+
+    def as_text(self, summary: Summary) -> list[str]:
+        return tables.as_text(summary)
+
+    def as_json(self, summary: Summary) -> dict[str, Any]:
+        return {key: summary[key] for key in ("task", "episodes", "failed", "methods")}
+
+    def report(self, runs: Sequence[Told], open_place: Any = None) -> Report:
+        (run,) = runs
+        summary, task, good, degrees = run.summary, self.task, finished(run.records), _degrees(run.settings)
+        main = sheets.main_sheet(summary)
+        ordering = sheets.ordering_sheet(good, task.name)
+        made_of = sheets.parts_sheet(good, summary)
+        covered = sheets.coverage_sheet(good, summary)
+        strata = sheets.strata_sheets(summary)
+        varied = sheets.ablation_sheets(summary, degrees)
+        named = [(f"{c.title}{f' ({c.unit})' if c.unit else ''}", c.what) for c in task.columns]
+        sections = [Section("figures", "Figures", [main, Folded("What the columns are", [Facts(named)])])]
+        if ordering is not None:
+            sections.append(Section("ordering", "How far the paper's ordering carries over", [ordering]))
+        if made_of is not None:
+            sections.append(Section("parts", "What the errors are made of", [made_of]))
+        sections += figures.curve_sections(good, task)
+        if strata:
+            sections.append(Section("strata", "By kind of episode", strata))
+        if covered is not None:
+            parts = [covered, *figures.reliability_chart(good)]
+            sections.append(Section("coverage", "How honest the stated regions are", parts))
+        if varied:
+            sections.append(Section("variants", "Variants", [*varied, *figures.kernel_chart(summary, degrees)]))
+        shown_ones = _episodes(good, task, run.settings, open_place)
+        sections.append(Section("episodes", "Three episodes to look at", shown_ones))
+        if summary["failed"]:
+            sections.append(Section("failed", "What could not be run", could_not(summary)))
+        facts = _facts(run)
+        kept: list[Sheet | None] = [main, ordering, made_of, *strata, covered, *varied]
+        return Report(
+            f"{task.title}: {summary['episodes']} episodes, {len(summary['methods'])} methods",
+            [*_lead(run, task), Facts(facts)],
+            sections,
+            facts,
+            [sheet for sheet in kept if sheet is not None],
+            {"tables.csv": export.table_csv(summary)},
+        )
+
+
+def _records(settings: Settings, folder: Path) -> list[dict[str, Any]]:
+    return [{"task": settings.get("task"), **record} for record in ledger.recorded(folder)]
+
+
+def _lead(run: Told, task: Task) -> list[Part]:
+    """The outcome in a sentence (ours, the published method, the best other one), and warnings."""
+    summary, said = run.summary, []
+    column = next(c for c in task.columns if c.key == task.headline)
+    figures = {name: row[column.key] for name, row in summary["methods"].items() if is_rival(name)}
+    figures = {name: value for name, value in figures.items() if value is not None}
+    others = [name for name in figures if name not in (OURS, PAPERS)]
+    others.sort(key=lambda name: figures[name] * (1 if column.better == "low" else -1))
+    for name in [name for name in (OURS, PAPERS, *others[:1]) if name in figures]:
+        interval = summary["intervals"][name][column.key]
+        ends = f" ({shown(interval[0], column)} to {shown(interval[1], column)})" if interval else ""
+        what = {OURS: "our default", PAPERS: "the method as published"}.get(name, "the best of the others")
+        said.append(f"{name}, {what}: {shown(figures[name], column)}{column.unit}{ends}")
+    lead: list[Part] = [Text(f"{column.title}, {column.what}: {'; '.join(said)}." if said else "There are no results.")]
+    if run.settings.get("development"):
+        text = "These are development seeds: parameters were chosen on them. The figures are no results."
+        lead.append(Text(text, "warn"))
+    if summary["failed"]:
+        lead.append(Text(f"{summary['failed']} units could not be run and are in no figure.", "warn"))
+    return lead
+
+
+def _facts(run: Told) -> list[tuple[str, str]]:
+    """What was run, from run.json and the records."""
+    config, records, summary, words = run.settings, run.records, run.summary, export.words
+    seeds = sorted({record["episode"]["seed"] for record in finished(records) if "seed" in record["episode"]})
+    pairs = [("Task", load(summary["task"]).title)]
+    pairs += [(name.capitalize(), words(config[name])) for name in ("perception", "world", "rows") if name in config]
+    if seeds:
+        spread = f"{seeds[0]} to {seeds[-1]} ({len(seeds)} of them)" if len(seeds) > 1 else str(seeds[0])
+        kinds = {True: "development seeds, not results", False: "not development seeds"}
+        kind = kinds.get(config.get("development", ""), "run.json does not say whether they are development seeds")
+        pairs.append(("Seeds", f"{spread}; {kind}"))
+    asked = words(config.get("episodes", "unknown"))
+    pairs.append(("Episodes", f"{summary['episodes']} with results of {asked} asked"))
+    pairs.append(("Units of work", f"{len(records)} recorded, {summary['failed']} of them failed"))
+    pairs.append(("Methods", ", ".join(summary["methods"])))
+    before = {"task", "perception", "world", "rows", "seed", "episodes", "development", "methods"}
+    pairs += [(name.capitalize(), words(value)) for name, value in config.items() if name not in before]
+    pairs += _looked(records)
+    pairs.append(("Computing time", computing_time(records)))
+    means = "a mean is over the episodes that have a case"
+    how = f"Wilson's for shares of success, else {RESAMPLES} resamples of whole apartments; {means}"
+    return [*pairs, ("Intervals", f"{100 * LEVEL:.0f} %; {how}")]
+
+
+def _looked(records: Sequence[Record]) -> list[tuple[str, str]]:
+    """Which model looked, how long a look took, and how many answers could not be read, where the records say so."""
+    accounts = [r["looked"] for r in finished(records) if "looked" in r]
+    accounts += [m["looked"] for r in finished(records) for m in r["methods"].values() if "looked" in m]
+    if not accounts:
+        return []
+    looks, unread = (sum(account[key] for account in accounts) for key in ("looks", "unread"))
+    times = [account["milliseconds"] for account in accounts if account["milliseconds"] is not None]
+    sources = [source for account in accounts if (source := account["source"])]
+    models = sorted({f"{s.get('model')} ({s.get('revision') or 'revision unknown'})" for s in sources})
+    cost = f"; {sum(times) / len(times):.0f} ms each on average" if times else ""
+    return [
+        ("Model", ", ".join(models) or "unknown"),
+        ("Looks", f"{looks}, of which {unread} with an answer that could not be read{cost}"),
+    ]
+
+
+def _degrees(config: Settings) -> dict[str, int]:
+    """The degrees of our default and of the published method, where this code is the one that was run."""
+    if config.get("versions", {}).get("eagor") != __version__:
+        return {}
+    from eagor.estimate import TrackerConfig
+
+    return {OURS: TrackerConfig().degree, PAPERS: TrackerConfig.paper().degree}
+
+
+def _episodes(
+    records: Sequence[Record], task: Task, config: Settings, open_place: scenes.OpenPlace | None
+) -> list[Part]:
+    """The best, the median and the worst episode of our default method: a map, and six moments."""
+    chosen = scenes.chosen(records, task)
+    if not chosen:
+        return [Text(f"There is no episode with a result of {OURS}.")]
+    if open_place is None:
+        from eagor.tasks.places import load_place as open_place
+    radius = float(config.get("camera", {}).get("radius", Camera().radius))
+    by = f"Chosen by the error of {OURS}" + (", after success and path length." if task.walked else ".")
+    parts: list[Part] = [Text(by, "note")]
+    for kind, record in chosen.items():
+        episode = record["episode"]
+        parts.append(Heading(f"The {kind}: {episode['query']}, episode {episode['id']}"))
+        parts.append(Text(_said(record, task)))
+        try:
+            place = scenes.open_episode(record, radius, open_place)
+            parts += _pictures(place, record, records, task)
+        except (EagorError, ImportError, OSError) as error:
+            parts.append(Text(f"No pictures: {error}", "note"))
+        except (KeyError, IndexError) as error:  # only pictures need it: its place, its balls
+            lacks = f"the record {record['key']!r} does not hold all that they need ({type(error).__name__}: {error})"
+            parts.append(Text(f"No pictures: {lacks}", "note"))
+    return parts
+
+
+def _pictures(place: Any, record: Record, records: Sequence[Record], task: Task) -> list[Part]:
+    """The map and the strip of one episode, with a legend."""
+    others = []
+    if task.walked:
+        same = [r for r in records if r["episode"]["id"] == record["episode"]["id"]]
+        others = [r for r in same if (name := next(iter(r["methods"]))) != OURS and not is_ablation(name)]
+    names = ordered([*(next(iter(r["methods"])) for r in others), *(n for n in record["methods"] if is_rival(n))])
+    above = [
+        (scenes.floor_map(place, record, others), "From above; numbers: the moments."),
+        (legend(names, OURS, str(record["key"])), "Each method's line and mark."),
+    ]
+    caption = "White ring: the truth. Marks: what each method says. The middle is straight ahead, the edges are behind."
+    return [Pictures(above, "map"), Pictures(scenes.strip(place, record), "strip"), Text(caption, "note")]
+
+
+def _said(record: Record, task: Task) -> str:
+    """The episode's figures in words."""
+    metrics = record["methods"][OURS]["metrics"]
+    found = []
+    for column in task.columns:
+        value = metrics.get(column.metric)
+        if value is None or (column.only_if and not metrics.get(column.only_if)):
+            continue
+        found.append(f"{column.title} {shown(column.scale * value, column)}{column.unit}")
+    return f"{OURS}: {', '.join(found)}."

@@ -1,0 +1,93 @@
+"""A study: what is played unit by unit, counted, and shown; simulated tasks and published benchmarks are both one.
+
+`eagor.evaluation.studies.load` finds one by its name. Whoever runs, reports or lists goes by this Protocol alone: the
+ledger, the workers, the page and the files are the same for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from eagor.evaluation.page import Part, Section, Sheet
+from eagor.evaluation.samples import Record
+from eagor.evaluation.units import Unit
+
+Settings = Mapping[str, Any]
+Summary = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Told:
+    """A run as its folder tells it: ``run.json``, the records, and what they come to."""
+
+    settings: Settings
+    records: Sequence[Record]
+    summary: Summary
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a report says: its page, and the tables of it that stand in ``tables.md``.
+
+    `facts`: what was run; `files`: the text of further files, by name.
+    """
+
+    title: str
+    lead: Sequence[Part]
+    sections: Sequence[Section]
+    facts: Sequence[tuple[str, str]]
+    sheets: Sequence[Sheet]
+    files: Mapping[str, str] = field(default_factory=dict)
+
+
+class Planned(Protocol):
+    """A run that may be played: what decides its results, and its units of work."""
+
+    def config(self) -> dict[str, Any]:
+        """The JSON of run.json. Raises `EagorError` for what does not exist or does not fit."""
+        ...
+
+    def units(self, config: Settings) -> list[Unit]:
+        """What there is to play. Raises `EagorError` for a part that cannot be."""
+        ...
+
+
+class Study(Protocol):
+    """What is played, counted and shown.
+
+    `work`: ``"package.module:function"``; ``function(settings)`` returns what plays one unit's payload and returns its
+    record. `case`: what a unit's result is called ("episode", "case"). `several`: whether one report may be about
+    several runs.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def work(self) -> str: ...
+    @property
+    def case(self) -> str: ...
+    @property
+    def several(self) -> bool: ...
+
+    def offer(self) -> dict[str, Any]:
+        """What ``eagor bench list --json`` says of it."""
+        ...
+
+    def read(self, folder: Path) -> Told:
+        """The run in `folder`. Raises `EagorError` without records; `FormatError`, naming it, for a malformed one."""
+        ...
+
+    def as_text(self, summary: Summary) -> list[str]:
+        """The table for a terminal."""
+        ...
+
+    def as_json(self, summary: Summary) -> dict[str, Any]:
+        """What ``eagor bench run --json`` says."""
+        ...
+
+    def report(self, runs: Sequence[Told], open_place: Any = None) -> Report:
+        """The report of one or several runs; `open_place` makes a world again, for pictures."""
+        ...
