@@ -25,8 +25,8 @@ __all__ = ["IMAGE", "Chat", "Message", "Said", "digest", "load_chat", "shared_ch
 def load_chat(spec: str) -> Chat:
     """The model that `spec` names. Raises `EagorError` if it cannot be made.
 
-    - ``MODEL@ADDRESS[?option=value&...]`` on an OpenAI-compatible server (`ServedChat`); model or address may be missing
-      (the server's only model; ``http://localhost:8000/v1``).
+    - ``MODEL@ADDRESS[?option=value&...]`` on an OpenAI-compatible server (`ServedChat`); either may be missing: the
+      only model that the server has, ``http://localhost:8000/v1``.
     - ``FOLDER[?option=value&...]`` with ``config.json``, or a hub name: on this machine (`LocalChat`).
     - ``package.module:function``: what ``function()`` returns, a `Chat` of one's own.
     """
