@@ -56,14 +56,14 @@ $(BIN)/python:
 
 # Stamps: what is installed is installed again only when pyproject.toml changes.
 $(VENV)/.eagor-installed: $(BIN)/python pyproject.toml
-	@echo "==> installing eagor"
-	$(PIP) -e .
+	@echo "==> installing eagor with what simulated worlds need"
+	$(PIP) -e ".[sim]"
 	touch $@
 
 $(VENV)/.eagor-test-installed: $(BIN)/python pyproject.toml
 	@echo "==> installing $(TORCH), then eagor with what the tests need (the first time takes minutes)"
 	$(PIP) "$(TORCH)"
-	$(PIP) -e ".[vlm,endpoint,ray,oracles,docs,dev]"
+	$(PIP) -e ".[sim,vlm,endpoint,ray,oracles,docs,dev]"
 	touch $(VENV)/.eagor-installed $@
 
 demo: $(VENV)/.eagor-installed

@@ -97,7 +97,26 @@ _HOME = {
 }
 
 
+# Modules that are there after ``import eagor``, each loaded when it is first used.
+_MODULES = (
+    *_HOME,
+    "conventions",
+    "drawing",
+    "evaluation",
+    "metrics",
+    "perception",
+    "plugins",
+    "poses",
+    "queries",
+    "statistics",
+    "tasks",
+    "worlds",
+)
+
+
 def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return import_module(f"eagor.{name}")
     for module, names in _HOME.items():
         if name in names:
             value = getattr(import_module(f"eagor.{module}"), name)
@@ -107,4 +126,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, *_MODULES})

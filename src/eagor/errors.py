@@ -61,5 +61,9 @@ class StorageError(EagorError):
     """The disk does not take what has to be kept; what was kept before is whole."""
 
 
+class MissingExtraError(EagorError, ImportError):
+    """A package is not installed that one of our extras brings; the text says how to install it."""
+
+
 class WorkError(EagorError):
     """The work of a run cannot be begun: it cannot be imported, or cannot be set up from its settings."""

@@ -28,7 +28,7 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from importlib.metadata import Distribution, EntryPoint, EntryPoints, distributions, entry_points
 from typing import Any
 
-from eagor.errors import EagorError
+from eagor.errors import EagorError, MissingExtraError
 
 _READ: Any = Distribution.entry_points.fget  # as it is outside of `readable_lists`
 PATIENCE = 30.0  # seconds that an import may take where many are tried; one that draws in torch takes ten
@@ -76,6 +76,8 @@ def bring(point: EntryPoint, kind: str) -> Any:
     try:
         with redirect_stdout(sys.stderr):  # stdout is for results
             return point.load()
+    except MissingExtraError:
+        raise
     except (Exception, SystemExit) as error:  # a broken plugin may raise anything
         raise EagorError(
             f"the {kind} {point.name!r} ({point.value}) cannot be imported ({type(error).__name__}: {error}). Install "

@@ -321,7 +321,7 @@ def test_packages_that_are_not_there(refused, planted, panorama, monkeypatch):
     folder = planted(QWEN)
     monkeypatch.setitem(sys.modules, "transformers", None)
     assert "pip install 'eagor[vlm]'" in refused(2, "locate", panorama, "red thing", "--perception", folder)
-    monkeypatch.setattr("eagor.perception.endpoint.server.find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "openai", None)
     assert "pip install 'eagor[endpoint]'" in refused(2, "locate", panorama, "red", "--perception", "endpoint:qwen")
 
 

@@ -12,18 +12,21 @@ from eagor import perception, plugins, worlds
 from eagor._version import __version__
 from eagor.cli import machine, terminal
 from eagor.cli.options import Doctor
+from eagor.errors import MissingExtraError
 from eagor.tasks import benchmark, task
 
-PACKAGES = (
-    "numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "jinja2", "tyro", "rich", "gymnasium", "trimesh",
-    "onnxruntime",
-)  # fmt: skip
+PACKAGES = ("numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich")
 OPTIONAL = {
-    "embreex": "faster rays in simulated worlds",
+    "gymnasium": "simulated tasks: the extra 'sim'",
+    "trimesh": "GLB files: the extra 'sim'",
+    "onnxruntime": "the scout: the extra 'sim'",
+    "jinja2": "report pages: the extra 'sim'",
+    "embreex": "faster rays in simulated worlds: the extra 'sim'",
     "torch": "tensors on a GPU, and local models: the extra 'vlm'",
     "transformers": "local models: the extra 'vlm'",
     "openai": "models on servers: the extra 'endpoint'",
 }
+WANTS = {"endpoint": ("openai", "endpoint"), "scout": ("onnxruntime", "sim")}  # perceptions, beyond what they import
 READY = "ready"
 PARTS = (perception, worlds, task, benchmark)  # what packages can add to
 
@@ -40,8 +43,9 @@ def doctor(options: Doctor) -> int:
         kind: {name: _state(each[name], faults, each[name] in theirs) for name in sorted(each)}
         for kind, each in points.items()
     }
-    if known["perceptions"]["endpoint"] == READY and optional["openai"] is None:
-        known["perceptions"]["endpoint"] = "wants openai (the extra 'endpoint')"
+    for name, (package, extra) in WANTS.items():
+        if known["perceptions"][name] == READY and optional[package] is None:
+            known["perceptions"][name] = f"wants {package} (the extra '{extra}')"
     left_out = [
         text for kind, each in points.items() for at in each.values() for text in plugins.left_out(at, kind[:-1])
     ] + plugins.unreadable()
@@ -76,6 +80,8 @@ def _state(point: EntryPoint, faults: dict[EntryPoint, str], theirs: bool) -> st
     if not theirs:
         try:
             point.load()
+        except MissingExtraError as error:
+            return str(error)
         except Exception as error:  # a broken installation of what it needs may raise anything
             why = f"{type(error).__name__}: {error}"
     return f"cannot be imported ({why})" if why else READY

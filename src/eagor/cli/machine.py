@@ -9,10 +9,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from eagor._extras import EXTRAS, how_to_install
 from eagor.perception.vlm.families import FAMILIES, Checkpoint
 
-LOCAL = {"torch": "2.6", "transformers": "5.23", "accelerate": "1.10"}  # the extra vlm: oldest versions that will do
-SERVED = {"openai": "1.98", "tenacity": "9"}  # the extra endpoint
+USES = {"sim": "simulated worlds, tasks and the scout", "vlm": "local models", "endpoint": "models on servers"}
 _LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # of a container
 
 
@@ -78,13 +78,12 @@ def lines(here: Machine) -> list[tuple[str, str]]:
 
 
 def missing() -> list[str]:
-    """What to install, change or remove, so that models run here; empty where nothing is."""
+    """What to install, change or remove, so that all runs here; empty where nothing is."""
     steps = []
-    if short := [name for name, least in LOCAL.items() if not _reaches(name, least)]:
-        first = "pip install torch==2.13.0 first where there is no GPU, then " if "torch" in short else ""
-        steps.append(f"local models lack {', '.join(map(_wanted, short))}: {first}pip install 'eagor[vlm]'")
-    if short := [name for name, least in SERVED.items() if not _reaches(name, least)]:
-        steps.append(f"models on servers lack {', '.join(map(_wanted, short))}: pip install 'eagor[endpoint]'")
+    for extra, use in USES.items():
+        if short := [_wanted(name, least) for name, least in EXTRAS[extra].items() if not _reaches(name, least)]:
+            first = "pip install torch==2.13.0 first where there is no GPU, then " if short[0] == "torch" else ""
+            steps.append(f"{use} lack {', '.join(short)}: {first}{how_to_install(extra)}")
     if find_spec("torch") and find_spec("torchvision"):
         try:
             import torchvision  # noqa: F401  # pyright: ignore[reportMissingImports]
@@ -96,8 +95,8 @@ def missing() -> list[str]:
     return steps
 
 
-def _wanted(name: str) -> str:
-    number, least = version_of(name), (LOCAL | SERVED)[name]
+def _wanted(name: str, least: str) -> str:
+    number = version_of(name)
     return name if number is None else f"{name} {least} or newer (there is {number})"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from eagor._extras import need
 from eagor.cli import terminal
 from eagor.cli.columns import words
 from eagor.cli.options import BenchCompare, BenchExport, BenchFailures, BenchReport, pairs_of
@@ -13,6 +14,7 @@ def report(options: BenchReport) -> int:
     from eagor.evaluation import studies
     from eagor.evaluation.report import write_report
 
+    need("a report page", "sim", "jinja2")
     if not options.folders:
         raise terminal.UsageError("no run is named; wanted the folder of one")
     if options.out is not None:

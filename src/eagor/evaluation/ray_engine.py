@@ -9,12 +9,11 @@ from __future__ import annotations
 import multiprocessing
 import pickle
 import sys
-from importlib.util import find_spec
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from eagor.errors import EagorError
+from eagor._extras import need
 from eagor.evaluation.ray_driver import OVER, READY, drive, end_session
 from eagor.evaluation.units import Book, Unit, WorkError, head_of
 
@@ -28,10 +27,7 @@ def work_on_ray(book: Book, work: str, config: dict[str, Any], count: int, addre
     process has joined, RAY_ADDRESS, else this machine alone. Raises as `eagor.evaluation.workers.run_units`, and
     `EagorError` without ray, or where no cluster answers.
     """
-    if lacking := [name for name in ("ray", "psutil") if find_spec(name) is None]:
-        raise EagorError(
-            f"--engine ray needs {' and '.join(lacking)}: pip install 'eagor[ray]' (the same version on all machines)"
-        )
+    need("--engine ray (the same version on all machines)", "ray", "ray", "psutil")
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
     arguments = (there, work, config, count, address or _joined(), book.task)

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
+from eagor._extras import need
+
 ENVIRONMENTS = {
     "Eagor/WaypointFollowing-v0": "WaypointFollowingEnv",
     "Eagor/MapFreeNavigation-v0": "MapFreeNavigationEnv",
@@ -15,9 +17,8 @@ ENVIRONMENTS = {
 
 
 def register() -> None:
-    """Register the environments with Gymnasium; once is enough, twice does no harm."""
-    if find_spec("gymnasium") is None:
-        return
+    """Register the environments with Gymnasium, which the extra ``sim`` brings; twice does no harm."""
+    need("a simulated task", "sim", "gymnasium")
     import gymnasium
 
     for name, kind in ENVIRONMENTS.items():
@@ -25,4 +26,5 @@ def register() -> None:
             gymnasium.register(name, entry_point=f"eagor.tasks.environments:{kind}")
 
 
-register()
+if find_spec("gymnasium"):  # published benchmarks are here, too, and do without
+    register()

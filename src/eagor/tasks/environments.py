@@ -10,11 +10,10 @@ import math
 from typing import Any, Literal
 
 import numpy as np
-from gymnasium import spaces
 
 from eagor.tasks import navigation, tracking, waypoint
 from eagor.tasks.episodes import Episode, Slot
-from eagor.tasks.place_env import Actions, AnsweringEnv, PlaceEnv, as_walk, walking_space
+from eagor.tasks.place_env import Actions, AnsweringEnv, PlaceEnv, as_walk, spaces, walking_space
 from eagor.tasks.rules import NavigationRules, TrackingRules, WaypointRules
 from eagor.worlds.ball import Ball
 

@@ -18,18 +18,23 @@ from __future__ import annotations
 import math
 from typing import Any, Literal
 
-import gymnasium
 import numpy as np
-from gymnasium import spaces
 
 from eagor import conventions
-from eagor.errors import WorldError
+from eagor._extras import how_to_install
+from eagor.errors import MissingExtraError, WorldError
 from eagor.tasks.carrier import Carrier, Pose
 from eagor.tasks.episodes import PER_PLACE, Episode, Slot
 from eagor.tasks.places import APARTMENT, DEVELOPMENT, LOOK_ROWS, Place, load_place, pixels_of
 from eagor.tasks.rules import Camera, Disturbances
 from eagor.worlds.ball import Ball, with_ball
 from eagor.worlds.render import Frame
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+except ImportError as error:
+    raise MissingExtraError(f"a simulated task needs gymnasium: {how_to_install('sim')}") from error
 
 Actions = Literal["continuous", "discrete"]
 STOP, FORWARD, LEFT, RIGHT = range(4)  # Habitat's order

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eagor._extras import need
 from eagor.conventions import to_gltf
 from eagor.worlds.glb_reader import import_glb
 from eagor.worlds.gltf import FORMAT, material_name, node_name, split_at_seams, to_pbr, write_exactly
@@ -43,6 +44,7 @@ def export_glb(
     `cell`, `radius`, `height` and `climb` (metres, as in `Ground.from_scene`) go into `<name>.navmesh.json`. Existing
     files are overwritten.
     """
+    need("a GLB file", "sim", "trimesh")
     import trimesh
     from trimesh.exchange.gltf import export_glb as to_bytes
     from trimesh.visual.texture import TextureVisuals

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from eagor._extras import need
 from eagor._json import number, parsed, shown
 from eagor.conventions import from_gltf
 from eagor.errors import WorldError
@@ -88,6 +89,7 @@ def _read(path: Path) -> bytes:
 
 def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
     """The parts of a file, and its materials."""
+    need("a GLB file", "sim", "trimesh")
     import trimesh
 
     try:

@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from eagor._extras import how_to_install
 from eagor.errors import WorldError
 from eagor.worlds.bvh import Tree
 
@@ -73,7 +74,7 @@ def make_raycaster(
     if not has_embree():
         raise WorldError(
             "the ray engine 'embree' needs the package embreex, which is not installed here (there is no wheel for "
-            "Linux on ARM). Install it (pip install embreex), or ask for engine='numpy', which is slower"
+            f"Linux on ARM). Ask for engine='numpy', which is slower, or: {how_to_install('sim')}"
         )
     return EmbreeRaycaster(vertices, triangles, watertight)
 

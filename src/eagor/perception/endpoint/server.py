@@ -14,11 +14,11 @@ from collections.abc import Coroutine, Sequence
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, fields
 from functools import lru_cache
-from importlib.util import find_spec
 from typing import Any, TypeVar
 from urllib.parse import parse_qsl
 
 from eagor._checks import above, require, whole, within
+from eagor._extras import need
 from eagor._secrets import redacted
 from eagor.errors import EagorError, QueryError
 from eagor.perception.endpoint.addresses import DEFAULT_SERVER, checked_address, place_of, shown_address
@@ -245,9 +245,8 @@ class Server:
 
 
 def need_client() -> None:
-    """Raise `EagorError` without the packages of the extra."""
-    if any(find_spec(name) is None for name in ("openai", "tenacity")):
-        raise EagorError("a served model needs the packages openai and tenacity: pip install 'eagor[endpoint]'")
+    """Raise `MissingExtraError` without the packages of the extra."""
+    need("a served model", "endpoint", "openai", "tenacity")
 
 
 @lru_cache(maxsize=1)

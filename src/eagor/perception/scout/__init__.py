@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 
 from eagor._checks import require
+from eagor._extras import need
 from eagor.calibration import Calibration
-from eagor.errors import EagorError, ImageError
+from eagor.errors import ImageError
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid
 from eagor.perception.scout.resizing import resized
@@ -45,12 +46,14 @@ class ScoutPerception:
     Attributes:
         calibration: how responses become evidence (default: as fitted on development apartments).
 
-    Raises `EagorError` for another calibration, such as text after ``scout:``.
+    Raises `EagorError` for another calibration, such as text after ``scout:``; `MissingExtraError` without onnxruntime,
+    which the extra ``sim`` brings.
     """
 
     calibration: Calibration = CALIBRATION
 
     def __post_init__(self) -> None:
+        need("the scout", "sim", "onnxruntime")
         require(self, {"calibration": (isinstance(self.calibration, Calibration), "an eagor.Calibration; no text")})
 
     @property
@@ -72,7 +75,7 @@ class ScoutPerception:
         """Evidence for the thing that `query` names in `panorama` ``(H, 2 H, 3)``, uint8 sRGB.
 
         Raises `QueryError`, which lists the words that are known, for other words; `ImageError` if the panorama is
-        not such an array; `EagorError` without onnxruntime.
+        not such an array.
         """
         response = self.respond(panorama, [query])[0]
         return Evidence.from_response(response, self.grid, self.calibration, stamp)
@@ -108,10 +111,8 @@ def _vocabulary() -> tuple[tuple[str, ...], tuple[str, ...]]:
 @lru_cache(maxsize=1)
 def _session() -> Any:
     """The network, ready to run on one core: the machine's others belong to the caller."""
-    try:
-        import onnxruntime
-    except ImportError as error:
-        raise EagorError("the scout needs onnxruntime, which is not installed (pip install onnxruntime)") from error
+    import onnxruntime
+
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     return onnxruntime.InferenceSession(FOLDER / "scout.onnx", options, providers=["CPUExecutionProvider"])

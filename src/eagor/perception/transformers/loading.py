@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from eagor._checks import within
+from eagor._extras import how_to_install
 from eagor._json import whole
-from eagor.errors import EagorError
+from eagor.errors import EagorError, MissingExtraError
 from eagor.perception.transformers.looker import Looker
 from eagor.perception.vlm.families import Family, chosen, family_of
 
@@ -116,13 +117,13 @@ def read_family(name: str, revision: str | None = None) -> tuple[Any, Family]:
         import torch  # noqa: F401
         import transformers
     except ImportError as error:
-        raise EagorError(
+        raise MissingExtraError(
             f"{name} needs torch and transformers ({error}). On a CPU machine install torch==2.13.0 first, then "
-            "pip install 'eagor[vlm]' (and no torchvision)"
+            f"{how_to_install('vlm')} (and no torchvision)"
         ) from error
     if int(transformers.__version__.partition(".")[0]) < 5:
         raise EagorError(
-            f"{name} needs transformers 5.23 or newer; this is {transformers.__version__}: pip install -U 'eagor[vlm]'"
+            f"{name} needs transformers 5.23 or newer; this is {transformers.__version__}: {how_to_install('vlm')}"
         )
     config = _loaded(name, "config.json", transformers.AutoConfig.from_pretrained, revision)
     return config, family_of(config, name)

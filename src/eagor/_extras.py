@@ -1,0 +1,30 @@
+"""Which packages the extras bring, and the one way to say that one is absent.
+
+The package is on no registry yet, so the line that installs an extra names the way from a clone, too.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from eagor.errors import MissingExtraError
+
+# Extra: its packages and their oldest versions that will do, as in pyproject.toml. Not embreex: Linux on ARM has no
+# wheel of it, and all works without.
+EXTRAS = {
+    "sim": {"gymnasium": "1.0", "trimesh": "4.6", "onnxruntime": "1.20", "jinja2": "3.1"},
+    "vlm": {"torch": "2.6", "transformers": "5.23", "accelerate": "1.10"},
+    "endpoint": {"openai": "1.98", "tenacity": "9"},
+    "ray": {"psutil": "6.0", "ray": "2.59"},
+}
+
+
+def how_to_install(extra: str) -> str:
+    """The line to type."""
+    return f"pip install 'eagor[{extra}]', or in a clone pip install -e '.[{extra}]'"
+
+
+def need(what: str, extra: str, *packages: str) -> None:
+    """Raise `MissingExtraError` unless all `packages`, which `what` needs and `extra` brings, are installed."""
+    if lacking := [name for name in packages if find_spec(name) is None]:
+        raise MissingExtraError(f"{what} needs {' and '.join(lacking)}: {how_to_install(extra)}")

@@ -1,0 +1,188 @@
+"""``pip install eagor`` is lean: what it brings is enough for the core, `locate` and `track`; the rest names its extra.
+
+No environment is made for this: processes run with all packages hidden that the base does not bring.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import PackageNotFoundError, packages_distributions, requires
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import eagor
+from eagor._extras import EXTRAS, how_to_install, need
+from eagor.errors import EagorError, MissingExtraError
+from eagor.worlds.painted import painted_room
+
+SOURCE = Path(eagor.__file__).parents[1]
+PROJECT = tomllib.loads(Path(__file__).parents[2].joinpath("pyproject.toml").read_text(encoding="utf-8"))["project"]
+HIDE = """
+from importlib.machinery import PathFinder
+from importlib.metadata import Distribution, PackageNotFoundError
+
+hidden = set({hidden!r})
+find_spec, from_name = PathFinder.find_spec, Distribution.from_name
+
+def find(name, path=None, target=None):
+    return None if name in hidden else find_spec(name, path, target)
+
+def distribution(name):
+    if name in hidden:
+        raise PackageNotFoundError(name)
+    return from_name(name)
+
+PathFinder.find_spec, Distribution.from_name = find, distribution
+"""
+
+
+def name_of(requirement: str) -> str:
+    return re.split(r"[^\w.-]", requirement)[0].lower().replace("_", "-")
+
+
+def brought(names: set[str]) -> set[str]:
+    """The distributions with these names, and all that they need."""
+    found: set[str] = set()
+    while names:
+        found |= names
+        needed: set[str] = set()
+        for name in names:
+            try:
+                needed |= {name_of(line) for line in requires(name) or () if "extra ==" not in line}
+            except PackageNotFoundError:
+                continue  # not for this machine
+        names = needed - found
+    return found
+
+
+@pytest.fixture(scope="module")
+def lean(tmp_path_factory):
+    """An environment for processes with the packages of the base alone."""
+    base = brought({name_of(line) for line in PROJECT["dependencies"]}) | {"eagor"}
+    modules = packages_distributions().items()
+    hidden = {name for name, dists in modules if not base & {name_of(each) for each in dists} and name[0] != "_"}
+    folder = tmp_path_factory.mktemp("lean")
+    extras = {name for packages in EXTRAS.values() for name in packages}
+    folder.joinpath("sitecustomize.py").write_text(HIDE.format(hidden=sorted(hidden | extras | {"embreex"})))
+    return os.environ | {"PYTHONPATH": f"{folder}{os.pathsep}{SOURCE}", "NO_COLOR": "1"}
+
+
+@pytest.fixture(scope="module")
+def run(lean, tmp_path_factory):
+    """Run Python with these arguments; there is room.png, and frames with poses.csv. (exit code, stdout, stderr)."""
+    place = tmp_path_factory.mktemp("place")
+    room = painted_room(64, 128)
+    place.joinpath("frames").mkdir()
+    for number in range(2):
+        Image.fromarray(np.roll(room, 8 * number, axis=1)).save(place / "frames" / f"{number}.png")
+    Image.fromarray(room).save(place / "room.png")
+    place.joinpath("poses.csv").write_text("stamp,yaw_deg,pitch_deg,roll_deg\n0,0,0,0\n1,22.5,0,0\n")
+    place.joinpath("scene.glb").write_bytes(b"glTF" + bytes(40))
+
+    def run(*arguments):
+        done = subprocess.run(
+            [sys.executable, *arguments], cwd=place, env=lean, capture_output=True, text=True, timeout=300
+        )
+        return done.returncode, done.stdout, done.stderr
+
+    return run
+
+
+def test_the_base_is_what_was_promised():
+    promised = {"numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich"}
+    assert {name_of(line) for line in PROJECT["dependencies"]} == promised
+
+
+@pytest.mark.parametrize("extra", EXTRAS)
+def test_the_extras_are_those_of_the_project(extra):
+    lines = PROJECT["optional-dependencies"][extra]
+    least = dict(re.match(r"([\w-]+)>=([\d.]+)", line).groups() for line in lines)
+    least.pop("embreex", None)  # all works without
+    assert least == EXTRAS[extra]
+
+
+def test_base_commands_work(run):
+    code, out, err = run("-m", "eagor", "doctor", "--json")
+    assert code == 0, err
+    found = json.loads(out)
+    assert found["healthy"]
+    assert set(found["optional"].values()) == {None}
+    assert [each for each in found["install"] if how_to_install("sim") in each]
+    assert found["perceptions"]["scout"] == "wants onnxruntime (the extra 'sim')"
+    assert found["tasks"]["navigation"] == f"a simulated task needs gymnasium: {how_to_install('sim')}"
+    code, out, err = run("-m", "eagor", "locate", "room.png", "the red ball", "--picture", "found.png", "--json")
+    assert code == 0, err
+    assert abs(json.loads(out)["azimuth_deg"] + 23.4) < 3
+    code, out, err = run("-m", "eagor", "track", "frames", "the red ball", "--poses", "poses.csv", "--compare")
+    assert code == 0, err
+    assert len(out.splitlines()) >= 2
+    for arguments in (["--help"], ["bench", "list"]):
+        code, _, err = run("-m", "eagor", *arguments)
+        assert code == 0, err
+
+
+@pytest.mark.parametrize(
+    ("extra", "command"),
+    [
+        ("sim", "demo --out demo"),
+        ("sim", "locate room.png chair --perception scout"),
+        ("sim", "track frames chair --poses poses.csv --perception scout"),
+        ("sim", "bench run navigation --perception truth --episodes 1 --out run"),
+        ("sim", "bench run waypoint --world scene.glb --episodes 1 --out run"),
+        ("sim", "bench report run"),
+        ("sim", "calibrate --episodes 20 --out calibration.json"),
+        ("vlm", "locate room.png chair --perception some/model"),
+        ("vlm", "calibrate heads --perception some/model --out heads.json"),
+        ("endpoint", "locate room.png chair --perception endpoint:qwen"),
+    ],
+)
+def test_other_commands_name_their_extra(run, extra, command):
+    code, out, err = run("-m", "eagor", *command.split())
+    assert (code, out) == (2, "")
+    assert how_to_install(extra) in err
+    assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        "import eagor.tasks; eagor.tasks.register()",
+        "import eagor.tasks.environments",
+        "from eagor.tasks.simulated import NAVIGATION",
+        "from eagor.tasks import task; task.load('waypoint')",
+        "from eagor.perception.scout import ScoutPerception; ScoutPerception()",
+        "from eagor import worlds; worlds.load('scene.glb')(0)",
+    ],
+)
+def test_calls_name_their_extra(run, call):
+    code, _, err = run("-c", call)
+    assert code == 1
+    said = f"eagor.errors.MissingExtraError: .* needs .*: {re.escape(how_to_install('sim'))}"
+    assert re.fullmatch(said, err.splitlines()[-1])
+
+
+def test_modules_are_there_after_importing_the_package(run):
+    code, _, err = run("-c", "import eagor; eagor.sphere.direction; [getattr(eagor, name) for name in dir(eagor)]")
+    assert code == 0, err
+
+
+def test_a_world_can_be_looked_at(run):
+    call = "import numpy as np; from eagor.worlds.raycast import make_raycaster as make; make(np.eye(3), [[0, 1, 2]])"
+    code, _, err = run("-c", call)
+    assert code == 0, err
+
+
+def test_the_line_names_what_is_absent_and_both_ways():
+    need("this", "sim")
+    need("this", "sim", "numpy")
+    with pytest.raises(MissingExtraError, match=r"^this needs nowhere_to_be_found: ") as caught:
+        need("this", "sim", "numpy", "nowhere_to_be_found")
+    assert str(caught.value).endswith("pip install 'eagor[sim]', or in a clone pip install -e '.[sim]'")
+    assert isinstance(caught.value, EagorError)
+    assert isinstance(caught.value, ImportError)
