@@ -13,3 +13,5 @@
 `sheets`, `benchmark_sheets`, `figures`, `curves`, `parts`, `kernels`, `charts`, `scenes`, `page` and `export` are the
 reports' parts. Nothing heavy is imported here.
 """
+
+__all__: list[str] = []  # the names are those of the modules

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
+__all__ = ["ENVIRONMENTS", "register"]
+
 ENVIRONMENTS = {
     "Eagor/WaypointFollowing-v0": "WaypointFollowingEnv",
     "Eagor/MapFreeNavigation-v0": "MapFreeNavigationEnv",
