@@ -98,7 +98,7 @@ bench: $(VENV)/.eagor-test-installed
 	$(BIN)/python benchmarks/quality.py
 
 figures: $(VENV)/.eagor-installed
-	@for figure in mean degree parallax belief moving demo; do
+	@for figure in architecture mean degree parallax belief moving demo; do
 	    echo "==> docs/figures/$$figure.py"
 	    $(BIN)/python docs/figures/$$figure.py
 	done

@@ -7,27 +7,38 @@
 
 The frames are on one page, `eagor.sphere`; the mathematics is in `eagor.belief` and the modules below it.
 
-The names below are loaded when they are first used (PEP 562), so that the command line can answer `--help` without
-NumPy, and choose the number of threads before NumPy is there.
+Each name is loaded when it is first used (PEP 562): `eagor --help` answers without NumPy, and the command line chooses
+the number of threads before NumPy is loaded. The methods to compare with are in `eagor.baselines`.
 """
 
 from __future__ import annotations
 
+import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from eagor._version import __version__
 
 if TYPE_CHECKING:
-    from eagor.baselines import (
-        Centroid,
-        CircularCentroid,
-        GridFilter,
-        HistogramFilter,
-        ParticleFilter,
-        Published,
-        VonMisesFisherFilter,
-    )
+    from eagor import baselines as baselines
+    from eagor import belief as belief
+    from eagor import conventions as conventions
+    from eagor import drawing as drawing
+    from eagor import errors as errors
+    from eagor import evaluation as evaluation
+    from eagor import evidence as evidence
+    from eagor import grids as grids
+    from eagor import harmonics as harmonics
+    from eagor import metrics as metrics
+    from eagor import perception as perception
+    from eagor import plugins as plugins
+    from eagor import poses as poses
+    from eagor import queries as queries
+    from eagor import sphere as sphere
+    from eagor import statistics as statistics
+    from eagor import tasks as tasks
+    from eagor import tracker as tracker
+    from eagor import worlds as worlds
     from eagor.belief import Belief
     from eagor.calibration import Calibration
     from eagor.detector import DetectorModel
@@ -44,8 +55,6 @@ if TYPE_CHECKING:
 __all__ = [
     "Belief",
     "Calibration",
-    "Centroid",
-    "CircularCentroid",
     "DetectorModel",
     "DirectionTracker",
     "EagorError",
@@ -53,18 +62,13 @@ __all__ = [
     "Estimate",
     "Evidence",
     "FisheyeGrid",
-    "GridFilter",
-    "HistogramFilter",
     "Mode",
     "MotionModel",
-    "ParticleFilter",
     "PatchGrid",
     "PerspectiveGrid",
-    "Published",
     "RangedBelief",
     "RealHarmonics",
     "TrackerConfig",
-    "VonMisesFisherFilter",
     "__version__",
     "angular_distance",
     "azimuth_elevation",
@@ -73,15 +77,6 @@ __all__ = [
 ]
 
 _HOME = {
-    "baselines": (
-        "Centroid",
-        "CircularCentroid",
-        "GridFilter",
-        "HistogramFilter",
-        "ParticleFilter",
-        "Published",
-        "VonMisesFisherFilter",
-    ),
     "belief": ("Belief",),
     "calibration": ("Calibration",),
     "detector": ("DetectorModel",),
@@ -96,27 +91,23 @@ _HOME = {
     "tracker": ("DirectionTracker",),
 }
 
-
-# Modules that are there after ``import eagor``, each loaded when it is first used.
+# The modules that `dir(eagor)` shows; the others are parts of these.
 _MODULES = (
-    *_HOME,
-    "conventions",
-    "drawing",
-    "evaluation",
-    "metrics",
-    "perception",
-    "plugins",
-    "poses",
-    "queries",
-    "statistics",
-    "tasks",
-    "worlds",
-)
+    "baselines", "belief", "conventions", "drawing", "errors", "evaluation", "evidence", "grids", "harmonics",
+    "metrics", "perception", "plugins", "poses", "queries", "sphere", "statistics", "tasks", "tracker", "worlds",
+)  # fmt: skip
+_MOVED = (  # to `eagor.baselines`
+    "Centroid", "CircularCentroid", "GridFilter", "HistogramFilter", "ParticleFilter", "Published",
+    "VonMisesFisherFilter",
+)  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
-    if name in _MODULES:
+    if name in _MODULES or name in _HOME:
         return import_module(f"eagor.{name}")
+    if name in _MOVED:
+        warnings.warn(f"eagor.{name} is now eagor.baselines.{name}", DeprecationWarning, stacklevel=2)
+        return getattr(import_module("eagor.baselines"), name)
     for module, names in _HOME.items():
         if name in names:
             value = getattr(import_module(f"eagor.{module}"), name)
@@ -126,4 +117,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, *_MODULES})
+    return sorted([*__all__, *_MODULES])

@@ -30,6 +30,8 @@ from eagor.peaks import FLAT, decoding_grid, forward_vector, peak
 from eagor.posterior import CELLS_FOR_REGIONS, MIN_WEIGHT, PROMINENCE, CredibleRegion, Field, Posterior
 from eagor.sphere import azimuth_elevation, check_rotation
 
+__all__ = ["Belief"]
+
 
 class Reading:
     """What can be read from any posterior over directions; `Belief` and `RangedBelief` supply the field.

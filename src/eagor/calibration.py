@@ -18,6 +18,8 @@ from eagor._reprs import changed
 from eagor.errors import ResponseError
 from eagor.repeating import METRES, SECONDS
 
+__all__ = ["Calibration"]
+
 SPREADS = math.radians(1), math.radians(30)
 
 

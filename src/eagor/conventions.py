@@ -14,6 +14,14 @@ import numpy as np
 from eagor.errors import EagorError, RotationError
 from eagor.sphere import azimuth_elevation, check_rotation, direction
 
+__all__ = [
+    "E3NN_R_BODY", "GLTF_R_WORLD", "HABITAT_R_BODY", "OPTICAL_R_BODY", "direction_from_hstar", "from_gltf",
+    "from_habitat", "from_healpix_alm", "from_optical", "from_pyshtools", "hstar_from_direction", "pose_from_habitat",
+    "pose_to_habitat", "rotation_from_habitat", "rotation_from_wxyz", "rotation_from_xyzw", "rotation_to_e3nn",
+    "to_e3nn_direction", "to_gltf", "to_habitat", "to_healpix_alm", "to_optical", "to_pyshtools", "wxyz_from_rotation",
+    "xyzw_from_rotation",
+]  # fmt: skip
+
 # --- quaternions (ROS messages are xyzw; many papers, MuJoCo and Unitree are wxyz) ---
 
 

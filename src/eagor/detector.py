@@ -25,6 +25,8 @@ from eagor.errors import ResponseError
 from eagor.grids import ErpGrid
 from eagor.repeating import METRES, SECONDS
 
+__all__ = ["DetectorModel", "Rates", "Spread", "model_as_json", "parse_model"]
+
 CLUTTER_FLOOR = 1e-3  # relative density of false alarms: no place is so clean that one there would be a proof
 # The prior of what is learnt: probabilities of detection and mean numbers of false alarms, with their weights.
 RECALLS, RECALL_WEIGHTS = (0.1, 0.3, 0.5, 0.7, 0.9), (0.1, 0.2, 0.2, 0.25, 0.25)

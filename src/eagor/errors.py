@@ -4,6 +4,11 @@ Every error is a ``ValueError``, so callers that do not care about the kind can 
 an error always says three things: what came, what was wanted, and what to change.
 """
 
+__all__ = [
+    "AnswerError", "DirectionError", "EagorError", "FormatError", "GridError", "ImageError", "PoseError", "QueryError",
+    "ResponseError", "RotationError", "ServerError", "StorageError", "TimeError", "WorkError", "WorldError",
+]  # fmt: skip
+
 
 class EagorError(ValueError):
     """Base of the errors that this package raises for bad input."""

@@ -23,6 +23,8 @@ from eagor.ranged import log_ranges
 from eagor.reading import NEAR, Reading
 from eagor.sphere import azimuth_elevation, check_directions
 
+__all__ = ["Answer", "Estimate", "Mode", "Status", "TrackerConfig"]
+
 Status = Literal["searching", "tracking", "ambiguous", "stale"]
 SURE = math.radians(15)  # of the answer: what lies within is as good as found
 RIVAL = 0.2  # of the belief: a second mode that holds as much makes the answer ambiguous

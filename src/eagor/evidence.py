@@ -32,6 +32,8 @@ from eagor.harmonics import RealHarmonics
 from eagor.repeating import Repeating
 from eagor.sphere import unit
 
+__all__ = ["Evidence"]
+
 SILENT = 1e-6  # a response below this is the rounding of zero, and must not be scaled up to a detection
 LATEST = 1e12  # seconds from zero: beyond, a clock counts parts of a second
 _LEAST_PEAK = 1e-30  # a maximum below this cannot be divided by in float32

@@ -23,6 +23,10 @@ from eagor._reprs import changed
 from eagor.errors import GridError
 from eagor.sphere import azimuth_elevation, check_rotation, direction
 
+__all__ = [
+    "ErpGrid", "ErpWindow", "FisheyeGrid", "Grid", "Lens", "PatchGrid", "PerspectiveGrid", "forward_view", "lens_of",
+]  # fmt: skip
+
 
 @lru_cache(maxsize=64)
 def fejer_weights(count: int) -> np.ndarray:

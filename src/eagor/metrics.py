@@ -17,6 +17,12 @@ from eagor.errors import DirectionError, EagorError
 from eagor.sphere import angular_distance, check_rotation, unit
 from eagor.statistics import finite_values, outcomes, plain_labels, same_length
 
+__all__ = [
+    "angular_error_deg", "credible_coverage", "ego_motion", "leg_delta", "log_score", "mae_by_segment", "mean_error",
+    "occlusion_error", "seam_crossings", "seam_error", "soft_spl", "spl", "success", "tc_rotation",
+    "temporal_consistency",
+]  # fmt: skip
+
 
 def angular_error_deg(estimates: ArrayLike, truths: ArrayLike) -> np.ndarray:
     """Great-circle angle in degrees between `estimates` and `truths` ``(..., 3)``, broadcast."""

@@ -9,6 +9,8 @@ import numpy as np
 
 from eagor._checks import require, within
 
+__all__ = ["MotionModel"]
+
 _RATES = ("start", "stop", "jump", "birth", "death")
 
 

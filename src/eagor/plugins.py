@@ -30,6 +30,10 @@ from typing import Any
 
 from eagor.errors import EagorError, MissingExtraError
 
+__all__ = [
+    "bring", "brought", "check_named", "faults", "known", "left_out", "readable_lists", "unreadable", "version_of",
+]  # fmt: skip
+
 _READ: Any = Distribution.entry_points.fget  # as it is outside of `readable_lists`
 PATIENCE = 30.0  # seconds that an import may take where many are tried; one that draws in torch takes ten
 _PROBE = """

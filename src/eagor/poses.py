@@ -13,6 +13,8 @@ from eagor.errors import PoseError, TimeError
 from eagor.evidence import checked_stamp
 from eagor.sphere import check_rotation, interpolate_rotation
 
+__all__ = ["PoseHistory"]
+
 HELD = 3600.0  # seconds for which evidence may rely on the last pose, and a pose on the one before it
 POSES = 20_000  # that are kept at most
 FARTHEST = 1e9  # metres from the origin: beyond, no odometry means what it says

@@ -14,6 +14,8 @@ from typing import Protocol
 
 from eagor.errors import QueryError
 
+__all__ = ["COLOURS", "SYNONYMS", "Named", "Query", "matching", "parse_query", "singular"]
+
 COLOURS = (
     "black", "white", "grey", "red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "beige",
 )  # fmt: skip

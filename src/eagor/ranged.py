@@ -29,6 +29,8 @@ from eagor.peaks import decoding_grid, peak_on_grid
 from eagor.posterior import Field
 from eagor.sphere import check_rotation
 
+__all__ = ["RangedBelief", "log_ranges", "mean_range", "range_spread"]
+
 
 def log_ranges(nearest: float = 0.5, farthest: float = 12.0, count: int = 14) -> np.ndarray:
     """`count` ranges (metres) from `nearest` to `farthest`, equally spaced in the logarithm."""

@@ -20,6 +20,11 @@ import numpy as np
 from eagor._arrays import Array, alike, as_float, namespace, to_numpy
 from eagor.errors import DirectionError, RotationError
 
+__all__ = [
+    "angular_distance", "azimuth_elevation", "check_directions", "check_rotation", "check_unit", "cross", "direction",
+    "interpolate_rotation", "rotation", "unit", "world_R_body", "wrap",
+]  # fmt: skip
+
 FORWARD = (1.0, 0.0, 0.0)
 ORTHOGONAL = 1e-5  # by how much a rotation's rows may fail to be orthonormal: products of float32 reach 1e-6
 UNIT = 0.01  # by how much a direction's length may differ from 1: it was typed with two or three decimals

@@ -15,6 +15,11 @@ from numpy.typing import ArrayLike
 
 from eagor.errors import EagorError
 
+__all__ = [
+    "Discordance", "Interval", "PairedDifference", "ReliabilityBin", "bootstrap_interval", "calibration_error",
+    "mcnemar", "outcomes", "paired_difference", "plain_labels", "reliability", "wilson_interval",
+]  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Interval:

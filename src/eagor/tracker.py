@@ -28,6 +28,8 @@ from eagor.ranged import RangedBelief
 from eagor.standing import Standing
 from eagor.tracks import PENDING, Moment, State, Track
 
+__all__ = ["DirectionTracker"]
+
 TARGETS = 100  # that are followed at a time
 
 

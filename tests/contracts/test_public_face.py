@@ -1,11 +1,21 @@
 """The names that other people's code relies on, and what importing them costs."""
 
+import re
 import subprocess
 import sys
+from importlib import import_module
+from pathlib import Path
 
 import pytest
 
 import eagor
+
+ROOT = Path(__file__).parents[2]
+SOURCE = ROOT / "src"
+PACKAGES = sorted(".".join(path.parent.relative_to(SOURCE).parts) for path in SOURCE.glob("eagor/**/__init__.py"))
+PUBLIC = sorted({f"eagor.{module}" for module in (*eagor._MODULES, *eagor._HOME)} - {*PACKAGES})
+RIVALS = ["Centroid", "CircularCentroid", "GridFilter", "HistogramFilter", "ParticleFilter", "Published",
+          "VonMisesFisherFilter"]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", eagor.__all__)
@@ -13,6 +23,34 @@ def test_every_public_name_is_there_and_says_what_it_is(name):
     value = getattr(eagor, name)
     assert name in dir(eagor)
     assert isinstance(value, str) or (value.__doc__ or "").strip()
+
+
+@pytest.mark.parametrize("module", [*PACKAGES, *PUBLIC])
+def test_every_package_and_every_public_module_lists_its_names(module):
+    loaded = import_module(module)
+    assert len(set(loaded.__all__)) == len(loaded.__all__)
+    assert not [name for name in loaded.__all__ if not hasattr(loaded, name)]
+
+
+def test_dir_shows_the_documented_names_and_modules_and_nothing_else():
+    """Whatever was imported before."""
+    page = (ROOT / "docs" / "api" / "index.md").read_text(encoding="utf-8")
+    names = re.findall(r"\[`(\w+)`\]\(\w+\.md#eagor\.", page.partition("\n## ")[0])
+    modules = re.findall(r"\[`eagor\.(\w+)`\]", page.partition("\n## Modules\n")[2].partition("\n## ")[0])
+    assert dir(eagor) == sorted([*names, *modules, "__version__"])
+
+
+def test_a_documented_module_is_there_after_import_eagor():
+    code = "import eagor; print(*(getattr(eagor, module).__name__ for module in eagor._MODULES))"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert loaded == [f"eagor.{module}" for module in eagor._MODULES]
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_a_rival_lives_in_baselines_and_its_old_name_warns(name):
+    with pytest.warns(DeprecationWarning, match=rf"eagor\.baselines\.{name}") as caught:
+        assert getattr(eagor, name) is getattr(eagor.baselines, name)
+    assert caught[0].filename == __file__, "the warning points to the line that has to change"
 
 
 def test_the_model_of_a_detector_and_of_motion_are_public():

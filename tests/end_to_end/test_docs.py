@@ -79,6 +79,29 @@ def test_the_tables_of_the_method_are_what_the_figures_show(script, monkeypatch)
     assert printed in [text for text, _ in blocks(DOCS / "method.md", "text")]
 
 
+def test_the_page_of_the_architecture_agrees_with_the_source(monkeypatch):
+    """If this fails after a change: `python docs/figures/architecture.py` draws and prints what belongs there."""
+    monkeypatch.syspath_prepend(str(DOCS / "figures"))
+    architecture = importlib.import_module("architecture")
+    page = DOCS / "architecture.md"
+    texts = [text for text, _ in blocks(page, "text")]
+    assert texts == ["\n".join(lines) + "\n" for lines in (architecture.table(), architecture.walk())]
+    floors, below = list(architecture.FLOORS), architecture.edges()
+    assert not [(a, b) for a in floors for b in below[a] if floors.index(b) < floors.index(a)], "no import runs up"
+    assert list(architecture.SAID) == floors
+    public = [room for room in architecture.rooms() if not room.startswith("_")]
+    listed = [module for modules in architecture.FLOORS.values() for module in modules]
+    assert sorted(listed) == public
+    written = page.read_text(encoding="utf-8")
+    rows = re.findall(r"^\| ([a-z]+) \| (`.*`)[^|]* \|$", written, re.MULTILINE)
+    assert [(floor, re.findall(r"`(\w+)`", named)) for floor, named in rows] == [
+        (floor, list(modules)) for floor, modules in architecture.FLOORS.items()
+    ]
+    doors = re.findall(r"^\| \d+ \| `([\w.]+)` \|", written, re.MULTILINE)
+    assert len(doors) == 12
+    assert set(doors) <= set(architecture.passed())
+
+
 LINK = re.compile(r"\]\((?![a-z]+:)([^)#\s]*)(?:#([^)\s]+))?\)")
 
 

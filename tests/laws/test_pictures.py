@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import eagor
+from eagor import baselines
 from eagor.drawing import draw_belief, draw_strip, panorama
 from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
@@ -149,8 +150,9 @@ def things():
 
 def plain():
     rng = np.random.default_rng(0)
-    for made in (eagor.Centroid(), eagor.CircularCentroid(), eagor.GridFilter(), eagor.HistogramFilter(),
-                 eagor.ParticleFilter.uniform(2000, rng), eagor.Published(), eagor.VonMisesFisherFilter()):  # fmt: skip
+    for made in (baselines.Centroid(), baselines.CircularCentroid(), baselines.GridFilter(),
+                 baselines.HistogramFilter(), baselines.ParticleFilter.uniform(2000, rng), baselines.Published(),
+                 baselines.VonMisesFisherFilter()):  # fmt: skip
         yield type(made).__name__, made
         yield f"{type(made).__name__} used", made.update(Evidence.from_points([[0.0, 1.0, 0.0]]))
     yield "config", TrackerConfig()

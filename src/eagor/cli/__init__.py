@@ -37,6 +37,8 @@ from eagor.cli import terminal
 from eagor.errors import AnswerError, EagorError, ServerError, StorageError, WorkError
 from eagor.plugins import readable_lists
 
+__all__ = ["main"]
+
 DESCRIPTION = """In which direction is the thing I asked for, and how sure are we, while the camera turns and moves?
 
 Azimuth is positive to the LEFT, elevation positive up, both in degrees; the middle of a panorama is forward.

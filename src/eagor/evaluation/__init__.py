@@ -11,3 +11,5 @@
 
 Nothing heavy is imported here.
 """
+
+__all__: list[str] = []  # the names are those of the modules

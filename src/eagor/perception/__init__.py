@@ -21,6 +21,8 @@ from eagor import plugins
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import Evidence
 
+__all__ = ["Perception", "check_perception", "is_model", "known", "load", "parse_options", "rows_of", "short_name"]
+
 GROUP = "eagor.perceptions"
 # Known even where the package runs from a folder, without installed metadata.
 BUILT_IN = {

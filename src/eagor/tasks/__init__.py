@@ -9,6 +9,8 @@ from importlib.util import find_spec
 
 from eagor._extras import need
 
+__all__ = ["ENVIRONMENTS", "register"]
+
 ENVIRONMENTS = {
     "Eagor/WaypointFollowing-v0": "WaypointFollowingEnv",
     "Eagor/MapFreeNavigation-v0": "MapFreeNavigationEnv",

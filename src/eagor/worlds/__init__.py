@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from eagor.worlds.render import Frame
     from eagor.worlds.scene import Scene
 
+__all__ = ["View", "World", "known", "load"]
+
 GROUP = "eagor.worlds"
 BUILT_IN = {"apartment": "eagor.worlds.apartment:generate"}
 FILES = (".glb", ".gltf")

@@ -28,6 +28,8 @@ from eagor.grids import PatchGrid
 from eagor.perception.scout.resizing import resized
 from eagor.queries import parse_query
 
+__all__ = ["CALIBRATION", "ScoutPerception"]
+
 FOLDER = Path(__file__).parent
 ROWS = 160  # of the picture that the network sees
 STRIDE = 4  # pixels of that picture to a cell of the response

@@ -2,3 +2,5 @@
 
 NumPy, Pillow and the core only; nothing here needs torch or a server.
 """
+
+__all__: list[str] = []  # the names are those of the modules

@@ -1,0 +1,168 @@
+"""Draw the floors of the package and which floor imports which, from the imports in the source; walk one look.
+
+python docs/figures/architecture.py [FOLDER]
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from common import INK, OURS, QUIET, figure, keep
+
+from eagor import DirectionTracker
+from eagor.perception.colour import ColourPerception
+from eagor.worlds.painted import painted_room
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+PACKAGE = Path(__file__).parents[2] / "src" / "eagor"
+# From the top down. Modules that begin with an underscore are helpers; they belong to the lowest floor.
+FLOORS = {
+    "cli": ("cli",),
+    "evaluation": ("evaluation",),
+    "tasks": ("tasks",),
+    "drawing": ("drawing",),
+    "worlds": ("worlds",),
+    "perception": ("perception",),
+    "measures": ("metrics", "statistics"),
+    "tracking": ("tracker", "tracks", "estimate", "poses"),
+    "baselines": ("baselines",),
+    "belief": (
+        "cases", "motion", "standing", "turning", "local", "heights", "ranged", "belief", "diffusion",
+        "posterior", "reading", "basins",
+    ),
+    "evidence": (
+        "evidence", "calibration", "averaging", "detections", "field", "detection_set", "coverage", "detector", "peaks",
+        "repeating", "looks",
+    ),
+    "harmonics": ("harmonics", "conventions", "thumbnail"),
+    "sphere": ("grids", "sphere", "splines"),
+    "helpers": ("checkpoint", "plugins", "queries", "errors"),
+}  # fmt: skip
+SAID = {
+    "cli": "commands and their options",
+    "evaluation": "runs, tables, reports",
+    "tasks": "simulated and published tasks",
+    "drawing": "pictures and charts",
+    "worlds": "apartments, GLB, photographs",
+    "perception": "panorama in, evidence out",
+    "measures": "errors, intervals, paired tests",
+    "tracking": "poses and looks by time, answers",
+    "baselines": "the methods to compare with",
+    "belief": "what all looks say together",
+    "evidence": "what one look says",
+    "harmonics": "fields on the sphere, conventions",
+    "sphere": "directions, rotations, grids",
+    "helpers": "arrays, files, errors, plugins",
+}
+
+
+def floor_of(module: str) -> str:
+    """The floor of a module right under `eagor`."""
+    if module.startswith("_"):
+        return "helpers"
+    return next(floor for floor, modules in FLOORS.items() if module in modules)
+
+
+def rooms() -> list[str]:
+    """The modules and packages right under `eagor`."""
+    found = [path.stem for path in PACKAGE.glob("*.py")] + [path.parent.name for path in PACKAGE.glob("*/__init__.py")]
+    return sorted({*found} - {"__init__", "__main__"})
+
+
+def imported(path: Path) -> set[str]:
+    """The modules right under `eagor` that a file imports, inside functions and for types alone too."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return {name.split(".")[1] for name in found if name.startswith("eagor.")}
+
+
+def edges() -> dict[str, set[str]]:
+    """Each floor, from the top down, with the other floors that it imports."""
+    found: dict[str, set[str]] = {floor: set() for floor in FLOORS}
+    for room in rooms():
+        files = (PACKAGE / room).rglob("*.py") if (PACKAGE / room).is_dir() else [PACKAGE / f"{room}.py"]
+        for path in files:
+            found[floor_of(room)] |= {floor_of(name) for name in imported(path)}
+    return {floor: below - {floor} for floor, below in found.items()}
+
+
+def table() -> list[str]:
+    """What the figure shows, as text."""
+    below = edges()
+    rows = [(floor, ", ".join(other for other in FLOORS if other in below[floor]) or "nothing") for floor in FLOORS]
+    return [f"{floor:<12}imports {others}" for floor, others in rows]
+
+
+def passed() -> list[str]:
+    """The modules whose code runs from a panorama to an estimate, by name; everything is imported and cached before."""
+    room, seen = painted_room(128, 256), set()
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        name = frame.f_globals.get("__name__", "")
+        if event == "call" and name.startswith("eagor."):
+            seen.add(name.removeprefix("eagor."))
+
+    def look() -> None:
+        tracker = DirectionTracker()
+        tracker.rotate(0.0, np.eye(3))
+        tracker.observe(ColourPerception()(room, "red chair", stamp=0.0))
+        estimate = tracker.estimate(0.1)
+        _ = estimate.direction, estimate.credible_angle, estimate.modes, estimate.presence, estimate.status
+
+    look()
+    before = sys.getprofile()
+    sys.setprofile(note)
+    try:
+        look()
+    finally:
+        sys.setprofile(before)
+    return sorted(seen)
+
+
+def walk() -> list[str]:
+    """The modules that a look passes, as text."""
+    modules = passed()
+    private = sum(name.startswith("_") for name in modules)
+    return [
+        f"{len(modules)} modules, {private} of them private:",
+        *textwrap.wrap(", ".join(modules), width=100, break_on_hyphens=False),
+    ]
+
+
+def main() -> None:
+    """Draw the floors, and print both texts."""
+    sheet = figure(1100, 560)
+    axes = sheet.add_axes((0.01, 0.02, 0.98, 0.96))
+    below, count, left = edges(), len(FLOORS), 9.6
+    axes.set_xlim(0, left + count + 1)
+    axes.set_ylim(count + 0.1, -2.8)
+    axes.axis("off")
+    for row, (floor, said) in enumerate(SAID.items()):
+        axes.barh(row + 0.5, left - 0.3, left=0.1, height=0.86, color="#eef3f8" if row % 2 else "#e3ebf3")
+        axes.text(0.4, row + 0.5, floor, color=INK, fontsize=11.5, weight="bold", va="center")
+        axes.text(3.3, row + 0.5, said, color=QUIET, fontsize=11, va="center")
+        axes.text(left + row + 0.4, -0.2, floor, color=INK, fontsize=10.5, rotation=50, va="bottom", ha="left")
+        axes.barh(row + 0.5, row + 1, left=left, height=1, color="#f1f1f1")  # itself and above: no imports
+        for column, other in enumerate(FLOORS):
+            if other in below[floor]:
+                axes.plot(left + column + 0.5, row + 0.5, "o", color=OURS, ms=10)
+    axes.text(0.1, -1.8, "The floors of eagor", color=INK, fontsize=14, weight="bold")
+    axes.text(0.1, -1.1, "Dot: the floor on the left imports the floor at the top.", color=QUIET, fontsize=10.5)
+    axes.text(0.1, -0.5, "Grey: the floor itself and the floors above it.", color=QUIET, fontsize=10.5)
+    keep(sheet, "architecture.png")
+    print("\n".join([*table(), "", *walk()]))
+
+
+if __name__ == "__main__":
+    main()
