@@ -1,8 +1,8 @@
 """Arrays of the caller's kind: a thin layer over the array API.
 
-Plans (Legendre tables, Wigner blocks, trigonometric matrices) are computed once in float64 NumPy. `constant` hands
-them out in the namespace, data type and device of the array at hand. No array library besides NumPy is ever
-imported here: a torch tensor is recognised because its owner has imported torch.
+Plans (Legendre tables, Wigner blocks, trigonometric matrices) are computed once, in float64 NumPy. `constant` returns
+them with the namespace, dtype and device of a given array. This module imports no array library but NumPy: whoever
+passes a torch tensor has imported torch.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def namespace(*arrays: Array) -> Any:
 
 
 def as_float(values: Array) -> Array:
-    """`values` as a floating array of its kind; what is not floating becomes float64 (NumPy) or float32 (others)."""
+    """`values` as a floating array; other dtypes become float64 (NumPy) or float32 (other libraries)."""
     if type(values) is np.ndarray and values.dtype.kind == "f":
         return values
     xp = namespace(values)
@@ -41,7 +41,7 @@ def as_float(values: Array) -> Array:
 
 
 def alike(a: Array, b: Array) -> tuple[Array, Array]:
-    """Both as floating arrays of one kind: beside a tensor, what is NumPy, a number or a list is brought to it."""
+    """Both as floating arrays of one library: if one is a tensor, the other becomes one too."""
     a, b = as_float(a), as_float(b)
     if isinstance(a, np.ndarray) == isinstance(b, np.ndarray):
         return a, b
@@ -49,9 +49,9 @@ def alike(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def akin(values: Array, reference: Array) -> Array:
-    """`values` as an array of the kind of `reference`, on its device: for what is added to something that lasts.
+    """`values` as an array of the library of `reference`, on its device.
 
-    What is of that kind already keeps its precision; floats of another kind take that of `reference`.
+    Values of that library keep their precision; other floats take the precision of `reference`.
     """
     if isinstance(values, np.ndarray) and isinstance(reference, np.ndarray):
         return values
@@ -62,7 +62,7 @@ def akin(values: Array, reference: Array) -> Array:
 
 
 def private(values: Array) -> Array:
-    """A copy of `values` that no one else holds, read-only in NumPy; gradients go through it."""
+    """A copy of `values`, read-only in NumPy; gradients pass through it."""
     if isinstance(values, np.ndarray):
         return frozen(np.array(values))
     if hasattr(values, "clone"):  # torch: its asarray would cut the gradient
@@ -71,7 +71,7 @@ def private(values: Array) -> Array:
 
 
 def frozen(values: Array) -> Array:
-    """`values` themselves, read-only where that can be said (NumPy): for new arrays that are kept and handed out."""
+    """`values` itself, made read-only if it is NumPy: for new arrays that are kept and handed out."""
     if isinstance(values, np.ndarray):
         values.setflags(write=False)
     return values
@@ -89,9 +89,9 @@ def to_numpy(values: Array) -> np.ndarray:
 
 
 def matched(table: np.ndarray, reference: Array) -> Array:
-    """`table` as an array of the kind of `reference`; floats take its precision, integers stay integers.
+    """`table` as an array of the library of `reference`; floats take its precision, integers stay integers.
 
-    For what is new at every call; `constant` is for what can be kept.
+    For tables that are new at every call; `constant` caches.
     """
     precision = {"dtype": reference.dtype} if table.dtype.kind == "f" else {}
     if isinstance(reference, np.ndarray):
@@ -100,21 +100,21 @@ def matched(table: np.ndarray, reference: Array) -> Array:
 
 
 def constant(plan: Callable[..., np.ndarray], *key: Any, like: Array) -> Array:
-    """``plan(*key)``, a pure function of hashable arguments, as an array of the kind of `like` (cached per kind)."""
+    """``plan(*key)``, a pure function of hashable arguments, as an array like `like` (cached)."""
     if type(like) is np.ndarray:
         return _as_numpy(plan, key, like.dtype.char)
     return _as_foreign(plan, key, namespace(like), like.dtype, device(like))
 
 
 def recent(plan: Callable[..., np.ndarray], *key: Any, like: Array) -> Array:
-    """As `constant`, for large plans that may differ with every look: the last ones are kept, `RECENT_BYTES` in all."""
+    """As `constant`, for large plans that may differ at every look: it caches the last `RECENT_BYTES` of them."""
     numpy = type(like) is np.ndarray
     kind = (like.dtype.char,) if numpy else (namespace(like), like.dtype, device(like))
     with _turn:
         if (plan, key, kind) in _recent:
             _recent.move_to_end((plan, key, kind))
             return _recent[plan, key, kind]
-    # Outside the lock: a plan may ask for another. Two threads may make the same one, which does no harm.
+    # Outside the lock: a plan may ask for another. Two threads may compute the same plan; that is harmless.
     made = _make_numpy(plan, key, *kind) if numpy else _make_foreign(plan, key, *kind)
     with _turn:
         _recent[plan, key, kind] = made

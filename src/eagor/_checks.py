@@ -1,6 +1,6 @@
-"""What the numbers of a settings class have to be, and one text of error for all of them.
+"""Checks of the fields of settings classes, with one error text.
 
-The predicates answer no, and raise nothing, for what is no number: settings also come from JSON and from typed text.
+The predicates return False for values that are no numbers: settings also come from JSON and the command line.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from eagor.errors import EagorError
 
 
 def require(owner: Any, fields: Mapping[str, tuple[bool, str]], error: type[EagorError] = EagorError) -> None:
-    """Raise `error` for the first of the `fields` of `owner` that does not fit: (does it fit, what was wanted)."""
+    """Raise `error` for the first field of `owner` that is wrong; `fields`: name to (is it right, what was wanted)."""
     for name, (fits, wanted) in fields.items():
         if not fits:
             raise error(f"{type(owner).__name__}: {name} = {getattr(owner, name)!r}; wanted {wanted}")
@@ -37,7 +37,7 @@ def above(value: Any, lowest: float, highest: float = math.inf) -> bool:
 
 
 def whole(value: Any, lowest: int, highest: float = math.inf) -> bool:
-    """Whether `value` is a whole number from `lowest` to `highest`, both included; 2.0 is none, nor is True."""
+    """Whether `value` is a whole number from `lowest` to `highest`, both included; 2.0 and True are not."""
     return isinstance(value, Integral) and within(value, lowest, highest)
 
 

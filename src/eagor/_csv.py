@@ -1,4 +1,4 @@
-"""CSV that a spreadsheet opens as what it is: text stays text."""
+"""CSV in which a spreadsheet sees no formulas."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import io
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-_FORMULA = ("=", "+", "-", "@", "\t", "\n")  # how cells begin that a spreadsheet computes, and may run
+_FORMULA = ("=", "+", "-", "@", "\t", "\n")  # a spreadsheet would compute a cell that begins so
 
 
 def as_csv(rows: Iterable[Sequence[Any]], ending: str = "\n") -> str:
-    """`rows` as CSV; text that would be taken for a formula has an apostrophe before it (numbers are none)."""
+    """`rows` as CSV. Text that looks like a formula gets an apostrophe before it; numbers do not."""
     text = io.StringIO(newline="")
     csv.writer(text, lineterminator=ending).writerows([_cell(value) for value in row] for row in rows)
     return text.getvalue()
@@ -20,7 +20,7 @@ def as_csv(rows: Iterable[Sequence[Any]], ending: str = "\n") -> str:
 def _cell(value: Any) -> Any:
     if not isinstance(value, str):
         return value
-    value = value.replace("\r", "\n")  # the writer quotes the one, not always the other, which would begin a row
+    value = value.replace("\r", "\n")  # the writer does not always quote \r, which would begin a row
     if not value.startswith(_FORMULA):
         return value
     try:

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, are what they seem, and are unpacked only as far as makes sense."""
+"""Safe files: atomic writes, bounded unpacking, no links or devices."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from eagor.errors import FormatError, StorageError
 
 
 def most_unpacked(size: int) -> int:
-    """How many bytes something packed into `size` may have: text is packed to a tenth, a bomb to a thousandth."""
+    """The most bytes that a file of `size` packed bytes may hold: text packs to a tenth, a bomb to a thousandth."""
     return max(1 << 24, 100 * size)
 
 
 def unpacked(path: Path) -> bytes:
-    """What a gzipped file holds. Raises `OSError`, `EOFError`, `zlib.error`, or `FormatError` for a bomb."""
+    """The content of a gzipped file. Raises `OSError`, `EOFError`, `zlib.error`, or `FormatError` for a bomb."""
     most = most_unpacked(path.stat().st_size)
     with gzip.open(path) as file:
         found = file.read(most + 1)
@@ -33,17 +33,17 @@ def unpacked(path: Path) -> bytes:
 def written(path: Path, content: str | bytes) -> Path:
     """Write `content` (text as UTF-8, without secrets) to `path`, and return it; folders above it are made.
 
-    What was there stays until all of the new content is on the disk, and stays if that fails; nothing half-written is
-    left. Raises `StorageError`, which says where, why, and how much room is wanted.
+    The old file stays until all of the new content is on the disk. If writing fails, the old file stays and nothing
+    else is left. Raises `StorageError`, which says where, why, and how much room is wanted.
     """
     _put(path, content, Path.replace)
     return path
 
 
 def claimed(path: Path, content: str) -> bool:
-    """Write `content` to `path` as `written` does, but only if nothing has that name; False if something has.
+    """Write `content` to `path` as `written` does, but only if no such file exists; returns whether it did.
 
-    Of several processes that try at once, exactly one succeeds. Raises `StorageError`.
+    If several processes try at once, exactly one succeeds. Raises `StorageError`.
     """
     won = True
 
@@ -66,7 +66,7 @@ def claimed(path: Path, content: str) -> bool:
 
 
 def _put(path: Path, content: str | bytes, place: Callable[[Path, Path], object]) -> None:
-    """Have all of `content` on the disk under a name of its own, then `place` it at `path`."""
+    """Write all of `content` under a temporary name, then `place` it at `path`."""
     data = redacted(content).encode("utf-8", "backslashreplace") if isinstance(content, str) else content
     part = path.with_name(f"{path.name}.{uuid.uuid4().hex[:12]}.part")  # other threads and machines may write too
     try:
@@ -87,9 +87,9 @@ def _put(path: Path, content: str | bytes, place: Callable[[Path, Path], object]
 
 
 def open_regular(path: Path, flags: int = os.O_RDONLY) -> int:
-    """A descriptor of the regular file at `path`, opened without following a link there.
+    """A descriptor of the regular file at `path`, opened without following links.
 
-    Raises `OSError` also for a link, a pipe, a device or a folder: whoever put it there, it is not ours to use.
+    Raises `OSError` also for a link, a pipe, a device or a folder.
     """
     careful = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     refused = OSError(errno.EINVAL, f"{path.name} is a link, a pipe, a device or a folder; wanted a regular file")
@@ -106,13 +106,13 @@ def open_regular(path: Path, flags: int = os.O_RDONLY) -> int:
 
 
 class Lines:
-    """A text file that grows line by line: each line is whole, or not there. The first line makes the file."""
+    """A text file that grows by whole lines. The first line creates the file."""
 
     def __init__(self, path: Path) -> None:
         self.path, self._file = path, -1
 
     def add(self, text: str) -> None:
-        """Append `text`. Raises `StorageError` if the disk does not take it; the file then ends as it did before."""
+        """Append `text`. Raises `StorageError` if it cannot be written; the file is then as it was before."""
         data = redacted(text).encode("utf-8", "backslashreplace")
         try:
             if self._file < 0:

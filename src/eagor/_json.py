@@ -1,4 +1,4 @@
-"""JSON that others wrote: whatever is wrong with it is a `ValueError` whose text can be shown."""
+"""Reading JSON from elsewhere: every fault is a `ValueError` with a readable text."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import json
 import math
 from typing import Any, NoReturn
 
-_DEEPEST = 200  # lists within lists: Python's own functions (repr, a copy, JSON once more) surely get to the bottom
+_DEEPEST = 200  # nested lists: repr, copy and json can still recurse over so many
 
 
 def parsed(text: str | bytes, strict: bool = False) -> Any:
-    """The value that `text` holds; `strict`: NaN and Infinity are refused, as JSON has them not.
+    """The value that `text` holds; `strict`: NaN and Infinity are errors, as in the JSON standard.
 
-    Raises `ValueError` for all that is wrong: no JSON, bytes that are no text, numbers of thousands of digits, and
-    lists or objects so deep within each other that a recursion over them might not come back.
+    Raises `ValueError` for invalid JSON, undecodable bytes, numbers of thousands of digits, and lists or objects
+    nested too deep to recurse over.
     """
     try:
         found = json.loads(text, parse_constant=_refused if strict else None)
@@ -26,7 +26,7 @@ def parsed(text: str | bytes, strict: bool = False) -> Any:
 
 
 def number(value: Any) -> float:
-    """`value` as a float, once it is a finite number: no text, no True. Raises `ValueError`."""
+    """`value` as a float. Raises `ValueError` unless it is a finite number; text and True are not numbers."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{shown(value)} where a number was wanted")
     try:
@@ -39,14 +39,14 @@ def number(value: Any) -> float:
 
 
 def whole(value: Any) -> int:
-    """`value`, once it is a whole number. Raises `ValueError`."""
+    """`value` itself. Raises `ValueError` unless it is a whole number."""
     if isinstance(value, bool) or not isinstance(value, int):
         raise ValueError(f"{shown(value)} where a whole number was wanted")
     return value
 
 
 def shown(value: Any, most: int = 60) -> str:
-    """`value` for the text of an error, cut at so many characters."""
+    """`value` for an error text, cut at `most` characters."""
     text = repr(value)
     return text if len(text) <= most else text[: most - 3] + "..."
 

@@ -1,8 +1,8 @@
-"""What is computed when it is first asked for, and kept.
+"""Properties that are computed at first use and cached, without a lock.
 
-`functools.cached_property` of Python 3.11 holds one lock per class while it computes, so that threads with objects that
-share nothing wait for each other, and two such properties that ask for one another from two threads wait for ever. This
-one holds no lock: at worst two threads compute the same value.
+Why not `functools.cached_property`: in Python 3.11 it holds one lock per class while it computes. Threads with
+unrelated objects then wait for each other, and two such properties that use one another can deadlock. Here, at worst,
+two threads compute the same value.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ Value = TypeVar("Value")
 
 
 class lazy(Generic[Value]):
-    """A property that replaces itself by its value. Objects are pickled and copied without such values."""
+    """A property that replaces itself by its value. Pickles and copies leave such values out."""
 
     def __init__(self, compute: Callable[[Any], Value]) -> None:
         self.compute = compute
@@ -39,10 +39,10 @@ class lazy(Generic[Value]):
 
 
 class given(lazy[Value]):
-    """A lazy value that others may set, when they know better than what is computed: it is pickled and copied."""
+    """A lazy value that may also be set from outside. Pickles and copies keep it."""
 
 
 def state_of(owner: Any) -> dict[str, Any]:
-    """The attributes of `owner` but for lazy values, which may hold functions, and which another thread may add to."""
+    """The attributes of `owner` without its lazy values."""
     kind, found = type(owner), owner.__dict__.copy()
     return {name: value for name, value in found.items() if type(getattr(kind, name, None)) is not lazy}

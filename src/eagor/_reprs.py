@@ -1,4 +1,4 @@
-"""Short texts of objects for people: what differs from the default, arrays by their shape."""
+"""Short `repr` texts: only fields that differ from the default, arrays by their shape."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-_LONGEST = 6  # numbers in a row that are all shown
+_LONGEST = 6  # longer rows of numbers are cut
 
 
 def changed(self: Any) -> str:
-    """`__repr__` of a dataclass, with those of its fields that are not what they are by default."""
+    """`__repr__` of a dataclass: only the fields that differ from their defaults."""
     told = []
     for field in fields(self):
         value = getattr(self, field.name)

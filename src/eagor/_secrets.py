@@ -1,26 +1,26 @@
-"""What must not be written anywhere: keys and passwords that this process has been given.
+"""Keys and passwords that this process was given, kept out of everything that it writes.
 
-Who reads a secret names it here; who lets text out (to a file, a report, a terminal) passes it through `redacted`. The
-values themselves are known, so that little has to be guessed from the look of a text.
+Code that reads a secret passes it to `keep_out`. Code that writes text to a file, a report or a terminal passes the
+text through `redacted`.
 """
 
 from __future__ import annotations
 
 import re
 
-_SHORTEST = 6  # letters: what is shorter is part of ordinary words, and no secret
+_SHORTEST = 6  # letters: shorter ones occur in ordinary words
 _GONE = "***"
-_LOGIN = re.compile(r"(?<=://)[^/\s@\"']*:[^/\s@\"']*(?=@)")  # of an address, known as one or not
+_LOGIN = re.compile(r"(?<=://)[^/\s@\"']*:[^/\s@\"']*(?=@)")  # user and password in an address
 _secrets: set[str] = set()
 
 
 def keep_out(*secrets: str) -> None:
-    """Never let these out again; those that are too short to be secrets are passed over."""
+    """Remember `secrets`, so that `redacted` hides them; very short ones are ignored."""
     _secrets.update(secret for secret in secrets if len(secret) >= _SHORTEST)
 
 
 def redacted(text: str) -> str:
     """`text` with stars in place of every secret, and of user and password in every address."""
-    for secret in sorted(_secrets, key=len, reverse=True):  # the whole first, where one is part of another
+    for secret in sorted(_secrets, key=len, reverse=True):  # longest first: one may be part of another
         text = text.replace(secret, _GONE)
     return _LOGIN.sub(_GONE, text)

@@ -1,4 +1,4 @@
-"""Between light and the numbers in an image file: the sRGB curve (IEC 61966-2-1)."""
+"""The sRGB curve (IEC 61966-2-1), between linear light and the numbers in an image file."""
 
 from __future__ import annotations
 

@@ -1,20 +1,19 @@
-"""The mean of likelihood ratios over the angle by which a response may lie beside what it means.
+"""Averaging likelihood ratios over the angular error of a response.
 
-The direction of a response is itself uncertain: a network's peak lies beside the thing, and a cell is a region. If the
-offset has a density k, the likelihood ratio of a target in direction omega is the mean of the ratios around it,
+The direction of a response is uncertain: a network's peak lies beside the thing, and a cell is a region. If the offset
+has density k, the likelihood ratio of a target in direction omega is the mean of the ratios around it,
 
     r'(omega) = log integral k(angle(omega, omega')) exp(r(omega')) d omega',
 
-which is no mean of logarithms. The difference matters most where it is not expected: to a field that is cut at a low
-degree. A truncation averages LOGARITHMS over its resolution, so that a small thing, however surely it was seen, comes
-out below a weak response that is wide. Averaged as a ratio first, it keeps nearly all of its height: a tenth of the
-area costs 2.3 nats.
+not a mean of logarithms. Truncation at a low degree does average LOGARITHMS over its resolution: a small thing, however
+surely seen, then ends up below a weak wide response. Averaged as a ratio first, it keeps nearly all of its height: a
+tenth of the area costs 2.3 nats.
 
-k is the heat kernel of the sphere (its spectrum is exp(-l (l + 1) sigma^2 / 2)), near a Gaussian at these widths.
+k is the heat kernel of the sphere, with spectrum exp(-l (l + 1) sigma^2 / 2); it is nearly Gaussian at these widths.
 
-A view is laid out on a panorama first, whose cells are finer than the kernel: each pixel shares what it says among the
-four cells around it, so that its middle stays where it was, and the kernel comes out 1 or 2 % wider. (To integrate
-harmonics of so high a degree over every pixel would take a table of gigabytes.)
+A view is first resampled to a panorama whose cells are finer than the kernel. Each pixel is shared among the four cells
+around it, which keeps its centre and widens the kernel by 1 or 2 %. (Harmonics of so high a degree, integrated over
+every pixel, would need a table of gigabytes.)
 """
 
 from __future__ import annotations
@@ -31,28 +30,28 @@ from eagor.grids import ErpGrid, FisheyeGrid, Grid, Lens, PatchGrid, forward_vie
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.projection import largest_cell, pool
 
-_MOST_POINTS = 1_000_000  # that stand for a view: half a kernel apart, or less, also where pixels are very large
-_MARGIN = 3.0  # nats by which what is cut off the kernel's spectrum stays below the lowest ratio
+_MOST_POINTS = 1_000_000  # sample points of a view: at most half a kernel apart, even if pixels are very large
+_MARGIN = 3.0  # nats: the truncated part of the kernel stays so far below the lowest ratio
 
 
 def averaged(log_ratio: Array, grid: Grid, spread: float, least: float, most: float) -> tuple[Array, ErpGrid]:
-    """r' of log ratios ``(..., H, W)`` on `grid`, with the grid of the whole sphere ``(..., H', W')`` that it lies on.
+    """r' of log ratios ``(..., H, W)`` on `grid`: values ``(..., H', W')`` and their grid of the whole sphere.
 
-    `spread`: of the kernel, radians per axis. `least` and `most`: the lowest and highest log ratio there can be. What
-    `grid` does not see counts as 0, where nothing is known.
+    `spread`: of the kernel, radians per axis. `least`, `most`: the lowest and the highest possible log ratio. Outside
+    of `grid` the log ratio counts as 0: nothing is known there.
     """
     # Beyond this degree a kernel as high as the highest ratio has faded into the lowest.
     basis = RealHarmonics(math.ceil(math.sqrt(2 * (most - least + _MARGIN)) / spread))
     gain, whole, xp = _gain(basis, log_ratio, grid), basis.quadrature(1), namespace(log_ratio)
     gain = basis.synthesise(basis.smooth(gain, spread), whole)
-    # 1 + gain, kept from what truncation may leave below the lowest ratio.
+    # 1 + gain, clipped: truncation may leave values below the lowest ratio.
     return xp.log1p(xp.clip(gain, math.expm1(least), math.expm1(most))), whole
 
 
 def _gain(basis: RealHarmonics, log_ratio: Array, grid: Grid) -> Array:
-    """By how much likelihood ratios exceed 1, as coefficients ``(..., size)``."""
+    """Likelihood ratio minus 1, as coefficients ``(..., size)``."""
     values = namespace(log_ratio).expm1(log_ratio)
-    if isinstance(grid, ErpGrid | PatchGrid):  # samples of a coarse picture say nothing at so high a degree
+    if isinstance(grid, ErpGrid | PatchGrid):  # a coarse picture has no samples for so high a degree
         return basis.analyse(values, PatchGrid(*grid.shape))
     found = basis.analyse(_laid_out(values, lens_of(grid), basis.degree), _panorama(basis.degree))
     ahead = np.array_equal(grid.body_R_view, np.eye(3))
@@ -60,7 +59,7 @@ def _gain(basis: RealHarmonics, log_ratio: Array, grid: Grid) -> Array:
 
 
 def _panorama(degree: int) -> ErpGrid:
-    """What views are laid out on: its cells are half as wide as the half wave of the finest harmonic."""
+    """The grid to which views are resampled: cells half as wide as the half wave of the finest harmonic."""
     return RealHarmonics(degree).quadrature(2)
 
 
@@ -79,7 +78,7 @@ def _laid_out(values: Array, lens: Lens, degree: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """How the blocks of a view share out what they say.
+    """How the blocks of a view are shared among the cells of the panorama.
 
     The n-th part goes from `block_of` it, `share` of it per steradian, to a cell; the parts of one cell stand between
     two `edges`. `place` is the number of each cell of the panorama among those that get something, the last for none.
@@ -119,7 +118,7 @@ def _four(panorama: ErpGrid, u: np.ndarray, v: np.ndarray) -> Iterator[tuple[np.
     """The four cells around points ``(n,)``, in columns and rows from the first cell's centre, and each one's share."""
     left, top = np.floor(u), np.floor(v)
     for row, share in ((top, 1 - v + top), (top + 1, v - top)):
-        over = (row < 0) | (row >= panorama.height)  # across a pole the panorama goes on half a turn further
+        over = (row < 0) | (row >= panorama.height)  # beyond a pole: half a turn further
         inside = np.clip(row, 0, panorama.height - 1)
         for column, part in ((left, 1 - u + left), (left + 1, u - left)):
             along = (column + over * (panorama.width // 2)) % panorama.width
@@ -127,7 +126,7 @@ def _four(panorama: ErpGrid, u: np.ndarray, v: np.ndarray) -> Iterator[tuple[np.
 
 
 def _nodes(lens: Lens, degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Points that stand for a view: x and y ``(n,)`` in its pixels, the block that each is in, and its share of it."""
+    """Sample points of a view: x and y ``(n,)`` in its pixels, the block that each is in, and its share of it."""
     view = forward_view(lens)
     rows, columns = (np.asarray(edges) for edges in _blocks(lens, degree))
     side = largest_cell(lens) * max(int(np.diff(rows).max()), int(np.diff(columns).max()))

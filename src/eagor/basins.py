@@ -45,7 +45,7 @@ def _climb(field: np.ndarray) -> np.ndarray:
 
 
 def _merge(field: np.ndarray, label: np.ndarray, prominence: float) -> np.ndarray:
-    """Labels after basins that do not stand out have joined a higher neighbour (persistence, highest saddle first)."""
+    """Labels after merging shallow basins into a higher neighbour (persistence, highest saddle first)."""
     saddles: dict[tuple[int, int], float] = {}
     for value, other in zip(_neighbours(field)[:4], _neighbours(label)[:4], strict=True):
         border = label != other

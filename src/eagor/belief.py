@@ -1,12 +1,12 @@
 """A belief about the direction of one target: a log-posterior on the sphere, in spherical harmonics.
 
 f(omega) = sum c_lm Y_lm(omega) accumulates log-likelihood ratios; the density is p = exp(f) / integral of exp(f).
-Turning the camera rotates the coefficients exactly, evidence adds to them, forgetting scales them. Nothing is ever
-changed in place: every call returns a new belief.
+Turning the camera rotates the coefficients exactly, evidence adds to them, forgetting scales them. Beliefs are
+immutable: every call returns a new one.
 
-Two ways to read a direction out of it exist side by side. `mode` is the default. `mean_direction` and `resultant`
-are the published ones, kept for comparison: the first moment of f itself, which depends on the three coefficients of
-degree 1 alone, and is right only where f is a single clean blob.
+There are two ways to read a direction. `mode` is the default. `mean_direction` and `resultant` are the published way,
+kept for comparison: the first moment of f, which depends on the three coefficients of degree 1 alone and is right only
+if f is a single clean blob.
 """
 
 from __future__ import annotations
@@ -36,8 +36,7 @@ __all__ = ["Belief"]
 class Reading:
     """What can be read from any posterior over directions; `Belief` and `RangedBelief` supply the field.
 
-    Leading batch dimensions of the belief lead the results. These read-outs run in NumPy, whatever arrays the
-    belief holds.
+    Results have the belief's leading batch dimensions. They are computed in NumPy, whatever arrays the belief holds.
     """
 
     @property
@@ -51,23 +50,23 @@ class Reading:
         raise NotImplementedError
 
     def _field(self, index: tuple[int, ...]) -> Field:
-        """How to evaluate the log-posterior of one belief of the batch (up to a constant), in NumPy.
+        """A function that evaluates the log-posterior of one belief of the batch (up to a constant), in NumPy.
 
-        The function must not hold the belief, which keeps it: such a circle would stay in memory until the collector
-        of circles looks for it, and beliefs are large and many.
+        It must not refer to the belief, which caches it: a reference cycle would stay in memory until the garbage
+        collector runs.
         """
         raise NotImplementedError
 
     @lazy
     def posteriors(self) -> np.ndarray:
-        """The `Posterior` of each belief of the batch, an object array (kept: beliefs never change)."""
+        """The `Posterior` of each belief of the batch, an object array (cached)."""
         found = np.empty(self.batch_shape, dtype=object)
         for index in np.ndindex(*self.batch_shape):
             found[index] = Posterior(self._field(index), decoding_grid(self.degree).height)
         return found
 
     def _told(self) -> str:
-        """What one belief says, in a few words; how many there are of a batch."""
+        """A short summary of one belief; of a batch, its shape."""
         if self.batch_shape:
             return f"batch {self.batch_shape}"
         posterior = self.posterior
@@ -79,7 +78,7 @@ class Reading:
         return f"{where(azimuth, elevation)}, 90 % within {math.degrees(posterior.cone(0.9)):.0f}°"
 
     def _repr_html_(self) -> str:
-        """A small picture, for notebooks; only the text of a batch, and of what is not finite."""
+        """A small picture, for notebooks; text only for a batch or values that are not finite."""
         from eagor import thumbnail
 
         if self.batch_shape or not np.isfinite(self.posterior.coarse).all():
@@ -103,10 +102,10 @@ class Reading:
     ) -> tuple[np.ndarray, np.ndarray]:
         """At most `k` separate peaks, highest density first: directions ``(..., n, 3)`` and weights ``(..., n)``.
 
-        A mode stands at least `prominence` nats above the saddle around it; its weight is its basin's share of the
-        belief that exceeds a typical direction's. Modes lighter than `min_weight` are left out unless they rise nearly
-        as high as the best. n is the largest number found in the batch; where a belief has fewer, the rest have weight
-        0 and repeat the first direction.
+        A mode stands at least `prominence` nats above the saddle around it. Its weight is the share of its basin in the
+        density above that of a typical direction. Modes lighter than `min_weight` are left out unless they rise nearly
+        as high as the best. n is the largest number in the batch; beliefs with fewer modes are filled up with weight 0
+        and the first direction.
         """
         found = [p.modes(k, prominence, min_weight)[:2] for p in self.posteriors.reshape(-1)]
         most = max((len(weights) for _, weights in found), default=0)
@@ -116,7 +115,7 @@ class Reading:
         return np.reshape(directions, (*shape, most, 3)), np.reshape(weights, (*shape, most))
 
     def credible_angle(self, mass: float = 0.9) -> Any:
-        """Half-angle (radians, ``(...)``) of the cone about the mode that holds `mass` of the belief."""
+        """Half-angle (radians, ``(...)``) of the cone that is centred on the mode and holds `mass` of the belief."""
         return self._each(lambda p: p.cone(_checked_mass(mass)))
 
     def credible_region(self, mass: float = 0.9) -> CredibleRegion:
@@ -136,17 +135,18 @@ class Reading:
     def mass_above(self, direction: np.ndarray) -> float:
         """The mass of the smallest highest-density region that reaches `direction` ``(3,)``. One belief at a time.
 
-        A truth for which this is below 0.9 lies in the 90 % region; over many honest beliefs it is uniform in [0, 1].
+        If it is below 0.9, `direction` lies in the 90 % region. For true directions and calibrated beliefs it is
+        uniform in [0, 1].
         """
         density = float(to_numpy(self.log_density(np.asarray(direction, dtype=np.float64))))
         return self.posterior.mass_above(density + self.posterior.log_total)
 
     def entropy(self) -> Any:
-        """Differential entropy ``(...)`` in nats: log(4 pi) = 2.53 if nothing is known, negative when sharp."""
+        """Differential entropy ``(...)`` in nats: log(4 pi) = 2.53 for a uniform belief, negative for a sharp one."""
         return self._each(lambda p: p.entropy())
 
     def presence(self, prior: float = 0.5) -> Any:
-        """Probability ``(...)`` that the target is somewhere around, against "not here".
+        """Probability ``(...)`` that the target is present.
 
         prior Z / (prior Z + 1 - prior), where Z = (1 / 4 pi) integral of exp(f) is the likelihood ratio of all evidence
         so far, averaged over directions.
@@ -186,9 +186,8 @@ def _checked_mass(mass: float) -> float:
 class Belief(Reading):
     """A belief over directions: `coefficients` ``(..., (degree + 1)^2)`` of the log-posterior in the body frame.
 
-    Leading dimensions are a batch (several targets, particles, episodes). NumPy or torch, kept as it came: what is
-    added in another kind, or from another device, is brought to the belief's. They are copied (NumPy: read-only, for a
-    belief never changes).
+    Leading dimensions are a batch (several targets, particles, episodes). The coefficients stay in their array library
+    and on their device; what is added is converted to those. They are copied, and read-only in NumPy.
     """
 
     coefficients: Array
@@ -204,14 +203,14 @@ class Belief(Reading):
 
     @classmethod
     def _of(cls, coefficients: Array) -> Belief:
-        """A belief that keeps `coefficients`, a new array, as it is: nobody else holds it, so it needs no copy."""
+        """A belief that keeps `coefficients` without a copy: a new array that nothing else refers to."""
         made = object.__new__(cls)
         object.__setattr__(made, "coefficients", frozen(coefficients))
         return made
 
     @classmethod
     def uniform(cls, degree: int, batch_shape: tuple[int, ...] = (), like: Array | None = None) -> Belief:
-        """Nothing known: f = 0. `like` gives the kind of array (default float64 NumPy)."""
+        """A uniform belief, f = 0, in arrays like `like` (default float64 NumPy)."""
         size = RealHarmonics(degree).size
         if like is None:
             return cls(np.zeros((*batch_shape, size)))
@@ -239,16 +238,16 @@ class Belief(Reading):
         return Belief(self.coefficients[index])
 
     def direction_belief(self) -> Belief:
-        """Itself: it holds nothing but directions (beliefs over more answer with what they know of directions)."""
+        """Itself; a `RangedBelief` gives its marginal over directions."""
         return self
 
     @property
     def agreed(self) -> Array:
-        """All that is said of directions ``(..., size)`` (`eagor.ranged` knows of more)."""
+        """The coefficients ``(..., size)``; of a `RangedBelief`, the mean over its shells."""
         return self.coefficients
 
     def plus(self, log_ratios: Array) -> Belief:
-        """With log ratios ``(..., size)`` added, as coefficients, brought to this belief's kind of array."""
+        """With log ratios added, given as coefficients ``(..., size)``; they are converted to this belief's arrays."""
         return self._of(self.coefficients + akin(log_ratios, self.coefficients))
 
     def predict(self, new_R_old: Array) -> Belief:
@@ -258,9 +257,8 @@ class Belief(Reading):
     def update(self, evidence: Evidence, new_R_capture: Array | None = None) -> Belief:
         """With one more look added. For evidence from an earlier orientation give `new_R_capture` (to now).
 
-        Evidence of another kind of array, or on another device, is brought to the belief's: a NumPy belief stays one
-        with evidence of tensors, and a belief of tensors stays where it is (no gradient goes through a change of kind;
-        ``Belief.uniform(degree, like=tensor)`` makes a belief of tensors).
+        Evidence in another array library or on another device is converted to the belief's (without gradients);
+        ``Belief.uniform(degree, like=tensor)`` makes a belief of tensors.
         """
         found = evidence.coefficients(self.degree)
         if new_R_capture is not None:
@@ -268,7 +266,7 @@ class Belief(Reading):
         return self.plus(found)
 
     def forget(self, factor: float) -> Belief:
-        """With all log-odds scaled by `factor` in [0, 1]: what was learnt long ago counts for less."""
+        """With all log-odds scaled by `factor` in [0, 1], so that old evidence counts less."""
         if not 0 <= factor <= 1:
             raise EagorError(f"factor = {factor!r}; wanted 0 (forget everything) to 1 (keep everything)")
         return self._of(self.coefficients * factor)
@@ -280,7 +278,7 @@ class Belief(Reading):
         return self._of(diffuse(self.degree, self.coefficients, sigma)) if sigma > 0 else self
 
     def diffuse_log(self, sigma: float) -> Belief:
-        """The cheap approximation: exp(-l(l+1) sigma^2 / 2) on the log field. It blurs f, and hardly widens exp(f)."""
+        """A cheap approximation: exp(-l(l+1) sigma^2 / 2) on the log field. It blurs f but hardly widens exp(f)."""
         return self._of(self.basis.smooth(self.coefficients, sigma))
 
     def log_ratio(self, directions: Grid | Array) -> Array:
@@ -296,13 +294,13 @@ class Belief(Reading):
         return f - namespace(f).asarray(totals, dtype=f.dtype, device=f.device)
 
     def mode(self) -> Array:
-        """The direction of highest density ``(..., 3)``, in the belief's own kind of array."""
+        """The direction of highest density ``(..., 3)``, in the belief's array library."""
         return peak(self.degree, self.coefficients)
 
     def mean_direction(self) -> Array:
         """The published estimate ``(..., 3)``: m / |m| with m the integral of f * omega, i.e. of degree 1 alone.
 
-        Forward where m vanishes (up to the rounding of float32 evidence).
+        Forward (1, 0, 0) where m is zero up to float32 rounding.
         """
         moment = self._moment()
         xp = namespace(moment)
@@ -314,7 +312,7 @@ class Belief(Reading):
     def resultant(self) -> Array:
         """The published confidence ``(...)``: |m| / integral of f, signed.
 
-        For a log field it is negative or arbitrary, and no probability: see `presence` and `credible_region`.
+        It is not a probability: for a log field it may be negative or arbitrary. See `presence` and `credible_region`.
         """
         moment = self._moment()
         xp = namespace(moment)

@@ -1,4 +1,4 @@
-"""How a response becomes a log-likelihood ratio: five numbers, and how long mistakes last.
+"""From a response to a log-likelihood ratio, and how long mistakes last.
 
     r = temperature * log((l + floor) / (neutral + floor))
 
@@ -29,18 +29,16 @@ class Calibration:
 
     - `floor` (epsilon): the probability of missing a visible target; it bounds what one empty look can take away.
     - `neutral` (l0): the response that says nothing.
-    - `temperature` (beta): a factor that tempers evidence which is surer of itself than it should be.
-    - `persistence`: how far one look repeats the one before it, in [0, 1), for who follows a target over time. A
-      detector that is wrong about a thing that stands there is wrong in the same direction again. Of each look at it
-      the share 1 - persistence adds up; the rest counts only while it is the newest (what is new in a series of looks
-      whose errors follow an autoregression of first order).
-    - `persists_for`: seconds after which a mistake has become another, because the view of what was mistaken has
-      changed: a look repeats the share persistence exp(-elapsed / persists_for) of the one `elapsed` seconds before it.
-      None: the next look repeats as much however late it comes.
-    - `persists_within`: metres of the camera's way after which that is so. None: however far it goes.
-    - `spread`: radians (standard deviation per axis) by which a response may lie beside what it means: the evidence
-      about a direction is then the mean likelihood ratio around it. 0: every cell is taken at its word.
-    - `scale_to_max`: divide each response by its own maximum first. Only the published profile does so: it turns
+    - `temperature` (beta): a factor on the logarithm; a smaller one tempers overconfident evidence.
+    - `persistence`: how much of one look the next one repeats, in [0, 1): a detector that mistakes a thing once
+      mistakes it again. The share 1 - persistence of each look adds up; the rest counts only while the look is the
+      newest. (The errors of looks follow an autoregression of first order.)
+    - `persists_for`: seconds in which mistakes fade: a look repeats the share persistence exp(-elapsed / persists_for)
+      of the look `elapsed` seconds before it. None: they do not fade with time.
+    - `persists_within`: the same in metres of the camera's way. None: they do not fade with distance.
+    - `spread`: angular error of responses, radians (standard deviation per axis): the evidence about a direction is the
+      mean likelihood ratio around it. 0: no error.
+    - `scale_to_max`: divide each response by its own maximum first. Only the published settings do so: it turns
       "nothing here" into a detection.
     """
 

@@ -1,15 +1,14 @@
-"""Is it here, does it stand, or does it move? One filter over all there can be.
+"""Absent, standing, wandering or turning: one filter over these cases.
 
-The target is not here, or it stands where it is, or it wanders by so many degrees per root second, or it turns at a
-steady rate (`eagor.turning`). Each case that has a target holds a belief over directions, and is weighed by how it
-foretold what was seen; a Markov chain leads from case to case (a Bernoulli filter over several models of motion:
-interacting multiple models, Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33(8), 1988; Ristic et al.,
-IEEE Transactions on Signal Processing 61(13), 2013). Presence is what the cases with a target weigh together.
+The target is absent, stands still, wanders (a random walk of so many degrees per root second), or turns at a steady
+rate (`eagor.turning`). Each case with a target holds a belief over directions and is weighted by how well it predicted
+the looks; a Markov chain links the cases. This is a Bernoulli filter (Ristic et al., IEEE Transactions on Signal
+Processing 61(13), 2013) with interacting multiple models (Blom and Bar-Shalom, IEEE Transactions on Automatic Control
+33(8), 1988). The presence is the sum of the weights of the cases with a target.
 
-A wanderer is held as a density on a grid: there diffusion is exact and costs one product, since the heat kernel
-multiplies the coefficients of degree l by exp(-l (l + 1) sigma^2 / 2). A target that stands is held as the sum of all
-looks since it stands (`eagor.standing`), which a change of case cannot enter. So of the two ways to stand, since then
-or since now, the likelier one is kept.
+A wanderer is a density on a grid: diffusion is exact there and costs one product, since the heat kernel multiplies the
+coefficients of degree l by exp(-l (l + 1) sigma^2 / 2). A standing target is the sum of all looks since it came to
+stand (`eagor.standing`). Such a sum cannot absorb a target that stops only now, so the likelier of the two is kept.
 """
 
 from __future__ import annotations
@@ -33,21 +32,20 @@ from eagor.repeating import NONE_YET, CommonError
 from eagor.standing import Standing
 from eagor.turning import Turning
 
-_UNHEARD = 1e-5  # of the belief: a cell that holds less tells nothing of the detector
-_FAINTEST = 1e-12  # of a mean density: what lies lower is the ringing of a cut series
-_LEAST_NEW = 1e-6  # of a mean density: where what comes to stand is no less likely
-_UNLIKELY = 0.05  # a turning target is less likely than this: it is drawn where it would stand
-_LARGEST = 700.0  # nats whose exponential is a number
+_UNHEARD = 1e-5  # of the belief: cells with less do not count when the detector is learnt
+_FAINTEST = 1e-12  # of a mean density: lower values are ringing of the truncated series
+_LEAST_NEW = 1e-6  # of a mean density: the lowest density of a target that comes to stand
+_UNLIKELY = 0.05  # if turning is less likely than this, it counts as standing
+_LARGEST = 700.0  # nats: the exponential still fits a float64
 
 
 @dataclass(frozen=True, eq=False)
 class Cases:
-    """What there can be, with its probability: absent, standing, wandering in one of several ways, turning. World axes.
+    """The cases and their probabilities: absent, standing, wandering in one of several ways, turning. World axes.
 
     `weights` ``(2 + M,)`` or, with `turning`, ``(3 + M,)`` sum to 1. `wanderers` ``(M, H, W)``: densities over a
-    uniform one, on the decoding grid.
-    `bias`: radians by which all looks together may lie beside the thing: the part of their error that repeats, as far
-    as it is the same in all of them (`common`).
+    uniform one, on the decoding grid. `bias`: radians by which all looks together may be off: the part of their error
+    that all of them share (`common`).
     """
 
     weights: np.ndarray
@@ -59,7 +57,7 @@ class Cases:
 
     @classmethod
     def prior(cls, motion: MotionModel, standing: Standing, presence: float = 0.5) -> Cases:
-        """Before any look; `standing` is a belief that knows nothing."""
+        """Before any look; `standing` is a uniform belief."""
         moving, grid = motion.moving, decoding_grid(standing.degree)
         weights = np.array([1 - presence, presence * (1 - moving), *(presence * moving * motion.kinds)])
         turning = Turning.prior(motion.turn) if motion.turn else None
@@ -83,7 +81,7 @@ class Cases:
 
     @lazy
     def field(self) -> SphereField:
-        """log of the density over a uniform one, given that the target is here: what answers are read from."""
+        """log of (density / uniform density), given that the target is present; answers are read from it."""
         shares = self.weights[1:] / max(float(self.weights[1:].sum()), 1e-300)
         stands = self.standing.field
         if self.bias > 0:
@@ -117,13 +115,13 @@ class Cases:
             moving = moves(np.exp(elsewhere.smooth(patch.directions, 1)), patch.directions)
             patches.append(patch.like(np.logaddexp(patch.values, np.log(moving))))
         moving = moves(wandering, self.grid.directions)
-        # As `logaddexp`, which takes ten times as long; only where patches lie the values may be as large.
+        # Like `logaddexp`, ten times as fast; values are too large for it only where patches lie.
         values = np.log(np.exp(np.minimum(stands.values, _LARGEST)) + np.maximum(moving, 1e-300))
         return SphereField(self.grid, values, tuple(patches))
 
     @lazy
     def reading(self) -> Reading:
-        """What can be read from `field`."""
+        """The `Reading` of `field`."""
         return Reading(self.field)
 
     def after(
@@ -142,21 +140,21 @@ class Cases:
             standing = _drifted(standing, drift, elapsed)
         kept, newly = flows[1, 1], np.delete(flows[:, 1], 1)
         spread, others = standing.spread, np.delete(flows, 1, axis=1)
-        left = float(others[1].sum() / max(others.sum(), 1e-300))  # of what does not stand now: what stood
+        left = float(others[1].sum() / max(others.sum(), 1e-300))  # the share that stood before
         if left > 0:
             standing = standing.spreading(replace(spread, otherwise=spread.mixed(left).weights))
-        if newly.sum() > kept:  # it stands since now
+        if newly.sum() > kept:  # it has stopped just now
             standing, common = self._restarted(standing, newly), NONE_YET
         weights = flows.sum(axis=0)
         weights = weights / weights.sum()
         return replace(self, weights=weights, standing=standing, wanderers=wanderers, turning=turning, common=common)
 
     def _roamed(self, flows: np.ndarray, elapsed: float, motion: MotionModel, drift: float) -> np.ndarray:
-        """The wanderers' densities after `elapsed` seconds, with what flows into each case from the others."""
+        """The wanderers' densities after `elapsed` seconds, with the inflow from the other cases."""
         grid = self.grid
         if not len(self.wanderers):
             return self.wanderers
-        basis = RealHarmonics(grid.height // 2 - 1)  # a density is narrower than its logarithm: all that the grid holds
+        basis = RealHarmonics(grid.height // 2 - 1)  # the grid's: a density is narrower than its logarithm
         jumped = motion.jumped(elapsed)
         stands = self._standing_density() if flows[1, 2:].any() else 0.0
         sigmas = np.hypot(motion.wander, drift) * math.sqrt(elapsed)
@@ -168,7 +166,7 @@ class Cases:
         return mixed / (np.einsum("mij,ij->m", mixed, grid.weights) / (4 * math.pi))[:, None, None]
 
     def _turned(self, flows: np.ndarray, elapsed: float, motion: MotionModel, drift: float) -> Turning | None:
-        """What turns, after `elapsed` seconds, with what begins to."""
+        """The turning target after `elapsed` seconds, with the inflow from the other cases."""
         if self.turning is None:
             return None
         turned = self.turning.after(elapsed, motion.jumped(elapsed), drift)
@@ -188,7 +186,7 @@ class Cases:
     def _standing_density(self) -> np.ndarray:
         """The standing target's density over a uniform one, on the grid ``(H, W)``.
 
-        Where a patch lies its mass is kept: the cells are too wide to sample a sharp peak.
+        Patches are integrated over the cells, which are too wide to sample a sharp peak.
         """
         field, level = self.standing.field, self.standing.log_mean
         found = np.exp(np.minimum(field.values - level, _LARGEST)).reshape(-1)
@@ -199,13 +197,13 @@ class Cases:
             cells = float(found[inside] @ weights[inside])
             if cells > 0:
                 found[inside] *= mass / cells
-            elif not len(inside):  # a patch between the middles of the cells
+            elif not len(inside):  # the patch contains no cell centre
                 nearest = int((field.grid.directions @ patch.frame[0]).argmax())
                 found[nearest] += mass / weights.min()
         return found.reshape(field.grid.shape)
 
     def _restarted(self, standing: Standing, newly: np.ndarray) -> Standing:
-        """A target that has come to stand just now, where it was wandering, or anywhere.
+        """A target that has just come to stand, where it was wandering, or anywhere.
 
         `newly`: what flows in from the absent target, and from each wanderer.
         """
@@ -222,10 +220,9 @@ class Cases:
     def updated(
         self, sight: Sight, rates: Rates | None, passing: Look | None, since: np.ndarray | None
     ) -> tuple[Cases, Look, Rates | None]:
-        """With one more look.
+        """After one more look; also returns the look as log ratios, and the detector's rates after it.
 
-        `passing`: the look before it, of which this one repeats a share, taken before the body moved by `since`.
-        Returns the look as it was read, and what is known of the detector's rates after it.
+        `passing`: the look before it, of which this one repeats a share; the body has moved by `since` from there.
         """
         standing, before = self.standing, self.standing.log_mean
         if sight.detections is not None:
@@ -239,7 +236,7 @@ class Cases:
         learnt = rates
         if sight.detections is not None:
             learnt = self._learnt(sight, look)
-        # Where the body has moved, its windows were drawn for this place just now.
+        # If the body has moved, the windows were already redrawn for this place.
         fresh = since is not None and bool(since.any())
         standing = standing.opened(look).plus(look).focused(fresh)
         gains = np.zeros(len(self.weights))
@@ -282,7 +279,7 @@ class Cases:
         return otherwise * foretold / (otherwise @ foretold)
 
     def _learnt(self, sight: Sight, look: Look) -> Rates:
-        """What the look tells of the detector."""
+        """The detector's rates, learnt from the look."""
         assert look.rates is not None
         assert look.world is not None
         if look.rates.weights.size == 1:
@@ -315,7 +312,7 @@ def _mean(density: np.ndarray, grid: ErpGrid) -> float:
 
 
 def _with_bias(field: SphereField, bias: float) -> SphereField:
-    """A field whose patches are blurred; where they grow over the grid, what that says is kept."""
+    """A field with blurred patches; where they grow over the grid, the grid's values are kept."""
     patches = []
     for patch in field.patches:
         wide = blurred(patch, bias, REACH)
@@ -328,7 +325,7 @@ def _with_bias(field: SphereField, bias: float) -> SphereField:
 
 
 def _drifted(standing: Standing, drift: float, elapsed: float) -> Standing:
-    """With the peaks wider by what odometry that drifts by `drift` radians a second adds in `elapsed` seconds.
+    """With peaks widened by `elapsed` seconds of odometry drift (`drift` radians per root second).
 
     Scaling a log-likelihood by s scales the variance of its peak by 1 / s: P + q = P / s.
     """

@@ -1,9 +1,9 @@
-"""Dataclasses with arrays in them, in a file: saved and loaded without pickle, so that no file can run code.
+"""Saving dataclasses with arrays to a file, without pickle: loading a file never runs code.
 
-A file is one line of JSON that says what it is, how long the rest is and its digest; one line of JSON with the
-structure, in which arrays and dataclasses stand as numbers; then the bytes of the arrays. Dataclasses are those of the
-modules that are registered here; each is made by its own constructor, which checks it, and its lazy values that were
-given by others are set. What is held in two places is saved once.
+A file has three parts: a line of JSON with kind, version, length and digest; a line of JSON with the structure, in
+which arrays and dataclasses are numbers; and the bytes of the arrays. Only dataclasses of the modules registered here
+can be saved. Loading calls their constructors, which check the fields, and sets their `given` values. An object in two
+places is saved once.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from eagor.errors import FormatError
 VERSION = 1
 FORMAT = "eagor tracker"
 LONGEST = 1000  # bytes of the first line
-# Whose dataclasses may be in a file.
+# Only dataclasses of these modules may be in a file.
 MODULES = {
     f"eagor.{name}"
     for name in (
@@ -66,7 +66,7 @@ def load(path: Path) -> Any:
     except (ValueError, TypeError, KeyError, RecursionError):
         head, known, version = {}, False, None
     if not known:
-        raise FormatError(f"{path} is no saved tracker; wanted a file of tracker.save")
+        raise FormatError(f"{path} is not a saved tracker; wanted a file of tracker.save")
     if version != VERSION:
         raise FormatError(f"{path} is of version {version!r}; wanted {VERSION}: load it with the eagor that saved it")
     if head.get("bytes") != len(body) or head.get("sha256") != hashlib.sha256(body).hexdigest():
@@ -87,7 +87,7 @@ class _Writer:
         self._places: dict[int, list[Any]] = {}
 
     def put(self, value: Any) -> Any:
-        """`value` as JSON: itself, or what it is and what is in it."""
+        """`value` as JSON: itself, or its kind and content."""
         if isinstance(value, np.generic):
             value = value.item()
         if value is None or isinstance(value, bool | int | float | str):
@@ -121,7 +121,7 @@ class _Writer:
 
 
 class _Reader:
-    """The way back."""
+    """Turns the JSON back into values."""
 
     def __init__(self, found: dict[str, Any], data: bytes) -> None:
         self.arrays: list[np.ndarray] = []
@@ -139,7 +139,7 @@ class _Reader:
         self.state = self.get(found["state"])
 
     def get(self, value: Any) -> Any:
-        """The value of which `value` is the JSON."""
+        """The value that the JSON `value` stands for."""
         if not isinstance(value, list):
             return value
         kind, inner = value

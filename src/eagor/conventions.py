@@ -1,7 +1,7 @@
 """Converters to and from the conventions of other software; each has a test on an asymmetric scene.
 
 Ours: body x forward, y left, z up; azimuth positive left, elevation positive up, radians; real harmonics without
-Condon-Shortley phase, index l*l + l + m. Nothing else in the package converts.
+Condon-Shortley phase, index l*l + l + m. No other module converts.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def _from_quaternion(quaternion: np.ndarray, scalar_first: bool) -> np.ndarray:
     if quaternion.shape[-1:] != (4,) or not np.isfinite(quaternion).all():
         raise RotationError(f"quaternion = {quaternion.tolist()}; wanted four finite numbers {order}")
     if (np.linalg.norm(quaternion, axis=-1) < 1e-6).any():
-        raise RotationError(f"a quaternion of length zero is no rotation; an unset message? wanted {order}")
+        raise RotationError(f"a quaternion of length zero is not a rotation; is the message unset? wanted {order}")
     found = Rotation.from_quat(quaternion.reshape(-1, 4), scalar_first=scalar_first).as_matrix()
     return found.reshape(*quaternion.shape[:-1], 3, 3)
 
@@ -94,7 +94,7 @@ def from_habitat(directions: np.ndarray) -> np.ndarray:
 
 
 def rotation_from_habitat(matrix: np.ndarray) -> np.ndarray:
-    """A rotation or pose ``(..., 3, 3)`` between Habitat frames as one between ours (a turn to the left stays one)."""
+    """A rotation or pose ``(..., 3, 3)`` between Habitat frames as one between ours; a left turn stays a left turn."""
     return HABITAT_R_BODY.T @ check_rotation(np.asarray(matrix, dtype=np.float64), "matrix") @ HABITAT_R_BODY
 
 
@@ -124,7 +124,7 @@ def from_gltf(points: np.ndarray) -> np.ndarray:
 
 
 def pose_to_habitat(world_R_body: np.ndarray) -> np.ndarray:
-    """The rotation ``(..., 3, 3)`` of Habitat's agent (its AgentState's) that stands as our body does."""
+    """The rotation ``(..., 3, 3)`` for Habitat's AgentState, from our `world_R_body`."""
     return GLTF_R_WORLD @ check_rotation(np.asarray(world_R_body, dtype=np.float64), "world_R_body") @ HABITAT_R_BODY.T
 
 
@@ -157,7 +157,7 @@ def from_healpix_alm(alm: np.ndarray) -> np.ndarray:
     alm = np.asarray(alm, dtype=np.complex128)
     degree = (math.isqrt(8 * alm.shape[-1] + 1) - 3) // 2
     if (degree + 1) * (degree + 2) // 2 != alm.shape[-1]:
-        raise EagorError(f"{alm.shape[-1]} values are no triangle of a_lm; wanted (lmax + 1)(lmax + 2) / 2")
+        raise EagorError(f"{alm.shape[-1]} values do not form a triangle of a_lm; wanted (lmax + 1)(lmax + 2) / 2")
     found = np.zeros((*alm.shape[:-1], (degree + 1) ** 2))
     start = 0
     for m in range(degree + 1):
@@ -208,7 +208,7 @@ def to_e3nn_direction(directions: np.ndarray) -> np.ndarray:
 
 
 def rotation_to_e3nn(matrix: np.ndarray) -> np.ndarray:
-    """The rotation ``(..., 3, 3)`` in e3nn's axes that does to its points what `matrix` does to ours."""
+    """Our rotation `matrix` ``(..., 3, 3)`` in e3nn's axes."""
     return E3NN_R_BODY @ check_rotation(np.asarray(matrix, dtype=np.float64), "matrix") @ E3NN_R_BODY.T
 
 
@@ -216,5 +216,5 @@ def _degree(coefficients: np.ndarray) -> int:
     size = coefficients.shape[-1]
     degree = math.isqrt(size) - 1
     if (degree + 1) ** 2 != size:
-        raise EagorError(f"{size} coefficients are no full triangle; wanted (degree + 1)^2")
+        raise EagorError(f"{size} coefficients do not form a full triangle; wanted (degree + 1)^2")
     return degree

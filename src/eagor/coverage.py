@@ -1,15 +1,15 @@
-"""What was not looked at gains nothing, even after truncation.
+"""Directions that were not looked at get no evidence, even after truncation.
 
-A view's evidence ends at its border, but a band-limited field cannot end anywhere: cut at degree L, the evidence rings
-far into directions that nobody looked at, and over many views the ringing adds up to false belief. Two measures
-keep it home, both linear, both fixed by the lens (or the mask) and the degree:
+A view's evidence ends at its border, but a band-limited field cannot end anywhere. Truncated at degree L, it rings far
+into directions outside of the view, and over many views the ringing adds up to false belief. Two linear steps prevent
+this; both depend only on the lens (or the mask) and the degree:
 
 - a taper inside the seen region: evidence rises from zero at the border to full weight within pi / (L + 1);
-- among the fields of degree L, the one nearest to the tapered evidence is taken in a least-squares sense in which an
-  error beyond pi / (L + 1) outside the border costs `PENALTY` times more than an error inside.
+- a weighted least-squares fit of degree L to the tapered evidence, in which an error more than pi / (L + 1) outside of
+  the border costs `PENALTY` times as much as one inside.
 
-``benchmarks/leak.py`` measures both, and a taper alone: even twice as wide it leaks more, and keeps less of what is
-seen near the border.
+``benchmarks/leak.py`` measures both, and a taper alone: even twice as wide, that leaks more and keeps less of what is
+near the border.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from eagor.grids import ErpGrid, FisheyeGrid, Grid, Lens, PatchGrid, Perspective
 from eagor.harmonics import RealHarmonics
 
 PENALTY = 1000.0
-CONFINE_UP_TO = 31  # above this degree the ringing is narrow and the dense solve is not worth it: taper only
+CONFINE_UP_TO = 31  # above this degree the ringing is narrow and only the taper is used
 
 # A region: what was seen, hashable. The grid's kind and size (or the lens), and the packed mask where one was given.
 Region = tuple[str, int, int, float, bytes]
 
 
 def region(grid: Grid, mask: np.ndarray | None) -> Region | None:
-    """The seen part of `grid`, None if that is the whole sphere; `mask` ``(H, W)`` is True where it was looked at."""
+    """The region that was looked at, None for the whole sphere; `mask` ``(H, W)`` is True there."""
     packed = b"" if mask is None or mask.all() else np.packbits(mask).tobytes()
     if isinstance(grid, PerspectiveGrid | FisheyeGrid):
         if grid.depth_inside() is None and not packed:
@@ -53,7 +53,7 @@ def taper(degree: int, where: Region, like: Array) -> Array:
 
 
 def confine(degree: int, coefficients: Array, where: Region) -> Array:
-    """The nearest field ``(..., size)`` that stays inside the seen region, in the frame of the grid's own lens."""
+    """The least-squares field ``(..., size)`` that stays inside the seen region, in the frame of the grid's lens."""
     if degree > CONFINE_UP_TO:
         return coefficients
     return coefficients @ recent(_confinement, degree, where, like=coefficients)
@@ -122,9 +122,9 @@ def _rim(where: Region) -> np.ndarray:
 
 
 def _beside(marked: np.ndarray, grid: Grid, beyond: bool = False) -> np.ndarray:
-    """Which cells ``(H, W)`` have one of eight neighbours `marked`; past a view's edge everything counts as `beyond`.
+    """Which cells ``(H, W)`` have a `marked` neighbour (of eight); `beyond` is the value past a view's edge.
 
-    A panorama goes on across the seam and over the poles.
+    A panorama continues across the seam and the poles.
     """
     padded = np.pad(marked, 1, constant_values=beyond)
     if isinstance(grid, ErpGrid | PatchGrid):

@@ -14,19 +14,19 @@ from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.peaks import decoding_grid
 
-RESOLVED = math.radians(115)  # over degree + 1: the narrowest likelihood whose logarithm a degree holds without loss
+RESOLVED = math.radians(115)  # over degree + 1: the narrowest likelihood that the degree represents without loss
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What one picture covered: a grid in the body frame, and how far each of its cells was looked at (None: fully)."""
+    """What one picture covered: a grid in the body frame, and the coverage of its cells (None: full)."""
 
     grid: Grid
     coverage: np.ndarray | None = None
 
     @property
     def is_whole(self) -> bool:
-        """Whether it is all around."""
+        """Whether it covers the whole sphere."""
         partial = isinstance(self.grid, PerspectiveGrid | FisheyeGrid) and self.grid.depth_inside() is not None
         return not partial and self.coverage is None
 
@@ -43,10 +43,10 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """The set Z of one look, in the body frame of its time: n detections among what its `views` covered.
+    """The set Z of one look, body frame at capture: n detections in what its `views` covered.
 
-    `directions` ``(n, 3)``, with `scores` ``(n,)``. `axes` ``(n, 2, 3)``: the principal directions across each one,
-    over the standard deviation along them (radians). `ratios` ``(n,)``: s. `clutter` ``(n,)``: relative density of
+    `directions` ``(n, 3)``, with `scores` ``(n,)``. `axes` ``(n, 2, 3)``: its principal axes, each divided by the
+    standard deviation along it (radians). `ratios` ``(n,)``: s. `clutter` ``(n,)``: relative density of
     false alarms there. `views`: empty where the whole sphere was looked at.
     """
 
@@ -62,7 +62,7 @@ class Detections:
     def around(
         cls, model: DetectorModel, directions: np.ndarray, axes: np.ndarray, scores: np.ndarray | None, view: View
     ) -> Detections:
-        """A look at one picture."""
+        """The set of one picture."""
         ratios, clutter = model.ratios(scores, len(directions)), model.clutter_at(directions)
         scores = np.ones(len(directions)) if scores is None else scores
         return cls(model, directions, axes, ratios, clutter, scores, () if view.is_whole else (view,))
@@ -75,11 +75,11 @@ class Detections:
 
     @property
     def rates(self) -> Rates:
-        """What is known of the rates before any look."""
+        """The prior of the rates."""
         return Rates.prior(self.model)
 
     def joined(self, other: Detections) -> Detections:
-        """One look of two pictures of the same moment."""
+        """The joint set of two pictures of the same moment."""
         views = () if not self.views or not other.views else (*self.views, *other.views)
         pairs = {
             key: np.concatenate([getattr(self, key), getattr(other, key)])
@@ -88,11 +88,11 @@ class Detections:
         return replace(self, views=views, **pairs)
 
     def turned(self, new_R_old: np.ndarray) -> Detections:
-        """The detections alone in other axes (`share` still asks for those of the body)."""
+        """The detections in other axes; `share` still takes directions of the body."""
         return replace(self, directions=self.directions @ new_R_old.T, axes=self.axes @ new_R_old.T)
 
     def share(self, directions: np.ndarray) -> np.ndarray | float:
-        """v ``(...)``: how far each direction ``(..., 3)`` of the body frame was looked at, by any of the views."""
+        """v ``(...)``: how far any of the views covered each direction ``(..., 3)`` of the body frame."""
         if not self.views:
             return 1.0
         missed = np.ones(directions.shape[:-1])
@@ -101,9 +101,9 @@ class Detections:
         return 1 - missed
 
     def coefficients(self, degree: int, rates: Rates | None = None, spread: Spread = STATED) -> np.ndarray:
-        """log L in harmonics ``(size,)``, in the axes of the body: none narrower than the degree holds.
+        """log L in harmonics ``(size,)``, body frame; detections are widened to what the degree can hold.
 
-        What was not looked at gains nothing (`eagor.coverage`): v fades to 0 inside the border of what was.
+        v fades to 0 inside the border of the covered region (`eagor.coverage`).
         """
         grid, basis = decoding_grid(degree), RealHarmonics(degree)
         share, where = self.grid_share(degree)
@@ -111,7 +111,7 @@ class Detections:
         return found if where is None else confine(degree, found, where)
 
     def grid_share(self, degree: int) -> tuple[np.ndarray | float, Region | None]:
-        """v on the decoding grid of this degree ``(H, W)``, fading towards its border, and the region it covers."""
+        """v on the decoding grid ``(H, W)``, fading towards its border, and the covered region."""
         if not self.views:
             return 1.0, None
         grid = decoding_grid(degree)
@@ -121,22 +121,22 @@ class Detections:
 
     @lazy
     def area(self) -> float:
-        """Solid angle (steradians) of what was looked at."""
+        """Covered solid angle, steradians."""
         if not self.views:
             return 4 * math.pi
         grid = decoding_grid(15)
         return max(float(np.sum(np.asarray(self.share(grid.directions)) * grid.weights)), 1e-3)
 
     def read(self, model: DetectorModel) -> Detections:
-        """The same set with another model: its spread takes the place of the former one."""
+        """The same set with another model; its spread replaces the former one."""
         lengths = np.linalg.norm(self.axes, axis=-1, keepdims=True)
-        own = np.maximum(lengths**-2 - self.model.spread**2, 0.0)  # what is the detection's own, such as a box's size
+        own = np.maximum(lengths**-2 - self.model.spread**2, 0.0)  # the detection's own part, such as a box's size
         axes = self.axes / lengths / np.sqrt(own + model.spread**2)
         ratios, clutter = model.ratios(self.scores, len(self)), model.clutter_at(self.directions)
         return replace(self, model=model, axes=axes, ratios=ratios, clutter=clutter)
 
     def response(self, directions: np.ndarray) -> np.ndarray:
-        """The set drawn as a response ``(...)`` in [0, 1]: the highest of score times bump; for who reads responses."""
+        """The set drawn as a response ``(...)`` in [0, 1]: the maximum of score times bump."""
         if not len(self):
             return np.zeros(directions.shape[:-1], dtype=np.float32)
         drawn = self.scores[:, None] * np.exp(-self._exponents(directions).sum(axis=1))
@@ -146,8 +146,8 @@ class Detections:
     def densities(self, directions: np.ndarray, scales: np.ndarray, least: np.ndarray | float = 0.0) -> np.ndarray:
         """The sum of s_i g(z_i | w) over the relative clutter ``(S, ...)`` at directions w ``(..., 3)``, per steradian.
 
-        For each of `scales` ``(S,)`` all detections are taken to be as many times as wide, and none to be narrower than
-        `least` radians (or ``(n,)``): it is widened as a likelihood, so that its mass is kept.
+        Detections are widened by each of `scales` ``(S,)``, and to at least `least` radians (or ``(n,)``); their mass
+        is kept.
         """
         lengths = np.sqrt(np.einsum("nij,nij->ni", self.axes, self.axes))
         exponents = self._exponents(directions)
@@ -179,8 +179,8 @@ class Detections:
     ) -> np.ndarray:
         """L ``(...)`` at directions ``(..., 3)``, both in the axes of the detections, with `rates` after `Rates.given`.
 
-        `share`: v there (default: as `share` has it, in the axes of the body). `least`: radians; no detection is taken
-        to be narrower.
+        `share`: v there (default: `self.share`, which takes body axes). `least`: radians, the narrowest width of a
+        detection.
         """
         return np.tensordot(spread.weights, self.ratios_by(spread.scales, directions, rates, share, least), axes=1)
 
@@ -202,7 +202,7 @@ class Detections:
 
 
 def bump_norms(lengths: np.ndarray) -> np.ndarray:
-    """1 over the integral ``(n,)`` of Gaussians in Lambert's plane; it ends at the antipode, a distance of 2.
+    """1 / integral ``(n,)`` of Gaussians in Lambert's plane, which ends at the antipode, at distance 2.
 
     `lengths` ``(n, 2)``: 1 over the standard deviation along each axis.
     """
@@ -211,7 +211,7 @@ def bump_norms(lengths: np.ndarray) -> np.ndarray:
 
 
 def isotropic(directions: np.ndarray, spreads: np.ndarray) -> np.ndarray:
-    """The axes ``(n, 2, 3)`` of detections as wide in all directions: standard deviations `spreads` ``(n,)``."""
+    """The axes ``(n, 2, 3)`` of round detections with standard deviations `spreads` ``(n,)``."""
     frames = tangent_frames(directions)
     return frames / np.reshape(spreads, (-1, 1, 1))
 
@@ -226,12 +226,12 @@ def anisotropic(directions: np.ndarray, covariances: np.ndarray) -> np.ndarray:
 
 
 def resolved(degree: int) -> float:
-    """Radians: the narrowest detection that a field of this degree holds."""
+    """The narrowest detection that a field of this degree can hold, radians."""
     return RESOLVED / (degree + 1)
 
 
 def tangent_frames(directions: np.ndarray) -> np.ndarray:
-    """Two unit vectors ``(n, 2, 3)`` across each of the directions ``(n, 3)`` and each other."""
+    """Two orthonormal tangent vectors ``(n, 2, 3)`` at each of the directions ``(n, 3)``."""
     x, y, z = directions.T
     level = np.abs(z) < 0.9
     zero = np.zeros_like(x)

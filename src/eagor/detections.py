@@ -1,4 +1,4 @@
-"""Detections on the sphere: from a box or a mask in an image to a bump around the direction that it means."""
+"""From a box or a mask in an image to a bump about a direction."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from eagor.detection_set import tangent_frame
 from eagor.errors import ResponseError
 from eagor.grids import FisheyeGrid, Grid, PatchGrid, PerspectiveGrid
 
-CELL = math.radians(2)  # of what detections given as boxes or points are drawn on, where the whole sphere is seen
+CELL = math.radians(2)  # cell size of the grid on which boxes and points of a panorama are drawn
 WHOLE_SPHERE = PatchGrid(90, 180)
-MIN_SPREAD = math.radians(4)  # standard deviation: no detector is surer than this about where a box's middle is
+MIN_SPREAD = math.radians(4)  # least standard deviation of a box's middle
 
 
 def canvas_of(grid: Grid) -> Grid:
-    """Where detections in an image are drawn: the whole sphere for a panorama, a coarse copy of the view else."""
+    """The grid on which detections are drawn: the whole sphere for a panorama, else a coarse copy of the view."""
     if isinstance(grid, FisheyeGrid):
         return replace(grid, size=min(grid.size, math.ceil(grid.fov / CELL)))
     if not isinstance(grid, PerspectiveGrid):
@@ -53,7 +53,7 @@ def moments(box: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     centre = np.einsum("ij,ijk->k", share, points)
     length = np.linalg.norm(centre)
     if length < 1e-9 * share.sum():
-        raise ResponseError(f"box {box.tolist()} spans the whole sphere, so it names no direction")
+        raise ResponseError(f"box {box.tolist()} spans the whole sphere, so it has no direction")
     offsets = _tangent(points, centre / length)
     return centre / length, np.einsum("ij,ijk,ijl->kl", share, offsets, offsets) / share.sum()
 
@@ -68,17 +68,17 @@ def mask_moments(mask: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     """Mean direction ``(3,)`` of a mask's solid angle and its covariance ``(2, 2)`` about it in the tangent plane."""
     points, areas = grid.directions[mask], grid.weights[mask]
     if float(np.linalg.norm(areas @ points)) < 1e-9 * areas.sum():
-        raise ResponseError("a mask spans the whole sphere, so it names no direction; wanted the pixels of one thing")
+        raise ResponseError("a mask spans the whole sphere, so it has no direction; wanted the pixels of one thing")
     return moments_of(points, areas)
 
 
-ANYWHERE = 1e4  # standard deviation (radians) of what is all around, and names no direction
+ANYWHERE = 1e4  # standard deviation (radians) of something that is all around and has no direction
 
 
 def moments_of(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean direction ``(3,)`` of weighed directions ``(n, 3)``, and their covariance ``(2, 2)`` about it.
+    """Mean direction ``(3,)`` of weighted directions ``(n, 3)``, and their covariance ``(2, 2)`` about it.
 
-    What is spread evenly all around has no mean direction, and a covariance without bounds.
+    If they are spread evenly all around, there is no mean direction and the covariance is `ANYWHERE` squared.
     """
     middle = weights @ points
     length = float(np.linalg.norm(middle))
@@ -89,7 +89,7 @@ def moments_of(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def widened(mask: np.ndarray, grid: Grid, spread: float) -> np.ndarray:
-    """A mask ``(H, W)`` as a response, with a bump of `spread` (radians) about its middle if that is the wider one."""
+    """A mask ``(H, W)`` as a response; if it is narrower than a bump of `spread` (radians), that bump is added."""
     points, areas = grid.directions[mask], grid.weights[mask]
     middle = areas @ points
     length = np.linalg.norm(middle)

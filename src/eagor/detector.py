@@ -1,4 +1,4 @@
-"""A detector's measurement model: what a set of detections says about where the target is, and whether it is there.
+"""A detector's measurement model: what a set of detections says about where the target is, and whether it is present.
 
 One target that may be absent (a Bernoulli random finite set; Ristic, Vo, Vo and Farina, IEEE Transactions on Signal
 Processing 61(13), 2013). A look sees the share v(w) of direction w. A target there is detected with probability P_D,
@@ -7,8 +7,8 @@ at a place with density g(z | w), among false alarms that are Poisson with inten
 
     L(w) = 1 - v(w) P_D + v(w) P_D sum_i s_i g(z_i | w) / lambda(z_i),    s_i = p(score_i | thing) / p(score_i | false).
 
-Its logarithm is the evidence. Nobody knows P_D and lambda for a new scene, so that by default both are learnt with the
-belief (`Rates`).
+Its logarithm is the evidence. P_D and lambda are unknown in a new scene; by default both are learnt with the belief
+(`Rates`).
 """
 
 from __future__ import annotations
@@ -27,34 +27,32 @@ from eagor.repeating import METRES, SECONDS
 
 __all__ = ["DetectorModel", "Rates", "Spread", "model_as_json", "parse_model"]
 
-CLUTTER_FLOOR = 1e-3  # relative density of false alarms: no place is so clean that one there would be a proof
-# The prior of what is learnt: probabilities of detection and mean numbers of false alarms, with their weights.
+CLUTTER_FLOOR = 1e-3  # least relative density of false alarms: no single detection is a proof
+# The prior of the rates: probabilities of detection and mean numbers of false alarms, with weights.
 RECALLS, RECALL_WEIGHTS = (0.1, 0.3, 0.5, 0.7, 0.9), (0.1, 0.2, 0.2, 0.25, 0.25)
 ALARMS = (0.02, 0.06, 0.2, 0.6, 2.0, 6.0)
-# How many times as wide as stated the spread may turn out, and how likely that is.
+# Factors by which the true spread may differ from the stated one, and their prior weights.
 SCALES, SCALE_WEIGHTS = (0.5, 1.0, 2.0), (0.04, 0.88, 0.08)
-UNLIKELY = 1e-3  # a scale with less weight is no longer reckoned with
+UNLIKELY = 1e-3  # scales with less weight are dropped
 
 
 @dataclass(frozen=True)
 class DetectorModel:
-    """How a detector errs. Each number has a meaning that can be counted on a few labelled frames.
+    """How a detector errs. Each number can be counted on a few labelled frames.
 
-    - `detection_probability` (P_D): that a target in view is detected. None: not known, learnt with the belief.
+    - `detection_probability` (P_D): the probability that a target in view is detected. None: learnt with the belief.
     - `false_alarms_per_look`: mean number of false alarms in what one look covers. None: learnt.
     - `spread`: radians (standard deviation per axis) of a detection about the direction of the thing.
-    - `repeats`: share of the mistakes of a look that the next one repeats, in [0, 1): 0 for independent looks. A poster
-      is taken for the target again, and what is overlooked once is overlooked again. Of a look that the next one
-      repeats, the share 1 - repeats adds up.
-    - `repeats_for`: seconds after which a mistake has become another, because the view of the poster, or of the place
-      where the detector is blind, has changed: of a look that lies `elapsed` seconds back, the share
-      repeats exp(-elapsed / repeats_for) is repeated. None: the next look repeats as much however late it comes.
-    - `repeats_within`: metres of the camera's way after which that is so. None: however far it goes.
-    - `score_ratios`: pairs (score, ratio), by rising score: how many times likelier a thing gives this score than a
-      false alarm does; between them the logarithm is interpolated. None: the ratio is the score itself, so that a
-      detection of score 1 counts in full.
-    - `clutter`: relative density of false alarms ``(H, W)`` over a panorama in the body frame; only its shape counts.
-      None: even.
+    - `repeats`: share of the mistakes of a look that the next one repeats, in [0, 1); 0: looks are independent. A
+      poster is taken for the target again, and a target overlooked once is overlooked again. Only the share 1 - repeats
+      of a repeated look adds up.
+    - `repeats_for`: seconds in which mistakes fade: a look repeats the share repeats exp(-elapsed / repeats_for) of the
+      look `elapsed` seconds before it. None: they do not fade with time.
+    - `repeats_within`: the same in metres of the camera's way. None: they do not fade with distance.
+    - `score_ratios`: pairs (score, ratio) by rising score: how many times likelier the target gives this score than a
+      false alarm does; the logarithm is interpolated between them. None: the ratio is the score itself.
+    - `clutter`: relative density of false alarms ``(H, W)`` over a panorama in the body frame; its scale does not
+      matter. None: uniform.
     """
 
     detection_probability: float | None = None
@@ -94,7 +92,7 @@ class DetectorModel:
             object.__setattr__(self, "clutter", density)
 
     def ratios(self, scores: np.ndarray | None, count: int) -> np.ndarray:
-        """s ``(n,)``: how much likelier each score is for the thing than for a false alarm; 1 without scores."""
+        """s ``(n,)``: how much likelier each score is for the target than for a false alarm; 1 without scores."""
         if scores is None:
             return np.ones(count)
         if self.score_ratios is None:
@@ -126,9 +124,9 @@ def _is_curve(curve: Sequence[Sequence[float]] | None) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Rates:
-    """What is known of a detector: joint weights ``(R, A)`` of `recalls` ``(R,)`` and `alarms` ``(A,)``.
+    """The posterior of a detector's rates: joint weights ``(R, A)`` of `recalls` ``(R,)`` and `alarms` ``(A,)``.
 
-    Where a rate is stated there is one value of it, and nothing to learn.
+    A rate that the model states has a single value, and nothing is learnt.
     """
 
     recalls: np.ndarray
@@ -146,7 +144,7 @@ class Rates:
         return cls(recalls, alarms, weights)
 
     def given(self, count: int) -> Rates:
-        """With a look of `count` detections, none of which was the target."""
+        """Updated by a look of `count` detections, all of them false alarms."""
         log = count * np.log(self.alarms) - self.alarms
         weights = self.weights * np.exp(log - log.max())
         return replace(self, weights=weights / weights.sum())
@@ -163,14 +161,15 @@ class Rates:
 
     @property
     def gain(self) -> float:
-        """The mean of P_D over the number of false alarms: what one detection weighs."""
+        """The mean of P_D / (number of false alarms), the weight of one detection."""
         return float(self.recalls @ self.weights @ (1 / self.alarms))
 
     def learnt(self, presence: float, covered: float, expected: float) -> Rates:
-        """After a look, of which `given` knows the number.
+        """After a look whose number of detections `given` has taken in.
 
-        `presence`: of the target before the look; `covered`: share of its density that was looked at; `expected`: the
-        sum over the detections of s_i g(z_i) / lambda(z_i) at one false alarm a look, g under that density.
+        `presence`: probability of the target before the look; `covered`: share of its density that was looked at;
+        `expected`: the sum over the detections of s_i g(z_i) / lambda(z_i) at one false alarm per look, with g under
+        that density.
         """
         recalls = self.recalls[:, None]
         seen = 1 - recalls * covered + (recalls / self.alarms) * expected
@@ -180,28 +179,28 @@ class Rates:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """How wide detections are: `weights` ``(S,)`` of so many times (`scales`, ``(S,)``) as wide as their model says.
+    """The width of detections: `weights` ``(S,)`` of the factors `scales` ``(S,)`` on the stated spread.
 
-    `otherwise` ``(S,)``: their weights if the target does not stand: what looks like a wide spread may be motion.
+    `otherwise` ``(S,)``: the weights if the target moves, since motion looks like a wide spread.
     """
 
     scales: np.ndarray
     weights: np.ndarray
     otherwise: np.ndarray
-    doubted: bool = False  # whether others than the stated one were ever reckoned with
+    doubted: bool = False  # whether scales other than 1 were ever considered
 
     @classmethod
     def unsure(cls) -> Spread:
-        """Before any look: as stated, more or less."""
+        """The prior, before any look."""
         return cls(np.array(SCALES), np.array(SCALE_WEIGHTS), np.array(SCALE_WEIGHTS), True)
 
     def mixed(self, stands: float) -> Spread:
-        """Its weights if the target stands with probability `stands`."""
+        """The weights, if the target stands with probability `stands`."""
         return replace(self, weights=stands * self.weights + (1 - stands) * self.otherwise)
 
     @property
     def precision(self) -> float:
-        """The mean of 1 / scale^2 if the target does not stand."""
+        """The mean of 1 / scale^2 if the target moves."""
         return float(self.otherwise @ self.scales**-2.0)
 
     @property
@@ -220,10 +219,10 @@ def _names() -> dict[str, str]:
 
 
 def parse_model(text: str, base: DetectorModel | None = None) -> DetectorModel:
-    """The model that a line of text says: ``pd=0.7,clutter=0.2,spread=5,repeats=0.3,repeats_for=2,repeats_within=1``.
+    """The model in a line of text: ``pd=0.7,clutter=0.2,spread=5,repeats=0.3,repeats_for=2,repeats_within=1``.
 
-    The spread is in degrees, `repeats_for` in seconds, `repeats_within` in metres. What is left out stays as in `base`
-    (default: `DetectorModel()`); ``pd=?`` and ``clutter=?`` say "not known". Raises `ResponseError`.
+    The spread is in degrees, `repeats_for` in seconds, `repeats_within` in metres. What the text leaves out is taken
+    from `base` (default: `DetectorModel()`); ``pd=?`` and ``clutter=?`` say "not known". Raises `ResponseError`.
     """
     found: dict[str, float | None] = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
@@ -237,11 +236,11 @@ def parse_model(text: str, base: DetectorModel | None = None) -> DetectorModel:
         try:
             number = float(value)
         except ValueError:
-            raise ResponseError(f"{part!r} in {text!r}: {value!r} is no number") from None
+            raise ResponseError(f"{part!r} in {text!r}: {value!r} is not a number") from None
         found[_names()[key]] = math.radians(number) if key == "spread" else number
     return replace(base or DetectorModel(), **found)  # type: ignore[arg-type]
 
 
 def model_as_json(model: DetectorModel) -> dict[str, object]:
-    """The numbers of a model, for files (a map of clutter is not stored)."""
+    """The numbers of a model, for files (without a map of clutter)."""
     return {f.name: getattr(model, f.name) for f in fields(model) if f.name != "clutter"}

@@ -1,15 +1,14 @@
-"""Diffusion of a density that is held as its logarithm.
+"""Diffusion of a density given by its logarithm.
 
 Near any direction the logarithm f is a quadratic in the tangent plane, with gradient g and Hessian H, and the
 convolution of exp(f) with a Gaussian of variance s^2 then has a closed form:
 
     log (exp(f) * N(0, s^2)) = f - 1/2 log det(1 - s^2 H) + 1/2 s^2 g^T (1 - s^2 H)^-1 g.
 
-It is exact for a Gaussian peak of any height and width (a concentration k becomes k / (1 + k s^2)), it needs no
-exponential, which over the dynamic range of a log-posterior would lose everything below the peak, and it cannot turn
-negative. The result has no band limit, so the field of the degree nearest to it is taken, in a least-squares
-sense that cares most where the probability is, and shifted so that the integral of exp(f) stays what it was. Wide
-diffusions are split into steps.
+It is exact for a Gaussian peak of any height and width (a concentration k becomes k / (1 + k s^2)). It needs no
+exponential, which would lose everything far below the peak, and the density stays positive. The result is not
+band-limited: it is projected to the degree by least squares, weighted by the probability, and shifted so that the
+integral of exp(f) stays the same. Wide diffusions are split into steps.
 
 A heat kernel on the coefficients of f itself is NOT diffusion: it leaves the concentration of a peak nearly unchanged.
 """
@@ -26,18 +25,17 @@ from eagor.harmonics import RealHarmonics
 from eagor.peaks import decoding_grid, derivatives
 
 STEP = 0.5  # largest curvature times variance per step
-CONVEX = 0.5  # valleys steepen without bound; they hold no probability, so their curvature is clamped here
+CONVEX = 0.5  # positive curvature is clamped here: valleys steepen without bound and hold no probability
 DEPTH = 3.0  # nats below the top over which the least-squares weight falls by e ...
 LEAST = 1e-3  # ... down to this
-ITERATIONS = 30  # of conjugate gradients; the result is within the projection's own error after about 20
+ITERATIONS = 30  # of conjugate gradients; about 20 reach the projection's own error
 
 
 def diffuse(degree: int, coefficients: Array, sigma: float) -> Array:
     """log of exp(f) convolved with a heat kernel of standard deviation `sigma` (radians per axis), at the same degree.
 
-    `coefficients` ``(..., size)`` of f. The integral of exp(f) is kept, as the decoding grid measures it. Each belief
-    of a batch takes steps of its own, as if it were alone (in NumPy to the last digit; tensors are computed together,
-    and the least squares magnify how a product of matrices is rounded).
+    `coefficients` ``(..., size)`` of f. The integral of exp(f) over the decoding grid is kept. Each belief of a batch
+    is diffused as if it were alone: in NumPy to the last digit; tensors are computed together and differ by rounding.
     """
     if isinstance(coefficients, np.ndarray) and coefficients.ndim > 1:
         found = [_diffused(degree, one, sigma) for one in coefficients.reshape(-1, coefficients.shape[-1])]
@@ -56,8 +54,7 @@ def _diffused(degree: int, coefficients: Array, sigma: float) -> Array:
         top = xp.max(f, axis=(-2, -1), keepdims=True)
         gained, variance, tempering = _gained(f, top, grid, left, sigma)
         spread = coefficients + _nearest(basis, grid, gained, LEAST + xp.exp((f - top) / DEPTH))
-        # A peak too steep for its degree to spread (thousands of nats) would overshoot: temper it to the right
-        # curvature.
+        # A peak too steep for its degree (thousands of nats) would overshoot: temper it.
         found = basis.synthesise(spread, grid)
         risen = xp.max(found, axis=(-2, -1), keepdims=True) > top + 1
         coefficients = xp.where(risen[..., 0], coefficients / tempering[..., 0], spread)

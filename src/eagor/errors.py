@@ -1,8 +1,4 @@
-"""What can be wrong with an input, one name each.
-
-Every error is a ``ValueError``, so callers that do not care about the kind can catch that. The text of
-an error always says three things: what came, what was wanted, and what to change.
-"""
+"""The exceptions. All are ``ValueError``; each text says what came, what was wanted, and what to change."""
 
 __all__ = [
     "AnswerError", "DirectionError", "EagorError", "FormatError", "GridError", "ImageError", "PoseError", "QueryError",
@@ -31,15 +27,15 @@ class ResponseError(EagorError):
 
 
 class TimeError(EagorError):
-    """A time stamp is missing, not finite, or runs backwards."""
+    """A time stamp is missing, not finite, or earlier than it may be."""
 
 
 class PoseError(EagorError):
-    """A pose is missing, incomplete, or too old to be known any more."""
+    """A pose is missing, incomplete, or older than the history."""
 
 
 class QueryError(EagorError):
-    """The words asked for mean nothing to the perception that was asked."""
+    """The perception does not know the words of the query."""
 
 
 class ImageError(EagorError):
@@ -55,15 +51,15 @@ class WorldError(EagorError):
 
 
 class AnswerError(EagorError):
-    """What a model answered cannot be read."""
+    """A model's answer cannot be read."""
 
 
 class ServerError(EagorError):
-    """A server that a model runs on cannot be reached, or refuses what is asked of it."""
+    """A model's server cannot be reached, or refuses the request."""
 
 
 class StorageError(EagorError):
-    """The disk does not take what has to be kept; what was kept before is whole."""
+    """A file cannot be written; what was written before is intact."""
 
 
 class MissingExtraError(EagorError, ImportError):
@@ -71,4 +67,4 @@ class MissingExtraError(EagorError, ImportError):
 
 
 class WorkError(EagorError):
-    """The work of a run cannot be begun: it cannot be imported, or cannot be set up from its settings."""
+    """The work of a run cannot start: it cannot be imported, or its settings are wrong."""

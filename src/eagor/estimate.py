@@ -1,4 +1,4 @@
-"""What a tracker is asked to do, and what it answers: `TrackerConfig` and `Estimate`."""
+"""A tracker's settings and answers: `TrackerConfig` and `Estimate`."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ from eagor.sphere import azimuth_elevation, check_directions
 __all__ = ["Answer", "Estimate", "Mode", "Status", "TrackerConfig"]
 
 Status = Literal["searching", "tracking", "ambiguous", "stale"]
-SURE = math.radians(15)  # of the answer: what lies within is as good as found
-RIVAL = 0.2  # of the belief: a second mode that holds as much makes the answer ambiguous
-LEAST_MODE = 0.02  # of the belief: a mode that holds less is not listed
+SURE = math.radians(15)  # of the answer: a target within this angle counts as found
+RIVAL = 0.2  # of the belief: a second mode that holds this share makes the answer ambiguous
+LEAST_MODE = 0.02  # of the belief: modes that hold less are not listed
 MOST_MODES = 5
 
 
-FLAT = 1e-6  # nats: a belief that varies by less knows of no direction
+FLAT = 1e-6  # nats: a belief that varies by less has no direction
 
 
 @dataclass(frozen=True)
 class TrackerConfig:
     """How a `DirectionTracker` believes, forgets and answers.
 
-    - `degree`: of the harmonics that a belief over the whole sphere is held in; about its peaks it is finer.
+    - `degree`: of the harmonics over the whole sphere; about peaks the belief is finer.
     - `decode`: "mode", or "mean" for the published estimate.
-    - `calibration`: read every response, and every detection too, with this one instead of its own.
+    - `calibration`: read all evidence with this calibration instead of its own, detections too.
     - `detector`: read every set of detections with this model instead of its own.
     - `ranges`: shells (metres) of the belief over distance, used where positions are known; None: directions only.
-    - `floor`: height (z, metres) of the floor in the odometry's world, where it is known: things stand on it, so that
-      how far below the horizon one is tells how far away it may be (`eagor.heights.height_prior`).
+    - `floor`: height (z, metres) of the floor in the odometry's world, if known. Things stand on it, so a thing's
+      elevation tells its distance (`eagor.heights.height_prior`).
     - `motion`: how targets come, go and move (`eagor.motion.MotionModel`).
-    - `drift`: radians per root second by which the odometry's heading wanders off.
-    - `history`: seconds for which poses and evidence are kept, so that late evidence finds its place.
+    - `drift`: drift of the odometry's heading, radians per root second.
+    - `history`: seconds for which poses and evidence are kept; late evidence must not be older.
     - `stale_after`: seconds without evidence after which an estimate is stale.
     """
 
@@ -64,7 +64,7 @@ class TrackerConfig:
     stale_after: float = 5.0
 
     def __post_init__(self) -> None:
-        RealHarmonics(self.degree)  # complains about what is no degree
+        RealHarmonics(self.degree)  # raises for a wrong degree
         kinds = (Calibration, DetectorModel, MotionModel)
         fields = {
             "degree": (whole(self.degree, 1, 127), "a whole number from 1 to 127"),
@@ -92,7 +92,7 @@ class TrackerConfig:
     def fitted(
         self, calibration: Calibration | None, detector: DetectorModel | None, forgetting: Mapping[str, Any]
     ) -> TrackerConfig:
-        """This with what was fitted: how looks are read (None: as here), and fields of `motion`."""
+        """This with fitted values: how looks are read (None: unchanged), and fields of `motion`."""
         return replace(
             self,
             calibration=calibration or self.calibration,
@@ -115,8 +115,8 @@ def _are_ranges(ranges: Sequence[float] | None) -> bool:
 class Mode:
     """A candidate: `direction` ``(3,)`` in the body frame, azimuth and elevation in radians.
 
-    `weight`: the probability of its basin, the directions within 20 degrees from which one climbs to it. What the
-    weights of all modes lack to 1 is elsewhere.
+    `weight`: the probability of its basin: the directions within 20 degrees whose steepest ascent leads to it. The
+    weights of all modes sum to less than 1; the rest is elsewhere.
     """
 
     direction: np.ndarray
@@ -130,18 +130,17 @@ class Mode:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """The direction ``(3,)`` that is answered, world axes, and whether an older answer is held to."""
+    """The answered direction ``(3,)``, world axes, and whether it is an older answer that is kept."""
 
     direction: np.ndarray
     held: bool = False
 
 
 def chosen(reading: Reading, before: Answer | None, repeats: float = 0.0) -> Answer | None:
-    """The answer: the heaviest mode, or the one `before` while no other holds 1 / (1 - repeats) times as much.
+    """The answer: the heaviest mode, or the one `before` unless another holds 1 / (1 - repeats) times as much.
 
-    `repeats`: share of a look's mistakes that is repeated after the time that has passed: since the look before, or
-    since the newest look where none is new. Independent looks give the heaviest mode. Where one mistake may make
-    another mode heavier for many looks on end, an answer that jumps to and fro is of no use.
+    `repeats`: share of a look's mistakes that is still repeated. With independent looks (0) the answer is the heaviest
+    mode. Otherwise one mistake can make another mode heavier for many looks, and the answer would jump back and forth.
     """
     if float(np.ptp(reading.field.values)) < FLAT and not reading.field.patches:
         return None
@@ -152,7 +151,7 @@ def chosen(reading: Reading, before: Answer | None, repeats: float = 0.0) -> Ans
         return Answer(first)
     near = reading.parts[2] @ before.direction > math.cos(NEAR)
     kept = reading.top_of(near)
-    # Where the belief still rises at the border of the cone there is no peak left to hold to.
+    # If the belief still rises at the border of the cone, there is no peak left to keep.
     return Answer(kept, True) if kept @ before.direction > math.cos(0.9 * NEAR) else Answer(first)
 
 
@@ -161,8 +160,8 @@ class Estimate:
     """The answer at one time, in the body frame of that time. All of it is read from one posterior.
 
     `stamp`: the time asked for; `age`: seconds since the newest evidence was captured (infinite before any); `cases`:
-    the posterior, in the axes of the WORLD; `world_R_body`: the pose that turns it; `answer`: what is answered, in the
-    axes of the world; `rates`: what is known of the detector, where it is learnt.
+    the posterior, in WORLD axes; `world_R_body`: the pose at that time; `answer`: in world axes; `rates`: of the
+    detector, where they are learnt.
     """
 
     stamp: float
@@ -183,12 +182,12 @@ class Estimate:
 
     @property
     def posterior(self) -> Reading:
-        """The posterior over directions, given that the target is here; axes of the world."""
+        """The posterior over directions, given that the target is present; world axes."""
         return self.cases.reading
 
     @lazy
     def direction(self) -> np.ndarray | None:
-        """Where it is ``(3,)``: the first of `modes`, or the one that is held to; None while nothing is known."""
+        """The answer ``(3,)``: the first of `modes`, or the mode that is `held`; None while nothing is known."""
         if math.isinf(self.age):
             return None
         if self.config.decode == "mean":
@@ -198,7 +197,7 @@ class Estimate:
 
     @property
     def held(self) -> bool:
-        """Whether the answer is an older one, held to although another mode is heavier now."""
+        """Whether an older answer is kept although another mode is heavier now."""
         return self.answer is not None and self.answer.held
 
     @property
@@ -221,16 +220,16 @@ class Estimate:
 
     @lazy
     def credible_angle(self) -> float:
-        """Half-angle (radians) of the cone about the answer that holds 90 % of the belief."""
+        """Half-angle (radians) of the cone that is centred on the answer and holds 90 % of the belief."""
         return self.posterior.cone(0.9, self._about)
 
     def within(self, angle: float) -> float:
-        """Probability that the target is here and within `angle` radians of the answer: how far to trust it."""
+        """Probability that the target is present and within `angle` radians of the answer."""
         return self.presence * self.posterior.within(angle, self._about)
 
     @property
     def _about(self) -> np.ndarray:
-        """The answer in the axes of the world, forward where there is none."""
+        """The answer in world axes, or forward if there is none."""
         return self.world_R_body[:, 0] if self.direction is None else self.world_R_body @ self.direction
 
     def log_density(self, directions: np.ndarray) -> np.ndarray:
@@ -251,7 +250,7 @@ class Estimate:
         x, y, _ = grid.project(directions @ self.world_R_body)
         cell = np.minimum(y.astype(np.intp), grid.height - 1) * grid.width + x.astype(np.intp) % grid.width
         weights = grid.weights.reshape(-1)
-        # Where the parts of the reading are finer than the cells, they are summed; elsewhere the values stand.
+        # Where the parts of the reading are finer than the cells, sum them; elsewhere sample.
         fine = np.bincount(cell, minlength=weights.size) >= 4
         summed = np.bincount(cell, mass, minlength=weights.size) / weights
         found = np.where(fine.reshape(grid.shape), summed.reshape(grid.shape), found)
@@ -262,43 +261,44 @@ class Estimate:
         return self.posterior.mass_above(self.world_R_body @ np.asarray(direction, dtype=np.float64))
 
     def region(self, mass: float = 0.9) -> tuple[float, float]:
-        """The smallest region that holds `mass`: the log density at its border, per steradian, and its area (sr)."""
+        """The smallest region that holds `mass`: log density (per steradian) at its border, and area (steradians)."""
         return self.posterior.region(mass)
 
     @property
     def presence(self) -> float:
-        """Probability that the target is around at all."""
+        """Probability that the target is present."""
         return self.cases.presence
 
     @property
     def moving(self) -> float | None:
-        """Probability that the target moves, if it is here; None where that is not asked."""
+        """Probability that the target moves, if it is present; None if the motion model has no motion."""
         return self.cases.moving if len(self.config.motion.kinds) else None
 
     @property
     def distance(self) -> float | None:
-        """Metres, of what stands where the answer points; None where positions are unknown."""
+        """Distance (metres) of a standing target in the direction of the answer; None without positions."""
         return None if self._range is None else self._range[0]
 
     @property
     def distance_spread(self) -> float | None:
-        """Standard deviation of the logarithm of the distance; None where positions are unknown."""
+        """Standard deviation of the logarithm of the distance; None without positions."""
         return None if self._range is None else self._range[1]
 
     @lazy
     def _range(self) -> tuple[float, float] | None:
-        """Distance and its spread: both are read from the same probabilities of the ranges, which take their time."""
+        """Distance and its spread, from one (slow) computation of the range probabilities."""
         return None if math.isinf(self.age) else self.cases.standing.distance(self._about)
 
     @lazy
     def status(self) -> Status:
-        """Whether there is an answer, by probabilities that can be checked.
+        """How good the answer is.
 
-        - "searching": the target is more likely not here, or too little is known of where it is;
-        - "tracking": it is here and within 15 degrees of the answer with a probability of at least 0.5, and no other
+        - "searching": the target is probably absent, or its direction is too uncertain;
+        - "tracking": with a probability of at least 0.5 it is present and within 15 degrees of the answer, and no other
           mode holds a fifth of the belief;
-        - "ambiguous": it is more likely here, and several modes hold a fifth or more each, or half of it together;
-        - "stale": there was an answer, and no evidence for longer than `TrackerConfig.stale_after`.
+        - "ambiguous": it is probably present, and several modes hold a fifth or more each, or half of the belief
+          together;
+        - "stale": there was an answer, but no evidence for longer than `TrackerConfig.stale_after`.
         """
         if self.direction is None:
             return "searching"

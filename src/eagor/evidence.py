@@ -1,13 +1,12 @@
 """Evidence: what one look at the world says about each direction, as a log-likelihood ratio.
 
-A perception answers with a response l in [0, 1] on a grid. The evidence is the log-likelihood ratio that its
-`eagor.calibration` makes of it: positive where the target is likelier than not, negative (and bounded) where we looked
-and saw nothing, and exactly zero where we did not look. The logarithm is taken on the grid that the response came on;
-the coefficients integrate each cell over its solid angle. (Upsampling first and taking the logarithm later turns the
-skirts of isolated cells into large areas of evidence.)
+A perception returns a response l in [0, 1] on a grid. `eagor.calibration` turns it into a log-likelihood ratio:
+positive where the response speaks for the target, negative (and bounded) where we looked and saw nothing, exactly zero
+where we did not look. The logarithm is taken on the response's own grid, and the coefficients integrate each cell over
+its solid angle. (Upsampling before the logarithm would turn the skirts of isolated cells into large areas of evidence.)
 
-Where `Calibration.spread` says by how far a response may be off, its likelihood ratios are averaged over that angle
-before they are cut at a degree (`eagor.averaging`): else a small thing all but vanishes there.
+With a `Calibration.spread`, the likelihood ratios are averaged over that angle before truncation (`eagor.averaging`);
+otherwise a small thing would nearly vanish.
 """
 
 from __future__ import annotations
@@ -34,10 +33,10 @@ from eagor.sphere import unit
 
 __all__ = ["Evidence"]
 
-SILENT = 1e-6  # a response below this is the rounding of zero, and must not be scaled up to a detection
-LATEST = 1e12  # seconds from zero: beyond, a clock counts parts of a second
-_LEAST_PEAK = 1e-30  # a maximum below this cannot be divided by in float32
-_BLOCK = 1 << 16  # values at a time: adding, checking and taking the logarithm stay in the cache
+SILENT = 1e-6  # a smaller response is rounded zero, and must not be scaled up to a detection
+LATEST = 1e12  # seconds: a larger stamp counts milliseconds or less
+_LEAST_PEAK = 1e-30  # dividing by a smaller maximum overflows float32
+_BLOCK = 1 << 16  # values at a time, so that they stay in the cache
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -45,12 +44,11 @@ class Evidence:
     """One look: log-likelihood ratios ``(..., H, W)`` on a grid, when it was taken, and what it covered.
 
     Make it with `from_response`, `from_boxes`, `from_mask` or `from_points`. `stamp` is the time of CAPTURE in seconds
-    (None where time plays no role). `source` tells what produced it, where a perception says so (model, revision,
-    resolved pixels, token counts, milliseconds, ...; plain values for people and reports, not read by anything here).
-    Values are never changed after construction.
+    (None where time plays no role). `source`: what produced it (model, revision, token counts, milliseconds, ...),
+    plain values for people and reports; nothing here reads them. Evidence is immutable.
     """
 
-    drawn: Array | None = field(repr=False)  # None: the set of detections is drawn when it is asked for
+    drawn: Array | None = field(repr=False)  # None: the detections are drawn on demand
     grid: Grid
     calibration: Calibration
     stamp: float | None = None
@@ -58,7 +56,7 @@ class Evidence:
     peak: float = 1.0  # what the response was divided by (scale_to_max)
     source: Mapping[str, object] | None = None
     coverage: np.ndarray | None = field(default=None, repr=False)  # (H, W) in [0, 1]; None: the whole grid
-    detections: Detections | None = None  # the set, where the evidence is that of a `DetectorModel`
+    detections: Detections | None = None  # the detections, if a `DetectorModel` reads the evidence
 
     def __repr__(self) -> str:
         rows, columns = self.grid.shape
@@ -108,10 +106,9 @@ class Evidence:
     ) -> Evidence:
         """Evidence from a response ``(..., H, W)`` in [0, 1] on `grid`.
 
-        `coverage` ``(H, W)`` in [0, 1] (or bool) tells how far each cell was really looked at; by default the whole
-        grid was. Where it is 0 the response may be anything, NaN too: it is not looked at. `source` tells what produced
-        the response. Raises `ResponseError` on another shape, an empty array, NaN, or values outside [0, 1]. An
-        all-zero response is good input: we looked and saw nothing.
+        `coverage` ``(H, W)`` in [0, 1] (or bool) is how far each cell was looked at; default: fully. Where it is 0 the
+        response is ignored and may be NaN. `source` tells what produced the response. Raises `ResponseError` on another
+        shape, an empty array, NaN, or values outside [0, 1]. An all-zero response is valid: we looked and saw nothing.
         """
         calibration = calibration or _DEFAULT
         response = _checked_shape(response, grid)
@@ -147,12 +144,12 @@ class Evidence:
         Each mask is a detection: its mean direction, as wide as the mask and as `detector` spreads it (default:
         `DetectorModel()`). `scores` ``(n,)`` in [0, 1].
 
-        With a `calibration` the masks are read as a response map instead: where they overlap the best score counts, and
-        a mask that is smaller than a box's bump is widened to it (`min_spread`, radians; 0: every mask as it is).
+        With a `calibration` the masks are read as a response map instead: where they overlap, the best score counts,
+        and small masks are widened to a bump of `min_spread` radians (0: not widened).
         """
         masks = np.asarray(to_numpy(masks))
         if masks.dtype.kind == "f" and not np.isin(masks, (0, 1)).all():
-            raise ResponseError("a mask says yes or no, and this one has values between; wanted bool, or a threshold")
+            raise ResponseError("a mask has values other than 0 and 1; wanted bool: apply a threshold first")
         masks = masks.astype(bool)
         masks = masks[None] if masks.ndim == 2 else masks
         if masks.ndim != 3 or masks.shape[1:] != tuple(grid.shape):
@@ -181,11 +178,11 @@ class Evidence:
         """Evidence from detections, boxes ``(n, 4)`` x0, y0, x1, y1 in the pixels of the image that `grid` describes.
 
         Coordinates are continuous: pixel j spans [j, j + 1]. On an equirectangular image a box with x0 > x1, or one
-        that runs past the border, crosses the seam. `scores` ``(n,)`` in [0, 1], default 1. No boxes at all is good
+        that runs past the border, crosses the seam. `scores` ``(n,)`` in [0, 1], default 1. No boxes at all is valid
         input.
 
-        A detector means the middle of its box: each box is a detection in the mean direction of its solid angle, with
-        that solid angle's second moments, spread as `detector` says (default: `DetectorModel()`).
+        Each box is a detection in the mean direction of its solid angle, with that solid angle's second moments,
+        widened by the spread of `detector` (default: `DetectorModel()`).
 
         With a `calibration` the boxes are read as a response map instead: smooth bumps with these moments, widened by
         `min_spread` (radians). The values are drawn on a grid of their own: cells of 2 degrees for a panorama, a coarse
@@ -218,12 +215,11 @@ class Evidence:
         """Evidence from points: directions ``(n, 3)``, each a detection spread as `detector` says.
 
         `detector`: how the detector errs (default: `DetectorModel()`). `concentration` (von Mises-Fisher, scalar or
-        ``(n,)``, > 0): of points that know better than the model how far off they may be; a spread of s radians is a
-        concentration of 1 / s^2. `grid` tells what was looked at (default: everything). ``n = 0`` means looked and saw
-        nothing.
+        ``(n,)``, > 0): replaces the model's spread; a spread of s radians is a concentration of 1 / s^2. `grid` tells
+        what was looked at (default: everything). ``n = 0`` means looked and saw nothing.
 
-        With a `calibration` the points are read as a response map instead, the highest of
-        ``score * exp(concentration * (cos(angle) - 1))``.
+        With a `calibration` the points are read as a response map instead, the highest of ``score * exp(concentration *
+        (cos(angle) - 1))``.
         """
         points = _rows(directions, 3, "directions")
         points = unit(points) if len(points) else points
@@ -247,13 +243,13 @@ class Evidence:
     def coefficients(self, degree: int) -> Array:
         """The evidence in spherical harmonics ``(..., (degree + 1)^2)``, body frame at the time of capture.
 
-        Of a set of detections, none is taken to be narrower than a field of this degree can hold.
+        Detections are widened to what a field of this degree can hold.
         """
         basis, grid = RealHarmonics(degree), self.grid
         if self.detections is not None:
             return self.detections.coefficients(degree)
         values = self.log_ratio
-        # What is planned for a view belongs to its lens: look ahead, and turn at the end.
+        # Plans are cached per lens: compute for the view that looks forward, and rotate at the end.
         turn = np.asarray(grid.body_R_view) if isinstance(grid, PerspectiveGrid | FisheyeGrid) else None
         if turn is not None:
             grid = replace(grid, body_R_view=np.eye(3))
@@ -271,7 +267,7 @@ class Evidence:
     def response(self) -> Array:
         """The response ``(..., H, W)`` in [0, 1] that this evidence was made from (before any scaling), to rounding.
 
-        Where nothing was covered it is the neutral one.
+        Where nothing was covered it is `Calibration.neutral`.
         """
         if self.detections is not None:
             return self.detections.response(self.grid.directions)
@@ -293,7 +289,7 @@ class Evidence:
         )
 
     def with_detector(self, model: DetectorModel) -> Evidence:
-        """The same set of detections, read with another model. A response map is no such set, and stays as it is."""
+        """The same detections, read with another model. A response map is returned unchanged."""
         if self.detections is None or model == self.detections.model:
             return self
         found = Evidence.from_detections(self.detections.read(model), self.grid, self.stamp)
@@ -301,7 +297,7 @@ class Evidence:
 
     @property
     def repeats(self) -> float:
-        """The share of this look that the next one repeats, if it follows at once."""
+        """The share of this look that an immediate next look repeats."""
         return self.calibration.persistence if self.detections is None else self.detections.model.repeats
 
     @property
@@ -315,9 +311,9 @@ class Evidence:
 
     @property
     def bias(self) -> float:
-        """Radians: the part of the spread of this look that the next one repeats: only time or distance mends it.
+        """The part of this look's angular error (radians) that the next look repeats.
 
-        Of a spread with variance s^2 the share `repeats` is the same for all looks until it fades (`repeating`).
+        Of the variance of the spread, the share `repeats` is common to all looks until it fades (`repeating`).
         """
         spread = self.calibration.spread if self.detections is None else self.detections.model.spread
         return spread * math.sqrt(self.repeats)
@@ -342,7 +338,7 @@ def _detected(
 
 
 def _checked_shape(response: Array, grid: Grid) -> Array:
-    """`response` as a floating array that fits `grid`."""
+    """`response` as a floating array, once its shape fits `grid`."""
     if not hasattr(response, "shape"):
         response = np.asarray(response)
     if tuple(response.shape[-2:]) != tuple(grid.shape) or 0 in tuple(response.shape):
@@ -381,8 +377,8 @@ def _where_covered(response: Array, mask: np.ndarray) -> Array:
 def _log_ratio(response: Array, calibration: Calibration, peak: float) -> Array:
     """The checked log ratio of ``response / peak``.
 
-    On NumPy block by block, so that checking costs next to nothing beside the logarithm, and with the division in the
-    gain: the page faults of a second full map cost more than all else.
+    NumPy arrays are processed in blocks, and the division is folded into the gain: a second full map would cost more
+    than all the rest.
     """
     offset = calibration.floor / (calibration.neutral + calibration.floor)
     gain = 1 / (calibration.neutral + calibration.floor) / peak
@@ -392,8 +388,8 @@ def _log_ratio(response: Array, calibration: Calibration, peak: float) -> Array:
             raise ResponseError(_what_is_wrong(to_numpy(response)))
         return calibration.temperature * xp.log(response * gain + offset)
     flat = np.ascontiguousarray(response).reshape(-1)
-    # As unsigned integers the floats in [0, 1] are the smallest of all: negative numbers have the sign bit set, NaN and
-    # infinity the largest exponents. One maximum checks range and finiteness at once.
+    # Read as unsigned integers, floats in [0, 1] are the smallest: negative numbers have the sign bit set, NaN and
+    # infinity the largest exponents. So one maximum checks range and finiteness.
     bits = flat.view(np.uint32 if flat.dtype.char == "f" else np.uint64)
     one = 0x3F800000 if flat.dtype.char == "f" else 0x3FF0000000000000
     out = np.empty_like(flat)
@@ -411,7 +407,7 @@ def _log_ratio(response: Array, calibration: Calibration, peak: float) -> Array:
 
 
 def _fail_unless_valid(response: np.ndarray) -> None:
-    """The slow, exact check behind the fast one, which also stops at -0.0."""
+    """The slow, exact check after the fast one, which also rejects -0.0."""
     if not (response.min() >= 0 and response.max() <= 1):
         raise ResponseError(_what_is_wrong(response))
 
@@ -441,14 +437,14 @@ def checked_stamp(stamp: float) -> float:
     stamp = float(stamp)
     if not abs(stamp) <= LATEST:
         raise TimeError(
-            f"stamp = {stamp!r}; wanted the time (of evidence: of its capture) in seconds, not in parts of one, a "
+            f"stamp = {stamp!r}; wanted the time (of evidence: of its capture) in seconds, not milliseconds or less: a "
             f"finite number of at most {LATEST:g}"
         )
     return stamp
 
 
 def _rows(values: Array, columns: int, name: str) -> np.ndarray:
-    """A table ``(n, columns)``, also from one row and from nothing."""
+    """`values` as a table ``(n, columns)``; one row and an empty list are tables too."""
     table = np.asarray(to_numpy(values), dtype=np.float64)
     if table.size == 0:
         return np.zeros((0, columns))

@@ -1,4 +1,4 @@
-"""A field on the sphere that is fine where it has to be: a grid of the whole sphere, and patches about its peaks."""
+"""A field on the sphere: a coarse grid of the whole sphere, and fine patches about its peaks."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ import numpy as np
 from eagor._lazy import lazy
 from eagor.grids import ErpGrid, ErpWindow
 
-MARGIN = 4  # cells beyond the border of the grid that interpolation needs
-EVEN = 1e-3  # a bend that is none
+MARGIN = 4  # cells of padding that interpolation needs
+EVEN = 1e-3  # a smaller bend counts as 0
 
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Values ``(..., n, n)`` on the plane that touches the sphere in the direction ``frame[0]`` (gnomonic projection).
+    """Values ``(..., n, n)`` on the tangent plane at the direction ``frame[0]`` (gnomonic projection).
 
-    `frame` ``(3, 3)``: that direction and the axes u, v of the plane, as rows. `half` ``(2,)``: how far the nodes reach
-    to both sides, in units of the plane (tangents of angles). `bend` b ``(2,)``: along each axis the node at t in
-    [-1, 1], evenly spaced, lies at sinh(b t) / sinh(b) of that: dense in the middle, far apart at the borders.
+    `frame` ``(3, 3)``: that direction and the axes u, v of the plane, as rows. `half` ``(2,)``: half widths, in units
+    of the plane (tangents of angles). `bend` b ``(2,)``: along each axis the node at t in [-1, 1], evenly spaced, lies
+    at sinh(b t) / sinh(b) of that: dense in the middle, far apart at the borders.
     """
 
     frame: np.ndarray
@@ -31,7 +31,7 @@ class Nodes:
     bend: np.ndarray = field(default_factory=lambda: np.full(2, EVEN))
 
     def like(self, values: np.ndarray) -> Self:
-        """The same nodes with other values; what is known of the nodes is kept."""
+        """The same nodes with other values; cached geometry is kept."""
         found = replace(self, values=values)
         for name in ("directions", "weights"):
             if name in self.__dict__:
@@ -50,13 +50,13 @@ class Nodes:
 
     @property
     def spacing(self) -> np.ndarray:
-        """How far apart the nodes in the middle are ``(2,)``, in units of the plane."""
+        """Spacing ``(2,)`` of the nodes in the middle, in units of the plane."""
         return 2 / (self.values.shape[-1] - 1) * self.half * self.bend / np.sinh(self.bend)
 
     def located(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The t ``(2, ...)`` of directions ``(..., 3)`` of any length, and the lengths ``(...)`` along the middle.
+        """The t ``(2, ...)`` of directions ``(..., 3)`` of any length, and their components ``(...)`` along the middle.
 
-        Where the latter is not above 0 the t have no meaning.
+        Where a component is not above 0, the t are meaningless.
         """
         local = (self.frame @ directions.reshape(-1, 3).T).reshape(3, *directions.shape[:-1])
         across = local[1:] / np.maximum(local[0], 1e-6)
@@ -91,7 +91,7 @@ class Patch(Nodes):
         return 1 / math.sqrt(1 + float(self.half @ self.half)) - 1e-12
 
 
-@lru_cache(maxsize=64)  # as many as a belief has patches, and some more: each is asked for again after every look
+@lru_cache(maxsize=64)  # more than a belief has patches: each is used again after every look
 def _cells(grid: ErpGrid, frame: bytes, half: bytes, bend: bytes) -> np.ndarray:
     patch = Patch(np.frombuffer(frame).reshape(3, 3), np.frombuffer(half), np.zeros((1, 1)), np.frombuffer(bend))
     directions = grid.directions.reshape(-1, 3)
@@ -100,7 +100,7 @@ def _cells(grid: ErpGrid, frame: bytes, half: bytes, bend: bytes) -> np.ndarray:
 
 
 def bent(at: np.ndarray, half: np.ndarray, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the nodes at t = `at` ``(n,)`` lie on the plane, along each axis ``(2, n)``, and how fast they go by t."""
+    """Coordinates ``(2, n)`` on the plane of nodes at t = `at` ``(n,)``, and their derivatives by t."""
     scale, steps = (half / np.sinh(bend))[:, None], bend[:, None] * at
     return scale * np.sinh(steps), scale * bend[:, None] * np.cosh(steps)
 
@@ -108,7 +108,7 @@ def bent(at: np.ndarray, half: np.ndarray, bend: np.ndarray) -> tuple[np.ndarray
 def blurred(patch: Patch, sigma: float, reach: float) -> Patch:
     """The density exp(values) convolved with a Gaussian of `sigma` radians, on a patch that has room for it.
 
-    `reach`: standard deviations from the middle of a patch to its border. The plane is taken as flat: sigma is small.
+    `reach`: standard deviations from the middle of a patch to its border. The plane is treated as flat: sigma is small.
     """
     half = np.hypot(patch.half, reach * math.tan(sigma))
     at = np.linspace(-1, 1, len(patch.values))
@@ -137,7 +137,7 @@ def plane_weights(count: int, half: np.ndarray, bend: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class SphereField:
-    """`values` ``(H, W)`` on a `grid` of the whole sphere; where a patch lies, its values hold instead."""
+    """`values` ``(H, W)`` on a `grid` of the whole sphere; patches replace the values where they lie."""
 
     grid: ErpGrid
     values: np.ndarray
@@ -186,7 +186,7 @@ class SphereField:
 
     @lazy
     def outside(self) -> np.ndarray:
-        """Which cells ``(H, W)`` of the grid lie in no patch."""
+        """Mask ``(H, W)`` of the cells outside of all patches."""
         free = np.ones(self.grid.shape, dtype=bool)
         for patch in self.patches:
             free.reshape(-1)[patch.cells(self.grid)] = False
@@ -194,7 +194,7 @@ class SphereField:
 
     @lazy
     def _free(self) -> np.ndarray:
-        """The flat indices ``(m,)`` of the cells in no patch."""
+        """The flat indices ``(m,)`` of the cells outside of all patches."""
         return np.flatnonzero(self.outside)
 
     @lazy
@@ -246,6 +246,6 @@ def _padded(grid: ErpGrid) -> np.ndarray:
     """The flat index of each cell ``(H + 2 MARGIN, W + 2 MARGIN)`` of a grid that goes on across the seam and poles."""
     height, width = grid.shape
     rows, columns = np.arange(-MARGIN, height + MARGIN)[:, None], np.arange(-MARGIN, width + MARGIN)
-    over = (rows < 0) | (rows >= height)  # there the meridian on the other side goes on
+    over = (rows < 0) | (rows >= height)  # beyond a pole: the opposite meridian
     rows = np.where(rows < 0, -1 - rows, np.where(rows >= height, 2 * height - 1 - rows, rows))
     return rows * width + (columns + over * (width // 2)) % width

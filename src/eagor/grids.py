@@ -1,13 +1,13 @@
 """Grids: which direction each cell of an image looks in, and how much of the sphere it covers.
 
-A grid knows nothing of values. All of them share the same face:
+A grid holds no values. All grids have the same interface:
 
 - ``shape`` (rows, columns); ``directions`` (H, W, 3), unit vectors in the body frame; ``weights`` (H, W), steradians;
 - ``unproject(x, y)``: directions at continuous pixel coordinates (pixel j spans [j, j + 1], x right, y down);
 - ``project(directions)``: the inverse, with a mask of what is inside;
 - ``density(x, y)``: steradians per square pixel;
-- ``depth_inside()``: how far (radians) each cell lies from the nearest direction that the grid does not see,
-  None where it sees the whole sphere.
+- ``depth_inside()``: angle (radians) from each cell to the nearest direction outside of the grid, None if it covers the
+  whole sphere.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ __all__ = [
 def fejer_weights(count: int) -> np.ndarray:
     """Fejer's first rule on `count` pixel-centre latitudes, for integrals over sin(latitude); they sum to 2.
 
-    Exact for polynomials in sin(latitude) up to degree count - 1, where the familiar cos(latitude) is not
-    (L. Fejer 1933; Waldvogel, BIT 46, 2006).
+    Exact for polynomials in sin(latitude) up to degree count - 1, unlike weights of cos(latitude) (L. Fejer 1933;
+    Waldvogel, BIT 46, 2006).
     """
     angle = (np.arange(count) + 0.5) * (math.pi / count)
     k = np.arange(1, count // 2 + 1)
@@ -93,7 +93,7 @@ class _Equirectangular:
         return cosine * (2 * math.pi**2 / (self.width * self.height)) + 0.0 * np.asarray(x)
 
     def depth_inside(self) -> None:
-        """None: nothing is unseen."""
+        """None: the grid covers the whole sphere."""
         return None
 
 
@@ -101,8 +101,8 @@ class _Equirectangular:
 class ErpGrid(_Equirectangular):
     """The pixels of an equirectangular image, taken as samples at their centres.
 
-    `weights` are Fejer's, so that analysis is exact for fields band-limited below the number of rows. The
-    image need not be 2:1; longitude and latitude are mapped apart.
+    `weights` are Fejer's, so that analysis is exact for fields band-limited below the number of rows. The image need
+    not be 2:1: longitude and latitude are scaled separately.
     """
 
     height: int
@@ -142,7 +142,7 @@ class PatchGrid(_Equirectangular):
 
 @dataclass(frozen=True)
 class ErpWindow:
-    """A rectangular part of an `ErpGrid`: `rows` from `top` down, `cols` from `left` on, around the seam if need be."""
+    """A rectangular part of an `ErpGrid`: `rows` from `top` down, `cols` from `left` on; it may cross the seam."""
 
     whole: ErpGrid
     top: int
@@ -344,7 +344,7 @@ Lens = tuple[str, int, int, float]
 
 
 def lens_of(grid: PerspectiveGrid | FisheyeGrid) -> Lens:
-    """What is left of a view once its pose is forgotten: hashable, so that plans can be kept per lens."""
+    """A view without its pose: hashable, so that plans can be cached per lens."""
     if isinstance(grid, PerspectiveGrid):
         return "perspective", grid.height, grid.width, grid.hfov
     return "fisheye", grid.size, grid.size, grid.fov
@@ -363,12 +363,12 @@ def _check_size(height: int, width: int) -> None:
 
 
 def _pose(matrix: np.ndarray) -> np.ndarray:
-    """A private, read-only copy of `matrix`, once it is certain to be a rotation."""
+    """A read-only copy of `matrix`, checked to be a rotation."""
     return _frozen(np.array(check_rotation(np.asarray(matrix, dtype=np.float64), "body_R_view")))
 
 
 def _frozen(array: np.ndarray) -> np.ndarray:
-    """`array`, read-only: grids hand out what they keep."""
+    """`array`, made read-only: grids return their cached arrays."""
     array = np.asarray(array)
     array.setflags(write=False)
     return array

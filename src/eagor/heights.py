@@ -1,4 +1,4 @@
-"""Things stand on floors: what the height of the camera says of direction and range, without looking."""
+"""A prior from floors: things stand on them, so the camera's height relates direction and range."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from eagor.harmonics import RealHarmonics
 from eagor.peaks import decoding_grid
 from eagor.ranged import RangedBelief, log_shares
 
-# Heights of the middles of things above the floor, metres: furniture lies about half a metre high, what hangs on walls
-# or stands on furniture at up to two.
+# Heights (metres) of the middles of things above the floor: furniture about half a metre, things on walls or on
+# furniture up to two.
 MIDDLE, SPREAD = 0.7, 0.5
-ODD = 0.02  # share of things of which no height is expected
+ODD = 0.02  # share of things at any height
 
 
 def height_prior(
     degree: int, ranges: np.ndarray, camera: float, middle: float = MIDDLE, spread: float = SPREAD
 ) -> np.ndarray:
-    """What it means that things stand on a floor: a prior ``(K, (degree + 1)^2)`` for `RangedBelief`, z up.
+    """The prior that things stand on a floor: ``(K, (degree + 1)^2)`` for `RangedBelief`, z up.
 
-    A thing at range r and elevation e has its middle at the height `camera` + r sin(e) above the floor (metres). Such
-    heights are taken to be normally distributed about `middle`, or with probability `ODD` to be anything. It is a log
-    ratio against every direction and log range alike, whose mean likelihood is 1.
+    A thing at range r and elevation e is at the height `camera` + r sin(e) above the floor (metres). Heights are
+    normally distributed about `middle`, or with probability `ODD` uniform. The prior is a log ratio against a uniform
+    one in direction and log range; its mean likelihood is 1.
     """
     grid, ranges = decoding_grid(degree), np.asarray(ranges, dtype=np.float64)
     likely = likely_height(camera + ranges[:, None, None] * grid.directions[..., 2], middle, spread)
@@ -34,7 +34,7 @@ def height_prior(
 
 
 def likely_height(height: np.ndarray, middle: float = MIDDLE, spread: float = SPREAD) -> np.ndarray:
-    """How likely things are at these heights (metres above the floor), over the likeliest."""
+    """Density of things at these heights (metres above the floor), over its maximum."""
     return ODD + (1 - ODD) * np.exp(-0.5 * ((height - middle) / spread) ** 2)
 
 
@@ -47,14 +47,14 @@ def height_level(degree: int, ranges: tuple[float, ...], camera: float) -> float
 
 
 def with_heights(belief: RangedBelief, camera: float | None) -> RangedBelief:
-    """The same belief with the prior of a camera at this height (metres above the floor; None: not known)."""
+    """The same belief with the prior of a camera at this height (metres above the floor; None: unknown)."""
     if camera is None:
         return belief if belief.prior is None else replace(belief, prior=None)
     return replace(belief, prior=_prior(belief.degree, tuple(belief.ranges.tolist()), camera))
 
 
 def log_heights(belief: RangedBelief, camera: float, rise: np.ndarray) -> np.ndarray:
-    """That prior ``(...)`` at points so many metres above the camera, uncut by a degree."""
+    """The prior ``(...)`` at points `rise` metres above the camera, not truncated."""
     level = height_level(belief.degree, tuple(belief.ranges.tolist()), camera)
     return np.log(likely_height(camera + rise)) - level
 

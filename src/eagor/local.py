@@ -1,10 +1,10 @@
-"""A window that follows one peak: direction and distance on a small grid that moves, turns and narrows with the belief.
+"""A window about one peak: a small grid over direction and distance that moves and narrows with the belief.
 
-The field over the whole sphere is cut at a degree, and its shells are as far apart as a search allows. A peak soon gets
-narrower than both. So around each peak the log-likelihood is kept on a grid of its own, as fine as the peak asks for (a
-point-mass filter with a moving grid; Bucy and Senne, Automatica 7, 1971; Simandl, Kralovec and Soederstroem, Automatica
-42, 2006). Nodes are rays of a plane that touches the sphere, times ranges that are even in the logarithm; the
-logarithm of a likelihood is smooth there, and a cubic spline carries it from one grid to the next.
+The field over the whole sphere has a limited degree, and its shells of range lie far apart. A peak soon gets narrower
+than both. So the log-likelihood about each peak is kept on its own, finer grid: a point-mass filter with a moving grid
+(Bucy and Senne, Automatica 7, 1971; Simandl, Kralovec and Soederstroem, Automatica 42, 2006). Nodes are points of a
+tangent plane times ranges, evenly spaced in the logarithm. The log-likelihood is smooth there; cubic splines carry it
+from one grid to the next.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from eagor.sphere import cross
 from eagor.splines import interpolated
 
 NODES = 11  # along each side
-RANGES = 12  # of the window, where distances are believed in
+RANGES = 12  # nodes along the range, where positions are known
 REACH = 5.0  # standard deviations from the middle to a border,
-WIDEST = math.radians(25)  # ... but no further: even nodes would be further apart than the cells of the whole field
-SKIRTS = 3.3  # standard deviations of the narrowest bump that a degree holds: where the skirts of one end
-FURTHEST = math.radians(45)  # that a plane is made to reach
-_BENDS = np.linspace(EVEN, 5.0, 500)  # with more of a bend, sums over the nodes are off by some percent
-_RATIOS = np.sinh(_BENDS) / _BENDS  # how much nearer to each other the nodes in the middle are than even ones
-DEEP = 4.5  # nats below the peak: what lies above, and hangs together with it, is the peak
-FAINT = 10.0  # nats below the likeliest range: what lies below is left out
-SLACK = 1.25  # a window that is larger than wanted by this factor is drawn anew
+WIDEST = math.radians(25)  # ... but no more: even nodes would then be coarser than the cells of the whole field
+SKIRTS = 3.3  # standard deviations of the narrowest bump of a degree, at which its skirts end
+FURTHEST = math.radians(45)  # largest half width of a plane
+_BENDS = np.linspace(EVEN, 5.0, 500)  # with a larger bend, sums over the nodes are wrong by some percent
+_RATIOS = np.sinh(_BENDS) / _BENDS  # how much denser the nodes in the middle are than even ones
+DEEP = 4.5  # nats below the peak: the connected nodes above this are the peak
+FAINT = 10.0  # nats below the likeliest range: lower ranges are left out
+SLACK = 1.25  # a window too large by this factor is redrawn
 
 
 @dataclass(frozen=True, eq=False)
 class Window(Nodes):
-    """Log-likelihood ratios ``(S, K, n, n)`` about one peak, in axes that do not turn, about the place of the body.
+    """Log-likelihood ratios ``(S, K, n, n)`` about one peak, world axes, origin at the body.
 
-    In the middle the nodes are about a standard deviation apart, towards the border ever further. For each scale of the
-    detector's spread that is reckoned with (`eagor.detector.Spread`) they are kept by themselves, with the logarithm of
-    its weight in them: place and spread are believed in jointly.
+    The nodes are about a standard deviation apart in the middle, and further towards the border. There is one set of
+    values for each scale of the detector's spread (`eagor.detector.Spread`), which includes the logarithm of its
+    weight: a joint belief over place and spread.
 
     `frame`, `half`, `bend`: as for `eagor.field.Nodes`. `logs` ``(K,)``: logarithms of the ranges, evenly spaced; None
-    where only directions are believed in (K = 1). `limits`: the least and the greatest logarithm of a range there is.
-    `border`: no border is nearer to the middle, in units of the plane.
+    without ranges (K = 1). `limits`: least and greatest logarithm of a range. `border`: least half width, in units of
+    the plane.
     """
 
     logs: np.ndarray | None = None
@@ -74,7 +74,7 @@ class Window(Nodes):
         return self.like(self.values + log_ratios)
 
     def marginal(self, prior: np.ndarray | None = None) -> np.ndarray:
-        """log of the mean likelihood over the ranges ``(n, n)``; `prior` ``(K, n, n)``: log ratios to count besides."""
+        """log of the mean likelihood over the ranges ``(n, n)``; `prior` ``(K, n, n)``: log ratios to add."""
         return _summed(self.by_scale(prior))
 
     def by_scale(self, prior: np.ndarray | None = None) -> np.ndarray:
@@ -87,7 +87,7 @@ class Window(Nodes):
 
     @lazy
     def by_range(self) -> np.ndarray:
-        """Whatever the scale: ``(K, n, n)``."""
+        """Summed over the scales: ``(K, n, n)``."""
         return _summed(self.values)
 
     def patch(self, prior: np.ndarray | None = None) -> Patch:
@@ -97,12 +97,12 @@ class Window(Nodes):
         return found
 
     def finest(self, directions: np.ndarray) -> np.ndarray:
-        """Radians ``(n,)``: how far apart its nodes are at directions ``(n, 3)``: no narrower detection is held."""
+        """Spacing of the nodes (radians, ``(n,)``) at directions ``(n, 3)``: narrower detections are widened to it."""
         at = np.clip(self.located(directions)[0], -1, 1)
         return 2 / (NODES - 1) * bent(at, self.half, self.bend)[1].min(axis=0)
 
     def holds(self, centre: np.ndarray, width: float) -> bool:
-        """Whether a detection of this `width` (radians) at `centre` ``(3,)`` lies on nodes that are near enough."""
+        """Whether the nodes are dense enough for a detection of this `width` (radians) at `centre` ``(3,)``."""
         return bool(self.places(centre)[1]) and float(self.finest(centre[None])[0]) <= SLACK * width
 
     def points(self) -> np.ndarray:
@@ -116,17 +116,16 @@ class Window(Nodes):
         return min(row, column) < 2 or max(row, column) > values.shape[0] - 3
 
     def moved(self, step: np.ndarray, prior: np.ndarray | None, border: float) -> tuple[Window, np.ndarray | None]:
-        """After the body has moved by `step` ``(3,)`` metres, in the axes of the window.
+        """After the body has moved by `step` ``(3,)`` metres, in the axes of the window; at least `border` wide.
 
-        With the nodes ``(K, n, n)`` that lie where the window did not reach: what is there is not known to it. From now
-        on it reaches to `border` at least.
+        Also returns the mask ``(K, n, n)`` of the nodes outside of the old window, whose values are unknown.
         """
         if self.logs is None:
             return self, None
         return self.drawn(self._wanted(prior, step, border), step)
 
     def focused(self, prior: np.ndarray | None, border: float) -> tuple[Window, np.ndarray | None]:
-        """As fine as the peak is now, or itself where it is already; the nodes beyond and `border` as for `moved`."""
+        """Refined to the width of the peak (or unchanged if it fits); mask and `border` as for `moved`."""
         wanted = self._wanted(prior, None, border)
         fits = (
             wanted.border <= self.border
@@ -142,7 +141,7 @@ class Window(Nodes):
         return self.logs is None or logs is None or (logs[-1] - logs[0]) * SLACK >= self.logs[-1] - self.logs[0]
 
     def _wanted(self, prior: np.ndarray | None, step: np.ndarray | None, border: float) -> Window:
-        """The window, without values, that fits the peak after a `step`, and reaches to `border` at least."""
+        """The window, without values, that fits the peak after a `step`; at least `border` wide."""
         values = self.by_range if prior is None else self.by_range + prior
         mass = np.exp(values - values.max())
         mean = np.tensordot(self.shares, mass, axes=1)
@@ -185,7 +184,7 @@ class Window(Nodes):
         return Window(frame, half, np.zeros((1, 1, NODES, NODES)), bend, logs, self.limits, border)
 
     def drawn(self, new: Window, step: np.ndarray | None = None) -> tuple[Window, np.ndarray | None]:
-        """The same field on the nodes of another window, and which of these lie beyond the own ones."""
+        """The field on the nodes of another window, and the mask of those outside of this one."""
         logs = new.logs
         points, depth = new.directions, np.zeros(0)
         if logs is not None:
@@ -203,19 +202,19 @@ class Window(Nodes):
         return new.like(values), beyond if beyond.any() else None
 
     def _places(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Indices ``(2, ...)`` of points ``(..., 3)``, held at the borders, and which lie beyond them."""
+        """Indices ``(2, ...)`` of points ``(..., 3)``, clipped at the borders, and which lie beyond them."""
         found, ahead = self.located(points)
         beyond = (np.abs(found).max(axis=0) > 1.001) | (ahead <= 0)
         return (np.clip(found, -1, 1) + 1) * ((NODES - 1) / 2), beyond
 
 
 def skirts(degree: int) -> float:
-    """Radians: how far from a peak a field of this degree is wider than what was seen may have been."""
+    """The distance from a peak (radians) to which a field of this degree smears it."""
     return min(SKIRTS * resolved(degree), FURTHEST)
 
 
 def with_own_peaks(windows: Sequence[Window], patches: Sequence[Patch]) -> set[int]:
-    """Which windows have a peak inside, of two with the same one the finer; `patches`: the windows over directions."""
+    """The windows with a peak inside, the finer of two with the same one; `patches`: the windows over directions."""
     found: list[int] = []
     tops: list[np.ndarray] = []
     for i in sorted(range(len(windows)), key=lambda i: float(windows[i].spacing.max())):
@@ -245,7 +244,7 @@ def _summed(values: np.ndarray) -> np.ndarray:
 
 
 def _component(values: np.ndarray) -> np.ndarray:
-    """The nodes ``(n, n)`` above `DEEP` below the highest, which hang together with it."""
+    """The nodes ``(n, n)`` connected to the highest one and at most `DEEP` below it."""
     from scipy.ndimage import label
 
     found: Any = label(values > values.max() - DEEP)

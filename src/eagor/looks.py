@@ -1,4 +1,4 @@
-"""A look as a tracker uses it: evidence of one moment, turned into the axes of the odometry's world."""
+"""A look as a tracker uses it: all evidence of one moment, in world axes."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ SIGHTINGS = 4  # of a response map
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """All evidence of one moment, in the axes of the world, before anybody says how the detector errs there.
+    """All evidence of one moment, in world axes, before the detector's rates are applied.
 
-    Views of one moment are one look, whatever their order: response maps add, detections are one set.
+    Views of one moment are one look, in any order: response maps add, detections form one set.
     """
 
     stamp: float
@@ -34,7 +34,7 @@ class Sight:
     detections: Detections | None
     mapped: np.ndarray | None  # coefficients of the response maps
     repeating: Repeating
-    bias: float  # radians: the part of the error of its directions that the next look repeats, if it follows at once
+    bias: float  # radians: the part of its angular error that an immediate next look repeats
 
     @classmethod
     def of(
@@ -57,11 +57,11 @@ class Sight:
 
     @property
     def tells(self) -> bool:
-        """Whether it says of any direction that the thing may be there: a set of no detections does not."""
+        """Whether it speaks for any direction: an empty set of detections does not."""
         return self.mapped is not None or (self.detections is not None and len(self.detections) > 0)
 
     def read(self, rates: Rates | None, spread: Spread = STATED) -> Look:
-        """The look as log ratios, for a target that stands; `rates` and `spread` of the detector, from before it."""
+        """The look as log ratios, for a standing target; `rates` and `spread` are the detector's before this look."""
         grid, basis = decoding_grid(self.degree), RealHarmonics(self.degree)
         values = np.zeros(grid.shape) if self.mapped is None else basis.synthesise(self.mapped, grid)
         given, world, by_scale = None, None, None
@@ -88,10 +88,10 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """A likelihood ratio as a sum: what holds where nothing was seen, and a Gaussian about each thing that was.
+    """A likelihood ratio as a sum: a background, and a Gaussian about each detection.
 
     `directions` ``(n, 3)``; `amplitudes` ``(n,)``: their integrals over the sphere; `covariances` ``(n, 3, 3)``.
-    `beside`: the rest. `scaled` ``(S, n, 3, 3)``: the covariances for each of several scales that are reckoned with.
+    `beside`: the background. `scaled` ``(S, n, 3, 3)``: the covariances at each scale of the spread.
     """
 
     directions: np.ndarray
@@ -101,12 +101,12 @@ class Sightings:
     scaled: np.ndarray
 
     def missed(self, where: np.ndarray) -> np.ndarray:
-        """The ratio ``(n,)`` at directions ``(n, 3)`` if none of them is the thing."""
+        """The background ``(n,)`` at directions ``(n, 3)``."""
         return self.beside.smooth(where, 1) if len(where) else np.zeros(0)
 
     @lazy
     def mean_missed(self) -> float:
-        """Its mean over the sphere."""
+        """The mean of the background over the sphere."""
         return float(np.sum(self.beside.values * self.beside.grid.weights)) / (4 * np.pi)
 
 
@@ -114,7 +114,7 @@ class Sightings:
 class Look:
     """Log ratios of a `Sight`: `values` ``(H, W)`` on the decoding grid and `coefficients` ``(size,)``, world axes.
 
-    `by_scale` ``(S, H, W)``: ratios of the detections for each scale of their `spread`, where they are asked for.
+    `by_scale` ``(S, H, W)``: ratios of the detections for each scale of their `spread`.
     """
 
     sight: Sight
@@ -127,7 +127,7 @@ class Look:
 
     @lazy
     def moving(self) -> np.ndarray:
-        """As `values`, for a target that moves."""
+        """`values` for a moving target."""
         if self.by_scale is None or len(self.by_scale) == 1:
             return self.values
         weights = np.stack([self.spread.otherwise, self.spread.weights])
@@ -136,7 +136,7 @@ class Look:
 
     @lazy
     def centres(self) -> tuple[np.ndarray, np.ndarray]:
-        """Directions ``(n, 3)`` of the detections that say most, and the larger standard deviation ``(n,)`` of each."""
+        """Directions ``(n, 3)`` of the strongest detections, and the larger standard deviation ``(n,)`` of each."""
         if self.world is None or not len(self.world):
             return np.zeros((0, 3)), np.zeros(0)
         order = np.argsort(-self.world.ratios, kind="stable")[:8]
@@ -161,7 +161,7 @@ class Look:
         return Sightings(self.world.directions, amplitudes, covariances[0], SphereField(grid, beside), covariances[1:])
 
     def _peaks(self) -> Sightings:
-        """Of the response map: where it says that the thing is there rather than not."""
+        """The peaks of the response map with positive log ratio."""
         grid = decoding_grid(self.sight.degree)
         left, flat = self.values.reshape(-1).copy(), self.values.reshape(-1)
         found: list[tuple[np.ndarray, float, float]] = []
@@ -183,9 +183,9 @@ class Look:
         return Sightings(directions, heights * 2 * np.pi * widths**2, covariances, beside, covariances[None][:0])
 
     def at(self, directions: np.ndarray, least: np.ndarray, scales: np.ndarray) -> np.ndarray:
-        """Log ratios ``(S, ...)`` at directions ``(..., 3)``, no detection narrower than `least` ``(n,)`` radians.
+        """Log ratios ``(S, ...)`` at directions ``(..., 3)``; detections are widened to `least` ``(n,)`` radians.
 
-        `scales` ``(S,)``: how many times as wide as their model says detections are taken to be.
+        `scales` ``(S,)``: factors on the detections' stated spread.
         """
         found = np.zeros((len(scales), *directions.shape[:-1]))
         if self.sight.mapped is not None:

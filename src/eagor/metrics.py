@@ -1,9 +1,9 @@
-"""How good a run was: direction errors, consistency over time, navigation success, honesty of the uncertainty.
+"""How good a run was: direction errors, consistency over time, navigation success, calibration of the uncertainty.
 
 Directions are unit vectors in the body frame (x forward, y left, z up), step k in the frame of step k. Errors are in
-degrees, because reports are; everything else is in radians and metres. A figure over no cases is None, never NaN.
+degrees, as in reports; everything else is in radians and metres. A mean over no cases is None, never NaN.
 All functions raise `DirectionError` or `RotationError` for bad vectors and matrices, `EagorError` for other input that
-is empty, not finite, or does not fit. How sure one is of a figure is the business of `eagor.statistics`.
+is empty, not finite, or does not fit. Intervals and tests are in `eagor.statistics`.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ def mae_by_segment(
     Args:
         errors: one per step, any unit.
         segments: ``(n,)`` labels, one per step; None where a step belongs to no segment.
-        names: the segments to report, in this order; by default those that occur, in order of appearance. A label
-            that is not among them raises `EagorError`: its steps would be lost in silence.
+        names: the segments to report, in this order; by default those that occur, in order of appearance. A label that
+        is not among them raises `EagorError`.
     """
     errors = finite_values(errors, "errors")
     labels = plain_labels(segments)
@@ -91,8 +91,8 @@ def seam_crossings(true_directions: ArrayLike) -> np.ndarray:
 
     `true_directions` ``(n, 3)`` are the target's, in the body frame. Step k is a crossing where the short arc from the
     bearing of step k - 1 to that of step k cuts the half-plane behind (y = 0, x < 0): y changes sign, and where it does
-    x is negative. Changing sides in front is none. Exactly behind counts as left (azimuth pi), so that a walk that
-    stops on the seam is counted once. The first step is never a crossing.
+    x is negative. Changing sides in front does not count. Exactly behind counts as left (azimuth pi), so a walk that
+    stops on the seam counts once. The first step is never a crossing.
     """
     directions = _directions(true_directions, "true_directions", "(n, 3)")
     left = directions[:, 1] >= 0
@@ -160,7 +160,7 @@ def temporal_consistency(
 
 
 def tc_rotation(estimates: ArrayLike, new_R_old: ArrayLike) -> float | None:
-    """TC (deg/step) carried by the rotation alone, our reading of the paper; None where there is only one step.
+    """TC (deg/step) with the rotation alone, our reading of the paper; None if there is only one step.
 
     `estimates` are ``(n, 3)``, `new_R_old` ``(n - 1, 3, 3)``. A perfect estimate scores above 0 while the body walks.
     """
@@ -173,7 +173,7 @@ def tc_rotation(estimates: ArrayLike, new_R_old: ArrayLike) -> float | None:
 def success(distance: ArrayLike, stopped: ArrayLike, success_distance: float) -> np.ndarray:
     """Habitat's Success: the agent called stop AND is nearer to the target than `success_distance` (metres, strict).
 
-    `distance` (metres at the end, inf where there is no way) and `stopped` have one entry per episode.
+    `distance` (metres at the end, inf without a path) and `stopped` have one entry per episode.
     """
     distance, stopped = _lengths(distance, "distance", endless=True), outcomes(np.atleast_1d(stopped), "stopped")
     same_length(distance=distance, stopped=stopped)
@@ -185,8 +185,8 @@ def success(distance: ArrayLike, stopped: ArrayLike, success_distance: float) ->
 def spl(succeeded: ArrayLike, shortest: ArrayLike, path: ArrayLike) -> np.ndarray:
     """Success weighted by path length, per episode: ``S * shortest / max(shortest, path)``.
 
-    Anderson et al., On Evaluation of Embodied Navigation Agents, 2018. `shortest` is the shortest way from start
-    to target, `path` what the agent went, metres. An episode that starts on the target (shortest = 0) scores S if
+    Anderson et al., On Evaluation of Embodied Navigation Agents, 2018. `shortest` is the shortest path from start to
+    target, `path` the agent's path, metres. An episode that starts on the target (shortest = 0) scores S if
     the agent stayed there, and 0 if it walked: the limits of the formula, where it would divide by zero.
     """
     succeeded = outcomes(np.atleast_1d(succeeded), "succeeded")
@@ -249,7 +249,7 @@ def _lengths(values: ArrayLike, name: str, endless: bool = False) -> np.ndarray:
 
 
 def _efficiency(shortest: ArrayLike, path: ArrayLike) -> np.ndarray:
-    """``shortest / max(shortest, path)``; 1 where both are 0: there was nowhere to go, and the agent did not."""
+    """``shortest / max(shortest, path)``; 1 where both are 0."""
     shortest, path = _lengths(shortest, "shortest"), _lengths(path, "path")
     same_length(shortest=shortest, path=path)
     longer = np.maximum(shortest, path)

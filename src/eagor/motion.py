@@ -18,13 +18,12 @@ _RATES = ("start", "stop", "jump", "birth", "death")
 class MotionModel:
     """How targets come, go and move. Rates are per second: 0.002 means once in 500 seconds.
 
-    - `wander`: radians per root second, one number for each kind of moving target that is reckoned with; empty: every
-      target stands still.
-    - `turn`: radians per second, one number for each kind of target that goes around at a steady rate: the standard
-      deviation of each part of its angular velocity. A drifting heading makes all that stands turn so.
+    - `wander`: radians per root second, one number for each kind of wandering target; empty: none wander.
+    - `turn`: radians per second, one number for each kind of target that turns at a steady rate: the standard deviation
+      of each component of its angular velocity. With a drifting heading, standing things turn too.
     - `start`: rate at which a standing target begins to move.
-    - `stop`: rate at which a moving one comes to stand.
-    - `jump`: rate at which a moving one turns up anywhere else (carried off, or lost from sight and seen again).
+    - `stop`: rate at which a moving target stops.
+    - `jump`: rate at which a moving target reappears anywhere else.
     - `birth`, `death`: rates at which a target appears and disappears.
     """
 
@@ -48,30 +47,30 @@ class MotionModel:
 
     @classmethod
     def still(cls) -> MotionModel:
-        """Targets that are there or not, and never move."""
+        """Targets that appear and disappear, but never move."""
         return cls(wander=(), turn=(), start=0.0, stop=0.0, jump=0.0, birth=0.0, death=0.0)
 
     @property
     def kinds(self) -> np.ndarray:
-        """How moving targets fall on the kinds: each of `wander`, then all of `turn` as one."""
+        """The shares of the kinds among moving targets: each of `wander`, then all of `turn` as one."""
         count = len(self.wander) + len(self.turn)
         return np.array([1.0] * len(self.wander) + [len(self.turn)] * bool(self.turn)) / max(count, 1)
 
     @property
     def moving(self) -> float:
-        """The share of targets that move: where `start` and `stop` are in balance."""
+        """The share of targets that move, in the equilibrium of `start` and `stop`."""
         if not len(self.kinds):
             return 0.0
         return self.start / (self.start + self.stop) if self.start + self.stop > 0 else 0.0
 
     def jumped(self, elapsed: float) -> float:
-        """The probability that a moving target has turned up anywhere else within `elapsed` seconds."""
+        """The probability that a moving target jumps within `elapsed` seconds."""
         return -math.expm1(-self.jump * elapsed)
 
     def transitions(self, elapsed: float) -> np.ndarray:
         """Probabilities ``(2 + M, 2 + M)`` of going from case to case in `elapsed` seconds.
 
-        The cases: absent, standing, and each of the `kinds` of moving targets, which do not turn into one another.
+        The cases: absent, standing, and each of the `kinds`. There are no transitions among the kinds.
         """
         kinds = self.kinds
         count = len(kinds)
@@ -88,7 +87,7 @@ class MotionModel:
 
 
 def _switched(rate: float, back: float, elapsed: float) -> float:
-    """The probability of being on the other side after `elapsed` seconds, of two that change at these rates."""
+    """The probability of the other one of two states after `elapsed` seconds, at these rates of change."""
     both = rate + back
     return 0.0 if both == 0 else -math.expm1(-both * elapsed) * rate / both
 

@@ -1,6 +1,6 @@
-"""The highest point of a field: one synthesis, one argmax, one quadratic fit to nine values. Any array kind.
+"""The maximum of a field: one synthesis, one argmax, one quadratic fit to nine values, in any array library.
 
-The same nine-point fit gives gradients and Hessians everywhere, which `eagor.diffusion` needs.
+The same fit gives the gradients and Hessians that `eagor.diffusion` needs.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def decoding_grid(degree: int) -> ErpGrid:
 def peak(degree: int, coefficients: Array) -> Array:
     """Directions ``(..., 3)`` of the maxima of fields ``(..., size)``: on a grid, then to a fraction of its spacing.
 
-    Where a field is constant every direction is a maximum, and forward (1, 0, 0) is returned.
+    For a constant field, returns forward (1, 0, 0).
     """
     grid = decoding_grid(degree)
     values = RealHarmonics(degree).synthesise(coefficients, grid)
@@ -88,7 +88,7 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def forward_vector() -> np.ndarray:
-    """What is answered where nothing is known ``(3,)``."""
+    """The direction ``(3,)`` of a constant field."""
     return np.array(FORWARD)
 
 

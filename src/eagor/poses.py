@@ -1,4 +1,4 @@
-"""Where the body was, and how it was turned, at any time of the recent past."""
+"""The body's recent poses, at any time."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from eagor.sphere import check_rotation, interpolate_rotation
 
 __all__ = ["PoseHistory"]
 
-HELD = 3600.0  # seconds for which evidence may rely on the last pose, and a pose on the one before it
-POSES = 20_000  # that are kept at most
-FARTHEST = 1e9  # metres from the origin: beyond, no odometry means what it says
+HELD = 3600.0  # seconds: a longer gap between stamps looks like a wrong stamp
+POSES = 20_000  # most poses that are kept
+FARTHEST = 1e9  # metres from the origin: a larger position must be an error
 
 
 @dataclass(eq=False)
 class PoseHistory:
-    """Stamped poses in order of time, interpolated between, for the last `seconds`.
+    """Stamped poses of the last `seconds`, in order of time, with interpolation.
 
-    Orientation moves along the shortest turn, position along a line; the last pose is held beyond its stamp. Before
-    any pose the body stands unturned at an unknown place.
+    Orientation is interpolated along the shortest turn, position along a line. The last pose holds beyond its stamp.
+    Before any pose the orientation is the identity and the position unknown.
 
-    Silences of more than `HELD` are no part of those seconds (`_awake` counts without them): what was before one is
-    kept until poses after it have gone on for as long, for only then is it sure that their stamps are right.
+    Gaps longer than `HELD` do not count (`_awake` is the time without them): poses before a gap are kept until poses
+    after it span `seconds`, since only then their stamps are known to be right.
     """
 
     seconds: float
@@ -41,19 +41,19 @@ class PoseHistory:
 
     @property
     def first(self) -> float:
-        """The stamp of the oldest pose that is kept."""
+        """The stamp of the oldest pose."""
         return self._stamps[0] if self._stamps else -math.inf
 
     def reach(self, stamp: float) -> bool:
-        """Whether there is a pose at or after `stamp`: no later one tells more of that time."""
+        """Whether there is a pose at or after `stamp`, so that later poses cannot change the one at `stamp`."""
         return bool(self._stamps) and stamp <= self._stamps[-1]
 
     def copied(self) -> PoseHistory:
-        """The same poses, in lists of their own."""
+        """A copy with its own lists."""
         return PoseHistory(self.seconds, self._stamps.copy(), self._poses.copy(), self._awake.copy())
 
     def check_ahead(self, stamp: float) -> None:
-        """Raise `TimeError` for a look that is further ahead of the poses than the last one can be relied on."""
+        """Raise `TimeError` if `stamp` is more than `HELD` ahead of the last pose."""
         if self._stamps and stamp > self._stamps[-1] + HELD:
             raise TimeError(
                 f"evidence of t = {stamp:.3f} s lies {stamp - self._stamps[-1]:.3f} s ahead of the last pose, at "
@@ -62,10 +62,10 @@ class PoseHistory:
             )
 
     def add(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None) -> list[float]:
-        """Append a pose; one with the stamp of the last replaces it. Errors as in `DirectionTracker.rotate`.
+        """Append a pose; it replaces the last one if it has the same stamp. Errors as in `DirectionTracker.rotate`.
 
-        After a long silence nobody can tell wrong stamps from right ones until time goes on before it. If it does, the
-        poses after the silence are left out, and their stamps returned.
+        Poses after a long gap have wrong stamps if a later pose falls before the gap again. They are then dropped, and
+        their stamps returned.
         """
         stamp = checked_stamp(stamp)
         wrong = self._ahead(stamp)
@@ -97,13 +97,13 @@ class PoseHistory:
         self._awake.append((self._awake[-1] if self._awake else 0.0) + (silence if silence <= HELD else 0.0))
         self._stamps.append(stamp)
         self._poses.append((pose, place))
-        # One pose older than the history stays, so that its whole length can be interpolated.
+        # Keep one pose older than the history, to interpolate over its whole length.
         old = bisect.bisect_right(self._awake, self._awake[-1] - self.seconds) - 1
         self._drop(slice(max(0, old, len(self) - POSES)))
         return left_out
 
     def _ahead(self, stamp: float) -> int:
-        """Where the poses begin that came after a long silence, and lie far ahead of this stamp too; else their end."""
+        """Index of the first pose after a long gap that is far ahead of this stamp too; else their number."""
         first = bisect.bisect_right(self._stamps, stamp)
         if first == len(self) or (first == 0 and len(self) > 1):
             return len(self)

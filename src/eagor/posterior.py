@@ -1,4 +1,4 @@
-"""Reading a belief: modes, regions and integrals of exp(f) for one field f on the sphere, in NumPy."""
+"""Reading a belief: modes, regions and integrals of exp(f) for one field f on the sphere. NumPy."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from eagor.peaks import neighbours, peak_on_grid, refine
 from eagor.sphere import azimuth_elevation
 
 CELLS_PER_SIGMA = 3.0  # grid spacing against the width of the sharpest peak: integrals converge long before that
-CELLS_FOR_REGIONS = 8.0  # ... but the border of a region of 90 % is only as sharp as the cells that it cuts
-MAX_ROWS = 1024  # 0.18 degrees: nothing that a camera robot asks for is finer,
-MAX_CELLS = 1 << 18  # ... but thousands of nats make finer peaks: a window may have so many cells at any rate
-ERROR = 1e-4  # of the probability, per coarse cell, that the midpoint rule may miss before finer cells are used,
-SHARE = 0.01  # ... and the most that a coarse cell may hold: regions are only as exact as their cells are light
+CELLS_FOR_REGIONS = 8.0  # ... but the border of a region needs finer cells than an integral
+MAX_ROWS = 1024  # 0.18 degrees: fine enough for a camera robot,
+MAX_CELLS = 1 << 18  # ... but a window may always have so many cells: thousands of nats make finer peaks
+ERROR = 1e-4  # of the probability: a coarse cell with a larger error of the midpoint rule is refined,
+SHARE = 0.01  # ... and so is a cell that holds more than this share
 PROMINENCE = 0.7  # nats: a peak counts as a mode if it stands out by a factor of two from the saddle around it
 MIN_WEIGHT = 0.02  # ... and holds at least this share of the belief,
-RIVAL = 0.6  # or rises above a typical direction by this share of the best one's height,
-CLEAR = 9.0  # ... of which no more than so many nats count: a thing that is seen again and again makes no other vanish
-RIPPLE = 0.1  # of the best one's height: less is its ringing (a field cut at a degree has 0.07 in the first sidelobe)
+RIVAL = 0.6  # or rises above a typical direction by this share of the best mode's height,
+CLEAR = 9.0  # ... capped at so many nats, so that one very sure mode does not hide the others
+RIPPLE = 0.1  # of the best mode's height: less is ringing (the first sidelobe of a truncated peak has 0.07)
 
 
 def log_integral(values: np.ndarray, weights: np.ndarray) -> float:
@@ -35,7 +35,7 @@ def log_integral(values: np.ndarray, weights: np.ndarray) -> float:
 
 
 def typical(values: np.ndarray, weights: np.ndarray) -> float:
-    """The value that half of the sphere lies above: the median over cells of these solid angles."""
+    """The median over cells of these solid angles."""
     values, areas = values.reshape(-1), weights.reshape(-1)
     order = np.argsort(values)
     return float(values[order][np.searchsorted(np.cumsum(areas[order]), areas.sum() / 2)])
@@ -48,8 +48,8 @@ Field = Callable[[ErpGrid | ErpWindow], np.ndarray]  # evaluates f on a grid, or
 class CredibleRegion:
     """The smallest part of the sphere that holds `mass` of a belief (highest-density region).
 
-    `area` in steradians; `angle` (radians): half-angle of the cone about the `mode` that holds the same mass, which
-    for several modes is wide, as it should be; `threshold`: the log-density (per steradian) at the region's border.
+    `area` in steradians; `angle` (radians): half-angle of the cone that is centred on the `mode` and holds the same
+    mass, wide if there are several modes; `threshold`: log density (per steradian) at the region's border.
     """
 
     mass: float
@@ -71,7 +71,7 @@ class CredibleRegion:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """Cells of one size: f on them, which of them are `used`, and the coarse cell that each lies in."""
+    """Cells of one size: f on them, a mask of those `used`, and the coarse cell around each."""
 
     cells: ErpWindow
     field: np.ndarray
@@ -114,12 +114,11 @@ class _Part:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """exp(f), as finely as its sharpest peak asks for. One belief, no batch.
+    """exp(f), sampled finely enough for its sharpest peak. One belief, no batch.
 
     `evaluate` gives f on a grid. `coarse` ``(H, W)`` is f on `rows` rows, which resolve f itself: peaks and basins are
-    looked for there. Around the highest peaks exp(f) is sharper than f, and a `window` of a finer grid replaces the
-    coarse cells; together they cover the sphere. Each is computed when it is first asked for: a direction alone needs
-    no fine grid.
+    found there. Around the highest peaks exp(f) is sharper than f, and a `window` of finer cells replaces the coarse
+    ones; together they cover the sphere. All is computed on demand: a direction alone needs no fine grid.
     """
 
     evaluate: Field
@@ -138,7 +137,7 @@ class Posterior:
 
     @lazy
     def window(self) -> ErpWindow:
-        """Where exp(f) is sharp, in cells as small as its sharpest peak asks for; the whole coarse grid if nowhere."""
+        """The part where exp(f) is sharp, in cells fine enough for it; the whole coarse grid if there is none."""
         values, rows = self.coarse, self.rows
         _, sigma = refine(self.grid, values.reshape(-1), int(values.argmax()))
         part = _Part.whole(self.grid, values)
@@ -154,7 +153,7 @@ class Posterior:
 
     @lazy
     def _parts(self) -> tuple[_Part, ...]:
-        """The cells that together cover the sphere: the window's, and the coarse ones outside of it."""
+        """The cells that cover the sphere: those of the window, and the coarse ones outside of it."""
         whole = _Part.whole(self.grid, self.coarse)
         if self.window.whole == self.grid:
             return (whole,)
@@ -167,7 +166,7 @@ class Posterior:
         return _Part(self.window, fine, np.ones(fine.shape, dtype=bool), home), replace(whole, used=outside)
 
     def _all(self, read: Callable[[_Part], np.ndarray]) -> np.ndarray:
-        """What `read` gives for all cells ``(n, ...)``."""
+        """The values of `read` for all cells ``(n, ...)``."""
         return np.concatenate([read(part)[part.used] for part in self._parts])
 
     @lazy
@@ -192,7 +191,7 @@ class Posterior:
 
     @property
     def gain(self) -> float:
-        """By how many nats the best direction stands above a uniform belief."""
+        """Log density of the best direction above a uniform belief, nats."""
         return float(self.values.max()) - self.log_total + math.log(4 * math.pi)
 
     @lazy
@@ -206,7 +205,7 @@ class Posterior:
         near = np.flatnonzero(self.grid.directions.reshape(-1, 3) @ direction >= math.cos(angle))
         best = int(near[flat[near].argmax()])
         if flat[neighbours(self.grid, best)].max() > flat[best]:
-            return None  # f still rises where the cone ends
+            return None  # f still rises at the border of the cone
         return refine(self.grid, flat, best)[0], float(flat[best])
 
     def mass_above(self, value: float) -> float:
@@ -218,7 +217,7 @@ class Posterior:
         return self.log_total - float(np.sum(self.probability * self.values))
 
     def cone(self, mass: float, about: np.ndarray | None = None) -> float:
-        """Half-angle (radians) of the cone about the mode, or `about` a direction, that holds `mass`."""
+        """Half-angle (radians) of the cone that is centred on the mode, or on `about`, and holds `mass`."""
         cosine, probability = self._cosines(about), self.probability
         order = np.argsort(-cosine)
         cosine, probability = cosine[order], probability[order]
@@ -236,17 +235,17 @@ class Posterior:
     def level(self, mass: float) -> tuple[float, float]:
         """The value of f above which `mass` lies, and the solid angle above it.
 
-        Cells that the border cuts count in part: f is taken as uniform over the range that its slope spans in the cell.
+        Cells at the border count in part: f is treated as uniform over its range in the cell.
         """
         spread, bend = self._all(lambda part: part.spread), self._all(lambda part: part.bend)
-        # A cell's mass is not its midpoint's: the second differences of exp(f) correct it.
+        # Correct the midpoint rule by the second differences of exp(f).
         p, v, top = self.probability * (1 + np.clip(bend / 24, -0.5, 0.5)), self.values, float(self.values.max())
         p /= p.sum()
         low, high = float(v.min()) - 1, top + 1
         whole = -np.expm1(-spread)
         for _ in range(40):
             middle = (low + high) / 2
-            # Over the cell's highest value: the range of f within a cell may be thousands of nats.
+            # Relative to the cell's highest value: f may vary by thousands of nats within a cell.
             share = -np.expm1(np.clip(middle - v, -spread / 2, spread / 2) - spread / 2) / whole
             if float(np.sum(p * share)) >= mass:
                 low = middle

@@ -1,7 +1,6 @@
 """What is asked for, in words: "[colour] category", such as "red chair", "the grey couch", "plant".
 
-The one place that knows which words name the same thing. Perceptions that know a fixed vocabulary and the tasks that
-choose targets both read queries through it.
+All synonyms are here. Perceptions with a fixed vocabulary and tasks that choose targets both parse queries with it.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ __all__ = ["COLOURS", "SYNONYMS", "Named", "Query", "matching", "parse_query", "
 COLOURS = (
     "black", "white", "grey", "red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "beige",
 )  # fmt: skip
-# What people (and ObjectNav, COCO, ScanNet) call the same thing.
+# Synonyms, also those of ObjectNav, COCO and ScanNet.
 SYNONYMS = {
     "couch": "sofa", "settee": "sofa", "potted plant": "plant", "house plant": "plant", "houseplant": "plant",
     "tv monitor": "tv", "television": "tv", "tv set": "tv", "monitor": "tv", "screen": "tv",

@@ -1,10 +1,10 @@
-"""A belief about direction AND distance: what a moving camera needs, and where distance comes from bearings alone.
+"""A belief about direction AND distance, for a camera that moves: parallax gives the distance from bearings alone.
 
-K fields, one per shell of constant range, log-spaced. A step of the body moves every point (omega, r) by parallax,
-near ones more than far ones, so that only the shell at the true range keeps agreeing with the bearings that follow.
+There are K fields, one per shell of constant range, log-spaced. A step of the body moves near points (omega, r) more
+than far ones, so only the shell at the true range keeps agreeing with later bearings.
 
-Shells hold log-likelihood ratios, carried by value. The prior is uniform in direction and log range and enters when
-the belief is read: the direction belief is the log of the shells' mean likelihood, the distance a posterior mean.
+Shells hold log-likelihood ratios. The prior is uniform in direction and log range and enters when the belief is read:
+the direction belief is the log of the shells' mean likelihood, the distance is a posterior mean.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ def log_ranges(nearest: float = 0.5, farthest: float = 12.0, count: int = 14) ->
     return np.geomspace(nearest, farthest, count)
 
 
-NEAR = math.radians(20)  # how far around a direction counts when the range there is asked for
+NEAR = math.radians(20)  # radius about a direction over which its range is read
 
 
 @dataclass(frozen=True, eq=False)
 class RangedBelief(Reading):
     """Direction and distance: `shells` ``(..., K, (degree + 1)^2)`` at `ranges` ``(K,)`` metres, in the body frame.
 
-    `prior` ``(K, (degree + 1)^2)``, as `eagor.heights.height_prior` gives it: what is known of direction and range
-    without looking; it counts when the belief is read. None: every direction alike. `predict` turns it, and takes it to
-    be the same at the new place: on level ground it is.
+    `prior` ``(K, (degree + 1)^2)``, such as `eagor.heights.height_prior`: prior knowledge of direction and range, used
+    when the belief is read. None: uniform. `predict` turns it but does not translate it, which is right on level
+    ground.
     """
 
     shells: Array
@@ -61,7 +61,7 @@ class RangedBelief(Reading):
             raise EagorError(
                 f"shells have shape {tuple(self.shells.shape)}; {len(ranges)} ranges want (..., {len(ranges)}, size)"
             )
-        Belief(self.shells)  # complains about a number of coefficients that belongs to no degree
+        Belief(self.shells)  # raises if the number of coefficients fits no degree
         if self.prior is not None and tuple(self.prior.shape) != tuple(self.shells.shape[-2:]):
             raise EagorError(f"the prior has shape {tuple(self.prior.shape)}; wanted {tuple(self.shells.shape[-2:])}")
         ranges.setflags(write=False)
@@ -75,7 +75,7 @@ class RangedBelief(Reading):
         batch_shape: tuple[int, ...] = (),
         like: Array | None = None,
     ) -> RangedBelief:
-        """Nothing known. `ranges` in metres (default: 14 from 0.5 to 12 m); `like` gives the kind of array."""
+        """A uniform belief. `ranges` in metres (default: 14 from 0.5 to 12 m), in arrays like `like`."""
         ranges = log_ranges() if ranges is None else np.asarray(ranges, dtype=np.float64)
         return cls(Belief.uniform(degree, (*batch_shape, len(ranges)), like).coefficients, ranges)
 
@@ -91,7 +91,7 @@ class RangedBelief(Reading):
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
-        """The leading dimensions, the shells' not counted."""
+        """The leading dimensions, without that of the shells."""
         return tuple(self.shells.shape[:-2])
 
     def __getitem__(self, index: Any) -> RangedBelief:
@@ -99,7 +99,9 @@ class RangedBelief(Reading):
         if not self.batch_shape:
             raise EagorError("this belief has no batch dimension to index")
         places = index if isinstance(index, tuple) else (index,)
-        return replace(self, shells=self.shells[(*places, ..., slice(None), slice(None))])  # the last two are no batch
+        return replace(
+            self, shells=self.shells[(*places, ..., slice(None), slice(None))]
+        )  # the last two are not batch dimensions
 
     def predict(self, new_R_old: Array, translation: Array | None = None) -> RangedBelief:
         """After the body has turned by `new_R_old` and moved by `translation` (metres, in the NEW body frame).
@@ -129,9 +131,9 @@ class RangedBelief(Reading):
         return replace(self, shells=xp.reshape(xp.stack(moved), shells.shape), prior=prior)
 
     def update(self, evidence: Evidence | Sequence[Evidence]) -> RangedBelief:
-        """With one more look added: the same for all shells, or one `Evidence` per shell if it tells ranges apart.
+        """With one more look added: one `Evidence` for all shells, or one per shell.
 
-        Evidence of another kind of array, or on another device, is brought to the belief's, as by `Belief.update`.
+        Arrays are converted as in `Belief.update`.
         """
         if isinstance(evidence, Evidence):
             return self.plus(evidence.coefficients(self.degree)[..., None, :])
@@ -141,9 +143,9 @@ class RangedBelief(Reading):
         return self.plus(namespace(self.shells).stack(added, axis=-2))
 
     def plus(self, log_ratios: Array) -> RangedBelief:
-        """With log ratios added, as coefficients: ``(size,)`` for all ranges alike, or ``(..., K, size)``.
+        """With log ratios added, given as coefficients: ``(size,)`` for all ranges, or ``(..., K, size)``.
 
-        They are brought to this belief's kind of array.
+        They are converted to this belief's arrays.
         """
         return replace(self, shells=self.shells + akin(log_ratios, self.shells))
 
@@ -153,7 +155,7 @@ class RangedBelief(Reading):
 
     @property
     def agreed(self) -> Array:
-        """What is said of directions whatever the range ``(..., size)``: the mean of the shells."""
+        """The mean of the shells ``(..., size)``."""
         shares = matched(self._shares, self.shells)
         return namespace(self.shells).sum(shares[:, None] * self.shells, axis=-2)
 
@@ -180,14 +182,14 @@ class RangedBelief(Reading):
         return f - self._log_totals(f.ndim)
 
     def mode(self) -> Array:
-        """The direction of highest density ``(..., 3)``, all ranges together, in the belief's own kind of array."""
+        """The direction of highest density ``(..., 3)``, over all ranges, in the belief's array library."""
         grid = decoding_grid(self.degree)
         return peak_on_grid(grid, self._marginal(grid))
 
     def range_probabilities(self, about: np.ndarray | None = None) -> np.ndarray:
         """Probability of each shell ``(..., K)``; `about` ``(3,)``: given that the target lies near that direction.
 
-        "Near" is within `NEAR`. Other candidates, at other ranges, then do not count.
+        "Near" is within `NEAR`: candidates elsewhere do not count.
         """
         return self._range_probabilities if about is None else self._ranges_near(about)
 
@@ -200,7 +202,7 @@ class RangedBelief(Reading):
         found = np.zeros((*self.batch_shape, len(self.ranges)))
         for index in np.ndindex(*self.batch_shape):
             posterior: Any = self.posteriors[index]
-            # Far from the peaks of the sum over all ranges, no range has a share worth counting.
+            # Far from the peaks of the sum over all ranges, the shares are negligible.
             cells: ErpGrid | ErpWindow = posterior.window
             weights = _near(cells, about)
             if not weights.any():
@@ -221,7 +223,7 @@ class RangedBelief(Reading):
     def distance_spread(self, about: np.ndarray | None = None) -> Any:
         """Relative uncertainty of the distance ``(...)``: standard deviation of the logarithm of the range.
 
-        About 0.9 while nothing is known, 0.1 when the distance is known to 10 %. `about` as for `range_probabilities`.
+        About 0.9 for a uniform belief, 0.1 if the distance is known to 10 %. `about` as for `range_probabilities`.
         """
         found = range_spread(self.range_probabilities(about), self.ranges)
         return found if self.batch_shape else float(found)

@@ -1,4 +1,4 @@
-"""Reading a field of log densities: where its peaks are, what they hold, and how wide a region is."""
+"""Reading a field of log densities: peaks, their masses, regions."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from eagor.peaks import refine
 from eagor.sphere import unit
 
 PROMINENCE = 0.7  # nats: a peak counts as a mode if it stands out by a factor of two from the saddle around it
-FINER = 4  # times as many nodes along a side of a patch, or of a heavy cell, where masses are summed
-HEAVY = 0.002  # of the belief: a cell that holds more is cut into finer ones
-NEAR = math.radians(20)  # of a peak: what lies within is the same thing; near things move by parallax
-DEEP = 12.0  # nats below the highest peak: no valley deeper than this is told from another
+FINER = 4  # refinement (per side) of patches and heavy cells where masses are summed
+HEAVY = 0.002  # of the belief: cells that hold more are refined
+NEAR = math.radians(20)  # of a peak: within this angle it is the same thing, which parallax may move
+DEEP = 12.0  # nats below the highest peak: deeper values are clipped
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What a field (log of a density over a uniform one, up to a constant) says of directions; its own axes."""
+    """Reads a field: log of (density / uniform density), up to a constant. Directions are in the field's axes."""
 
     field: SphereField
 
@@ -74,7 +74,7 @@ class Reading:
         return float(self.mass[self.parts[2] @ about >= math.cos(min(angle, math.pi))].sum())
 
     def cone(self, mass: float, about: np.ndarray) -> float:
-        """Half-angle (radians) of the cone about a direction ``(3,)`` that holds `mass`."""
+        """Half-angle (radians) of the cone that is centred on a direction ``(3,)`` and holds `mass`."""
         cosine = self.parts[2] @ about
         order = np.argsort(-cosine)
         cosine, probability = cosine[order], self.mass[order]
@@ -111,7 +111,7 @@ class Reading:
         return self._refined(directions[int(values.argmax())])
 
     def around(self, direction: np.ndarray, angle: float) -> float:
-        """About the probability of the cone of half-angle `angle` about a direction: `within` from fewer cells."""
+        """Approximate probability of the cone of half-angle `angle` about a direction: `within`, from fewer cells."""
         mass, directions = self._nodes
         return float(mass[directions @ direction > math.cos(angle)].sum())
 
@@ -136,9 +136,9 @@ class Reading:
 
     @lazy
     def _basins(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of each basin, lightest last: its mass and its top, a part, ``(b,)``; and the basin ``(n,)`` of each part.
+        """The basins, heaviest first: masses and tops (indices of parts) ``(b,)``; the basin ``(n,)`` of each part.
 
-        What climbs to a top and is further from it than `NEAR` is nowhere: a slope that goes all around is no place.
+        Parts further from their top than `NEAR` belong to no basin: a slope all around the sphere is not a place.
         """
         values, _, directions = self.parts
         grid = self.field.grid
@@ -148,7 +148,7 @@ class Reading:
         if self.field.patches:
             tops[~self.field.outside.reshape(-1)] = -np.inf
             np.maximum.at(tops, home, values)
-            lost = ~np.isfinite(tops)  # a cell without a node of its own
+            lost = ~np.isfinite(tops)  # cells without own nodes
             tops[lost] = self.field(grid.directions.reshape(-1, 3)[lost])
         tops = np.maximum(tops, tops.max() - DEEP)
         label = basins(tops.reshape(grid.shape), PROMINENCE).reshape(-1)
@@ -168,16 +168,16 @@ class Reading:
     def modes(self, count: int, least: float) -> tuple[np.ndarray, np.ndarray]:
         """Directions ``(m, 3)`` and masses ``(m,)`` of the basins that hold at least `least`, at most `count`.
 
-        Each small cell climbs to its peak; a peak that stands less than `PROMINENCE` nats above the saddle to a higher
-        one belongs to it. A mode holds what climbs to it within `NEAR`. Heaviest first, and one at least; what their
-        masses lack to 1 is elsewhere.
+        Each small cell belongs to the peak at the end of its steepest ascent; a peak less than `PROMINENCE` nats above
+        the saddle to a higher one is merged into it. A mode holds its cells within `NEAR`. Heaviest first, at least
+        one; the masses sum to less than 1.
         """
         masses, tops, _ = self._basins
         kept = max(1, min(count, int((masses >= least).sum())))
         return np.array([self._refined(self.parts[2][top]) for top in tops[:kept]]), masses[:kept]
 
     def first(self, angle: float) -> tuple[np.ndarray, float]:
-        """The heaviest mode and its mass; if the cone of `angle` about the peak holds most, none is searched for."""
+        """The heaviest mode and its mass; a quick answer if the cone of `angle` about the peak holds more than half."""
         held = self.around(self.peak, angle)
         if held > 0.5:
             return self.peak, held

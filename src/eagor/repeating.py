@@ -1,8 +1,8 @@
-"""What looks have in common: mistakes that repeat, and how they fade.
+"""Mistakes that repeat from look to look, and how they fade.
 
-Of the mistakes of a look the next one repeats a share: a poster is taken for the target again, and what is overlooked
-once is overlooked again. In time, and as the camera moves, the view of the poster changes, and the mistake becomes
-another. So the share that a look repeats of one `elapsed` seconds and `moved` metres of the camera before it is
+The next look repeats a share of the mistakes: a poster is taken for the target again, and a target overlooked once is
+overlooked again. With time and with the camera's motion the view changes, and mistakes fade. The share that a look
+repeats of another one, `elapsed` seconds and `moved` metres before it, is
 
     share * exp(-elapsed / seconds - moved / metres).
 """
@@ -12,15 +12,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-# What these may be, for errors.
+# For error texts.
 SECONDS = "seconds above 0, or None if mistakes repeat however long it is"
 METRES = "metres above 0, or None if mistakes repeat however far the camera moves"
-NO_PAIR = 1e-9  # of the squares: less is rounding
+NO_PAIR = 1e-9  # of the squares: a smaller value is rounding
 
 
 @dataclass(frozen=True)
 class Repeating:
-    """Which share of the mistakes of a look is repeated, and in what time and way it fades; None: in none."""
+    """The share of mistakes that repeats, and the seconds and metres in which it fades; None: it does not."""
 
     share: float = 0.0
     seconds: float | None = None
@@ -28,7 +28,7 @@ class Repeating:
 
     @property
     def fades(self) -> bool:
-        """Whether it does."""
+        """Whether the share fades."""
         return self.seconds is not None or self.metres is not None
 
     def after(self, elapsed: float, moved: float = 0.0) -> float:
@@ -36,18 +36,18 @@ class Repeating:
         return self.share * self.left(elapsed, moved)
 
     def left(self, elapsed: float, moved: float = 0.0) -> float:
-        """What is left of the share by then, in (0, 1]."""
+        """The fraction of the share that is left by then, in (0, 1]."""
         faded = 0.0 if self.seconds is None else elapsed / self.seconds
         return math.exp(-faded - (0.0 if self.metres is None else moved / self.metres))
 
 
 @dataclass(frozen=True)
 class CommonError:
-    """What the errors of looks have in common: how far the part of them that repeats is the same in all looks.
+    """How far the repeating part of the looks' errors is the same in all looks.
 
-    In a look that part is b, of variance 1 here; of two looks the b have a correlation that fades with the time between
-    them. The belief adds looks with weights w: `count` is the sum of the w, `squares` that of the w squared, `variance`
-    that of the sum of w b, and `newest` the covariance of this sum with the b of the newest look.
+    b is that part of a look's error, scaled to variance 1; the b of two looks have a correlation that fades with the
+    time between them. The belief adds looks with weights w: `count` is the sum of w, `squares` the sum of w^2,
+    `variance` the variance of the sum of w b, and `newest` the covariance of that sum with the newest look's b.
     """
 
     count: float = 0.0
@@ -57,9 +57,9 @@ class CommonError:
 
     @property
     def alike(self) -> float:
-        """The mean correlation of the b of two looks, pairs weighed by w: 1 while nothing has faded, or of one look.
+        """The mean correlation of the b of two looks, weighted by w: 1 for one look, or while nothing has faded.
 
-        So much of the variance of b is left in the mean of all looks, beside what averages out as of independent looks.
+        This fraction of the variance of b does not average out over the looks.
         """
         pairs = self.count**2 - self.squares
         return max(self.variance - self.squares, 0.0) / pairs if pairs > NO_PAIR * self.squares else 1.0
@@ -67,8 +67,8 @@ class CommonError:
     def with_look(self, faded: float, repeated: float, tells: bool) -> CommonError:
         """After one more look.
 
-        `faded`: correlation of its b with that of the look before it; `repeated`: what is taken from the weight 1 of
-        the look before it; `tells`: whether it says anything about a direction (weight 1), or nothing (weight 0).
+        `faded`: correlation of its b with that of the look before it; `repeated`: deducted from the weight 1 of the
+        look before it; `tells`: whether it says anything about directions (weight 1) or nothing (weight 0).
         """
         weight = 1.0 if tells else 0.0
         squares = self.squares - 2 * repeated + repeated**2 + weight

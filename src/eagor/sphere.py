@@ -1,4 +1,4 @@
-"""Frames, directions and rotations: the one page of truth about angles.
+"""Frames, directions and rotations.
 
 Body frame (ROS REP-103): x forward, y left, z up, right-handed. A *direction* is a unit vector ``(..., 3)`` in it.
 
@@ -8,7 +8,7 @@ Body frame (ROS REP-103): x forward, y left, z up, right-handed. A *direction* i
 - Rotations are named by their frames: ``new_R_old @ direction_old = direction_new``; a pose is ``world_R_body``.
 - Radians everywhere; degrees only at the command line, in reports and in names that end in ``_deg``.
 
-Converters to the conventions of other software are in `eagor.conventions`, and nowhere else.
+Converters to the conventions of other software are in `eagor.conventions`.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ __all__ = [
 ]  # fmt: skip
 
 FORWARD = (1.0, 0.0, 0.0)
-ORTHOGONAL = 1e-5  # by how much a rotation's rows may fail to be orthonormal: products of float32 reach 1e-6
-UNIT = 0.01  # by how much a direction's length may differ from 1: it was typed with two or three decimals
+ORTHOGONAL = 1e-5  # tolerance for the rows of a rotation: products of float32 are off by 1e-6
+UNIT = 0.01  # tolerance for the length of a direction: people type two or three decimals
 
 
 def direction(azimuth: Array, elevation: Array) -> Array:
@@ -52,8 +52,8 @@ def azimuth_elevation(directions: Array) -> tuple[Array, Array]:
 def angular_distance(a: Array, b: Array) -> Array:
     """Great-circle angle (radians) between directions ``(..., 3)``, broadcast.
 
-    atan2(|a x b|, a . b) keeps full precision near 0 and near pi, where acos loses half of the digits, and does
-    not ask for unit length. Raises `DirectionError` on another shape.
+    atan2(|a x b|, a . b) keeps full precision near 0 and pi, where acos loses half of the digits, and works for any
+    length. Raises `DirectionError` on another shape.
     """
     a, b = alike(a, b)
     check_directions(a)
@@ -79,14 +79,14 @@ def unit(vectors: Array) -> Array:
 
 
 def check_directions(vectors: Array) -> Array:
-    """`vectors`, once their last axis has three numbers. Raises `DirectionError`; their length is not looked at."""
+    """`vectors`, of any length. Raises `DirectionError` unless their last axis has size 3."""
     if vectors.shape[-1:] != (3,):
         raise DirectionError(f"directions have shape {tuple(vectors.shape)}; wanted (..., 3): x forward, y left, z up")
     return vectors
 
 
 def check_unit(vectors: Array) -> Array:
-    """Unit vectors ``(..., 3)``: `vectors`, with their rounding taken out, once their lengths are 1 to within `UNIT`.
+    """`vectors` ``(..., 3)``, normalised, once their lengths are 1 to within `UNIT`.
 
     Raises `DirectionError` on another shape, another length, or what is not finite.
     """
@@ -95,14 +95,14 @@ def check_unit(vectors: Array) -> Array:
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     with np.errstate(over="ignore"):
         squared = x * x + y * y + z * z
-    off = xp.abs(squared - 1)  # twice what the length is off by; NaN fails every comparison
+    off = xp.abs(squared - 1)  # twice the error of the length; NaN fails every comparison
     if bool(xp.all(off <= 8 * xp.finfo(vectors.dtype).eps)):
         return vectors
     if bool(xp.all(off <= 2 * UNIT)):
         return vectors / xp.sqrt(squared)[..., None]
     lengths, good = (np.asarray(to_numpy(a)).reshape(-1) for a in (xp.sqrt(squared), off <= 2 * UNIT))
     raise DirectionError(
-        f"{(~good).sum()} of {good.size} directions are no unit vectors (length {float(lengths[~good][0]):g}); wanted "
+        f"{(~good).sum()} of {good.size} directions are not unit vectors (length {float(lengths[~good][0]):g}); wanted "
         "finite (x, y, z) of length 1: eagor.sphere.unit scales them, eagor.sphere.direction takes angles"
     )
 
@@ -137,7 +137,7 @@ def world_R_body(yaw: float, pitch: float = 0.0, roll: float = 0.0) -> np.ndarra
 
 
 def check_rotation(matrix: Array, name: str = "new_R_old", tolerance: float = ORTHOGONAL) -> Array:
-    """`matrix` ``(..., 3, 3)`` as a floating array, once it is certain to be a rotation.
+    """`matrix` ``(..., 3, 3)`` as a floating array, checked to be a rotation.
 
     Raises `RotationError` if it has another shape, is not finite, not orthogonal (beyond `tolerance`) or a reflection.
     """
@@ -145,7 +145,7 @@ def check_rotation(matrix: Array, name: str = "new_R_old", tolerance: float = OR
     if matrix.shape == (3, 3) and type(matrix) is np.ndarray:  # the hot path, in plain floats
         (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
         # A rotation's rows are orthonormal and right-handed: the third is the cross product of the first two.
-        # NaN fails every comparison, so that it lands in the error branch too.
+        # NaN fails every comparison, and so raises too.
         if (
             abs(a * a + b * b + c * c - 1) < tolerance
             and abs(d * d + e * e + f * f - 1) < tolerance
@@ -167,7 +167,7 @@ def check_rotation(matrix: Array, name: str = "new_R_old", tolerance: float = OR
 
 
 def _what_is_wrong(matrix: np.ndarray, name: str) -> str:
-    """Why `matrix` is no rotation, and what to do about it."""
+    """Why `matrix` is not a rotation, and what to change."""
     wanted = f"{name} must be a rotation matrix (..., 3, 3) with {name} @ direction_old = direction_new"
     if matrix.shape[-2:] != (3, 3):
         return f"{wanted}; got shape {matrix.shape}. Quaternions: see eagor.conventions.rotation_from_wxyz"

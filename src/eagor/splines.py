@@ -1,8 +1,7 @@
 """Cubic splines on small grids of evenly spaced nodes, mirrored at the borders.
 
-They are those of ``scipy.ndimage.map_coordinates(..., order=3, mode="mirror")``, whose time goes by points and
-neighbours, one after the other. Here all points take one step together, and several fields on the same nodes share
-their weights: less than half the time for one field, less than a third for three.
+The same as ``scipy.ndimage.map_coordinates(..., order=3, mode="mirror")``, but vectorised over points, and with weights
+shared by fields on the same nodes: under half of SciPy's time for one field, under a third for three.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ def _weights(beyond: np.ndarray) -> np.ndarray:
 def _coefficients(count: int) -> np.ndarray:
     """From `count` values to the coefficients of the spline through them ``(count, count + 3)``.
 
-    There are one before and two beyond the nodes: the mirrored ones.
+    One before and two beyond the nodes are mirrored.
     """
     at = np.abs(np.arange(-1, count + 2))
     mirrored = np.eye(count)[np.where(at >= count, 2 * count - 2 - at, at)]

@@ -1,8 +1,7 @@
-"""A target that stands still: what every look from everywhere says of where it may stand.
+"""The belief about a standing target: the sum of all looks.
 
-In axes that do not turn, such a target has one place, and looks add. A field over the whole sphere, with shells of
-range where the body's positions are known, is searched for peaks; a `Window` about each holds what the field is too
-coarse for.
+In world axes such a target has one place, so looks add. A coarse field over the whole sphere (with shells of range, if
+positions are known) is searched for peaks, and a `Window` about each peak holds the finer detail.
 """
 
 from __future__ import annotations
@@ -24,19 +23,19 @@ from eagor.peaks import decoding_grid, neighbours, refine
 from eagor.ranged import NEAR, RangedBelief, mean_range, range_spread
 
 MOST = 4  # windows
-WORTH = 0.02  # of the belief: a peak that holds less gets no window,
-LEAST = 0.002  # ... and a window that holds less is closed
-SPILL = 0.02  # of what a window holds: skirts around it that hold less are left out
-NOTHING = 12.0  # nats below a peak: where the border of its window lies so deep, nothing is beyond
-WIDE = math.radians(14)  # a peak wider than this is well held by the field itself
+WORTH = 0.02  # of the belief: peaks that hold less get no window,
+LEAST = 0.002  # ... and windows that hold less are closed
+SPILL = 0.02  # of a window's mass: skirts around it that hold less are left out
+NOTHING = 12.0  # nats below a peak: if a window's border is lower, there is nothing beyond it
+WIDE = math.radians(14)  # the coarse field represents wider peaks well
 
 
 @dataclass(frozen=True, eq=False)
 class Standing:
     """Log ratios against "not here": `coarse` over the whole sphere, and `windows` about its peaks; world axes.
 
-    `height`: of the camera above the floor, metres, where it is known: things stand on floors (`eagor.heights`).
-    `spread`: of the detector; `coarse` is read with all its scales at once, the windows with each.
+    `height`: of the camera above the floor, metres, if known (`eagor.heights`). `spread`: of the detector; windows have
+    values for each of its scales, `coarse` the sum over them.
     """
 
     coarse: Belief | RangedBelief
@@ -46,24 +45,24 @@ class Standing:
 
     @classmethod
     def uniform(cls, degree: int, ranges: np.ndarray | None, height: float | None = None) -> Standing:
-        """Nothing known."""
+        """A uniform belief."""
         if ranges is None:
             return cls(Belief.uniform(degree))
         return cls(with_heights(RangedBelief.uniform(degree, ranges), height), (), height)
 
     def blank(self) -> Standing:
-        """A belief of the same kind that knows nothing."""
+        """A uniform belief with the same settings."""
         ranges = self.coarse.ranges if isinstance(self.coarse, RangedBelief) else None
         return replace(Standing.uniform(self.degree, ranges, self.height), spread=self.spread)
 
     @property
     def degree(self) -> int:
-        """Of the harmonics of `coarse`."""
+        """The degree of `coarse`."""
         return self.coarse.degree
 
     @given
     def field(self) -> SphereField:
-        """Over directions alone: log of the mean likelihood over the ranges."""
+        """The field over directions: log of the mean likelihood over the ranges."""
         grid = decoding_grid(self.degree)
         if isinstance(self.coarse, RangedBelief):
             values = self.coarse.posterior.coarse
@@ -77,7 +76,7 @@ class Standing:
         return self.field.log_mean
 
     def moved(self, step: np.ndarray, height: float | None = None) -> Standing:
-        """After the body has moved by `step` ``(3,)`` metres, in the axes of the world."""
+        """After the body has moved by `step` ``(3,)`` metres, world axes."""
         if not isinstance(self.coarse, RangedBelief):
             return self
         coarse = with_heights(self.coarse.predict(np.eye(3), step), height)
@@ -88,7 +87,7 @@ class Standing:
         )
 
     def ranged(self, ranges: np.ndarray, height: float | None) -> Standing:
-        """The same over direction and range, from now on: what is known so far holds for all ranges alike."""
+        """The same belief over direction and range: what is known so far holds for all ranges."""
         found = RangedBelief.uniform(self.degree, ranges).plus(self.coarse.coefficients)  # type: ignore[union-attr]
         logs = np.log(ranges)
         limits = float(logs[0]), float(logs[-1])
@@ -99,7 +98,7 @@ class Standing:
         return Standing(with_heights(found, height), windows, height, self.spread)
 
     def plus(self, look: Look, share: float = 1.0, since: np.ndarray | None = None) -> Standing:
-        """With `share` of a look added, which was taken before the body moved by `since` ``(3,)`` to where it is."""
+        """With `share` of a look added; the body has moved by `since` ``(3,)`` from where it was taken."""
         if since is None or not since.any() or not isinstance(self.coarse, RangedBelief):
             windows, patches = [], []
             for window, patch in zip(self.windows, self.field.patches, strict=True):
@@ -132,7 +131,7 @@ class Standing:
         return replace(self, coarse=self.coarse.forget(factor), windows=windows)
 
     def detecting(self) -> Standing:
-        """From the first set of detections on: their spread may differ from the stated one."""
+        """With a spread that is learnt, from the first detections on."""
         if self.spread.doubted:
             return self
         spread = Spread.unsure()
@@ -149,9 +148,9 @@ class Standing:
         return found
 
     def judged(self, stands: float, otherwise: np.ndarray) -> Standing:
-        """With what the windows tell of the spread.
+        """With the spread as learnt from the windows.
 
-        `stands`: probability that the target does; `otherwise` ``(S,)``: weights of the scales if not.
+        `stands`: probability that the target stands; `otherwise` ``(S,)``: weights of the scales if it does not.
         """
         if len(self.spread.scales) == 1:
             return self
@@ -170,7 +169,7 @@ class Standing:
         )
 
     def opened(self, look: Look) -> Standing:
-        """With windows where the detections of a look are, which is not yet added, if none is there."""
+        """With windows at the detections of a look that is about to be added, where there are none yet."""
         found = self
         centres, widths = look.centres
         if not len(centres):
@@ -186,7 +185,7 @@ class Standing:
         return found
 
     def focused(self, fresh: bool = False) -> Standing:
-        """With a window about each peak, as fine as the peak is now; `fresh` windows are fine enough."""
+        """With windows refined to the width of their peaks; `fresh` windows are fine enough already."""
         found, windows = self, self.windows
         if not fresh:
             windows = tuple(
@@ -209,7 +208,7 @@ class Standing:
         return found if len(keep) == len(found.windows) else found._kept(sorted(int(i) for i in keep))
 
     def _borders(self) -> list[float]:
-        """How far each window has to reach: over the skirts of the field around it, as long as they hold something."""
+        """The half width that each window needs, to cover the skirts of the field around it."""
         found = [0.0] * len(self.windows)
         if not any(window.border for window in self.windows):
             return found
@@ -236,7 +235,7 @@ class Standing:
         return found
 
     def _searched(self) -> Standing:
-        """With a window about the highest peak that has none, if it holds enough of the belief."""
+        """With a window about the highest peak without one, if it holds enough of the belief."""
         if len(self.windows) >= MOST:
             return self
         field, grid = self.field, self.field.grid
@@ -253,7 +252,7 @@ class Standing:
     def _with_window(self, centre: np.ndarray, width: float) -> Standing:
         """With a window about `centre` ``(3,)`` for a peak of this `width` (radians).
 
-        Drawn from the window that lies there, or from the coarse field.
+        Its values come from an existing window there, or from the coarse field.
         """
         window = Window.about(centre, width, self.degree)
         if isinstance(self.coarse, RangedBelief):
@@ -271,7 +270,7 @@ class Standing:
         return found
 
     def _coarse_at(self, directions: np.ndarray, logs: np.ndarray | None) -> np.ndarray:
-        """The field of the whole sphere ``(S, K, ...)`` at directions ``(..., 3)`` times ranges of these logarithms."""
+        """The coarse field ``(S, K, ...)`` at directions ``(..., 3)`` and these logarithms of ranges."""
         if isinstance(self.coarse, RangedBelief):
             assert logs is not None
             coefficients = self.coarse.between(logs)
@@ -281,7 +280,7 @@ class Standing:
         return np.add.outer(np.log(self.spread.weights), found)
 
     def _filled(self, window: Window, beyond: np.ndarray | None) -> Window:
-        """A window with the nodes `beyond` what it held before taken from the field of the whole sphere."""
+        """A window whose nodes `beyond` its former ones are filled from the coarse field."""
         if beyond is None:
             return window
         nodes, values = beyond.any(axis=0), window.values.copy()
@@ -309,7 +308,7 @@ class Standing:
         return float(mean_range(probabilities, ranges)), float(range_spread(probabilities, ranges))
 
     def _prior(self, window: Window) -> np.ndarray | None:
-        """What the height of things says at the nodes of a window ``(K, n, n)``, log ratios."""
+        """The prior of heights at the nodes of a window ``(K, n, n)``, log ratios."""
         if self.height is None or window.logs is None or not isinstance(self.coarse, RangedBelief):
             return None
         rise = np.exp(window.logs)[:, None, None] * window.directions[..., 2]
@@ -317,5 +316,5 @@ class Standing:
 
 
 def _least(look: Look, window: Window) -> np.ndarray:
-    """Radians ``(n,)``: the narrowest that a window holds of each detection of a look."""
+    """The least width (radians, ``(n,)``) at which a window can hold each detection of a look."""
     return np.zeros(1) if look.world is None else window.finest(look.world.directions)

@@ -1,8 +1,8 @@
-"""How sure we are of a figure, and whether one method is better than another.
+"""Confidence intervals, and tests of whether one method is better than another.
 
 Episodes share worlds and targets, so their results are not independent: where `groups` is given, whole groups are
-resampled or have their sign flipped, never single values. Randomness comes in as a Generator: same generator, same
-figures. Every function raises `EagorError` on samples that are empty, not finite, or do not fit each other.
+resampled or have their sign flipped, never single values. Randomness comes from a Generator: the same state gives the
+same figures. Every function raises `EagorError` on samples that are empty, not finite, or do not fit each other.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Interval:
-    """An interval that is stated to hold the true figure with probability `level`."""
+    """A confidence interval of probability `level`."""
 
     low: float
     high: float
@@ -53,7 +53,7 @@ class Discordance:
 
 @dataclass(frozen=True)
 class ReliabilityBin:
-    """The `n` statements with a probability in [lower, upper): what they stated, how often it came true."""
+    """The `n` stated probabilities in [lower, upper): their mean, and how often the event happened."""
 
     lower: float
     upper: float
@@ -133,7 +133,7 @@ def bootstrap_interval(
 
 
 def wilson_interval(successes: int, n: int, level: float = 0.95) -> Interval:
-    """Wilson's score interval for a share of successes: honest at 0 % and 100 %, where the bootstrap says nothing."""
+    """Wilson's score interval for a share of successes: right also at 0 % and 100 %, where the bootstrap fails."""
     _check_level(level)
     if not 0 <= successes <= n or n < 1:
         raise EagorError(f"got {successes} successes of {n}; wanted 0 <= successes <= n and n >= 1")
@@ -153,8 +153,8 @@ def paired_difference(
 ) -> PairedDifference:
     """Whether `a` and `b` ``(n,)``, measured on the SAME cases, differ in the mean: a - b, its interval, and p.
 
-    p is of the sign-flip permutation test: were the methods alike, each group's difference could as well have had the
-    other sign. All 2^groups sign patterns are tried where they are at most `resamples`, as many random ones otherwise.
+    p is of the sign-flip permutation test: if the methods are equal, each group's difference is as likely to have the
+    other sign. All 2^groups sign patterns are tried if they are at most `resamples`, else that many random ones.
     p is twice the share of patterns that reach as far to the side of the found difference, at most 1; of random ones
     that share is (hits + 1) / (resamples + 1), so p is never 0. The interval is `bootstrap_interval`'s.
     """
@@ -180,8 +180,8 @@ def paired_difference(
 def mcnemar(a: ArrayLike, b: ArrayLike) -> Discordance:
     """Whether two methods differ in their success on the SAME cases: McNemar's test, exact (binomial), two-sided.
 
-    Only cases where one succeeded and the other did not count; with none of them p = 1. Cases are taken to be
-    independent: where they share worlds, use `paired_difference` with groups.
+    Only cases where exactly one succeeded count; without any, p = 1. Cases must be independent: if they share worlds,
+    use `paired_difference` with groups.
     """
     a, b = outcomes(a, "a"), outcomes(b, "b")
     same_length(a=a, b=b)
@@ -219,7 +219,7 @@ def reliability(stated: ArrayLike, happened: ArrayLike, bins: int = 10) -> tuple
 
 
 def calibration_error(table: Sequence[ReliabilityBin]) -> float:
-    """Expected calibration error of a `reliability` table: mean gap between stated and found, weighted by cases."""
+    """Expected calibration error of a `reliability` table: mean gap between stated and observed, weighted by cases."""
     gaps = [
         (row.n, abs(row.stated - row.frequency))
         for row in table

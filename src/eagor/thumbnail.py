@@ -18,10 +18,10 @@ from eagor._arrays import Array, to_numpy
 from eagor.grids import Grid, PatchGrid
 
 GRID = PatchGrid(120, 240)
-HALF = 2 * math.pi  # steradians: the border of a larger region says nothing, and none is drawn
-NEAR, ALIKE = 0.1, math.pi / 2  # nats, steradians: where so much lies so near to the border's level, ripples decide it
-MOST = 5.0  # nats: the least range of the colours of evidence, so that a look that says little looks pale
-# From nothing to the likeliest; against, nothing, for; what was not looked at.
+HALF = 2 * math.pi  # steradians: the border of a larger region is not drawn
+NEAR, ALIKE = 0.1, math.pi / 2  # nats, steradians: if so much area is so near to the level, ripples decide the border
+MOST = 5.0  # nats: the least range of the colours, so that weak evidence looks pale
+# Density, from none to the highest; evidence against, none, for; not looked at.
 HEAT = np.array([(22, 18, 40), (101, 21, 110), (212, 72, 66), (252, 165, 10), (252, 255, 164)], dtype=float)
 SIGNED = np.array([(33, 102, 172), (146, 197, 222), (247, 247, 247), (244, 165, 130), (178, 24, 43)], dtype=float)
 UNSEEN, LINES, BORDER, ANSWER = (120, 120, 120), (110, 110, 120), (255, 255, 255), (0, 229, 255)
@@ -45,7 +45,7 @@ def density_html(
 
 
 def unknown_html(text: str) -> str:
-    """Nothing is known."""
+    """A picture without a belief."""
     return _html(_blank(), text)
 
 
@@ -63,7 +63,7 @@ def ratio_html(text: str, values: np.ndarray, seen: np.ndarray) -> str:
 
 
 def on_grid(map_: Array, grid: Grid, coverage: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """A map on `grid` (of a batch the first) as it is read on `GRID`, and where it was looked at."""
+    """A map on `grid` (the first of a batch) resampled to `GRID`, and where it was looked at."""
     values = np.asarray(to_numpy(map_), dtype=float)
     values = values.reshape(-1, *values.shape[-2:])[0]
     x, y, seen = grid.project(GRID.directions)

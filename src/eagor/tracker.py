@@ -1,9 +1,8 @@
-"""Following targets over time: poses at one rate, evidence at another, late or out of order, answers whenever asked.
+"""Following targets over time: poses and evidence at different rates, late or out of order; answers at any time.
 
-The belief is kept in the axes of the odometry's world, so that turning the camera costs nothing and loses nothing:
-evidence is turned once, from the body at the time of CAPTURE, and an answer is turned into the body at the time of the
-question. Evidence is kept in the order of its capture for as long as the history reaches; what comes late takes its
-place there, and the belief is carried forward from it again when the next answer is asked for.
+The belief is in world axes, so turning the camera costs nothing and loses nothing: evidence is rotated once, with the
+pose at its CAPTURE, and an answer with the pose at the time of the question. Evidence within the history is kept in
+order of capture. Late evidence is inserted there, and the next answer recomputes the belief from that point on.
 """
 
 from __future__ import annotations
@@ -30,17 +29,15 @@ from eagor.tracks import PENDING, Moment, State, Track
 
 __all__ = ["DirectionTracker"]
 
-TARGETS = 100  # that are followed at a time
+TARGETS = 100  # most targets at a time
 
 
 class DirectionTracker:
     """Follows any number of targets from stamped poses and stamped evidence.
 
-    Call `rotate` for every pose of the odometry, `observe` for every evidence as it arrives, `estimate` whenever an
-    answer is wanted. Stamps are seconds on one clock. Without any pose the camera is taken to stand still.
-
-    Threads may share a tracker: they take turns. At most `TARGETS` targets are followed; for one more, the one that was
-    spoken of least recently is forgotten, with a warning.
+    Call `rotate` with every pose of the odometry, `observe` with every evidence as it arrives, and `estimate` for an
+    answer. Stamps are seconds on one clock. Without any pose the camera stands still. Threads may share a tracker. It
+    follows at most `TARGETS` targets; for one more, it forgets the one that was used least recently, with a warning.
     """
 
     def __init__(self, config: TrackerConfig | None = None) -> None:
@@ -63,18 +60,17 @@ class DirectionTracker:
 
     @property
     def targets(self) -> tuple[str, ...]:
-        """The targets that have had evidence."""
+        """The targets that have evidence."""
         with self._turn:
             return tuple(self._tracks)
 
     def rotate(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None) -> None:
-        """A pose of the body: orientation ``(3, 3)``, and `position` ``(3,)`` in metres of the world where known.
+        """Add a pose of the body: orientation ``(3, 3)``, and `position` ``(3,)`` in metres, world frame, if known.
 
-        Raises `TimeError` if `stamp` lies before the pose before it, `RotationError` for what is no rotation,
-        `PoseError` for a position that is not three finite numbers or that is missing after earlier ones were given, or
-        if the camera is not above the floor. Poses that lie an hour or more ahead of those before and after them have
-        wrong stamps: they are left out when time goes on before them, with a warning, unless they have gone on for as
-        long as the history.
+        Raises `TimeError` if `stamp` is earlier than the last pose, `RotationError` if the matrix is not a rotation,
+        and `PoseError` if the position is not three finite numbers, is missing after earlier ones were given, or is not
+        above the floor. Poses an hour or more ahead of those before and after them have wrong stamps. They are dropped
+        with a warning, unless they span the whole history.
         """
         if position is not None:
             self._check_height(np.asarray(position, dtype=np.float64).reshape(-1))
@@ -102,10 +98,9 @@ class DirectionTracker:
     def observe(self, evidence: Evidence, target: str = "target") -> None:
         """Add evidence about `target`, placed by its time of capture; it may be late and out of order.
 
-        Evidence of one moment (views of one panorama) is one look. A look that is newer than the last pose is placed by
-        that pose until one comes that covers it. Raises `TimeError` without a stamp, or if it is older than the history
-        or more than an hour (`eagor.poses.HELD`) ahead of the last pose, and `PoseError` if no pose of that time is
-        known any more.
+        Evidence of one moment (views of one panorama) is one look. A look newer than the last pose uses that pose until
+        a newer one arrives. Raises `TimeError` without a stamp, or if the stamp is older than the history or more than
+        an hour (`eagor.poses.HELD`) ahead of the last pose, and `PoseError` if the pose of that time is gone.
         """
         if evidence.stamp is None:
             raise TimeError(
@@ -116,7 +111,7 @@ class DirectionTracker:
             evidence = evidence.with_detector(self.config.detector)
         elif self.config.calibration is not None:
             evidence = evidence.with_calibration(self.config.calibration)
-        evidence = replace(evidence, source=None)  # for people and reports, and of any size
+        evidence = replace(evidence, source=None)  # it may be large, and nothing here reads it
         with self._turn:
             self._poses.check_ahead(stamp)
             track = self._tracks.get(target) or Track()
@@ -144,10 +139,10 @@ class DirectionTracker:
             )
 
     def estimate(self, now: float, target: str = "target") -> Estimate:
-        """The answer at time `now`, in the body frame of that time (the last known pose is held beyond its stamp).
+        """The answer at time `now`, in the body frame of that time (the last pose holds beyond its stamp).
 
-        Raises `TimeError` if `now` lies before the newest evidence, `PoseError` if it lies before all known poses, and
-        `EagorError` for a target without evidence while others have some: a name that is mistyped.
+        Raises `TimeError` if `now` is before the newest evidence, `PoseError` if it is before all known poses, and
+        `EagorError` for an unknown target, if there are others.
         """
         with self._turn:
             pose, position = self._poses.at(now)
@@ -172,9 +167,9 @@ class DirectionTracker:
             return Estimate(now, now - state.stamp, cases, pose, self.config, answer, state.rates)
 
     def save(self, path: str | Path) -> Path:
-        """Write all that is known to a file, whole or not at all, and return its path; `load` goes on from there.
+        """Write the whole state to a file, atomically, and return its path; `load` continues from it.
 
-        Raises `StorageError` if the disk does not take it.
+        Raises `StorageError` if the file cannot be written.
         """
         return checkpoint.save(Path(path), self.__getstate__())
 
@@ -182,7 +177,7 @@ class DirectionTracker:
     def load(cls, path: str | Path) -> DirectionTracker:
         """The tracker that `save` wrote. No code of the file is run.
 
-        Raises `FormatError` for a file that is not one, is damaged, or was saved by another version.
+        Raises `FormatError` if the file is something else, damaged, or of another version.
         """
         state = checkpoint.load(Path(path))
         tracker = cls()
@@ -196,7 +191,7 @@ class DirectionTracker:
         return tracker
 
     def reset(self, target: str | None = None) -> None:
-        """Begin anew with `target`: nothing is known of it. Without a name: with all targets and poses (a new clock).
+        """Forget all evidence about `target`; without a name, all targets and all poses (for a new clock).
 
         Raises `EagorError` for a target without evidence.
         """
@@ -209,7 +204,7 @@ class DirectionTracker:
             self._tracks.clear()
 
     def forget(self, target: str) -> None:
-        """Follow `target` no longer. Raises `EagorError` for a target without evidence."""
+        """Stop following `target`. Raises `EagorError` for a target without evidence."""
         with self._turn:
             self._track(target)
             del self._tracks[target]
@@ -225,7 +220,7 @@ class DirectionTracker:
         track.used = self._uses
 
     def _place_again(self, track: Track) -> None:
-        """Place looks that came before their pose, now that there is a newer one."""
+        """Place looks again that were newer than their pose, now that there is a newer pose."""
         for index, moment in enumerate(track.moments):
             if moment.firm:
                 continue
@@ -279,7 +274,7 @@ class DirectionTracker:
         return Cases.prior(self.config.motion, standing)
 
     def _height(self, position: np.ndarray | None) -> float | None:
-        """Of the camera above the floor, where both are known; to the centimetre, since a walking camera bobs."""
+        """The camera's height above the floor, if known, to the centimetre, since a walking camera bobs."""
         if self.config.floor is None or position is None:
             return None
         return round(float(position[2]) - self.config.floor, 2)

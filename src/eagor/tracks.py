@@ -1,9 +1,8 @@
-"""What a tracker keeps of one target: its looks in order of capture, and what was believed after them.
+"""What a tracker keeps of one target: its looks in order of capture, and the beliefs after some of them.
 
-All of it is bounded. Looks older than the history, and more than `MOMENTS` of them, are folded into what is believed
-before the first that is kept: nothing of what they say is lost, and only a look that is older still comes too late.
-What is believed after a look is kept for the newest and for every `APART`-th of the others: a late look finds one to go
-on from a few looks before it.
+Memory is bounded. Looks older than the history, or beyond `MOMENTS`, are folded into the state before the first look
+that is kept; their evidence is not lost, but nothing can be inserted before them. States are kept after the newest
+looks and after every `APART`-th of the others, so that a late look recomputes only a few.
 """
 
 from __future__ import annotations
@@ -23,16 +22,16 @@ from eagor.evidence import Evidence
 from eagor.looks import Look
 from eagor.poses import HELD
 
-SAME_MOMENT = 1e-3  # seconds: stamps no further apart are of one moment
-PENDING = 64  # looks that may wait for the next answer; more are taken in at once
-MOMENTS = 128  # of a target that are kept
+SAME_MOMENT = 1e-3  # seconds: stamps this close are one moment
+PENDING = 64  # looks that may wait for the next answer; with more, all are processed at once
+MOMENTS = 128  # most moments per target
 VIEWS = 64  # of one moment
 NEWEST, APART = 3, 8  # moments whose states are kept
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What is believed of a target right after a look, about the place where the body was then."""
+    """The belief about a target right after a look, with the body's position then."""
 
     stamp: float
     position: np.ndarray | None
@@ -44,9 +43,9 @@ class State:
 
 @dataclass(eq=False)
 class Moment:
-    """Evidence of one moment, and where it was taken from; `firm` once a pose at or after it is known.
+    """Evidence of one moment and its pose; `firm` once a pose at or after it is known.
 
-    `bare`: its state holds no more than is given.
+    `bare`: its state has no cached values.
     """
 
     stamp: float
@@ -60,9 +59,9 @@ class Moment:
 
 @dataclass(eq=False)
 class Track:
-    """The moments of one target by rising stamp, and the state before the first of them (None: nothing known).
+    """The moments of one target by rising stamp, and the state `base` before them (None: uniform).
 
-    `trimmed`: whether moments were folded into `base`; `used`: when the target was last spoken of, as a running number.
+    `trimmed`: whether moments were folded into `base`; `used`: counter value at the last use of the target.
     """
 
     moments: list[Moment] = field(default_factory=list)
@@ -71,7 +70,7 @@ class Track:
     used: int = 0
 
     def copied(self) -> Track:
-        """The same, with moments of its own."""
+        """A copy with its own moments."""
         return replace(self, moments=[replace(moment, looks=moment.looks.copy()) for moment in self.moments])
 
     @property
@@ -83,13 +82,13 @@ class Track:
 
     @property
     def taken_in(self) -> int:
-        """How many of the moments are taken in."""
+        """How many moments are processed."""
         return next((i + 1 for i in reversed(range(len(self.moments))) if self.moments[i].state is not None), 0)
 
     def place_of(self, stamp: float) -> tuple[int, Moment | None]:
-        """Where evidence of this time belongs, and the moment that it is of, if there is one.
+        """The index where evidence of this time belongs, and its moment if there is one already.
 
-        Raises `TimeError` for what is older than all that is kept, and for one view too many of a moment.
+        Raises `TimeError` if it is older than all that is kept, or if its moment is full.
         """
         place = bisect.bisect_left([moment.stamp for moment in self.moments], stamp - SAME_MOMENT)
         if place < len(self.moments) and self.moments[place].stamp <= stamp + SAME_MOMENT:
@@ -108,14 +107,14 @@ class Track:
         return place, None
 
     def forget_from(self, place: int) -> None:
-        """The states from here on are to be made anew."""
+        """Drop the states from here on."""
         for moment in self.moments[place:]:
             moment.state, moment.bare = None, False
 
     def cut(self, last: float, until: float) -> None:
-        """Drop what is later than `until`; what is later than the pose at `last` waits for its pose again.
+        """Drop looks later than `until`; looks later than the pose at `last` wait for their pose again.
 
-        Where the state before the first look is later too, all that it says is gone, and the target begins anew.
+        If the state before the first look is later too, it is dropped as well.
         """
         if self.base is not None and self.base.stamp > until:
             self.base, self.trimmed = None, False
@@ -128,7 +127,7 @@ class Track:
                 del self.moments[place]
 
     def state(self, history: float, added: Callable[[State | None, Moment], State]) -> State | None:
-        """The state after the newest look, each new one `added` to the one before it; None without any."""
+        """The state after the newest look, computed by `added` for each new look; None without looks."""
         known = self.taken_in
         state = self.moments[known - 1].state if known else self.base
         for place in range(known, len(self.moments)):
@@ -139,18 +138,18 @@ class Track:
         return state
 
     def _thin(self, place: int) -> None:
-        """Keep the state only if none of the `APART` before it is kept, and without what is made when asked for."""
+        """Keep the state only if none of the `APART` before it is kept, and then without cached values."""
         moment = self.moments[place]
         if moment.state is None or moment.bare:
             return
         moment.bare = all(near.state is None for near in self.moments[max(0, place - APART + 1) : place])
-        # A copy is without such values, which are most of the memory.
+        # A copy drops the cached values, which are most of the memory.
         moment.state = copy.deepcopy(moment.state) if moment.bare else None
 
     def _fold(self, history: float) -> None:
-        """Fold what is too old, or too much, into the state before all others."""
+        """Fold moments that are too old or too many into `base`."""
         old = len(self.moments) - MOMENTS
-        # One that still waits for its pose by now waits no longer: no memory is endless.
+        # A moment that still waits for its pose is folded too: memory is bounded.
         awake = 0.0
         for place in reversed(range(1, len(self.moments))):
             silence = self.moments[place].stamp - self.moments[place - 1].stamp

@@ -1,11 +1,11 @@
-"""A target that goes around: where it is and how fast it turns, as a mixture of Gaussians.
+"""A target that turns at a steady rate: a Gaussian mixture over direction and angular velocity.
 
-Its state is a direction and an angular velocity (a constant-turn model, here on the sphere): what walks past, what
-circles, and all that stands while the heading of the odometry drifts. Each detection may be the target, so each makes
-a Kalman update of each component, and the likeliest are kept (a Bernoulli Gaussian-mixture filter; Ristic et al., IEEE
-Transactions on Signal Processing 61(13), 2013; the mixture: Vo and Ma, ibid. 54(11), 2006).
+This constant-turn model on the sphere covers what walks past, what circles, and standing things while the odometry's
+heading drifts. Each detection may be the target and makes a Kalman update of each component; the likeliest are kept (a
+Bernoulli Gaussian-mixture filter; Ristic et al., IEEE Transactions on Signal Processing 61(13), 2013; the mixture: Vo
+and Ma, ibid. 54(11), 2006).
 
-The error of a component is a small rotation phi and an error of the angular velocity, in axes that do not turn: the
+The error of a component is a small rotation phi and an error of the angular velocity, in world axes: the
 direction is exp(phi) d, and after t seconds phi becomes R phi + t (error of the velocity) with R = exp(velocity t).
 """
 
@@ -23,23 +23,23 @@ from eagor.looks import Look, Sightings
 from eagor.peaks import decoding_grid
 
 MOST = 24  # components
-FAINT = 1e-4  # of the heaviest: a component that weighs less is dropped
-STEADY = 0.03  # per root second: by how much of itself a turn changes
+FAINT = 1e-4  # of the heaviest: lighter components are dropped
+STEADY = 0.03  # per root second: relative change of the angular velocity
 BENDS, BEND_SHARES, BEND_VARIANCE = (-1.1, 0.0, 1.1), (0.3, 0.4, 0.3), 0.27
 FAR = 5.5  # standard deviations: beyond, a Gaussian is left out
-WIDEST = math.radians(50)  # a Gaussian on a plane says nothing of wider ones
-ALIKE = 0.05  # of the variance: components nearer than this are drawn as one
-LIGHT = 1e-2  # of the weight: what holds less is not drawn
+WIDEST = math.radians(50)  # wider Gaussians do not fit a tangent plane
+ALIKE = 0.05  # of the variance: nearer components are merged for drawing
+LIGHT = 1e-2  # of the weight: lighter ones are not drawn
 FINE = 2  # patches
 NODES, REACH = 11, 4.0  # of a patch about a component
 
 
 @dataclass(frozen=True, eq=False)
 class Turning:
-    """What is known of a target that turns; axes of the world.
+    """The belief about a turning target; world axes.
 
-    `rates` ``(K,)``: radians per second, the standard deviations of each part of the angular velocity that are reckoned
-    with. `unseen`: the share that no detection has told of: it may be anywhere. The others: `weights` ``(N,)``,
+    `rates` ``(K,)``: radians per second, the prior standard deviations of each component of the angular velocity.
+    `unseen`: the weight of a target that was never detected and may be anywhere. Components: `weights` ``(N,)``,
     `directions` ``(N, 3)``, angular velocities `turns` ``(N, 3)`` and `covariances` ``(N, 6, 6)`` of both. `unseen` and
     the weights sum to 1.
     """
@@ -57,7 +57,7 @@ class Turning:
         return cls(rates, 1.0, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 6, 6)))
 
     def after(self, elapsed: float, jumped: float, drift: float) -> Turning:
-        """After `elapsed` seconds in which a share `jumped` has turned up anywhere; `drift`: of the odometry."""
+        """After `elapsed` seconds, in which a share `jumped` has jumped anywhere; `drift`: of the odometry."""
         kept = replace(self, unseen=self.unseen * (1 - jumped) + jumped, weights=self.weights * (1 - jumped))
         if not len(self.weights):
             return kept
@@ -78,9 +78,9 @@ class Turning:
         return replace(kept, directions=directions, covariances=covariances)
 
     def mixed(self, share: float, directions: np.ndarray, shares: np.ndarray, covariances: np.ndarray) -> Turning:
-        """With a `share` of targets that begin to turn now, and were in places with covariances ``(n, 3, 3)``.
+        """With a `share` of targets that begin to turn now, at `directions` ``(n, 3)`` with covariances ``(n, 3, 3)``.
 
-        `shares` ``(n,)``: how they fall on these places ``(n, 3)``; what these lack to 1 may be anywhere.
+        `shares` ``(n,)``: how they are distributed over these; the rest to 1 may be anywhere.
         """
         born = self._born(share * shares, directions, covariances)
         unseen = (1 - share) * self.unseen + share * (1 - float(shares.sum()))
@@ -90,10 +90,10 @@ class Turning:
     def updated(
         self, look: Look, passing: Look | None = None, repeated: float = 0.0
     ) -> tuple[Turning, float, np.ndarray]:
-        """With one more look, and the log of how likely it was against "not here".
+        """After one more look, and the look's log likelihood ratio.
 
-        Also how likely it was for each of the scales that detections may be wide, if there are several ``(S,)``.
-        `repeated`: share of `passing`, the look before it, that it repeats.
+        Also its likelihood for each scale of the spread ``(S,)``, if there are several. `repeated`: share of `passing`,
+        the look before it, that it repeats.
         """
         sightings = look.sightings
         missed = sightings.missed(self.directions)
@@ -116,13 +116,13 @@ class Turning:
         return joined, gain, foretold
 
     def _born(self, weights: np.ndarray, directions: np.ndarray, covariances: np.ndarray) -> Turning:
-        """Components of which only the place is known."""
+        """New components, of which only the direction is known."""
         joint = np.zeros((len(directions), 6, 6))
         joint[:, :3, :3] = covariances
         along = directions[:, :, None] * directions[:, None, :]
         parts = []
         for rate in self.rates:
-            # How its path bends shows late, and then no Gaussian holds it: the bend is split in three from the start.
+            # The bend of a path shows late, and then no single Gaussian fits: start with three.
             joint[:, 3:, 3:] = rate**2 * (np.eye(3) - (1 - BEND_VARIANCE) * along)
             for bend, share in zip(BENDS, BEND_SHARES, strict=True):
                 parts.append((weights * (share / len(self.rates)), directions, bend * rate * directions, joint.copy()))
@@ -131,10 +131,7 @@ class Turning:
         return replace(self, **dict(zip(names, found, strict=True)))
 
     def _detected(self, seen: Sightings) -> tuple[Turning, np.ndarray]:
-        """Each component, taken to be the cause of each detection: a Kalman update.
-
-        And how likely that was for each scale ``(S,)``.
-        """
+        """A Kalman update of each component by each detection, and its likelihood for each scale ``(S,)``."""
         count, amplitudes = len(seen.directions), seen.amplitudes
         spreads = np.concatenate([seen.covariances[None], seen.scaled]).reshape(-1, 3, 3)
         peaks = np.tile(seen.directions, (1 + len(seen.scaled), 1))
@@ -158,7 +155,7 @@ class Turning:
         return detected, foretold
 
     def _innovations(self, peaks: np.ndarray, spreads: np.ndarray) -> tuple[np.ndarray, ...]:
-        """How each component foretells each detection.
+        """The prediction of each detection by each component.
 
         Covariances of its state with its place ``(N, 6, 2)``; of the error, the inverse covariance ``(N, k, 2, 2)``,
         that times the error ``(N, k, 2)``, and the density ``(N, k)``.
@@ -181,9 +178,9 @@ class Turning:
 
     @lazy
     def _across(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Two unit vectors ``(N, 2, 3)`` across each direction, and how the places along them vary.
+        """Two tangent vectors ``(N, 2, 3)`` at each direction, and the covariances of the position along them.
 
-        With the state, a covariance ``(N, 6, 2)``, and with each other ``(N, 2, 2)``.
+        With the state ``(N, 6, 2)``, and with each other ``(N, 2, 2)``.
         """
         frames = tangent_frames(self.directions)
         # A small rotation phi moves d by phi x d: along the first by phi . second, along the second by -phi . first.
@@ -193,9 +190,9 @@ class Turning:
 
     @lazy
     def places(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where it may be, whatever its turn: weights ``(n,)``, directions ``(n, 3)`` and `axes` as of detections.
+        """The marginal over directions: weights ``(n,)``, directions ``(n, 3)`` and `axes` as of `Detections`.
 
-        Components that lie as near as they are alike in width are taken together.
+        Nearby components of similar width are merged.
         """
         frames, _, own = self._across
         across = own.copy()
@@ -219,7 +216,7 @@ class Turning:
         return found, self.directions[order], anisotropic(self.directions[order], across[order])
 
     def density(self, where: np.ndarray) -> np.ndarray:
-        """Over a uniform one ``(...)``, at unit vectors ``(..., 3)``."""
+        """Density over a uniform one ``(...)``, at unit vectors ``(..., 3)``."""
         weights, centres, axes = self.places
         found = np.full(where.shape[:-1], self.unseen if len(weights) else 1.0)
         lengths = np.linalg.norm(axes, axis=-1)
@@ -235,7 +232,7 @@ class Turning:
         return found
 
     def patches(self, narrow: float, least: float) -> tuple[Patch, ...]:
-        """Places for a finer field about components narrower than `narrow` radians that hold `least`; values 0."""
+        """Patches (values 0) about components narrower than `narrow` radians that hold at least `least`."""
         found: list[Patch] = []
         for weight, centre, axes in zip(*self.places, strict=True):
             widths = 1 / np.linalg.norm(axes, axis=1)

@@ -277,7 +277,7 @@ def test_a_detector_is_described_in_one_line(room, tmp_path):
     for text, says in (
         ("pd=0.7,kappa=3", "'kappa=3'"),
         ("pd=7", "a probability above 0 and below 1"),
-        ("spread=0.2 rad", "is no number"),
+        ("spread=0.2 rad", "is not a number"),
         ("pd=0.5,pd=0.6", "once"),
     ):
         line = refused(*words, "--detector", text)

@@ -122,7 +122,7 @@ def test_files_that_are_no_whole_tracker_of_this_version_are_refused(tmp_path):
     damaged = bytearray(good)
     damaged[-7] ^= 1
     wrong = {
-        "is no saved tracker": [b"", b"{}", b"[1]\n", b"PK\x03\x04", pickle.dumps(print), good[:20], b"{" * 5000],
+        "is not a saved tracker": [b"", b"{}", b"[1]\n", b"PK\x03\x04", pickle.dumps(print), good[:20], b"{" * 5000],
         "is of version 2; wanted 1": [newer],
         "is damaged": [good[:-1], good[: len(good) // 2], head + b"\n", good + b"x", bytes(damaged)],
     }
