@@ -1,8 +1,9 @@
 """The exceptions. All are ``ValueError``; each text says what came, what was wanted, and what to change."""
 
 __all__ = [
-    "AnswerError", "DirectionError", "EagorError", "FormatError", "GridError", "ImageError", "PoseError", "QueryError",
-    "ResponseError", "RotationError", "ServerError", "StorageError", "TimeError", "WorkError", "WorldError",
+    "AnswerError", "DirectionError", "EagorError", "FormatError", "GridError", "ImageError", "MissingExtraError",
+    "PoseError", "QueryError", "ResponseError", "RotationError", "ServerError", "StorageError", "TimeError",
+    "WorkError", "WorldError",
 ]  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+from eagor._extras import need
 from eagor._version import __version__
 
 # The first eight hues stay apart for the colour-blind and have at least 3:1 contrast on their ground (after Okabe and
@@ -138,6 +139,7 @@ def rendered(template: str, **values: Any) -> str:
 
 @lru_cache(maxsize=1)
 def _environment() -> Any:
+    need("a report page", "sim", "jinja2")
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     found = Environment(
