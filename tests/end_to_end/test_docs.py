@@ -48,6 +48,16 @@ def test_the_python_of_a_page_runs_from_top_to_bottom(page, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
+def test_the_first_lines_of_the_readme_print_what_it_says(tmp_path):
+    (code, _), *_ = blocks(ROOT / "README.md", "python")
+    (printed, _), *_ = blocks(ROOT / "README.md", "text")
+    environment = os.environ | {"PYTHONWARNINGS": "error", "OPENBLAS_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
+    )
+    assert (done.stderr, done.stdout) == ("", printed)
+
+
 def commands():
     """Every command of the pages' shell blocks, without its comment."""
     for page in PAGES:
