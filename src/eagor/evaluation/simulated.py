@@ -134,7 +134,8 @@ def _facts(run: Told) -> list[tuple[str, str]]:
     pairs.append(("Units of work", f"{len(records)} recorded, {summary['failed']} of them failed"))
     pairs.append(("Methods", ", ".join(summary["methods"])))
     before = {"task", "perception", "world", "rows", "seed", "episodes", "development", "methods"}
-    pairs += [(name.capitalize(), words(value)) for name, value in config.items() if name not in before]
+    others = [(name.capitalize(), words(value)) for name, value in config.items() if name not in before]
+    pairs += [(name, text) for name, text in others if text]
     pairs += _looked(records)
     pairs.append(("Computing time", computing_time(records)))
     means = "a mean is over the episodes that have a case"
