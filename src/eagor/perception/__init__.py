@@ -211,8 +211,8 @@ def _faults(
         )
     if not ((response >= 0) & (response <= 1)).all():
         yield f"gives responses from {response.min():g} to {response.max():g}; wanted [0, 1]: logits want a sigmoid"
-    read = (lambda: evidence.log_ratio, lambda: evidence.coefficients(3))  # the second only if the first is finite
-    if not all(np.isfinite(np.asarray(values())).all() for values in read):
+    finite = bool(np.isfinite(np.asarray(evidence.log_ratio)).all())
+    if not finite or not np.isfinite(np.asarray(evidence.coefficients(3))).all():
         yield "gives evidence that is not finite; wanted finite log ratios: make it with Evidence.from_response"
     again = perception(panorama, query, stamp=stamp)
     first, second = (f"a {type(each.grid).__name__} of {tuple(each.grid.shape)}" for each in (evidence, again))
