@@ -39,15 +39,15 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from eagor.calibration import Calibration
-from eagor.detections import MIN_SPREAD
-from eagor.detector import DetectorModel
+from eagor.belief.ranged import RangedBelief
 from eagor.evaluation import parts
 from eagor.evaluation.calibration import TASKS, Recorder, kept_recordings
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.detector import DetectorModel
+from eagor.evidence.shapes import MIN_SPREAD
 from eagor.harmonics import RealHarmonics
-from eagor.peaks import decoding_grid
-from eagor.ranged import RangedBelief
+from eagor.harmonics.peaks import decoding_grid
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.methods import TrackerMethod
 from eagor.tasks.places import load_place

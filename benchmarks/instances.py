@@ -44,7 +44,7 @@ from eagor.statistics import bootstrap_interval
 from eagor.tasks.episodes import Slot
 from eagor.tasks.places import APARTMENT, UNTARGETED, Place, load_place
 from eagor.tasks.play import Recording
-from eagor.tracker import DirectionTracker
+from eagor.tracking.tracker import DirectionTracker
 
 RIGHT = 15.0  # degrees
 KINDS = ("one of a kind", "one among others", "several alike")

@@ -3,8 +3,9 @@
     python benchmarks/leak.py [--degree 15]
 
 Three ways to project the evidence of one view: plainly; with a taper inside the border, as wide as ours and twice as
-wide; and ours, a taper and the confinement of `eagor.coverage`. For a uniform field of one nat and for a blob near the
-border, the table gives the largest value beyond 30 degrees outside the border, and what is left of the blob's height.
+wide; and ours, a taper and the confinement of `eagor.evidence.coverage`. For a uniform field of one nat and for a blob
+near the border, the table gives the largest value beyond 30 degrees outside the border, and what is left of the
+blob's height.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import math
 import numpy as np
 
 import eagor
-from eagor import coverage
+from eagor.evidence import coverage
 from eagor.sphere import angular_distance
 
 VIEWS = {

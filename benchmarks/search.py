@@ -42,7 +42,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from eagor.calibration import Calibration
+from eagor.evidence.calibration import Calibration
 from eagor.perception.noise import Noise
 from eagor.statistics import bootstrap_interval, calibration_error, reliability, wilson_interval
 from eagor.tasks.hstar.agents import make_agent

@@ -31,20 +31,14 @@ FLOORS = {
     "worlds": ("worlds",),
     "perception": ("perception",),
     "measures": ("metrics", "statistics"),
-    "tracking": ("tracker", "tracks", "estimate", "poses"),
+    "tracking": ("tracking",),
     "baselines": ("baselines",),
-    "belief": (
-        "cases", "motion", "standing", "turning", "local", "heights", "ranged", "belief", "diffusion",
-        "posterior", "reading", "basins",
-    ),
-    "evidence": (
-        "evidence", "calibration", "averaging", "detections", "field", "detection_set", "coverage", "detector", "peaks",
-        "repeating", "looks",
-    ),
+    "belief": ("belief",),
+    "evidence": ("evidence",),
     "harmonics": ("harmonics", "conventions", "thumbnail"),
-    "sphere": ("grids", "sphere", "splines"),
-    "helpers": ("checkpoint", "plugins", "queries", "errors"),
-}  # fmt: skip
+    "sphere": ("grids", "sphere"),
+    "helpers": ("plugins", "queries", "errors"),
+}
 SAID = {
     "cli": "commands and their options",
     "evaluation": "runs, tables, reports",

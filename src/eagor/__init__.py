@@ -5,7 +5,8 @@
     tracker.observe(perception(panorama, "red chair", stamp=t0))   # evidence, possibly late
     estimate = tracker.estimate(now)                          # direction, cone, modes, presence, status
 
-The frames are on one page, `eagor.sphere`; the mathematics is in `eagor.belief` and the modules below it.
+The frames are on one page, `eagor.sphere`. A look goes through `eagor.evidence`, `eagor.belief` and `eagor.tracking`;
+each of them begins with a page that says what is where.
 
 Each name is loaded when it is first used (PEP 562): `eagor --help` answers without NumPy, and the command line chooses
 the number of threads before NumPy is loaded. The methods to compare with are in `eagor.baselines`.
@@ -32,25 +33,19 @@ if TYPE_CHECKING:
     from eagor import metrics as metrics
     from eagor import perception as perception
     from eagor import plugins as plugins
-    from eagor import poses as poses
     from eagor import queries as queries
     from eagor import sphere as sphere
     from eagor import statistics as statistics
     from eagor import tasks as tasks
-    from eagor import tracker as tracker
+    from eagor import tracking as tracking
     from eagor import worlds as worlds
-    from eagor.belief import Belief
-    from eagor.calibration import Calibration
-    from eagor.detector import DetectorModel
+    from eagor.belief import Belief, RangedBelief, log_ranges
     from eagor.errors import EagorError
-    from eagor.estimate import Estimate, Mode, TrackerConfig
-    from eagor.evidence import Evidence
+    from eagor.evidence import Calibration, DetectorModel, Evidence
     from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
     from eagor.harmonics import RealHarmonics
-    from eagor.motion import MotionModel
-    from eagor.ranged import RangedBelief, log_ranges
     from eagor.sphere import angular_distance, azimuth_elevation, direction
-    from eagor.tracker import DirectionTracker
+    from eagor.tracking import DirectionTracker, Estimate, Mode, MotionModel, TrackerConfig
 
 __all__ = [
     "Belief",
@@ -77,37 +72,37 @@ __all__ = [
 ]
 
 _HOME = {
-    "belief": ("Belief",),
-    "calibration": ("Calibration",),
-    "detector": ("DetectorModel",),
+    "belief": ("Belief", "RangedBelief", "log_ranges"),
     "errors": ("EagorError",),
-    "estimate": ("Estimate", "Mode", "TrackerConfig"),
-    "evidence": ("Evidence",),
+    "evidence": ("Calibration", "DetectorModel", "Evidence"),
     "grids": ("ErpGrid", "FisheyeGrid", "PatchGrid", "PerspectiveGrid"),
     "harmonics": ("RealHarmonics",),
-    "motion": ("MotionModel",),
-    "ranged": ("RangedBelief", "log_ranges"),
     "sphere": ("angular_distance", "azimuth_elevation", "direction"),
-    "tracker": ("DirectionTracker",),
+    "tracking": ("DirectionTracker", "Estimate", "Mode", "MotionModel", "TrackerConfig"),
 }
 
 # The modules that `dir(eagor)` shows; the others are parts of these.
 _MODULES = (
     "baselines", "belief", "conventions", "drawing", "errors", "evaluation", "evidence", "grids", "harmonics",
-    "metrics", "perception", "plugins", "poses", "queries", "sphere", "statistics", "tasks", "tracker", "worlds",
+    "metrics", "perception", "plugins", "queries", "sphere", "statistics", "tasks", "tracking", "worlds",
 )  # fmt: skip
-_MOVED = (  # to `eagor.baselines`
-    "Centroid", "CircularCentroid", "GridFilter", "HistogramFilter", "ParticleFilter", "Published",
-    "VonMisesFisherFilter",
-)  # fmt: skip
+_MOVED = {  # old names, which still work as attributes of `eagor`
+    **dict.fromkeys(
+        ("Centroid", "CircularCentroid", "GridFilter", "HistogramFilter", "ParticleFilter", "Published",
+         "VonMisesFisherFilter"), "baselines"),
+    **dict.fromkeys(("calibration", "detector"), "evidence"),
+    "ranged": "belief",
+    **dict.fromkeys(("estimate", "motion", "poses", "tracker"), "tracking"),
+}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
-    if name in _MODULES or name in _HOME:
+    if name in _MODULES:
         return import_module(f"eagor.{name}")
     if name in _MOVED:
-        warnings.warn(f"eagor.{name} is now eagor.baselines.{name}", DeprecationWarning, stacklevel=2)
-        return getattr(import_module("eagor.baselines"), name)
+        home = f"eagor.{_MOVED[name]}"
+        warnings.warn(f"eagor.{name} is now {home}.{name}", DeprecationWarning, stacklevel=2)
+        return getattr(import_module(home), name)
     for module, names in _HOME.items():
         if name in names:
             value = getattr(import_module(f"eagor.{module}"), name)

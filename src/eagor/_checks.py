@@ -1,4 +1,4 @@
-"""Checks of the fields of settings classes, with one error text.
+"""Checks of the fields of settings classes, with one error text, and of time stamps.
 
 The predicates return False for values that are no numbers: settings also come from JSON and the command line.
 """
@@ -10,7 +10,9 @@ from collections.abc import Mapping
 from numbers import Integral, Real
 from typing import Any
 
-from eagor.errors import EagorError
+from eagor.errors import EagorError, TimeError
+
+LATEST = 1e12  # seconds: a larger stamp counts milliseconds or less
 
 
 def require(owner: Any, fields: Mapping[str, tuple[bool, str]], error: type[EagorError] = EagorError) -> None:
@@ -45,3 +47,14 @@ def stretch(value: Any, lowest: float, highest: float = math.inf) -> bool:
     """Whether `value` is a pair (from, to) of numbers `within` these bounds, the first not above the second."""
     pair = isinstance(value, tuple | list) and len(value) == 2 and all(within(end, lowest, highest) for end in value)
     return pair and value[0] <= value[1]
+
+
+def checked_stamp(stamp: float) -> float:
+    """`stamp` as a float, seconds. Raises `TimeError` unless it is finite, and within `LATEST`."""
+    stamp = float(stamp)
+    if not abs(stamp) <= LATEST:
+        raise TimeError(
+            f"stamp = {stamp!r}; wanted the time (of evidence: of its capture) in seconds, not milliseconds or less: a "
+            f"finite number of at most {LATEST:g}"
+        )
+    return stamp

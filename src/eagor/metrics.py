@@ -54,8 +54,9 @@ def mae_by_segment(
     Args:
         errors: one per step, any unit.
         segments: ``(n,)`` labels, one per step; None where a step belongs to no segment.
-        names: the segments to report, in this order; by default those that occur, in order of appearance. A label that
-        is not among them raises `EagorError`.
+        names: the segments to report, in this order; by default those that occur, in order of appearance.
+
+    Raises `EagorError` for a label that is not among `names`.
     """
     errors = finite_values(errors, "errors")
     labels = plain_labels(segments)

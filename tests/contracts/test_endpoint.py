@@ -16,11 +16,11 @@ import pytest
 from contract_server import FAULTS, ContractServer, Reply, Request, reddish, wait_until
 from served_model import IMAGE_TOKENS, served, write_model
 
-from eagor.calibration import Calibration
 from eagor.cli import main
-from eagor.detector import DetectorModel
 from eagor.errors import AnswerError, EagorError, ImageError, QueryError, ServerError
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.perception import check_perception, load
 from eagor.perception.endpoint import EndpointPerception, from_text

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from eagor.calibration import Calibration
 from eagor.errors import ImageError
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.perception import load

@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor import plugins
-from eagor.calibration import Calibration
 from eagor.cli import main
-from eagor.detector import DetectorModel
 from eagor.errors import EagorError, FormatError, ImageError, QueryError, ResponseError, TimeError
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.perception import Perception, check_perception, known, load, short_name
 from eagor.perception.colour import COLOURS, SYNONYMS, ColourPerception, parse_colour
@@ -26,7 +26,7 @@ from eagor.perception.replay import ReplayPerception, parse_record, read_records
 from eagor.perception.truth import TruthPerception
 from eagor.queries import Query
 from eagor.sphere import angular_distance, azimuth_elevation, direction
-from eagor.tracker import DirectionTracker
+from eagor.tracking.tracker import DirectionTracker
 from eagor.worlds.painted import BALL_COLOURS, Ball, painted_room
 from eagor.worlds.panorama import read_panorama
 

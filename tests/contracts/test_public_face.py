@@ -53,6 +53,14 @@ def test_a_rival_lives_in_baselines_and_its_old_name_warns(name):
     assert caught[0].filename == __file__, "the warning points to the line that has to change"
 
 
+@pytest.mark.parametrize(
+    ("old", "new"), [("tracker", "tracking"), ("poses", "tracking"), ("ranged", "belief"), ("detector", "evidence")]
+)
+def test_a_module_that_has_moved_into_a_package_is_found_by_its_old_name_with_a_warning(old, new):
+    with pytest.warns(DeprecationWarning, match=rf"eagor\.{new}\.{old}"):
+        assert getattr(eagor, old).__name__ == f"eagor.{new}.{old}"
+
+
 def test_the_model_of_a_detector_and_of_motion_are_public():
     assert {"DetectorModel", "MotionModel"} <= set(eagor.__all__)
     assert not hasattr(eagor.Calibration, "detector")

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from eagor.calibration import Calibration
 from eagor.errors import ImageError, QueryError
+from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
 from eagor.metrics import angular_error_deg
 from eagor.perception import check_perception

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from seams import seamless
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from eagor.calibration import Calibration
 from eagor.errors import AnswerError, EagorError, ImageError, QueryError
+from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
 from eagor.perception import check_perception, load, parse_options
 from eagor.perception.transformers import TransformersPerception, family_of, inputs, prefix

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
 from eagor.sphere import angular_distance, world_R_body
-from eagor.tracker import DirectionTracker
+from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.tracker import DirectionTracker
 
 
 def walk(config, steps=24):

@@ -23,11 +23,11 @@ from eagor.baselines import (
 )
 from eagor.baselines.filters import concentration, mean_length
 from eagor.belief import Belief
-from eagor.calibration import Calibration
+from eagor.belief.ranged import RangedBelief
 from eagor.errors import EagorError, ResponseError, RotationError
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
-from eagor.ranged import RangedBelief
 from eagor.sphere import angular_distance, direction, rotation, unit, world_R_body
 
 GRID = PatchGrid(37, 74)

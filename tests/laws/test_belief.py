@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from strategies import directions, field, rotations
 
 from eagor.belief import Belief
-from eagor.calibration import Calibration
 from eagor.errors import DirectionError, EagorError, RotationError
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
 from eagor.grids import ErpGrid, PatchGrid
 from eagor.harmonics import RealHarmonics
-from eagor.peaks import decoding_grid
+from eagor.harmonics.peaks import decoding_grid
 from eagor.sphere import angular_distance, direction, rotation, unit
 
 SEEDS = st.integers(0, 500)

@@ -8,10 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eagor.calibration import Calibration
-from eagor.detector import DetectorModel
 from eagor.errors import EagorError
-from eagor.estimate import TrackerConfig
 from eagor.evaluation.calibration import (
     DETECTING,
     MOVING,
@@ -26,12 +23,15 @@ from eagor.evaluation.calibration import (
 from eagor.evaluation.fitting import LEARNT, fit
 from eagor.evaluation.lasting import lasting
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.detector import DetectorModel
 from eagor.grids import PatchGrid
-from eagor.motion import MotionModel
 from eagor.perception.calibrated import Calibrated, from_json, read_calibrated
 from eagor.sphere import direction, unit, world_R_body
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.play import Moment, Recording
+from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.motion import MotionModel
 
 GRID = PatchGrid(16, 32)
 SMALL = TrackerConfig(degree=7, ranges=None)

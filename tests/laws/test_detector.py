@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 from strategies import directions, random_directions
 
 from eagor.belief import Belief
-from eagor.detection_set import resolved
-from eagor.detector import DetectorModel, Rates, Spread, model_as_json, parse_model
 from eagor.errors import ResponseError
-from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
+from eagor.evidence.detections import resolved
+from eagor.evidence.detector import DetectorModel, Rates, Spread, model_as_json, parse_model
 from eagor.grids import ErpGrid, PerspectiveGrid
-from eagor.motion import MotionModel
 from eagor.sphere import angular_distance, direction, rotation, unit
-from eagor.tracker import DirectionTracker
+from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.motion import MotionModel
+from eagor.tracking.tracker import DirectionTracker
 
 PD, ALARMS = 0.7, 0.2
 Z = 1 - PD + PD / ALARMS  # the mean of L after one detection: 3.8

@@ -10,13 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import random_directions, rotations
 
-from eagor import coverage
-from eagor.averaging import averaged
 from eagor.belief import Belief
-from eagor.calibration import Calibration
-from eagor.detector import DetectorModel
 from eagor.errors import EagorError, ResponseError, TimeError
-from eagor.evidence import Evidence
+from eagor.evidence import Evidence, coverage
+from eagor.evidence.averaging import averaged
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import angular_distance, azimuth_elevation, direction, rotation
@@ -661,7 +660,7 @@ def test_a_view_laid_out_on_a_panorama_is_averaged_as_by_integrals_over_its_pixe
 
 def test_what_averages_a_view_is_small_and_kept_for_every_pose(monkeypatch):
     """240 x 320 pixels took 20 s at each look: a table of gigabytes that was never kept."""
-    from eagor import averaging
+    from eagor.evidence import averaging
 
     made, make = [], averaging._nodes
     monkeypatch.setattr(averaging, "_nodes", lambda *key: made.append(key) or make(*key))

@@ -7,8 +7,8 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from eagor import ErpGrid
-from eagor.field import Patch, SphereField
-from eagor.splines import interpolated
+from eagor.belief.field import Patch, SphereField
+from eagor.belief.splines import interpolated
 
 
 @pytest.mark.parametrize("shape", [(11, 9), (12, 11, 7)])

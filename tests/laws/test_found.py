@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from eagor.detector import DetectorModel
+from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.perception.blobs import blobs
 from eagor.perception.vlm.boxes import Box

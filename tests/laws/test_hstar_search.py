@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eagor.calibration import Calibration
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
 from eagor.perception.noise import Noise
 from eagor.tasks.hstar.camera import View, inside
 from eagor.tasks.hstar.looking import LENS, TruthEye

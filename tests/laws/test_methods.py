@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor import Calibration, Evidence, PatchGrid, angular_distance
-from eagor.detector import DetectorModel
 from eagor.errors import EagorError, TimeError
-from eagor.estimate import TrackerConfig
+from eagor.evidence.detector import DetectorModel
 from eagor.sphere import FORWARD, world_R_body
 from eagor.tasks.fitted import FITTED
 from eagor.tasks.methods import EVERY, NAMES, FilterMethod, TrackerMethod, make_method, tracker_config
+from eagor.tracking.estimate import TrackerConfig
 
 GRID = PatchGrid(18, 36)
 TARGET = np.array([3.0, 1.0, 0.5])

@@ -8,18 +8,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eagor.cases import Cases
-from eagor.detector import DetectorModel
+from eagor.belief.ranged import log_ranges
 from eagor.errors import EagorError
-from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
-from eagor.looks import Sight
-from eagor.motion import MotionModel
-from eagor.peaks import decoding_grid
-from eagor.ranged import log_ranges
+from eagor.evidence.detector import DetectorModel
+from eagor.harmonics.peaks import decoding_grid
 from eagor.sphere import angular_distance, direction, unit
-from eagor.standing import Standing
-from eagor.tracker import DirectionTracker
+from eagor.tracking.cases import Cases
+from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.look import Sight
+from eagor.tracking.motion import MotionModel
+from eagor.tracking.standing import Standing
+from eagor.tracking.tracker import DirectionTracker
 
 DEGREE = 11
 GRID = decoding_grid(DEGREE)

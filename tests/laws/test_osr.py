@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eagor.detections import MIN_SPREAD
 from eagor.errors import DirectionError, FormatError
 from eagor.evidence import Evidence
+from eagor.evidence.shapes import MIN_SPREAD
 from eagor.grids import ErpGrid
 from eagor.tasks.osr import direction_label, distance_label, lenient, score, score_map, swapped
 from eagor.tasks.osr.apartments import counting, direction, distance, mapping

@@ -13,11 +13,11 @@ from PIL import Image
 import eagor
 from eagor import baselines
 from eagor.drawing import draw_belief, draw_strip, panorama
-from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, world_R_body
-from eagor.tracker import DirectionTracker
+from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.tracker import DirectionTracker
 
 PANORAMA = np.full((32, 64, 3), 90, dtype=np.uint8)
 AHEAD = ((40, 10),)

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from strategies import rotations
 
 from eagor.belief import Belief
-from eagor.calibration import Calibration
+from eagor.belief.heights import height_prior
+from eagor.belief.ranged import RangedBelief, log_ranges
 from eagor.errors import EagorError, PoseError, RotationError
 from eagor.evidence import Evidence
-from eagor.heights import height_prior
-from eagor.ranged import RangedBelief, log_ranges
+from eagor.evidence.calibration import Calibration
 from eagor.sphere import angular_distance, direction, rotation
 
 

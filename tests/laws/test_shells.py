@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import field, random_directions, rotations
 
+from eagor.belief.ranged import log_ranges
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.shells import translate
-from eagor.ranged import log_ranges
 from eagor.sphere import rotation
 
 RANGES = log_ranges(0.5, 12.0, 14)

@@ -10,17 +10,17 @@ from hypothesis import strategies as st
 from strategies import random_directions, rotations
 
 from eagor.belief import Belief
-from eagor.calibration import Calibration
-from eagor.detector import DetectorModel
+from eagor.belief.reading import NEAR
 from eagor.errors import EagorError, PoseError, RotationError, TimeError
-from eagor.estimate import RIVAL, SURE, Answer, TrackerConfig, chosen
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.detector import DetectorModel
+from eagor.evidence.repeating import CommonError, Repeating
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
-from eagor.motion import MotionModel
-from eagor.reading import NEAR
-from eagor.repeating import CommonError, Repeating
 from eagor.sphere import angular_distance, direction, rotation, unit, world_R_body
-from eagor.tracker import DirectionTracker
+from eagor.tracking.estimate import RIVAL, SURE, Answer, TrackerConfig, chosen
+from eagor.tracking.motion import MotionModel
+from eagor.tracking.tracker import DirectionTracker
 
 GRID = PatchGrid(12, 24)
 STILL = MotionModel.still()

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import directions, random_directions, rotations
 
-from eagor.calibration import Calibration
 from eagor.errors import EagorError, GridError, ImageError, QueryError, RotationError
+from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
 from eagor.perception.noise import WIDEST, Noise
 from eagor.perception.truth import TruthPerception

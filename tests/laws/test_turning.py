@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from eagor import DetectorModel, DirectionTracker, Evidence, MotionModel, TrackerConfig
-from eagor.detector import Spread
+from eagor.evidence.detector import Spread
 from eagor.grids import ErpGrid
-from eagor.looks import Look, Sight
 from eagor.sphere import angular_distance, rotation, unit
-from eagor.turning import Turning
+from eagor.tracking.look import Look, Sight
+from eagor.tracking.turning import Turning
 
 GRID = ErpGrid(96, 192)
 MODEL = DetectorModel(detection_probability=0.7, false_alarms_per_look=0.2, spread=math.radians(8))

@@ -10,9 +10,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from seams import seamless
 
-from eagor.calibration import Calibration
 from eagor.errors import AnswerError, EagorError, GridError, ImageError, QueryError, ResponseError
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.perception.vlm.boxes import Box, parse_boxes
 from eagor.perception.vlm.drawing import drawn

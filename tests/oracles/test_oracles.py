@@ -15,10 +15,10 @@ from strategies import field, random_directions
 
 from eagor import conventions
 from eagor.belief import Belief
+from eagor.belief.ranged import RangedBelief
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
-from eagor.ranged import RangedBelief
 from eagor.sphere import angular_distance, azimuth_elevation, direction, rotation
 
 DEGREES = [1, 7, 20]

@@ -255,7 +255,7 @@ def test_bombs_take_no_room(tmp_path):
 
 SPREAD = """
 import math, resource, numpy as np
-from eagor.calibration import Calibration
+from eagor.evidence.calibration import Calibration
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
 

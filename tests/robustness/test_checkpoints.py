@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from eagor.belief import Belief
-from eagor.calibration import Calibration
-from eagor.detector import DetectorModel
+from eagor.belief.ranged import RangedBelief
 from eagor.errors import FormatError
-from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, FisheyeGrid, PerspectiveGrid
-from eagor.motion import MotionModel
-from eagor.ranged import RangedBelief
 from eagor.sphere import world_R_body
-from eagor.tracker import DirectionTracker
+from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.motion import MotionModel
+from eagor.tracking.tracker import DirectionTracker
 
 CONFIGS = {
     "default": TrackerConfig(degree=7, floor=0.0, drift=0.01),

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from eagor._lazy import lazy
-from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
-from eagor.motion import MotionModel
-from eagor.tracker import DirectionTracker
+from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.motion import MotionModel
+from eagor.tracking.tracker import DirectionTracker
 
 THREADS = 8
 PATIENCE = 120  # seconds: threads that have not ended by then wait for each other

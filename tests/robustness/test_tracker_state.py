@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from eagor.errors import EagorError, PoseError, TimeError
-from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
-from eagor.motion import MotionModel
-from eagor.poses import POSES
 from eagor.sphere import world_R_body
-from eagor.tracker import TARGETS, DirectionTracker
-from eagor.tracks import APART, MOMENTS, NEWEST, VIEWS
+from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.motion import MotionModel
+from eagor.tracking.poses import POSES
+from eagor.tracking.tracker import TARGETS, DirectionTracker
+from eagor.tracking.tracks import APART, MOMENTS, NEWEST, VIEWS
 
 LIGHT = TrackerConfig(degree=3, ranges=None, motion=MotionModel.still())
 AHEAD = np.array([1.0, 0.0, 0.0])

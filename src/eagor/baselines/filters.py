@@ -17,9 +17,10 @@ from eagor._reprs import changed
 from eagor.baselines import maps
 from eagor.baselines.maps import GRID
 from eagor.belief import Belief
-from eagor.calibration import Calibration
-from eagor.evidence import SILENT, Evidence
-from eagor.peaks import peak_on_grid
+from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.response import SILENT
+from eagor.harmonics.peaks import peak_on_grid
 from eagor.sphere import FORWARD, check_rotation, unit
 
 

@@ -8,12 +8,12 @@ from functools import lru_cache
 import numpy as np
 
 from eagor._arrays import to_numpy
-from eagor.calibration import Calibration
-from eagor.coverage import looked_at
+from eagor.belief.posterior import log_integral
 from eagor.errors import ResponseError
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.coverage import looked_at
 from eagor.grids import ErpGrid, Grid
-from eagor.posterior import log_integral
 
 GRID = ErpGrid(64, 128)
 """The cells (2.8 degrees) of the rivals that keep a map."""

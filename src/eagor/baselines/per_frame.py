@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from eagor._reprs import changed
 from eagor.baselines.maps import seen_response
-from eagor.evidence import SILENT, Evidence
+from eagor.evidence import Evidence
+from eagor.evidence.response import SILENT
 from eagor.grids import Grid
 from eagor.sphere import FORWARD, azimuth_elevation, check_rotation, direction, unit
 

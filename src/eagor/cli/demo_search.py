@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from eagor.cli import terminal
-from eagor.estimate import Estimate
 from eagor.evaluation.published import OURS, PAPERS
 from eagor.perception import load, rows_of
 from eagor.tasks.episodes import Slot
@@ -14,6 +13,7 @@ from eagor.tasks.methods import NAMES, TrackerMethod
 from eagor.tasks.places import APARTMENT
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
+from eagor.tracking.estimate import Estimate
 
 SPOKEN = {
     "centroid": "the plain centroid",

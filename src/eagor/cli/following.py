@@ -14,11 +14,11 @@ from eagor.cli.locate import as_angles, degrees, mode_as_json
 from eagor.cli.looking import ShapeError, is_input_fault, is_whole, look_if_recorded, read_frame
 from eagor.cli.poses import Step
 from eagor.errors import EagorError
-from eagor.estimate import Estimate, TrackerConfig
 from eagor.evidence import Evidence
 from eagor.perception import Perception
 from eagor.tasks.methods import NAMES, Method, make_method
-from eagor.tracker import DirectionTracker
+from eagor.tracking.estimate import Estimate, TrackerConfig
+from eagor.tracking.tracker import DirectionTracker
 
 RIVALS = tuple(name for name in NAMES if name != "eagor")  # in the order of the columns
 

@@ -24,11 +24,11 @@ from eagor.cli.looking import (
 )
 from eagor.cli.options import Locate
 from eagor.cli.words import STATUS, answer_in_words, in_words, signed
-from eagor.estimate import Estimate, Mode
 from eagor.evidence import Evidence
 from eagor.perception import short_name
 from eagor.sphere import azimuth_elevation
-from eagor.tracker import DirectionTracker
+from eagor.tracking.estimate import Estimate, Mode
+from eagor.tracking.tracker import DirectionTracker
 
 NEAR = 15  # degrees: how far beside it the answer may lie for somebody who is to find the thing
 

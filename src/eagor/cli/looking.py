@@ -15,13 +15,13 @@ from PIL import Image
 
 from eagor._files import written
 from eagor.cli.terminal import UsageError, warning
-from eagor.detector import parse_model
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
-from eagor.estimate import TrackerConfig
 from eagor.evidence import Evidence
+from eagor.evidence.detector import parse_model
 from eagor.perception import Perception, load, short_name
 from eagor.perception.calibrated import Calibrated, read_calibrated
 from eagor.perception.replay import ReplayPerception
+from eagor.tracking.estimate import TrackerConfig
 from eagor.worlds.panorama import read_panorama
 
 IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")

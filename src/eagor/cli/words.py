@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from eagor.estimate import Estimate
+    from eagor.tracking.estimate import Estimate
 
 STATUS = {
     "searching": "it may not be here, or lie anywhere",

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eagor.belief import Reading
+from eagor.belief.readable import Readable
 from eagor.drawing.sheet import INK, figure, image, plain
-from eagor.estimate import Estimate
 from eagor.grids import PatchGrid
 from eagor.sphere import azimuth_elevation, unit
 from eagor.thumbnail import undrawn
+from eagor.tracking.estimate import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +34,7 @@ FLAT = 1e-6  # a density that varies by less than this share of its mean knows n
 
 def draw_belief(
     panorama: np.ndarray,
-    belief: Estimate | Reading,
+    belief: Estimate | Readable,
     truth: np.ndarray | None = None,
     others: Mapping[str, np.ndarray | None] | None = None,
     modes: Sequence[np.ndarray] | None = None,
@@ -92,7 +92,7 @@ def draw_strip(panels: Sequence[Mapping[str, Any]], columns: int = 2, width: int
 def paint_belief(
     axes: Axes,
     panorama: np.ndarray,
-    belief: Estimate | Reading,
+    belief: Estimate | Readable,
     truth: np.ndarray | None = None,
     others: Mapping[str, np.ndarray | None] | None = None,
     modes: Sequence[np.ndarray] | None = None,
@@ -129,7 +129,7 @@ def paint_belief(
         _mark(axes, answer, "o", OURS, 8.5, "estimate (an older one, held)" if belief.held else "estimate")
 
 
-def _heat(axes: Axes, belief: Estimate | Reading) -> None:
+def _heat(axes: Axes, belief: Estimate | Readable) -> None:
     """The density as heat, and the border of its 90 % region; nothing where the belief knows nothing."""
     from matplotlib import colormaps
 
@@ -160,7 +160,7 @@ def _heat(axes: Axes, belief: Estimate | Reading) -> None:
     axes.plot([], [], color="white", linewidth=1.6, label=f"{100 * MASS:.0f} % region")
 
 
-def _region(belief: Estimate | Reading) -> tuple[float, float]:
+def _region(belief: Estimate | Readable) -> tuple[float, float]:
     """The log density (per steradian) at the border of the 90 % region, and its solid angle."""
     if isinstance(belief, Estimate):
         return belief.region(MASS)

@@ -18,14 +18,12 @@ from pathlib import Path
 import numpy as np
 
 from eagor._files import written
-from eagor.detection_set import Detections, tangent_frame
-from eagor.detector import DetectorModel
 from eagor.errors import EagorError, QueryError, WorldError
-from eagor.estimate import TrackerConfig
 from eagor.evaluation.lasting import lasting
 from eagor.evidence import Evidence
+from eagor.evidence.detections import Detections, tangent_frame
+from eagor.evidence.detector import DetectorModel
 from eagor.metrics import angular_error_deg
-from eagor.motion import MotionModel
 from eagor.perception import load, rows_of
 from eagor.sphere import FORWARD, angular_distance
 from eagor.tasks import task as tasks
@@ -35,7 +33,9 @@ from eagor.tasks.places import APARTMENT, DEVELOPMENT, load_place
 from eagor.tasks.play import MASS, Player, Recording
 from eagor.tasks.rules import Camera, Disturbances, as_dict
 from eagor.tasks.tracking import TrackingEpisode
-from eagor.tracker import DirectionTracker
+from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.motion import MotionModel
+from eagor.tracking.tracker import DirectionTracker
 from eagor.worlds.ball import PAINTS
 
 TASKS = ("waypoint", "tracking")

@@ -21,10 +21,7 @@ from typing import Any
 import numpy as np
 
 from eagor._version import __version__
-from eagor.calibration import Calibration
-from eagor.detector import DetectorModel
 from eagor.errors import EagorError
-from eagor.estimate import TrackerConfig
 from eagor.evaluation.calibration import (
     DETECTING,
     MOVING,
@@ -36,10 +33,13 @@ from eagor.evaluation.calibration import (
     score,
     short,
 )
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.detector import DetectorModel
 from eagor.perception.calibrated import Calibrated
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.methods import BASE
 from eagor.tasks.play import Recording
+from eagor.tracking.estimate import TrackerConfig
 
 DRAWS = 16  # settings in a round,
 ELITE = 4  # of which so many are kept

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from eagor.detection_set import Detections, View, anisotropic
-from eagor.detections import canvas_of, moments_of
-from eagor.detector import DetectorModel
 from eagor.evidence import Evidence
+from eagor.evidence.detections import Detections, View, anisotropic
+from eagor.evidence.detector import DetectorModel
+from eagor.evidence.shapes import canvas_of, moments_of
 from eagor.grids import ErpGrid, Grid, PatchGrid
 
 

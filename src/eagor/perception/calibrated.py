@@ -10,12 +10,12 @@ from typing import Any
 
 from eagor._files import written
 from eagor._json import number, parsed, shown
-from eagor.calibration import Calibration
-from eagor.detector import DetectorModel, model_as_json
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
-from eagor.motion import MotionModel
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.detector import DetectorModel, model_as_json
 from eagor.perception import short_name
+from eagor.tracking.motion import MotionModel
 
 READING = ("floor", "neutral", "temperature", "persistence", "spread")  # fields of `Calibration`
 LASTING = ("persists_for", "persists_within")  # fields that need not be in a file

@@ -17,11 +17,11 @@ import numpy as np
 
 from eagor._checks import require, whole
 from eagor._srgb import to_linear
-from eagor.calibration import Calibration
-from eagor.detection_set import View
-from eagor.detector import DetectorModel
 from eagor.errors import ImageError, QueryError
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.detections import View
+from eagor.evidence.detector import DetectorModel
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
 from eagor.perception.blobs import blobs, spread_evidence
 

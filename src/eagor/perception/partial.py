@@ -13,10 +13,10 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from eagor.detection_set import View
-from eagor.detections import canvas_of
 from eagor.errors import ImageError
 from eagor.evidence import Evidence
+from eagor.evidence.detections import View
+from eagor.evidence.shapes import canvas_of
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
 from eagor.perception import Perception, rows_of
 from eagor.perception.vlm.sizes import checked_picture

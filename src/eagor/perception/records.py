@@ -15,10 +15,10 @@ import numpy as np
 
 from eagor._json import parsed
 from eagor._json import shown as _short
-from eagor.calibration import Calibration
-from eagor.detector import DetectorModel
 from eagor.errors import EagorError, FormatError
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
 from eagor.sphere import direction, world_R_body
 

@@ -12,12 +12,12 @@ from bisect import bisect_left, bisect_right
 import numpy as np
 
 from eagor._checks import within
-from eagor.calibration import Calibration
-from eagor.detector import DetectorModel
 from eagor.errors import EagorError, FormatError, QueryError, TimeError
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.detector import DetectorModel
 from eagor.perception.records import Record, parse_record, read_records, write_record
-from eagor.tracks import SAME_MOMENT
+from eagor.tracking.tracks import SAME_MOMENT
 
 __all__ = ["Record", "ReplayPerception", "parse_record", "read_records", "write_record"]
 

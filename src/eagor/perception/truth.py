@@ -16,9 +16,9 @@ from functools import lru_cache
 import numpy as np
 
 from eagor._checks import whole
-from eagor.calibration import Calibration
 from eagor.errors import GridError, ImageError
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.perception.noise import WIDEST, Noise
 from eagor.queries import Named, matching, parse_query

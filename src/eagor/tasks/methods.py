@@ -24,16 +24,16 @@ from eagor.baselines import (
     Plain,
     VonMisesFisherFilter,
 )
-from eagor.calibration import Calibration
-from eagor.detector import DetectorModel
+from eagor.belief.ranged import log_ranges
 from eagor.errors import EagorError, TimeError
-from eagor.estimate import Estimate, TrackerConfig
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.detector import DetectorModel
 from eagor.perception import is_model
-from eagor.ranged import log_ranges
 from eagor.sphere import FORWARD
 from eagor.tasks.fitted import fitted
-from eagor.tracker import DirectionTracker
+from eagor.tracking.estimate import Estimate, TrackerConfig
+from eagor.tracking.tracker import DirectionTracker
 
 PARTICLES = 2000
 REWIND = 64  # steps that a filter can be rewound by

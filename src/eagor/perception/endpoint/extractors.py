@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from eagor.detections import WHOLE_SPHERE, canvas_of
+from eagor.evidence.shapes import WHOLE_SPHERE, canvas_of
 from eagor.grids import Grid, PerspectiveGrid
 from eagor.perception.endpoint.messages import Answer, Picture, Request, question
 from eagor.perception.vlm.boxes import Box, parse_boxes

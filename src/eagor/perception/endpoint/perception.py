@@ -13,10 +13,10 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from eagor._checks import above, require, whole, within
-from eagor.calibration import Calibration
-from eagor.detector import DetectorModel
 from eagor.errors import AnswerError, EagorError
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.detector import DetectorModel
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.perception.endpoint.addresses import shown_address
 from eagor.perception.endpoint.extractors import GRID, Plan, boxes_plan, view_plan, views_plan

@@ -21,9 +21,9 @@ import numpy as np
 
 from eagor._checks import require
 from eagor._extras import need
-from eagor.calibration import Calibration
 from eagor.errors import ImageError
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
 from eagor.perception.scout.resizing import resized
 from eagor.queries import parse_query

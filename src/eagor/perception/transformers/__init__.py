@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eagor.calibration import Calibration
-from eagor.detections import WHOLE_SPHERE
-from eagor.detector import DetectorModel
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.detector import DetectorModel
+from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
 from eagor.perception.transformers.looker import Account, Looker
 from eagor.perception.vlm.families import Extractor, Family, chosen, family_of

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from eagor.detections import MIN_SPREAD, bump
+from eagor.evidence.shapes import MIN_SPREAD, bump
 from eagor.grids import Grid
 from eagor.perception.vlm.boxes import Box
 from eagor.perception.vlm.found import moments_of

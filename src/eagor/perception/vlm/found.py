@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eagor.detection_set import View
-from eagor.detections import ANYWHERE, moments
-from eagor.detector import DetectorModel
 from eagor.errors import ResponseError
 from eagor.evidence import Evidence
+from eagor.evidence.detections import View
+from eagor.evidence.detector import DetectorModel
+from eagor.evidence.shapes import ANYWHERE, moments
 from eagor.grids import Grid, PerspectiveGrid
 from eagor.perception.blobs import spread_evidence
 from eagor.perception.vlm.boxes import Box

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from eagor._json import number, parsed, shown
-from eagor.detections import moments
 from eagor.errors import FormatError, ResponseError
+from eagor.evidence.shapes import moments
 from eagor.grids import ErpGrid
 from eagor.perception.vlm.prompts import phrase
 from eagor.sphere import direction

@@ -16,8 +16,8 @@ import numpy as np
 from eagor._arrays import to_numpy
 from eagor.baselines import Centroid, CircularCentroid, DirectionFilter, HistogramFilter
 from eagor.conventions import hstar_from_direction
-from eagor.coverage import looked_at
 from eagor.evidence import Evidence
+from eagor.evidence.coverage import looked_at
 from eagor.tasks.chat import Chat, digest
 from eagor.tasks.hstar.camera import View
 from eagor.tasks.hstar.data import Episode

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from eagor.calibration import Calibration
-from eagor.detections import MIN_SPREAD
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.shapes import MIN_SPREAD
 from eagor.grids import PerspectiveGrid
 from eagor.perception import Perception
 from eagor.perception.noise import Noise

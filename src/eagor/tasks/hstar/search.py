@@ -19,7 +19,7 @@ from eagor._lazy import lazy
 from eagor.belief import Belief
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid
-from eagor.peaks import decoding_grid
+from eagor.harmonics.peaks import decoding_grid
 from eagor.perception.partial import coverage
 from eagor.tasks.hstar.camera import HFOV_DEG, View, size_of
 from eagor.tasks.hstar.rules import PITCH_TOLERANCE, YAW_TOLERANCE
@@ -98,7 +98,7 @@ class Search:
 
     Per cell of `CELLS`: `shown` tells how much of it was in some view, 0 to 1; `stale` how much the next look at it
     would repeat. A look counts for less towards the border of its view, as its evidence does there
-    (`eagor.coverage.taper`).
+    (`eagor.evidence.coverage.taper`).
     """
 
     kind: str
@@ -220,7 +220,7 @@ def _shares(pitch: int) -> np.ndarray:
 def _weights(pitch: int, degree: int) -> np.ndarray:
     """How much a look from yaw 0 at this pitch says about each cell ``(H, W)``, 0 to 1: less towards the border.
 
-    The evidence of a view rises from its border as sin^2 and is whole pi / (degree + 1) inside (`eagor.coverage`).
+    The evidence of a view rises from its border as sin^2 and is whole pi / (degree + 1) inside.
     """
     rays = CELLS.directions.reshape(-1, 3) @ View(0.0, pitch).world_R_view
     rows, columns = size_of()

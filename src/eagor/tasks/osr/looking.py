@@ -24,9 +24,9 @@ import numpy as np
 from eagor._arrays import to_numpy
 from eagor._json import number, parsed, shown
 from eagor.belief import Belief
-from eagor.detections import MIN_SPREAD
 from eagor.errors import EagorError, FormatError, QueryError
 from eagor.evidence import Evidence
+from eagor.evidence.shapes import MIN_SPREAD
 from eagor.grids import ErpGrid
 from eagor.perception import Perception
 from eagor.sphere import wrap
@@ -134,7 +134,7 @@ def extent(evidence: Evidence, where: np.ndarray) -> tuple[float, float] | None:
     """Half width and half height (radians) of the thing whose response peaks near `where` ``(3,)``; None if too coarse.
 
     The response around the peak is taken for the bump of a box: a Gaussian whose variances are those of the box, a
-    third of its squared half sides, widened by `eagor.detections.MIN_SPREAD`. Its logarithm is fitted by a quadratic.
+    third of its squared half sides, widened by `MIN_SPREAD`. Its logarithm is fitted by a quadratic.
     """
     response = np.asarray(to_numpy(evidence.response), dtype=np.float64).reshape(-1)
     cells = evidence.grid.directions.reshape(-1, 3)

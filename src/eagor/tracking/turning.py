@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor._lazy import lazy
-from eagor.detection_set import anisotropic, bump_norms, tangent_frames
-from eagor.field import Patch, SphereField
-from eagor.looks import Look, Sightings
-from eagor.peaks import decoding_grid
+from eagor.belief.field import Patch, SphereField
+from eagor.evidence.detections import anisotropic, bump_norms, tangent_frames
+from eagor.harmonics.peaks import decoding_grid
+from eagor.tracking.look import Look, Sightings
 
 MOST = 24  # components
 FAINT = 1e-4  # of the heaviest: lighter components are dropped

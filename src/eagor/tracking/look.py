@@ -9,13 +9,13 @@ import numpy as np
 
 from eagor._arrays import to_numpy
 from eagor._lazy import lazy
-from eagor.detection_set import Detections, resolved
-from eagor.detector import STATED, Rates, Spread
+from eagor.belief.field import SphereField
 from eagor.evidence import Evidence
-from eagor.field import SphereField
+from eagor.evidence.detections import Detections, resolved
+from eagor.evidence.detector import STATED, Rates, Spread
+from eagor.evidence.repeating import Repeating
 from eagor.harmonics import RealHarmonics
-from eagor.peaks import decoding_grid, neighbours, refine
-from eagor.repeating import Repeating
+from eagor.harmonics.peaks import decoding_grid, neighbours, refine
 
 SIGHTINGS = 4  # of a response map
 

@@ -22,7 +22,7 @@ import numpy as np
 from eagor._arrays import Array, constant, namespace
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
-from eagor.peaks import decoding_grid, derivatives
+from eagor.harmonics.peaks import decoding_grid, derivatives
 
 STEP = 0.5  # largest curvature times variance per step
 CONVEX = 0.5  # positive curvature is clamped here: valleys steepen without bound and hold no probability

@@ -8,9 +8,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from eagor.belief.ranged import RangedBelief, log_shares
 from eagor.harmonics import RealHarmonics
-from eagor.peaks import decoding_grid
-from eagor.ranged import RangedBelief, log_shares
+from eagor.harmonics.peaks import decoding_grid
 
 # Heights (metres) of the middles of things above the floor: furniture about half a metre, things on walls or on
 # furniture up to two.

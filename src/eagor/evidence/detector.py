@@ -22,8 +22,8 @@ import numpy as np
 
 from eagor._checks import above, require, within
 from eagor.errors import ResponseError
+from eagor.evidence.repeating import METRES, SECONDS
 from eagor.grids import ErpGrid
-from eagor.repeating import METRES, SECONDS
 
 __all__ = ["DetectorModel", "Rates", "Spread", "model_as_json", "parse_model"]
 

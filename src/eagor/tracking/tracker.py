@@ -16,16 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from eagor import checkpoint
-from eagor.cases import Cases
+from eagor.belief.ranged import RangedBelief
 from eagor.errors import EagorError, FormatError, PoseError, TimeError
-from eagor.estimate import Estimate, TrackerConfig, chosen
 from eagor.evidence import Evidence
-from eagor.looks import Sight
-from eagor.poses import HELD, PoseHistory
-from eagor.ranged import RangedBelief
-from eagor.standing import Standing
-from eagor.tracks import PENDING, Moment, State, Track
+from eagor.tracking import checkpoint
+from eagor.tracking.cases import Cases
+from eagor.tracking.estimate import Estimate, TrackerConfig, chosen
+from eagor.tracking.look import Sight
+from eagor.tracking.poses import HELD, PoseHistory
+from eagor.tracking.standing import Standing
+from eagor.tracking.tracks import PENDING, Moment, State, Track
 
 __all__ = ["DirectionTracker"]
 
@@ -100,7 +100,7 @@ class DirectionTracker:
 
         Evidence of one moment (views of one panorama) is one look. A look newer than the last pose uses that pose until
         a newer one arrives. Raises `TimeError` without a stamp, or if the stamp is older than the history or more than
-        an hour (`eagor.poses.HELD`) ahead of the last pose, and `PoseError` if the pose of that time is gone.
+        an hour (`eagor.tracking.poses.HELD`) ahead of the last pose, and `PoseError` if the pose of that time is gone.
         """
         if evidence.stamp is None:
             raise TimeError(

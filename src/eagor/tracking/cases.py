@@ -1,14 +1,14 @@
 """Absent, standing, wandering or turning: one filter over these cases.
 
 The target is absent, stands still, wanders (a random walk of so many degrees per root second), or turns at a steady
-rate (`eagor.turning`). Each case with a target holds a belief over directions and is weighted by how well it predicted
-the looks; a Markov chain links the cases. This is a Bernoulli filter (Ristic et al., IEEE Transactions on Signal
+rate (`turning`). Each case with a target holds a belief over directions and is weighted by how well it predicted the
+looks; a Markov chain links the cases. This is a Bernoulli filter (Ristic et al., IEEE Transactions on Signal
 Processing 61(13), 2013) with interacting multiple models (Blom and Bar-Shalom, IEEE Transactions on Automatic Control
 33(8), 1988). The presence is the sum of the weights of the cases with a target.
 
 A wanderer is a density on a grid: diffusion is exact there and costs one product, since the heat kernel multiplies the
 coefficients of degree l by exp(-l (l + 1) sigma^2 / 2). A standing target is the sum of all looks since it came to
-stand (`eagor.standing`). Such a sum cannot absorb a target that stops only now, so the likelier of the two is kept.
+stand (`standing`). Such a sum cannot absorb a target that stops only now, so the likelier of the two is kept.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor._lazy import lazy
-from eagor.detector import Rates
-from eagor.field import Patch, SphereField, bent, blurred
+from eagor.belief.field import Patch, SphereField, bent, blurred
+from eagor.belief.reading import Reading
+from eagor.belief.windows import REACH
+from eagor.evidence.detector import Rates
+from eagor.evidence.repeating import NONE_YET, CommonError
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
-from eagor.local import REACH
-from eagor.looks import Look, Sight
-from eagor.motion import MotionModel
-from eagor.peaks import decoding_grid
-from eagor.reading import Reading
-from eagor.repeating import NONE_YET, CommonError
-from eagor.standing import Standing
-from eagor.turning import Turning
+from eagor.harmonics.peaks import decoding_grid
+from eagor.tracking.look import Look, Sight
+from eagor.tracking.motion import MotionModel
+from eagor.tracking.standing import Standing
+from eagor.tracking.turning import Turning
 
 _UNHEARD = 1e-5  # of the belief: cells with less do not count when the detector is learnt
 _FAINTEST = 1e-12  # of a mean density: lower values are ringing of the truncated series

@@ -12,15 +12,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor._lazy import given, lazy
-from eagor.belief import Belief
-from eagor.detector import STATED, UNLIKELY, Spread
-from eagor.field import SphereField
+from eagor.belief.direction import Belief
+from eagor.belief.field import SphereField
+from eagor.belief.heights import log_heights, with_heights
+from eagor.belief.ranged import NEAR, RangedBelief, mean_range, range_spread
+from eagor.belief.windows import RANGES, REACH, Window, skirts, with_own_peaks
+from eagor.evidence.detector import STATED, UNLIKELY, Spread
 from eagor.harmonics import RealHarmonics
-from eagor.heights import log_heights, with_heights
-from eagor.local import RANGES, REACH, Window, skirts, with_own_peaks
-from eagor.looks import Look
-from eagor.peaks import decoding_grid, neighbours, refine
-from eagor.ranged import NEAR, RangedBelief, mean_range, range_spread
+from eagor.harmonics.peaks import decoding_grid, neighbours, refine
+from eagor.tracking.look import Look
 
 MOST = 4  # windows
 WORTH = 0.02  # of the belief: peaks that hold less get no window,
@@ -34,8 +34,8 @@ WIDE = math.radians(14)  # the coarse field represents wider peaks well
 class Standing:
     """Log ratios against "not here": `coarse` over the whole sphere, and `windows` about its peaks; world axes.
 
-    `height`: of the camera above the floor, metres, if known (`eagor.heights`). `spread`: of the detector; windows have
-    values for each of its scales, `coarse` the sum over them.
+    `height`: of the camera above the floor, metres, if known. `spread`: of the detector; windows have values for each
+    of its scales, `coarse` the sum over them.
     """
 
     coarse: Belief | RangedBelief

@@ -14,13 +14,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from eagor.cases import Cases
-from eagor.detector import Rates
 from eagor.errors import TimeError
-from eagor.estimate import Answer
 from eagor.evidence import Evidence
-from eagor.looks import Look
-from eagor.poses import HELD
+from eagor.evidence.detector import Rates
+from eagor.tracking.cases import Cases
+from eagor.tracking.estimate import Answer
+from eagor.tracking.look import Look
+from eagor.tracking.poses import HELD
 
 SAME_MOMENT = 1e-3  # seconds: stamps this close are one moment
 PENDING = 64  # looks that may wait for the next answer; with more, all are processed at once

@@ -19,14 +19,15 @@ import numpy as np
 
 from eagor._arrays import Array, akin, as_float, matched, namespace, to_numpy
 from eagor._lazy import lazy
-from eagor.belief import Belief, Reading
+from eagor.belief.direction import Belief
+from eagor.belief.posterior import Field
+from eagor.belief.readable import Readable
 from eagor.errors import EagorError, PoseError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, ErpWindow
 from eagor.harmonics import RealHarmonics
+from eagor.harmonics.peaks import decoding_grid, peak_on_grid
 from eagor.harmonics.shells import translate
-from eagor.peaks import decoding_grid, peak_on_grid
-from eagor.posterior import Field
 from eagor.sphere import check_rotation
 
 __all__ = ["RangedBelief", "log_ranges", "mean_range", "range_spread"]
@@ -41,12 +42,11 @@ NEAR = math.radians(20)  # radius about a direction over which its range is read
 
 
 @dataclass(frozen=True, eq=False)
-class RangedBelief(Reading):
+class RangedBelief(Readable):
     """Direction and distance: `shells` ``(..., K, (degree + 1)^2)`` at `ranges` ``(K,)`` metres, in the body frame.
 
-    `prior` ``(K, (degree + 1)^2)``, such as `eagor.heights.height_prior`: prior knowledge of direction and range, used
-    when the belief is read. None: uniform. `predict` turns it but does not translate it, which is right on level
-    ground.
+    `prior` ``(K, (degree + 1)^2)``, such as `heights.height_prior`: prior knowledge of direction and range, used when
+    the belief is read. None: uniform. `predict` turns it but does not translate it, which is right on level ground.
     """
 
     shells: Array

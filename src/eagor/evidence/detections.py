@@ -1,4 +1,4 @@
-"""The set of detections of one look, and its likelihood (`eagor.detector` has the formula)."""
+"""The set of detections of one look, and its likelihood (`eagor.evidence.detector` has the formula)."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor._lazy import lazy
-from eagor.coverage import Region, confine, region, taper
-from eagor.detector import STATED, DetectorModel, Rates, Spread
+from eagor.evidence.coverage import Region, confine, region, taper
+from eagor.evidence.detector import STATED, DetectorModel, Rates, Spread
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
-from eagor.peaks import decoding_grid
+from eagor.harmonics.peaks import decoding_grid
 
 RESOLVED = math.radians(115)  # over degree + 1: the narrowest likelihood that the degree represents without loss
 
@@ -103,7 +103,7 @@ class Detections:
     def coefficients(self, degree: int, rates: Rates | None = None, spread: Spread = STATED) -> np.ndarray:
         """log L in harmonics ``(size,)``, body frame; detections are widened to what the degree can hold.
 
-        v fades to 0 inside the border of the covered region (`eagor.coverage`).
+        v fades to 0 inside the border of the covered region (`eagor.evidence.coverage`).
         """
         grid, basis = decoding_grid(degree), RealHarmonics(degree)
         share, where = self.grid_share(degree)

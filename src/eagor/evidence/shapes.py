@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from eagor.detection_set import tangent_frame
 from eagor.errors import ResponseError
+from eagor.evidence.detections import tangent_frame
 from eagor.grids import FisheyeGrid, Grid, PatchGrid, PerspectiveGrid
 
 CELL = math.radians(2)  # cell size of the grid on which boxes and points of a panorama are drawn

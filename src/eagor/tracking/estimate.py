@@ -13,15 +13,15 @@ from eagor._arrays import to_numpy
 from eagor._checks import above, require, whole, within
 from eagor._lazy import lazy
 from eagor._reprs import changed, where
-from eagor.calibration import Calibration
-from eagor.cases import Cases
-from eagor.detector import DetectorModel, Rates
+from eagor.belief.ranged import log_ranges
+from eagor.belief.reading import NEAR, Reading
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.detector import DetectorModel, Rates
 from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.harmonics import RealHarmonics
-from eagor.motion import MotionModel
-from eagor.ranged import log_ranges
-from eagor.reading import NEAR, Reading
 from eagor.sphere import azimuth_elevation, check_directions
+from eagor.tracking.cases import Cases
+from eagor.tracking.motion import MotionModel
 
 __all__ = ["Answer", "Estimate", "Mode", "Status", "TrackerConfig"]
 
@@ -45,8 +45,8 @@ class TrackerConfig:
     - `detector`: read every set of detections with this model instead of its own.
     - `ranges`: shells (metres) of the belief over distance, used where positions are known; None: directions only.
     - `floor`: height (z, metres) of the floor in the odometry's world, if known. Things stand on it, so a thing's
-      elevation tells its distance (`eagor.heights.height_prior`).
-    - `motion`: how targets come, go and move (`eagor.motion.MotionModel`).
+      elevation tells its distance (`eagor.belief.heights.height_prior`).
+    - `motion`: how targets come, go and move (`eagor.tracking.motion.MotionModel`).
     - `drift`: drift of the odometry's heading, radians per root second.
     - `history`: seconds for which poses and evidence are kept; late evidence must not be older.
     - `stale_after`: seconds without evidence after which an estimate is stale.

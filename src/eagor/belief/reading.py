@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from eagor._lazy import lazy
-from eagor.basins import basins
-from eagor.field import Patch, SphereField, bent, plane_directions, plane_weights
-from eagor.peaks import refine
+from eagor.belief.basins import basins
+from eagor.belief.field import Patch, SphereField, bent, plane_directions, plane_weights
+from eagor.harmonics.peaks import refine
 from eagor.sphere import unit
 
 PROMINENCE = 0.7  # nats: a peak counts as a mode if it stands out by a factor of two from the saddle around it

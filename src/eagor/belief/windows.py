@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from eagor._lazy import lazy
-from eagor.detection_set import resolved, tangent_frame
-from eagor.field import EVEN, Nodes, Patch, bent
+from eagor.belief.field import EVEN, Nodes, Patch, bent
+from eagor.belief.splines import interpolated
+from eagor.evidence.detections import resolved, tangent_frame
 from eagor.sphere import cross
-from eagor.splines import interpolated
 
 NODES = 11  # along each side
 RANGES = 12  # nodes along the range, where positions are known
@@ -40,10 +40,10 @@ class Window(Nodes):
     """Log-likelihood ratios ``(S, K, n, n)`` about one peak, world axes, origin at the body.
 
     The nodes are about a standard deviation apart in the middle, and further towards the border. There is one set of
-    values for each scale of the detector's spread (`eagor.detector.Spread`), which includes the logarithm of its
+    values for each scale of the detector's spread (`eagor.evidence.Spread`), which includes the logarithm of its
     weight: a joint belief over place and spread.
 
-    `frame`, `half`, `bend`: as for `eagor.field.Nodes`. `logs` ``(K,)``: logarithms of the ranges, evenly spaced; None
+    `frame`, `half`, `bend`: as for `field.Nodes`. `logs` ``(K,)``: logarithms of the ranges, evenly spaced; None
     without ranges (K = 1). `limits`: least and greatest logarithm of a range. `border`: least half width, in units of
     the plane.
     """

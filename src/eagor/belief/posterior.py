@@ -10,9 +10,9 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor._reprs import where
-from eagor.basins import basins
+from eagor.belief.basins import basins
 from eagor.grids import ErpGrid, ErpWindow
-from eagor.peaks import neighbours, peak_on_grid, refine
+from eagor.harmonics.peaks import neighbours, peak_on_grid, refine
 from eagor.sphere import azimuth_elevation
 
 CELLS_PER_SIGMA = 3.0  # grid spacing against the width of the sharpest peak: integrals converge long before that

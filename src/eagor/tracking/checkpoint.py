@@ -25,17 +25,19 @@ from eagor._files import open_regular, written
 from eagor._lazy import state_of
 from eagor.errors import FormatError
 
-VERSION = 1
+VERSION = 2
 FORMAT = "eagor tracker"
 LONGEST = 1000  # bytes of the first line
 # Only dataclasses of these modules may be in a file.
 MODULES = {
-    f"eagor.{name}"
-    for name in (
-        "belief", "calibration", "cases", "detection_set", "detector", "estimate", "evidence", "field", "grids",
-        "local", "looks", "motion", "poses", "ranged", "repeating", "standing", "tracks", "turning",
-    )
-}  # fmt: skip
+    "eagor.grids",
+    *(f"eagor.evidence.{name}" for name in ("calibration", "detections", "detector", "evidence", "repeating")),
+    *(f"eagor.belief.{name}" for name in ("direction", "field", "ranged", "windows")),
+    *(
+        f"eagor.tracking.{name}"
+        for name in ("cases", "estimate", "look", "motion", "poses", "standing", "tracks", "turning")
+    ),
+}
 
 
 def save(path: Path, state: Any) -> Path:

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from eagor._arrays import to_numpy
+from eagor._checks import checked_stamp
 from eagor.errors import PoseError, TimeError
-from eagor.evidence import checked_stamp
 from eagor.sphere import check_rotation, interpolate_rotation
 
 __all__ = ["PoseHistory"]

@@ -1,11 +1,11 @@
 """Evidence: what one look at the world says about each direction, as a log-likelihood ratio.
 
-A perception returns a response l in [0, 1] on a grid. `eagor.calibration` turns it into a log-likelihood ratio:
+A perception returns a response l in [0, 1] on a grid. A `Calibration` turns it into a log-likelihood ratio:
 positive where the response speaks for the target, negative (and bounded) where we looked and saw nothing, exactly zero
 where we did not look. The logarithm is taken on the response's own grid, and the coefficients integrate each cell over
 its solid angle. (Upsampling before the logarithm would turn the skirts of isolated cells into large areas of evidence.)
 
-With a `Calibration.spread`, the likelihood ratios are averaged over that angle before truncation (`eagor.averaging`);
+With a `Calibration.spread`, the likelihood ratios are averaged over that angle before truncation (`averaging`);
 otherwise a small thing would nearly vanish.
 """
 
@@ -18,25 +18,22 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eagor._arrays import Array, frozen, matched, namespace, to_numpy
+from eagor._checks import checked_stamp
 from eagor._reprs import changed
-from eagor.averaging import averaged
-from eagor.calibration import Calibration
-from eagor.coverage import Region, confine, region, taper
-from eagor.detection_set import Detections, View, anisotropic, isotropic
-from eagor.detections import MIN_SPREAD, WHOLE_SPHERE, bump, canvas_of, mask_moments, moments, widened
-from eagor.detector import DetectorModel
-from eagor.errors import ResponseError, TimeError
+from eagor.errors import ResponseError
+from eagor.evidence.averaging import averaged
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.coverage import Region, confine, region, taper
+from eagor.evidence.detections import Detections, View, anisotropic, isotropic
+from eagor.evidence.detector import DetectorModel
+from eagor.evidence.repeating import Repeating
+from eagor.evidence.response import SILENT, checked_coverage, checked_response, log_ratios, peak_of, where_covered
+from eagor.evidence.shapes import MIN_SPREAD, WHOLE_SPHERE, bump, canvas_of, mask_moments, moments, widened
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
-from eagor.repeating import Repeating
 from eagor.sphere import unit
 
 __all__ = ["Evidence"]
-
-SILENT = 1e-6  # a smaller response is rounded zero, and must not be scaled up to a detection
-LATEST = 1e12  # seconds: a larger stamp counts milliseconds or less
-_LEAST_PEAK = 1e-30  # dividing by a smaller maximum overflows float32
-_BLOCK = 1 << 16  # values at a time, so that they stay in the cache
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -111,16 +108,14 @@ class Evidence:
         shape, an empty array, NaN, or values outside [0, 1]. An all-zero response is valid: we looked and saw nothing.
         """
         calibration = calibration or _DEFAULT
-        response = _checked_shape(response, grid)
+        response = checked_response(response, grid)
         mask = None
         if coverage is not None:
-            coverage = _checked_coverage(coverage, grid)
+            coverage = checked_coverage(coverage, grid)
             mask = coverage > 0
-            response = _where_covered(response, mask)
-        peak = _largest(response) if calibration.scale_to_max else 1.0
-        if peak < _LEAST_PEAK:  # nothing to scale
-            peak = 1.0
-        log_ratio = _log_ratio(response, calibration, peak)
+            response = where_covered(response, mask)
+        peak = peak_of(response) if calibration.scale_to_max else 1.0
+        log_ratio = log_ratios(response, calibration, peak)
         if stamp is not None:
             stamp = checked_stamp(stamp)
         if coverage is not None:
@@ -337,112 +332,6 @@ def _detected(
     return Evidence.from_detections(detections, canvas_of(grid), stamp)
 
 
-def _checked_shape(response: Array, grid: Grid) -> Array:
-    """`response` as a floating array, once its shape fits `grid`."""
-    if not hasattr(response, "shape"):
-        response = np.asarray(response)
-    if tuple(response.shape[-2:]) != tuple(grid.shape) or 0 in tuple(response.shape):
-        raise ResponseError(
-            f"response has shape {tuple(response.shape)}; the grid wants (..., {grid.shape[0]}, {grid.shape[1]}) "
-            "and at least one value. Pass the grid that the response was computed on"
-        )
-    if isinstance(response, np.ndarray):
-        return response.astype(_working(response), copy=False)
-    xp = namespace(response)
-    if xp.isdtype(response.dtype, "complex floating"):
-        raise ResponseError(_NO_NUMBERS.format(response.dtype))
-    return response if xp.isdtype(response.dtype, "real floating") else xp.astype(response, xp.float32)
-
-
-def _working(response: np.ndarray) -> np.dtype:
-    """The type to compute in: float32 or float64, in this machine's order of bytes (`_log_ratio` reads the bits)."""
-    if response.dtype.kind not in "fiub" or isinstance(response, np.ma.MaskedArray):
-        kind = "a masked array" if isinstance(response, np.ma.MaskedArray) else response.dtype
-        raise ResponseError(_NO_NUMBERS.format(kind))
-    return np.dtype(np.float64 if response.dtype.kind == "f" and response.dtype.itemsize > 4 else np.float32)
-
-
-_NO_NUMBERS = (
-    "response is {}; wanted an array of real numbers in [0, 1] (any float type). What is masked goes into coverage, a "
-    "complex response wants its magnitude"
-)
-
-
-def _where_covered(response: Array, mask: np.ndarray) -> Array:
-    """`response` ``(..., H, W)`` with zeros where `mask` ``(H, W)`` says that nothing was covered."""
-    xp = namespace(response)
-    return xp.where(matched(mask, response), response, xp.zeros_like(response))
-
-
-def _log_ratio(response: Array, calibration: Calibration, peak: float) -> Array:
-    """The checked log ratio of ``response / peak``.
-
-    NumPy arrays are processed in blocks, and the division is folded into the gain: a second full map would cost more
-    than all the rest.
-    """
-    offset = calibration.floor / (calibration.neutral + calibration.floor)
-    gain = 1 / (calibration.neutral + calibration.floor) / peak
-    if not isinstance(response, np.ndarray):
-        xp = namespace(response)
-        if not (float(xp.min(response)) >= 0 and float(xp.max(response)) <= 1):
-            raise ResponseError(_what_is_wrong(to_numpy(response)))
-        return calibration.temperature * xp.log(response * gain + offset)
-    flat = np.ascontiguousarray(response).reshape(-1)
-    # Read as unsigned integers, floats in [0, 1] are the smallest: negative numbers have the sign bit set, NaN and
-    # infinity the largest exponents. So one maximum checks range and finiteness.
-    bits = flat.view(np.uint32 if flat.dtype.char == "f" else np.uint64)
-    one = 0x3F800000 if flat.dtype.char == "f" else 0x3FF0000000000000
-    out = np.empty_like(flat)
-    for start in range(0, flat.size, _BLOCK):
-        part = slice(start, start + _BLOCK)
-        if bits[part].max() > one:
-            _fail_unless_valid(response)
-        block = out[part]
-        np.multiply(flat[part], gain, out=block)
-        np.add(block, offset, out=block)
-        np.log(block, out=block)
-        if calibration.temperature != 1.0:
-            np.multiply(block, calibration.temperature, out=block)
-    return out.reshape(response.shape)
-
-
-def _fail_unless_valid(response: np.ndarray) -> None:
-    """The slow, exact check after the fast one, which also rejects -0.0."""
-    if not (response.min() >= 0 and response.max() <= 1):
-        raise ResponseError(_what_is_wrong(response))
-
-
-def _what_is_wrong(response: np.ndarray) -> str:
-    if not np.isfinite(response).all():
-        count = int((~np.isfinite(response)).sum())
-        return (
-            f"response has {count} values that are NaN or infinite; wanted numbers in [0, 1]. Give coverage (H, W) "
-            "that is 0 where they stand: what was not covered is not looked at"
-        )
-    return (
-        f"response runs from {response.min():g} to {response.max():g}; wanted [0, 1]. Logits want a sigmoid, "
-        "attention wants a fixed scale (not the frame's own maximum)"
-    )
-
-
-def _largest(response: Array) -> float:
-    """The maximum of a single response, for the published scaling."""
-    if len(response.shape) != 2:
-        raise ResponseError("scale_to_max reads one response (H, W) at a time; loop over the batch")
-    return float(namespace(response).max(response))
-
-
-def checked_stamp(stamp: float) -> float:
-    """`stamp` as a float, seconds. Raises `TimeError` unless it is finite, and within `LATEST`."""
-    stamp = float(stamp)
-    if not abs(stamp) <= LATEST:
-        raise TimeError(
-            f"stamp = {stamp!r}; wanted the time (of evidence: of its capture) in seconds, not milliseconds or less: a "
-            f"finite number of at most {LATEST:g}"
-        )
-    return stamp
-
-
 def _rows(values: Array, columns: int, name: str) -> np.ndarray:
     """`values` as a table ``(n, columns)``; one row and an empty list are tables too."""
     table = np.asarray(to_numpy(values), dtype=np.float64)
@@ -451,14 +340,6 @@ def _rows(values: Array, columns: int, name: str) -> np.ndarray:
     if table.ndim > 2 or table.shape[-1:] != (columns,):
         raise ResponseError(f"{name} have shape {table.shape}; wanted (n, {columns})")
     return table.reshape(-1, columns)
-
-
-def _checked_coverage(coverage: np.ndarray, grid: Grid) -> np.ndarray:
-    """A copy of `coverage` ``(H, W)``, once its values are in [0, 1]."""
-    coverage = np.array(to_numpy(coverage), dtype=np.float64)
-    if coverage.shape != tuple(grid.shape) or not (coverage.min() >= 0 and coverage.max() <= 1):
-        raise ResponseError(f"coverage must have the grid's shape {tuple(grid.shape)} and values in [0, 1]")
-    return coverage
 
 
 def _checked_scores(scores: Array | None, count: int) -> np.ndarray:

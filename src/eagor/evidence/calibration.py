@@ -16,7 +16,7 @@ from eagor._arrays import Array, namespace
 from eagor._checks import above, require, within
 from eagor._reprs import changed
 from eagor.errors import ResponseError
-from eagor.repeating import METRES, SECONDS
+from eagor.evidence.repeating import METRES, SECONDS
 
 __all__ = ["Calibration"]
 

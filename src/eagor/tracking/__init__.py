@@ -1,0 +1,20 @@
+"""Following targets over time: poses and looks by their stamps, answers at any time.
+
+One look of one target takes this way:
+
+1. `tracker`: `DirectionTracker.observe` files the evidence under its target, `tracks` puts it where its time of capture
+   belongs, and `poses` says where the camera was then.
+2. `look`: all evidence of one moment, turned into world axes.
+3. `cases`: is the target absent, does it stand (`standing`), wander, or turn (`turning`)? Each case predicts the look,
+   and is weighed by how well it did. `motion` has the rates at which targets change from case to case.
+4. `estimate`: the answer in the body frame of now, with its candidates, cone, presence and status.
+
+`config` has the settings.
+"""
+
+from eagor.tracking.estimate import Estimate, Mode, Status, TrackerConfig
+from eagor.tracking.motion import MotionModel
+from eagor.tracking.poses import PoseHistory
+from eagor.tracking.tracker import DirectionTracker
+
+__all__ = ["DirectionTracker", "Estimate", "Mode", "MotionModel", "PoseHistory", "Status", "TrackerConfig"]
