@@ -42,7 +42,7 @@ def smoke(folder: Path) -> None:
     with ContractServer(reddish) as server:
         look = load(f"endpoint:qwen@{server.url}?pixels=6272&seam=no")
         tracker = eagor.DirectionTracker(eagor.TrackerConfig())
-        tracker.rotate(0.0, np.eye(3))
+        tracker.add_pose(0.0, np.eye(3))
         tracker.observe(look(np.full((56, 112, 3), 128, np.uint8), "red chair", stamp=0.0))
     units = [Unit(f"u{number}", "0", {"number": number}) for number in range(3)]
     done = run_units(units, "smoke:double", {"task": "smoke", "factor": 2}, folder / "run", 1, engine="ray")

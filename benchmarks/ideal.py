@@ -137,10 +137,10 @@ def contestants(world: str, wanted: set[str]) -> dict[str, Factory]:
     if world in TOLD:
         if "walk" in world:
             known["Bayes, kind of motion unknown"] = lambda run, seed: KindUnknown(TRUE)
-        config = TrackerConfig(motion=TOLD[world])
+        config = TrackerConfig(target_motion=TOLD[world])
         found = known | ours | {f"{OURS}, told": lambda run, seed: Tracker(TRUE, config=config, motion=run.motion)}
         if "turn" in world:
-            circling = TrackerConfig(motion=CIRCLING)
+            circling = TrackerConfig(target_motion=CIRCLING)
             found[f"{OURS}, told that it turns"] = lambda run, seed: Tracker(TRUE, config=circling)
         return found
     if world != "turning":

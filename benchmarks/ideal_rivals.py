@@ -43,7 +43,7 @@ class Tracker(Contestant):
         self.tracker = eagor.DirectionTracker(config or eagor.TrackerConfig())
 
     def look(self, time: float, pose: np.ndarray, position: np.ndarray | None, detections: np.ndarray) -> None:
-        self.tracker.rotate(time, self.motion.turned(time).T @ pose, position)
+        self.tracker.add_pose(time, self.motion.turned(time).T @ pose, position)
         self.tracker.observe(eagor.Evidence.from_points(detections, detector=self.model, stamp=time))
         self.estimate = self.tracker.estimate(time)
         self.direction = self.estimate.direction

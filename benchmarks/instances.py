@@ -105,7 +105,7 @@ def _answers(
     tracker, seen, found = DirectionTracker(player.ours), np.zeros(len(members), dtype=bool), []
     centres = np.array([place.scene.instances[member].centre for member in members])
     for moment in recording.moments:
-        tracker.rotate(moment.stamp, moment.world_R_body, moment.position)
+        tracker.add_pose(moment.stamp, moment.world_R_body, moment.position)
         evidence = moment.other if second else moment.evidence
         if evidence is not None:
             tracker.observe(evidence)

@@ -149,7 +149,7 @@ def episode_step(seed: int) -> tuple[dict[str, Callable[[], object]], list[Row]]
     def track(evidence_of: Callable[[int], Evidence]) -> None:
         tracker = DirectionTracker(TrackerConfig())
         for k, (position, pose) in enumerate(poses):
-            tracker.rotate(k * camera.seconds, pose, position)
+            tracker.add_pose(k * camera.seconds, pose, position)
             tracker.observe(evidence_of(k))
             _ = tracker.estimate(k * camera.seconds).direction
 

@@ -43,7 +43,7 @@ with tempfile.TemporaryDirectory() as folder:
     perceive = load(f"replay:{path}")  # and this part wherever the tracker runs
     tracker = eagor.DirectionTracker()
     for stamp, pose in poses:
-        tracker.rotate(stamp, pose)
+        tracker.add_pose(stamp, pose)
         tracker.observe(perceive(np.zeros((HEIGHT, WIDTH, 3), np.uint8), "the red ball", stamp=stamp))
         estimate, truth = tracker.estimate(stamp), bearing(room.balls[0], EYE, pose)[0]
         error = math.degrees(eagor.angular_distance(estimate.direction, truth))

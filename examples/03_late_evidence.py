@@ -33,7 +33,7 @@ by_capture, by_arrival = eagor.DirectionTracker(), eagor.DirectionTracker()
 for step in range(31):  # odometry at 10 Hz, a picture every half second
     now = step / 10
     for tracker in (by_capture, by_arrival):
-        tracker.rotate(now, pose(now))
+        tracker.add_pose(now, pose(now))
     captured = now - DELAY
     if captured >= 0 and step % 5 == 0:
         by_capture.observe(model(captured, claimed=captured))

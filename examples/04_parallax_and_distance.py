@@ -17,7 +17,7 @@ rng = np.random.default_rng(0)
 tracker = eagor.DirectionTracker()
 for step in range(13):
     stamp, position = 0.5 * step, np.array([0.25 * step, 0.0, 0.0])  # straight ahead, 25 cm per look
-    tracker.rotate(stamp, np.eye(3), position)
+    tracker.add_pose(stamp, np.eye(3), position)
     offset = THING - position
     seen = offset / np.linalg.norm(offset) + rng.normal(0, math.radians(1.5), 3)  # a detector that errs by 1.5 degrees
     tracker.observe(eagor.Evidence.from_points([seen], 1 / math.radians(5) ** 2, [0.9], stamp=stamp))

@@ -18,12 +18,12 @@ room = Room()
 balls = {f"{ball.colour} ball": ball for ball in room.balls}
 queries = [*balls, "purple ball"]  # there is none
 perceive = load("colour")
-tracker = eagor.DirectionTracker(eagor.TrackerConfig(floor=0.0))  # things stand on a floor at z = 0
+tracker = eagor.DirectionTracker(eagor.TrackerConfig(floor_height=0.0))  # things stand on a floor at z = 0
 
 for step in range(12):  # a walk through the room, turning to the left
     stamp, pose = 0.5 * step, world_R_body(math.radians(25 * step))
     position = np.array([0.0, -1.4 + 0.25 * step, 1.3])
-    tracker.rotate(stamp, pose, position)
+    tracker.add_pose(stamp, pose, position)
     panorama = paint(room, position, pose, 128, 256)
     for query in queries:
         tracker.observe(perceive(panorama, query, stamp=stamp), target=query)

@@ -109,7 +109,7 @@ def passed() -> list[str]:
 
     def look() -> None:
         tracker = DirectionTracker()
-        tracker.rotate(0.0, np.eye(3))
+        tracker.add_pose(0.0, np.eye(3))
         tracker.observe(ColourPerception()(room, "red chair", stamp=0.0))
         estimate = tracker.estimate(0.1)
         _ = estimate.direction, estimate.credible_angle, estimate.modes, estimate.presence, estimate.status

@@ -52,7 +52,7 @@ def main() -> None:
         return perceive(small, way.query, stamp=step * camera.seconds)
 
     for step in range(LOOKS):
-        tracker.rotate(step * camera.seconds, way.rotations[step], way.positions[step])
+        tracker.add_pose(step * camera.seconds, way.rotations[step], way.positions[step])
         tracker.observe(looked(step))
     last = LOOKS - 1
     stamp, position, turned = last * camera.seconds, way.positions[last], way.rotations[last]

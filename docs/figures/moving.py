@@ -85,7 +85,7 @@ def pictures(way: Way, seed: int, width: int) -> list[Image]:
                 turned = interpolate_rotation(way.rotations[step - 1], turned, share)
             stamp = (step - 1 + share) * camera.seconds
             seen = photograph(renderer, position, turned, ROWS)
-            tracker.rotate(stamp, turned, position)
+            tracker.add_pose(stamp, turned, position)
             if share == 1:  # it looks at what it looked at in the search
                 small = photograph(renderer, position, turned, perceive.rows)  # type: ignore[attr-defined]
                 tracker.observe(perceive(small, way.query, stamp=stamp))

@@ -1,7 +1,7 @@
 """In which direction is the thing I asked for, and how sure are we, while the camera turns and moves?
 
     tracker = eagor.DirectionTracker()
-    tracker.rotate(stamp, world_R_body)                       # odometry, at any rate
+    tracker.add_pose(stamp, world_R_body)                       # odometry, at any rate
     tracker.observe(perception(panorama, "red chair", stamp=t0))   # evidence, possibly late
     estimate = tracker.estimate(now)                          # direction, cone, modes, presence, status
 

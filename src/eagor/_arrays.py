@@ -40,15 +40,15 @@ def as_float(values: Array) -> Array:
     return values if xp.isdtype(values.dtype, "real floating") else xp.astype(values, xp.float32)
 
 
-def alike(a: Array, b: Array) -> tuple[Array, Array]:
+def common(a: Array, b: Array) -> tuple[Array, Array]:
     """Both as floating arrays of one library: if one is a tensor, the other becomes one too."""
     a, b = as_float(a), as_float(b)
     if isinstance(a, np.ndarray) == isinstance(b, np.ndarray):
         return a, b
-    return (matched(a, b), b) if isinstance(a, np.ndarray) else (a, matched(b, a))
+    return (table_like(a, b), b) if isinstance(a, np.ndarray) else (a, table_like(b, a))
 
 
-def akin(values: Array, reference: Array) -> Array:
+def to_library(values: Array, reference: Array) -> Array:
     """`values` as an array of the library of `reference`, on its device.
 
     Values of that library keep their precision; other floats take the precision of `reference`.
@@ -58,7 +58,7 @@ def akin(values: Array, reference: Array) -> Array:
     if hasattr(values, "shape") and namespace(values) is namespace(reference) is not np:
         place = device(reference)
         return values if device(values) == place else to_device(values, place)
-    return matched(to_numpy(values), reference)
+    return table_like(to_numpy(values), reference)
 
 
 def private(values: Array) -> Array:
@@ -88,7 +88,7 @@ def to_numpy(values: Array) -> np.ndarray:
     return np.asarray(values)
 
 
-def matched(table: np.ndarray, reference: Array) -> Array:
+def table_like(table: np.ndarray, reference: Array) -> Array:
     """`table` as an array of the library of `reference`; floats take its precision, integers stay integers.
 
     For tables that are new at every call; `constant` caches.

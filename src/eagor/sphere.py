@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from eagor._arrays import Array, alike, as_float, namespace, to_numpy
+from eagor._arrays import Array, as_float, common, namespace, to_numpy
 from eagor.errors import DirectionError, RotationError
 
 __all__ = [
@@ -32,7 +32,7 @@ UNIT = 0.01  # tolerance for the length of a direction: people type two or three
 
 def direction(azimuth: Array, elevation: Array) -> Array:
     """Unit vectors ``(..., 3)``, body frame, from azimuth (positive left) and elevation (positive up), radians."""
-    azimuth, elevation = alike(azimuth, elevation)
+    azimuth, elevation = common(azimuth, elevation)
     xp = namespace(azimuth, elevation)
     x, y = xp.cos(elevation) * xp.cos(azimuth), xp.cos(elevation) * xp.sin(azimuth)
     return xp.stack([x, y, xp.sin(elevation) + 0.0 * x], axis=-1)
@@ -55,7 +55,7 @@ def angular_distance(a: Array, b: Array) -> Array:
     atan2(|a x b|, a . b) keeps full precision near 0 and pi, where acos loses half of the digits, and works for any
     length. Raises `DirectionError` on another shape.
     """
-    a, b = alike(a, b)
+    a, b = common(a, b)
     check_directions(a)
     check_directions(b)
     xp = namespace(a, b)

@@ -7,7 +7,7 @@ import pytest
 
 from eagor.evidence import Evidence
 from eagor.sphere import angular_distance, world_R_body
-from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.config import TrackerConfig
 from eagor.tracking.tracker import DirectionTracker
 
 
@@ -23,7 +23,7 @@ def walk(config, steps=24):
             points.append(truth + math.radians(5) * rng.normal(size=3))
         if rng.random() < 0.2:
             points.append(rng.normal(size=3))
-        tracker.rotate(float(step), pose, position)
+        tracker.add_pose(float(step), pose, position)
         tracker.observe(Evidence.from_points(np.reshape(points, (-1, 3)), 60.0, [0.8] * len(points), stamp=float(step)))
     return tracker.estimate(steps - 1.0), truth, float(np.linalg.norm(target - position))
 

@@ -30,7 +30,7 @@ from eagor.perception.calibrated import Calibrated, from_json, read_calibrated
 from eagor.sphere import direction, unit, world_R_body
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.play import Moment, Recording
-from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.config import TrackerConfig
 from eagor.tracking.motion import MotionModel
 
 GRID = PatchGrid(16, 32)
@@ -227,8 +227,8 @@ def test_what_is_written_is_read_again(tmp_path):
     found = read_calibrated(tmp_path / "new" / "file.json")
     assert found == made
     config = fitted(found, TrackerConfig(degree=7))
-    assert (config.degree, config.motion.jump, config.calibration) == (7, 0.2, made.calibration)
-    assert config.motion.wander == (0.1, 0.3)
+    assert (config.degree, config.target_motion.jump, config.calibration) == (7, 0.2, made.calibration)
+    assert config.target_motion.wander == (0.1, 0.3)
     model = DetectorModel(0.6, None, 0.1, 0.3, ((0.2, 0.5), (0.8, 4.0)))
     made = Calibrated("colour", None, {"start": 0.01}, {}, model)
     made.write(tmp_path / "detector.json")

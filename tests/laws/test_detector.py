@@ -15,7 +15,7 @@ from eagor.evidence.detections import resolved
 from eagor.evidence.detector import DetectorModel, Rates, Spread, model_as_json, parse_model
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, rotation, unit
-from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.config import TrackerConfig
 from eagor.tracking.motion import MotionModel
 from eagor.tracking.tracker import DirectionTracker
 
@@ -65,7 +65,7 @@ def mass_within(log_density, centre, angle, rings=400, around=24):
 
 
 def tracked(evidence, degree=15, config=None):
-    tracker = DirectionTracker(config or TrackerConfig(degree=degree, motion=STILL))
+    tracker = DirectionTracker(config or TrackerConfig(degree=degree, target_motion=STILL))
     tracker.observe(evidence)
     return tracker.estimate(evidence.stamp)
 
@@ -178,7 +178,7 @@ def looks(rng, target, pd, alarms, count, spread_deg, how):
         yield pose, found, Evidence.from_points(found, detector=how, stamp=float(stamp))
 
 
-@pytest.mark.parametrize(("config", "most"), [({"motion": STILL}, 0.1), ({}, 0.25)])
+@pytest.mark.parametrize(("config", "most"), [({"target_motion": STILL}, 0.1), ({}, 0.25)])
 def test_independent_looks_give_what_a_grid_filter_gives(config, most):
     """Bayes' rule on a grid of 1 degree with the exact likelihood, against the tracker, nats at the truth."""
     grid, behind = ErpGrid(180, 360), []
@@ -187,7 +187,7 @@ def test_independent_looks_give_what_a_grid_filter_gives(config, most):
         target, tracker = unit(rng.normal(size=3)), DirectionTracker(TrackerConfig(**config))
         log = np.zeros(grid.shape)
         for pose, _, look in looks(rng, target, PD, ALARMS, 20, 8.0, model()):
-            tracker.rotate(look.stamp, pose)
+            tracker.add_pose(look.stamp, pose)
             tracker.observe(look)
             estimate = tracker.estimate(look.stamp)
             log += np.log(look.detections.ratio(grid.directions @ pose))
@@ -209,12 +209,12 @@ def test_place_and_spread_are_believed_in_jointly(stated):
     grid, unsure, behind = ErpGrid(90, 180), Spread.unsure(), []
     for seed in range(4):
         rng = np.random.default_rng(seed)
-        target, tracker = unit(rng.normal(size=3)), DirectionTracker(TrackerConfig(motion=STILL))
+        target, tracker = unit(rng.normal(size=3)), DirectionTracker(TrackerConfig(target_motion=STILL))
         x, y, _ = grid.project(target)
         near = grid.directions[int(y), int(x)]
         log = np.zeros((len(unsure.scales), *grid.shape)) + np.log(unsure.weights)[:, None, None]
         for pose, _, look in looks(rng, target, PD, ALARMS, 12, 8.0, model(stated)):
-            tracker.rotate(look.stamp, pose)
+            tracker.add_pose(look.stamp, pose)
             tracker.observe(look)
             estimate = tracker.estimate(look.stamp)
             log += np.log(look.detections.ratios_by(unsure.scales, grid.directions @ pose))
@@ -234,7 +234,7 @@ def test_a_detector_with_a_poor_recall_does_not_erase_what_it_found():
         rng, tracker, hits = np.random.default_rng(seed), DirectionTracker(), 0
         target = unit(rng.normal(size=3))
         for pose, seen, look in looks(rng, target, 0.35, 0.2, 30, 5.0, DetectorModel()):
-            tracker.rotate(look.stamp, pose)
+            tracker.add_pose(look.stamp, pose)
             tracker.observe(look)
             hits += bool((seen @ pose.T @ target > math.cos(math.radians(15))).any())
         estimate = tracker.estimate(29.0)
@@ -249,7 +249,7 @@ def test_a_noisy_detector_is_not_believed():
     for seed in range(6):
         rng, tracker = np.random.default_rng(seed), DirectionTracker()
         for pose, _, look in looks(rng, None, 0.0, 2.0, 30, 5.0, DetectorModel()):
-            tracker.rotate(look.stamp, pose)
+            tracker.add_pose(look.stamp, pose)
             tracker.observe(look)
         estimate = tracker.estimate(29.0)
         presences.append(estimate.presence)

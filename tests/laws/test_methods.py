@@ -16,7 +16,7 @@ from eagor.evidence.detector import DetectorModel
 from eagor.sphere import FORWARD, world_R_body
 from eagor.tasks.fitted import FITTED
 from eagor.tasks.methods import EVERY, NAMES, FilterMethod, TrackerMethod, make_method, tracker_config
-from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.config import TrackerConfig
 
 GRID = PatchGrid(18, 36)
 TARGET = np.array([3.0, 1.0, 0.5])
@@ -86,9 +86,9 @@ def test_evidence_of_no_known_step_is_refused():
 
 def test_names_with_settings():
     config = tracker_config(TrackerConfig(), {"degree": "7", "decode": "mean", "shells": "0", "jump": "0.5"})
-    assert (config.degree, config.decode, config.ranges, config.motion.jump) == (7, "mean", None, 0.5)
+    assert (config.degree, config.answers.decode, config.ranges, config.target_motion.jump) == (7, "mean", None, 0.5)
     assert (config.calibration, config.detector) == (None, None)
-    assert config.motion.wander == TrackerConfig().motion.wander
+    assert config.target_motion.wander == TrackerConfig().target_motion.wander
     read = tracker_config(TrackerConfig.paper(), {"floor": "0.2"}).calibration
     assert read is not None
     assert (read.floor, read.scale_to_max) == (0.2, False)
@@ -155,9 +155,11 @@ def test_every_fitted_setting_makes_a_method():
 
 def test_how_targets_move_is_set_in_degrees_and_rates():
     config = make_method("eagor:wander=3+12,stop=0.1,drift=0.5", np.random.default_rng(0)).tracker.config
-    assert config.motion == replace(TrackerConfig().motion, wander=(math.radians(3), math.radians(12)), stop=0.1)
+    assert config.target_motion == replace(
+        TrackerConfig().target_motion, wander=(math.radians(3), math.radians(12)), stop=0.1
+    )
     assert config.drift == pytest.approx(math.radians(0.5))
-    assert make_method("eagor:wander=0", np.random.default_rng(0)).tracker.config.motion.wander == ()
+    assert make_method("eagor:wander=0", np.random.default_rng(0)).tracker.config.target_motion.wander == ()
 
 
 def test_a_variant_varies_the_detector_of_the_perception():

@@ -15,7 +15,7 @@ from eagor.evidence.detector import DetectorModel
 from eagor.harmonics.peaks import decoding_grid
 from eagor.sphere import angular_distance, direction, unit
 from eagor.tracking.cases import Cases
-from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.config import TrackerConfig
 from eagor.tracking.look import Sight
 from eagor.tracking.motion import MotionModel
 from eagor.tracking.standing import Standing
@@ -68,8 +68,8 @@ def test_wandering_is_diffusion_of_the_density(azimuth, elevation, elapsed, wand
     motion = replace(ONE, wander=(wander,), start=0.0, stop=0.0)
     before = seen(prior(motion), direction(azimuth, elevation))
     after = passed(before, elapsed, motion)
-    moment = resultant(before.wanderers[0])
-    assert np.allclose(resultant(after.wanderers[0]), math.exp(-(wander**2) * elapsed) * moment, atol=2e-3)
+    moment = resultant(before.wandering.densities[0])
+    assert np.allclose(resultant(after.wandering.densities[0]), math.exp(-(wander**2) * elapsed) * moment, atol=2e-3)
 
 
 def test_what_jumps_may_be_anywhere():
@@ -77,8 +77,9 @@ def test_what_jumps_may_be_anywhere():
     before = seen(prior(motion), direction(0.5, 0.0))
     after = passed(before, 7.0, motion)
     kept = math.exp(-0.7)
-    assert np.allclose(resultant(after.wanderers[0]), kept * resultant(before.wanderers[0]), atol=5e-3)
-    assert after.wanderers[0].min() == pytest.approx(1 - kept + kept * before.wanderers[0].min(), abs=0.02)
+    (then,), (now,) = before.wandering.densities, after.wandering.densities
+    assert np.allclose(resultant(now), kept * resultant(then), atol=5e-3)
+    assert now.min() == pytest.approx(1 - kept + kept * then.min(), abs=0.02)
 
 
 @given(st.floats(0.05, 20.0))
@@ -123,8 +124,8 @@ def test_weights_and_densities_stay_probabilities(looks):
         cases = seen(passed(cases, elapsed, motion), towards)
         assert cases.weights.sum() == pytest.approx(1)
         assert (cases.weights >= 0).all()
-        assert (cases.wanderers > 0).all()
-        means = np.einsum("mij,ij->m", cases.wanderers, GRID.weights) / (4 * math.pi)
+        assert (cases.wandering.densities > 0).all()
+        means = np.einsum("mij,ij->m", cases.wandering.densities, GRID.weights) / (4 * math.pi)
         assert np.allclose(means, 1)
 
 
@@ -137,7 +138,7 @@ def test_the_belief_is_the_mixture_of_the_cases(ranged):
     where = unit(np.random.default_rng(0).normal(size=(60, 3)))
     shares = cases.weights[1:] / cases.weights[1:].sum()
     stands = np.exp(cases.standing.field(where) - cases.standing.log_mean)
-    roams = np.exp(replace(cases.field, values=np.log(cases.wanderers[0]), patches=())(where))
+    roams = np.exp(replace(cases.field, values=np.log(cases.wandering.densities[0]), patches=())(where))
     expected = shares[0] * stands + shares[1] * roams
     assert np.allclose(np.exp(cases.field(where)), expected, rtol=0.08, atol=0.01)
     assert cases.field.log_mean == pytest.approx(0, abs=0.04), "a density over a uniform one"
@@ -150,7 +151,8 @@ def test_each_case_is_weighed_by_what_it_foretold():
     after = seen(cases, towards)
     ratio = look(towards).detections.ratio(GRID.directions)
     stood = np.exp(cases.standing.field(GRID) - cases.standing.log_mean)
-    means = [float(np.sum(ratio * case * GRID.weights)) / (4 * math.pi) for case in (stood, cases.wanderers[0])]
+    densities = (stood, cases.wandering.densities[0])
+    means = [float(np.sum(ratio * density * GRID.weights)) / (4 * math.pi) for density in densities]
     expected = cases.weights * np.array([1.0, *means])
     assert np.allclose(after.weights, expected / expected.sum(), atol=0.03)
 
@@ -175,7 +177,7 @@ def test_a_standing_target_is_taken_for_one_and_a_wandering_one_for_one():
 
 def test_where_nothing_moves_there_is_only_standing():
     cases = told(STILL, lambda step: direction(0.3, 0.0), 4)
-    assert cases.wanderers.shape[0] == 0
+    assert cases.wandering.densities.shape[0] == 0
     assert cases.moving == 0
     assert len(cases.weights) == 2
     plain = passed(cases, 100.0, STILL)
@@ -207,7 +209,7 @@ def follow(config, steps=60, speed=0.12):
     tracker, errors, rng = DirectionTracker(config), [], np.random.default_rng(4)
     for step in range(steps):
         stamp, true = 0.5 * step, direction(speed * step, -0.3)
-        tracker.rotate(stamp, np.eye(3), np.zeros(3))
+        tracker.add_pose(stamp, np.eye(3), np.zeros(3))
         found = unit(true + 0.1 * rng.normal(size=3)) if rng.random() > 0.3 else None
         tracker.observe(look(found, stamp))
         said = tracker.estimate(stamp).direction
@@ -217,7 +219,7 @@ def follow(config, steps=60, speed=0.12):
 
 def test_a_wanderer_is_followed_where_a_long_memory_lags_behind():
     both = follow(TrackerConfig(degree=DEGREE))
-    alone = follow(TrackerConfig(degree=DEGREE, motion=STILL))
+    alone = follow(TrackerConfig(degree=DEGREE, target_motion=STILL))
     assert both.mean() < 12
     assert both.mean() < alone.mean() - 5
 

@@ -16,7 +16,7 @@ from eagor.drawing import draw_belief, draw_strip, panorama
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, world_R_body
-from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.config import TrackerConfig
 from eagor.tracking.tracker import DirectionTracker
 
 PANORAMA = np.full((32, 64, 3), 90, dtype=np.uint8)
@@ -27,7 +27,7 @@ def followed(*looks, model=None, pose=None):
     """The estimate after looks, each a list of places (azimuth, elevation in degrees, world axes)."""
     tracker = DirectionTracker()
     turned = np.eye(3) if pose is None else pose
-    tracker.rotate(0.0, turned)
+    tracker.add_pose(0.0, turned)
     for step, places in enumerate(looks):
         points = np.reshape([direction(*np.radians(place)) @ turned for place in places], (-1, 3))
         tracker.observe(Evidence.from_points(points, detector=model, stamp=0.5 * step))
@@ -157,7 +157,7 @@ def plain():
         yield f"{type(made).__name__} used", made.update(Evidence.from_points([[0.0, 1.0, 0.0]]))
     yield "config", TrackerConfig()
     yield "paper", TrackerConfig.paper()
-    yield "told", TrackerConfig(floor=0.0, detector=eagor.DetectorModel(0.7, 0.2), ranges=tuple(range(1, 31)))
+    yield "told", TrackerConfig(floor_height=0.0, detector=eagor.DetectorModel(0.7, 0.2), ranges=tuple(range(1, 31)))
     yield "calibration", eagor.Calibration()
     yield "detector", eagor.DetectorModel(clutter=np.ones((64, 128)))
     yield "motion", eagor.MotionModel()
@@ -180,7 +180,7 @@ def test_texts_are_a_line_or_two(name, made):
 
 def test_texts_say_what_is_not_the_default():
     assert repr(TrackerConfig()) == "TrackerConfig()"
-    assert repr(TrackerConfig(degree=31, floor=0.5)) == "TrackerConfig(degree=31, floor=0.5)"
+    assert repr(TrackerConfig(degree=31, floor_height=0.5)) == "TrackerConfig(degree=31, floor_height=0.5)"
     assert "ranges=(1, 2, ..., 30)" in repr(TrackerConfig(ranges=tuple(range(1, 31))))
     assert repr(eagor.Belief.uniform(7)) == "Belief(degree 7, nothing known)"
     estimate = followed(AHEAD, AHEAD)

@@ -18,13 +18,15 @@ from eagor.evidence.detector import DetectorModel
 from eagor.evidence.repeating import CommonError, Repeating
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, rotation, unit, world_R_body
-from eagor.tracking.estimate import RIVAL, SURE, Answer, TrackerConfig, chosen
+from eagor.tracking.config import AnswerSettings, TrackerConfig
+from eagor.tracking.estimate import RIVAL, SURE
 from eagor.tracking.motion import MotionModel
+from eagor.tracking.state import Answer, chosen
 from eagor.tracking.tracker import DirectionTracker
 
 GRID = PatchGrid(12, 24)
 STILL = MotionModel.still()
-FLAT = {"ranges": None, "motion": STILL}  # all that happens is adding
+FLAT = {"ranges": None, "target_motion": STILL}  # all that happens is adding
 MODEL = DetectorModel(0.7, 0.2, math.radians(8))
 FORWARD = np.array([1.0, 0.0, 0.0])
 SOME = random_directions(60, 7)
@@ -55,7 +57,7 @@ def degrees(a, b):
 def turning(config, stamps, turns, positions=None):
     tracker = DirectionTracker(config)
     for i, stamp in enumerate(stamps):
-        tracker.rotate(stamp, turns[i], None if positions is None else positions[i])
+        tracker.add_pose(stamp, turns[i], None if positions is None else positions[i])
     return tracker
 
 
@@ -80,7 +82,7 @@ def test_the_published_profile_is_the_published_recursion_step_for_step(turns):
         belief = Belief(b) if before is None else Belief(coefficients).predict(world_R_now.T @ before)
         coefficients = b if before is None else belief.coefficients + b
         before = world_R_now
-        tracker.rotate(float(step), world_R_now)
+        tracker.add_pose(float(step), world_R_now)
         tracker.observe(Evidence.from_response(response, GRID, stamp=float(step)))
         estimate = tracker.estimate(float(step))
         held = Belief(estimate.cases.standing.coarse.coefficients).predict(world_R_now.T)
@@ -142,9 +144,9 @@ def test_looks_from_places_far_apart_are_independent():
     """And from one place they repeat as ever: a poster is the same poster until it is seen from elsewhere."""
 
     def walked(model, step):
-        tracker = DirectionTracker(TrackerConfig(ranges=None, motion=MotionModel.still()))
+        tracker = DirectionTracker(TrackerConfig(ranges=None, target_motion=MotionModel.still()))
         for stamp in range(4):
-            tracker.rotate(float(stamp), np.eye(3), np.array([step * stamp, 0.0, 0.0]))
+            tracker.add_pose(float(stamp), np.eye(3), np.array([step * stamp, 0.0, 0.0]))
             tracker.observe(look(direction(0.2 * (stamp % 2), 0.0), float(stamp), model))
         return said(tracker.estimate(3.0))
 
@@ -199,9 +201,9 @@ def test_what_errors_have_in_common_is_the_mean_correlation_of_pairs(repeated):
         pairs = np.outer(weights, weights) * ~np.eye(12, dtype=bool)
         if pairs.any():
             correlations = np.exp(-np.abs(stamps[:, None] - stamps) / lasts)
-            assert common.alike == pytest.approx(np.sum(pairs * correlations) / pairs.sum())
+            assert common.correlation == pytest.approx(np.sum(pairs * correlations) / pairs.sum())
         else:
-            assert common.alike == 1
+            assert common.correlation == 1
 
 
 def test_a_pause_does_not_mend_what_looks_before_it_had_in_common():
@@ -246,7 +248,7 @@ def test_late_equals_on_time_in_any_order(world, order, turns):
     on_time = DirectionTracker(config)
     late = turning(config, stamps, turns, positions if walking else None)
     for i, stamp in enumerate(stamps):
-        on_time.rotate(stamp, turns[i], positions[i])
+        on_time.add_pose(stamp, turns[i], positions[i])
         on_time.observe(noise(i, stamp))
     for i in order:
         late.observe(noise(i, stamps[i]))
@@ -272,8 +274,8 @@ def test_turning_away_and_back_changes_nothing(first, away):
     for t in range(3):
         tracker.observe(noise(t, 0.01 * t))
     before = said(tracker.estimate(0.05))
-    tracker.rotate(0.03, away)
-    tracker.rotate(0.05, first)
+    tracker.add_pose(0.03, away)
+    tracker.add_pose(0.05, first)
     assert np.allclose(said(tracker.estimate(0.05)), before, atol=1e-9)
 
 
@@ -284,15 +286,15 @@ def test_evidence_that_arrives_before_its_pose_is_placed_by_that_pose_afterwards
     tracker.observe(look(FORWARD, 1.0))
     if asked:
         assert degrees(tracker.estimate(1.0).direction, FORWARD) < 0.1, "held at the last pose for now"
-    tracker.rotate(1.0, world_R_body(math.pi / 2))
-    tracker.rotate(2.0, np.eye(3))
+    tracker.add_pose(1.0, world_R_body(math.pi / 2))
+    tracker.add_pose(2.0, np.eye(3))
     assert degrees(tracker.estimate(2.0).direction, direction(math.pi / 2, 0)) < 0.1
 
 
 def test_of_two_poses_around_it_the_one_between_counts():
     tracker = turning(TrackerConfig(**FLAT), [0.0], [np.eye(3)])
     tracker.observe(look(FORWARD, 1.0))
-    tracker.rotate(2.0, world_R_body(1.0))
+    tracker.add_pose(2.0, world_R_body(1.0))
     assert tracker.estimate(2.0).azimuth == pytest.approx(-0.5, abs=2e-3)
 
 
@@ -307,7 +309,7 @@ def test_poses_are_interpolated_and_the_last_is_held():
 def test_a_corrected_pose_of_the_same_time_replaces_the_first():
     tracker = turning(TrackerConfig(**FLAT), [0.0, 0.0], [np.eye(3), rotation((0, 0, 1), 0.5)])
     tracker.observe(look(FORWARD, 0.0))
-    tracker.rotate(1.0, np.eye(3))
+    tracker.add_pose(1.0, np.eye(3))
     assert degrees(tracker.estimate(1.0).direction, direction(0.5, 0)) < 0.1
 
 
@@ -362,7 +364,7 @@ def test_views_that_cover_everything_say_what_a_whole_look_says():
 def walk(tracker, target, steps=12, pace=0.25, model=MODEL):
     for i in range(steps):
         position, pose = np.array([pace * i, 0, 0]), world_R_body(0.3 * i)
-        tracker.rotate(float(i), pose, position)
+        tracker.add_pose(float(i), pose, position)
         tracker.observe(look(unit(pose.T @ (target - position)), float(i), model))
     return position, pose
 
@@ -376,7 +378,7 @@ def test_with_positions_parallax_gives_distance():
     assert estimate.distance == pytest.approx(np.linalg.norm(truth), rel=0.05)
     assert 0.01 < estimate.distance_spread < 0.15
     # Moving on without looking: the answer keeps up with the parallax.
-    tracker.rotate(12.0, pose, position + np.array([0.5, 0, 0]))
+    tracker.add_pose(12.0, pose, position + np.array([0.5, 0, 0]))
     truth = pose.T @ (target - position - [0.5, 0, 0])
     assert degrees(tracker.estimate(12.0).direction, truth) < 2
 
@@ -395,8 +397,8 @@ def test_a_look_from_before_the_first_position_does_not_disable_distance():
 def test_a_known_floor_tells_distance_at_once():
     down, found = direction(0.5, math.radians(-15)), {}
     for floor in (None, 0.0, -0.8):
-        tracker = DirectionTracker(TrackerConfig(floor=floor))
-        tracker.rotate(0.0, np.eye(3), np.array([0.0, 0.0, 1.25]))
+        tracker = DirectionTracker(TrackerConfig(floor_height=floor))
+        tracker.add_pose(0.0, np.eye(3), np.array([0.0, 0.0, 1.25]))
         tracker.observe(look(down, 0.0, DetectorModel(0.7, 0.2, math.radians(4))))
         found[floor] = tracker.estimate(0.0)
     assert found[0.0].distance_spread < 0.85 * found[None].distance_spread
@@ -404,16 +406,16 @@ def test_a_known_floor_tells_distance_at_once():
 
 
 def test_a_camera_that_is_not_above_the_floor_is_refused_and_leaves_the_tracker_as_it_was():
-    tracker = DirectionTracker(TrackerConfig(floor=0.0))
-    tracker.rotate(0.0, np.eye(3), np.array([0.0, 0.0, 1.2]))
+    tracker = DirectionTracker(TrackerConfig(floor_height=0.0))
+    tracker.add_pose(0.0, np.eye(3), np.array([0.0, 0.0, 1.2]))
     tracker.observe(look(FORWARD, 0.0))
     before = said(tracker.estimate(0.0))
     for height in (-0.1, 0.0, 0.005):
         with pytest.raises(PoseError, match=r"TrackerConfig\.floor"):
-            tracker.rotate(1.0, world_R_body(1.0), np.array([0.0, 0.0, height]))
+            tracker.add_pose(1.0, world_R_body(1.0), np.array([0.0, 0.0, height]))
     assert np.array_equal(said(tracker.estimate(0.0)), before)
     tracker.observe(look(FORWARD, 1.0))
-    tracker.rotate(1.0, np.eye(3), np.array([0.1, 0.0, 1.2]))
+    tracker.add_pose(1.0, np.eye(3), np.array([0.1, 0.0, 1.2]))
     assert tracker.estimate(1.0).presence > tracker.estimate(1.0).cases.weights[0]
 
 
@@ -456,7 +458,7 @@ def test_what_was_carried_off_is_found_elsewhere():
     for changes in ({}, {"ranges": None}):
         tracker = DirectionTracker(TrackerConfig(**changes))
         for t in range(62):
-            tracker.rotate(float(t), np.eye(3), np.zeros(3))
+            tracker.add_pose(float(t), np.eye(3), np.zeros(3))
             tracker.observe(look(old if t < 50 else new, float(t)))
             if t == 49:
                 assert tracker.estimate(49.0).moving < 0.2
@@ -465,7 +467,7 @@ def test_what_was_carried_off_is_found_elsewhere():
 
 def test_a_target_that_walks_out_is_gone_and_one_that_comes_back_is_there():
     motion = MotionModel(birth=0.01, death=0.01)
-    tracker, presence = DirectionTracker(TrackerConfig(motion=motion)), {}
+    tracker, presence = DirectionTracker(TrackerConfig(target_motion=motion)), {}
     for t in range(60):
         there = t < 20 or t >= 40
         tracker.observe(look(FORWARD, float(t)) if there else nothing(float(t)))
@@ -489,7 +491,7 @@ def seeded(seed, steps=6, **changes):
     target = unit(rng.normal(size=3))
     for t in range(rng.integers(1, steps + 1)):
         pose = rotation(unit(rng.normal(size=3)), rng.uniform(0, 3))
-        tracker.rotate(float(t), pose, np.array([0.2 * t, 0.0, 0.0]) if seed % 2 else None)
+        tracker.add_pose(float(t), pose, np.array([0.2 * t, 0.0, 0.0]) if seed % 2 else None)
         seen = list(unit(rng.normal(size=(rng.poisson(1.0), 3))))
         if rng.random() < 0.6:
             seen.append(unit(pose.T @ target + 0.1 * rng.normal(size=3)))
@@ -622,7 +624,7 @@ def test_the_status_is_what_its_words_say(seed):
 
 
 def test_the_status_says_what_is_known():
-    tracker = DirectionTracker(TrackerConfig(ranges=None, stale_after=2.0))
+    tracker = DirectionTracker(TrackerConfig(ranges=None, answers=AnswerSettings(stale_after=2.0)))
     for t in range(3):
         tracker.observe(nothing(float(t)))
     assert tracker.estimate(2.0).status == "searching", "looked and saw nothing"
@@ -701,12 +703,12 @@ def test_odometry_that_drifts_widens_the_belief():
 def test_time_must_not_run_backwards():
     tracker = turning(TrackerConfig(**FLAT), [0.0, 1.0], [np.eye(3)] * 2)
     with pytest.raises(TimeError, match="backwards"):
-        tracker.rotate(0.5, np.eye(3))
+        tracker.add_pose(0.5, np.eye(3))
     tracker.observe(look(direction(0, 0), 1.0))
     with pytest.raises(TimeError, match="already in"):
         tracker.estimate(0.5)
     with pytest.raises(TimeError, match="finite"):
-        tracker.rotate(math.nan, np.eye(3))
+        tracker.add_pose(math.nan, np.eye(3))
     with pytest.raises(TimeError, match="capture"):
         tracker.observe(Evidence.from_response(np.zeros(GRID.shape), GRID))
 
@@ -714,7 +716,7 @@ def test_time_must_not_run_backwards():
 def test_evidence_from_before_the_history_is_refused_and_the_belief_kept():
     tracker = DirectionTracker(TrackerConfig(history=2.0))
     for i in range(60):
-        tracker.rotate(0.1 * i, np.eye(3), np.zeros(3))
+        tracker.add_pose(0.1 * i, np.eye(3), np.zeros(3))
     with pytest.raises(PoseError, match="history"):
         tracker.observe(look(direction(0, 0), 1.0))
     tracker.observe(look(direction(0, 0), 5.0))
@@ -744,12 +746,12 @@ def test_the_memory_of_looks_is_bounded_and_what_they_said_is_kept():
 def test_poses_must_be_poses():
     tracker = DirectionTracker()
     with pytest.raises(RotationError, match="world_R_body"):
-        tracker.rotate(0.0, np.diag([1.0, -1, 1]))
+        tracker.add_pose(0.0, np.diag([1.0, -1, 1]))
     with pytest.raises(PoseError, match="metres"):
-        tracker.rotate(0.0, np.eye(3), [1.0, math.nan, 0.0])
-    tracker.rotate(0.0, np.eye(3), np.zeros(3))
+        tracker.add_pose(0.0, np.eye(3), [1.0, math.nan, 0.0])
+    tracker.add_pose(0.0, np.eye(3), np.zeros(3))
     with pytest.raises(PoseError, match="no position"):
-        tracker.rotate(1.0, np.eye(3))
+        tracker.add_pose(1.0, np.eye(3))
 
 
 @pytest.mark.parametrize(
@@ -757,22 +759,60 @@ def test_poses_must_be_poses():
     [
         ("degree", 0),
         ("degree", 7.5),
-        ("decode", "mod"),
         ("calibration", "scout"),
         ("detector", "pd=0.7"),
         ("ranges", (3.0, 1.0)),
         ("ranges", (1.0,)),
         ("ranges", (0.0, 1.0)),
         ("ranges", 5.0),
-        ("floor", math.nan),
-        ("floor", "low"),
-        ("motion", {}),
+        ("floor_height", math.nan),
+        ("floor_height", "low"),
+        ("target_motion", {}),
+        ("answers", {}),
         ("drift", -0.1),
         ("drift", math.nan),
         ("history", -1.0),
-        ("stale_after", math.nan),
     ],
 )
 def test_a_configuration_without_a_meaning_is_refused(name, value):
     with pytest.raises(EagorError, match=f"{name} = .*; wanted"):
         TrackerConfig(**{name: value})
+
+
+@pytest.mark.parametrize(("name", "value"), [("decode", "mod"), ("stale_after", math.nan), ("stale_after", -1)])
+def test_answers_without_a_meaning_are_refused(name, value):
+    with pytest.raises(EagorError, match=f"AnswerSettings: {name} = .*; wanted"):
+        AnswerSettings(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("old", "value", "new"),
+    [
+        ("floor", 0.5, TrackerConfig(floor_height=0.5)),
+        ("motion", MotionModel.still(), TrackerConfig(target_motion=MotionModel.still())),
+        ("decode", "mean", TrackerConfig(answers=AnswerSettings(decode="mean"))),
+        ("stale_after", 2.0, TrackerConfig(answers=AnswerSettings(stale_after=2.0))),
+    ],
+)
+def test_old_names_of_settings_work_and_warn(old, value, new):
+    with pytest.warns(DeprecationWarning, match=rf"TrackerConfig\.{old} is now") as caught:
+        config = TrackerConfig(**{old: value})
+    assert caught[0].filename == __file__, "the warning points to the line that has to change"
+    assert config == new
+    with pytest.warns(DeprecationWarning, match=rf"TrackerConfig\.{old} is now") as caught:
+        assert getattr(config, old) == value
+    assert caught[0].filename == __file__
+
+
+def test_old_names_of_several_nested_settings_work_together():
+    with pytest.warns(DeprecationWarning, match="is now"):
+        config = TrackerConfig(decode="mean", stale_after=2.0)
+    assert config == TrackerConfig(answers=AnswerSettings("mean", 2.0))
+
+
+def test_the_old_name_of_add_pose_works_and_warns():
+    tracker = DirectionTracker()
+    with pytest.warns(DeprecationWarning, match="add_pose"):
+        tracker.rotate(0.0, np.eye(3), [0.0, 0.0, 1.0])
+    assert tracker.estimate(0.0).direction is None
+    assert "1 poses" in repr(tracker)

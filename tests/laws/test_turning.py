@@ -112,7 +112,7 @@ def test_turning_the_world_turns_the_belief():
 
 def follow(motion, truth, steps=40, model=MODEL, seed=5):
     """Errors (degrees) of the tracker's answers to noisy looks at `truth`, and the last estimate."""
-    rng, tracker, errors = np.random.default_rng(seed), DirectionTracker(TrackerConfig(motion=motion)), []
+    rng, tracker, errors = np.random.default_rng(seed), DirectionTracker(TrackerConfig(target_motion=motion)), []
     for step in range(steps):
         found = [unit(truth(step) + model.spread * rng.normal(size=3))] if rng.random() < 0.7 else np.zeros((0, 3))
         tracker.observe(Evidence.from_points(found, detector=model, stamp=float(step)))

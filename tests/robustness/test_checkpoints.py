@@ -16,14 +16,16 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, FisheyeGrid, PerspectiveGrid
 from eagor.sphere import world_R_body
-from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.config import TrackerConfig
 from eagor.tracking.motion import MotionModel
 from eagor.tracking.tracker import DirectionTracker
 
 CONFIGS = {
-    "default": TrackerConfig(degree=7, floor=0.0, drift=0.01),
+    "default": TrackerConfig(degree=7, floor_height=0.0, drift=0.01),
     "paper": TrackerConfig.paper(),
-    "still": TrackerConfig(degree=5, ranges=[1.0, 2.0, 4.0], motion=MotionModel.still(), detector=DetectorModel()),
+    "still": TrackerConfig(
+        degree=5, ranges=[1.0, 2.0, 4.0], target_motion=MotionModel.still(), detector=DetectorModel()
+    ),
 }
 
 
@@ -44,7 +46,7 @@ def looks(number, stamp):
 def go_on(tracker, start, end):
     for number in range(start, end):
         stamp = 0.3 * number
-        tracker.rotate(stamp, world_R_body(0.02 * number), np.array([0.05 * number, 0.0, 1.2]))
+        tracker.add_pose(stamp, world_R_body(0.02 * number), np.array([0.05 * number, 0.0, 1.2]))
         tracker.observe(looks(number, stamp - 0.1 if number else stamp))
         if number % 4 == 0:
             tracker.observe(looks(2, stamp), target="chair")
@@ -118,12 +120,12 @@ def test_everything_travels_to_another_process_after_it_was_read():
 def test_files_that_are_no_whole_tracker_of_this_version_are_refused(tmp_path):
     good = go_on(DirectionTracker(CONFIGS["paper"]), 0, 5).save(tmp_path / "good").read_bytes()
     head, _, body = good.partition(b"\n")
-    newer = json.dumps(json.loads(head) | {"version": 2}).encode() + b"\n" + body
+    newer = json.dumps(json.loads(head) | {"version": 3}).encode() + b"\n" + body
     damaged = bytearray(good)
     damaged[-7] ^= 1
     wrong = {
         "is not a saved tracker": [b"", b"{}", b"[1]\n", b"PK\x03\x04", pickle.dumps(print), good[:20], b"{" * 5000],
-        "is of version 2; wanted 1": [newer],
+        "is of version 3; wanted 2": [newer],
         "is damaged": [good[:-1], good[: len(good) // 2], head + b"\n", good + b"x", bytes(damaged)],
     }
     path = tmp_path / "bad"
@@ -140,13 +142,20 @@ def test_files_that_are_no_whole_tracker_of_this_version_are_refused(tmp_path):
 def crafted(place, nodes, state):
     """A whole file with its right digest that holds this."""
     body = json.dumps({"arrays": [], "nodes": nodes, "state": state}).encode() + b"\n"
-    head = {"format": "eagor tracker", "version": 1, "bytes": len(body), "sha256": hashlib.sha256(body).hexdigest()}
+    head = {"format": "eagor tracker", "version": 2, "bytes": len(body), "sha256": hashlib.sha256(body).hexdigest()}
     place.write_bytes(json.dumps(head).encode() + b"\n" + body)
     return place
 
 
 def test_what_a_file_names_is_made_only_of_what_trackers_are_made_of(tmp_path):
-    for node in (["os", "system", {}], ["eagor.belief", "math", {}], ["eagor.belief", "Belief", {"more": 1}]):
+    nodes = (
+        ["os", "system", {}],
+        ["eagor.tracking.nothing", "State", {}],
+        ["eagor.evidences", "Evidence", {}],
+        ["eagor.belief.direction", "math", {}],
+        ["eagor.belief.direction", "Belief", {"more": 1}],
+    )
+    for node in nodes:
         with pytest.raises(FormatError, match="another version"):
             DirectionTracker.load(crafted(tmp_path / "made", [node], ["node", 0]))
 

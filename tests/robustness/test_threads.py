@@ -8,7 +8,7 @@ import pytest
 
 from eagor._lazy import lazy
 from eagor.evidence import Evidence
-from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.config import TrackerConfig
 from eagor.tracking.motion import MotionModel
 from eagor.tracking.tracker import DirectionTracker
 
@@ -53,7 +53,7 @@ def test_trackers_that_share_nothing_do_not_wait_for_each_other(fast_switching):
         tracker = DirectionTracker(TrackerConfig(degree=7))
         for step in range(6):
             stamp = 0.5 * step
-            tracker.rotate(stamp, np.eye(3), np.array([0.2 * step, 0.0, 1.0]))
+            tracker.add_pose(stamp, np.eye(3), np.array([0.2 * step, 0.0, 1.0]))
             tracker.observe(Evidence.from_points([[1.0, 0.2, 0.0]], stamp=stamp))
             estimate = tracker.estimate(stamp)
             said[number] = estimate.status, estimate.distance, estimate.credible_angle
@@ -63,7 +63,7 @@ def test_trackers_that_share_nothing_do_not_wait_for_each_other(fast_switching):
 
 
 def test_a_shared_tracker_keeps_every_look(fast_switching):
-    config = TrackerConfig(degree=3, ranges=None, motion=MotionModel.still())
+    config = TrackerConfig(degree=3, ranges=None, target_motion=MotionModel.still())
     shared, alone, steps = DirectionTracker(config), DirectionTracker(config), 40
     meet = threading.Barrier(THREADS)
 

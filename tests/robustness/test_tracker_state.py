@@ -10,13 +10,13 @@ import pytest
 from eagor.errors import EagorError, PoseError, TimeError
 from eagor.evidence import Evidence
 from eagor.sphere import world_R_body
-from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.config import TrackerConfig
 from eagor.tracking.motion import MotionModel
 from eagor.tracking.poses import POSES
 from eagor.tracking.tracker import TARGETS, DirectionTracker
 from eagor.tracking.tracks import APART, MOMENTS, NEWEST, VIEWS
 
-LIGHT = TrackerConfig(degree=3, ranges=None, motion=MotionModel.still())
+LIGHT = TrackerConfig(degree=3, ranges=None, target_motion=MotionModel.still())
 AHEAD = np.array([1.0, 0.0, 0.0])
 
 
@@ -28,7 +28,7 @@ def followed(config=None, until=4.0):
     """A tracker after a few seconds of poses and looks."""
     tracker = DirectionTracker(config or TrackerConfig(degree=7))
     for stamp in np.arange(0.0, until, 0.5):
-        tracker.rotate(stamp, np.eye(3), np.array([0.1 * stamp, 0.0, 1.0]))
+        tracker.add_pose(stamp, np.eye(3), np.array([0.1 * stamp, 0.0, 1.0]))
         tracker.observe(look(float(stamp)))
     return tracker
 
@@ -42,7 +42,7 @@ def test_evidence_from_far_in_the_future_is_refused_and_harms_nothing():
     with pytest.raises(TimeError, match=r"ahead of the last pose.*one clock"):
         tracker.observe(look(1.7e9))
     for each in (tracker, other):
-        each.rotate(4.0, np.eye(3), np.array([0.4, 0.0, 1.0]))
+        each.add_pose(4.0, np.eye(3), np.array([0.4, 0.0, 1.0]))
         each.observe(look(4.0))
     assert told(tracker.estimate(4.0)) == told(other.estimate(4.0))
 
@@ -50,13 +50,13 @@ def test_evidence_from_far_in_the_future_is_refused_and_harms_nothing():
 @pytest.mark.parametrize("asked", [False, True])
 def test_one_pose_from_far_in_the_future_is_left_out_when_time_goes_on(asked):
     tracker, other = followed(), followed()
-    tracker.rotate(1.7e9, np.eye(3), np.array([5.0, 0.0, 1.0]))
+    tracker.add_pose(1.7e9, np.eye(3), np.array([5.0, 0.0, 1.0]))
     tracker.observe(look(1.7e9, -AHEAD))
     if asked:
         tracker.estimate(1.7e9)
     with pytest.warns(UserWarning, match=r"poses from t = 1700000000\.000 s on \(1\) .* left out"):
-        tracker.rotate(4.0, np.eye(3), np.array([0.4, 0.0, 1.0]))
-    other.rotate(4.0, np.eye(3), np.array([0.4, 0.0, 1.0]))
+        tracker.add_pose(4.0, np.eye(3), np.array([0.4, 0.0, 1.0]))
+    other.add_pose(4.0, np.eye(3), np.array([0.4, 0.0, 1.0]))
     for each in (tracker, other):
         each.observe(look(4.0))
     np.testing.assert_allclose(told(tracker.estimate(4.5)), told(other.estimate(4.5)), rtol=1e-6)
@@ -72,12 +72,12 @@ def test_any_number_of_poses_from_far_in_the_future_is_left_out(wrong):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for stamp in wrong:
-            tracker.rotate(stamp, world_R_body(1.0), np.array([5.0, 0.0, 1.0]))
+            tracker.add_pose(stamp, world_R_body(1.0), np.array([5.0, 0.0, 1.0]))
             tracker.observe(look(stamp, -AHEAD))
             tracker.estimate(stamp)
     for each in (tracker, other):
         with warnings.catch_warnings(record=True, action="always") as told_of:
-            each.rotate(4.0, np.eye(3), np.array([0.4, 0.0, 1.0]))
+            each.add_pose(4.0, np.eye(3), np.array([0.4, 0.0, 1.0]))
         assert len(told_of) == (each is tracker)
         each.observe(look(4.0))
     np.testing.assert_allclose(told(tracker.estimate(4.5)), told(other.estimate(4.5)), rtol=1e-6)
@@ -85,12 +85,12 @@ def test_any_number_of_poses_from_far_in_the_future_is_left_out(wrong):
 
 def test_a_flood_of_evidence_under_wrong_stamps_costs_a_target_what_was_known():
     tracker = followed(LIGHT)
-    tracker.rotate(1.7e9, np.eye(3), np.array([5.0, 0.0, 1.0]))
+    tracker.add_pose(1.7e9, np.eye(3), np.array([5.0, 0.0, 1.0]))
     for number in range(2 * MOMENTS):
         tracker.observe(look(1.7e9 + 0.01 * number, -AHEAD))
     tracker.estimate(1.7e9 + 10)
     with pytest.warns(UserWarning, match="left out"):
-        tracker.rotate(4.0, np.eye(3), np.array([0.4, 0.0, 1.0]))
+        tracker.add_pose(4.0, np.eye(3), np.array([0.4, 0.0, 1.0]))
     assert tracker.estimate(4.0).direction is None
     tracker.observe(look(4.0))
     assert tracker.estimate(4.0).direction @ AHEAD > 0.9
@@ -99,19 +99,19 @@ def test_a_flood_of_evidence_under_wrong_stamps_costs_a_target_what_was_known():
 def test_after_a_long_sleep_that_went_on_time_does_not_run_backwards():
     tracker = followed(LIGHT)
     for stamp in 8000.0 + 0.5 * np.arange(30):
-        tracker.rotate(float(stamp), np.eye(3), np.array([0.4, 0.0, 1.0]))
+        tracker.add_pose(float(stamp), np.eye(3), np.array([0.4, 0.0, 1.0]))
     with pytest.raises(TimeError, match=r"reset\(\)"):
-        tracker.rotate(4.0, np.eye(3), np.array([0.4, 0.0, 1.0]))
+        tracker.add_pose(4.0, np.eye(3), np.array([0.4, 0.0, 1.0]))
 
 
 def test_the_first_pose_may_be_the_wrong_one():
     tracker = DirectionTracker(LIGHT)
-    tracker.rotate(1.7e9, np.eye(3))
+    tracker.add_pose(1.7e9, np.eye(3))
     with pytest.warns(UserWarning, match="left out"):
-        tracker.rotate(0.0, np.eye(3))
-    tracker.rotate(1.0, np.eye(3))
+        tracker.add_pose(0.0, np.eye(3))
+    tracker.add_pose(1.0, np.eye(3))
     with pytest.raises(TimeError, match=r"reset\(\)"):
-        tracker.rotate(0.5, np.eye(3))
+        tracker.add_pose(0.5, np.eye(3))
 
 
 def test_without_poses_a_wrong_stamp_is_told_and_mended_by_a_reset():
@@ -131,7 +131,7 @@ def test_evidence_from_far_in_the_future_is_left_out_when_the_first_pose_comes()
     tracker = DirectionTracker(LIGHT)
     tracker.observe(look(1.7e9, -AHEAD))
     with pytest.warns(UserWarning, match=r"'target' lies over 3600 s ahead of the pose at t = 0\.000 s"):
-        tracker.rotate(0.0, np.eye(3))
+        tracker.add_pose(0.0, np.eye(3))
     tracker.observe(look(0.0))
     assert tracker.estimate(0.0).direction @ AHEAD > 0.9
 
@@ -139,7 +139,11 @@ def test_evidence_from_far_in_the_future_is_left_out_when_the_first_pose_comes()
 @pytest.mark.parametrize("stamp", [1.7e18, -1e300, math.inf, math.nan])  # the first: nanoseconds
 def test_stamps_beyond_all_clocks_are_refused(stamp):
     tracker = followed(LIGHT)
-    for call in (lambda: tracker.rotate(stamp, np.eye(3), AHEAD), lambda: look(stamp), lambda: tracker.estimate(stamp)):
+    for call in (
+        lambda: tracker.add_pose(stamp, np.eye(3), AHEAD),
+        lambda: look(stamp),
+        lambda: tracker.estimate(stamp),
+    ):
         with pytest.raises(TimeError, match=r"seconds, .* at most 1e\+12"):
             call()
 
@@ -154,7 +158,7 @@ def test_reset_and_forget():
             call("chair")
     tracker.reset()
     assert tracker.targets == ()
-    tracker.rotate(0.0, np.eye(3))  # the clock may begin anew
+    tracker.add_pose(0.0, np.eye(3))  # the clock may begin anew
 
 
 @pytest.mark.parametrize("silence", [987.0, 3000.0, 1e9])
@@ -166,7 +170,7 @@ def test_long_silences_are_survived(silence, posed):
     assert math.isfinite(estimate.credible_angle)
     for later in (silence, silence + 1):
         if posed:
-            tracker.rotate(3.5 + later, np.eye(3), np.array([0.4, 0.0, 1.0]))
+            tracker.add_pose(3.5 + later, np.eye(3), np.array([0.4, 0.0, 1.0]))
         tracker.observe(look(3.5 + later))
         assert tracker.estimate(3.5 + later).status in ("tracking", "searching", "ambiguous")
 
@@ -175,13 +179,13 @@ def test_long_silences_are_survived(silence, posed):
 def test_positions_beyond_all_odometry_are_refused(far):
     tracker = followed()
     with pytest.raises(PoseError, match=r"within 1e\+09 m"):
-        tracker.rotate(4.0, np.eye(3), np.array([far, 0.0, 1.0]))
+        tracker.add_pose(4.0, np.eye(3), np.array([far, 0.0, 1.0]))
     assert tracker.estimate(4.0).status == "tracking"
 
 
 def test_positions_as_far_as_they_may_be():
     tracker = followed()
-    tracker.rotate(4.0, np.eye(3), np.array([1e9, -1e9, 1.0]))
+    tracker.add_pose(4.0, np.eye(3), np.array([1e9, -1e9, 1.0]))
     tracker.observe(look(4.0))
     assert math.isfinite(tracker.estimate(4.0).credible_angle)
 
@@ -245,7 +249,7 @@ def test_a_look_before_all_poses_is_placed_by_the_first_and_stays_there():
     tracker = DirectionTracker(LIGHT)
     tracker.observe(look(0.0))
     for stamp in range(1, 15):
-        tracker.rotate(float(stamp), world_R_body(0.1 * stamp))
+        tracker.add_pose(float(stamp), world_R_body(0.1 * stamp))
     tracker.observe(look(14.0, world_R_body(1.4).T @ world_R_body(0.1) @ AHEAD))
     direction = world_R_body(1.4) @ tracker.estimate(14.0).direction
     np.testing.assert_allclose(direction, world_R_body(0.1) @ AHEAD, atol=1e-2)
@@ -265,7 +269,7 @@ def test_looks_in_the_worst_order_are_bounded_too():
 def test_poses_at_any_rate_are_bounded():
     tracker = DirectionTracker(TrackerConfig(history=1e9))
     for number in range(POSES + 10):
-        tracker.rotate(1e-4 * number, np.eye(3))
+        tracker.add_pose(1e-4 * number, np.eye(3))
     assert len(tracker._poses) == POSES
     with pytest.raises(PoseError, match="20000 poses"):
         tracker.observe(look(0.0))

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._arrays import Array, akin, as_float, constant, frozen, namespace, private, to_numpy
+from eagor._arrays import Array, as_float, constant, frozen, namespace, private, to_library, to_numpy
 from eagor.belief.diffusion import diffuse
 from eagor.belief.posterior import Field
 from eagor.belief.readable import Readable
@@ -97,7 +97,7 @@ class Belief(Readable):
 
     def plus(self, log_ratios: Array) -> Belief:
         """With log ratios added, given as coefficients ``(..., size)``; they are converted to this belief's arrays."""
-        return self._of(self.coefficients + akin(log_ratios, self.coefficients))
+        return self._of(self.coefficients + to_library(log_ratios, self.coefficients))
 
     def predict(self, new_R_old: Array) -> Belief:
         """After the body has turned: ``new_R_old @ direction_old = direction_new``, ``(..., 3, 3)``, exact."""

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._arrays import Array, akin, as_float, matched, namespace, to_numpy
+from eagor._arrays import Array, as_float, namespace, table_like, to_library, to_numpy
 from eagor._lazy import lazy
 from eagor.belief.direction import Belief
 from eagor.belief.posterior import Field
@@ -139,7 +139,7 @@ class RangedBelief(Readable):
             return self.plus(evidence.coefficients(self.degree)[..., None, :])
         if len(evidence) != len(self.ranges):
             raise EagorError(f"got evidence for {len(evidence)} shells; wanted one, or {len(self.ranges)}")
-        added = [akin(look.coefficients(self.degree), self.shells) for look in evidence]
+        added = [to_library(look.coefficients(self.degree), self.shells) for look in evidence]
         return self.plus(namespace(self.shells).stack(added, axis=-2))
 
     def plus(self, log_ratios: Array) -> RangedBelief:
@@ -147,7 +147,7 @@ class RangedBelief(Readable):
 
         They are converted to this belief's arrays.
         """
-        return replace(self, shells=self.shells + akin(log_ratios, self.shells))
+        return replace(self, shells=self.shells + to_library(log_ratios, self.shells))
 
     def __repr__(self) -> str:
         ranges = f"{len(self.ranges)} ranges {self.ranges[0]:.3g} to {self.ranges[-1]:.3g} m"
@@ -156,7 +156,7 @@ class RangedBelief(Readable):
     @property
     def agreed(self) -> Array:
         """The mean of the shells ``(..., size)``."""
-        shares = matched(self._shares, self.shells)
+        shares = table_like(self._shares, self.shells)
         return namespace(self.shells).sum(shares[:, None] * self.shells, axis=-2)
 
     def between(self, logs: np.ndarray) -> np.ndarray:
@@ -237,7 +237,7 @@ class RangedBelief(Readable):
         """The shells with the prior."""
         if self.prior is None:
             return self.shells
-        return self.shells + matched(self.prior, self.shells)
+        return self.shells + table_like(self.prior, self.shells)
 
     def _marginal(self, where: Any) -> Array:
         return _marginal(self.basis, self._shares, self._believed, where)

@@ -17,7 +17,7 @@ from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.perception import Perception
 from eagor.tasks.methods import NAMES, Method, make_method
-from eagor.tracking.estimate import Estimate, TrackerConfig
+from eagor.tracking import Estimate, TrackerConfig
 from eagor.tracking.tracker import DirectionTracker
 
 RIVALS = tuple(name for name in NAMES if name != "eagor")  # in the order of the columns
@@ -93,7 +93,7 @@ def follow(
     for index, step in enumerate(steps):
         # One pose ahead: what a replay recorded a little after this frame then finds the pose of its own moment.
         while fed < min(index + 2, len(poses)):
-            tracker.rotate(poses[fed].stamp, poses[fed].world_R_body, poses[fed].position)
+            tracker.add_pose(poses[fed].stamp, poses[fed].world_R_body, poses[fed].position)
             fed += 1
         if step.image is None:
             continue

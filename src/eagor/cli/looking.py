@@ -21,7 +21,7 @@ from eagor.evidence.detector import parse_model
 from eagor.perception import Perception, load, short_name
 from eagor.perception.calibrated import Calibrated, read_calibrated
 from eagor.perception.replay import ReplayPerception
-from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.config import TrackerConfig
 from eagor.worlds.panorama import read_panorama
 
 IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")

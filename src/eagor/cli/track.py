@@ -56,7 +56,8 @@ def track(options: Track) -> int:
     images = find_frames(places)
     steps = pair(read_poses(options.poses), images, options.poses)
     config = tracker_config(options.degree, options.perception, options.calibration, options.detector, options.force)
-    config = replace(config, floor=_checked_floor(options.floor, steps), drift=_checked_drift(options.drift))
+    floor, drift = _checked_floor(options.floor, steps), _checked_drift(options.drift)
+    config = replace(config, floor_height=floor, drift=drift)
     perception = make_perception(options.perception)
     rivals = make_rivals(options.perception) if options.compare else {}
     entries, bad, looked = [], 0, 0

@@ -33,7 +33,7 @@ from eagor.tasks.places import APARTMENT, DEVELOPMENT, load_place
 from eagor.tasks.play import MASS, Player, Recording
 from eagor.tasks.rules import Camera, Disturbances, as_dict
 from eagor.tasks.tracking import TrackingEpisode
-from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.config import TrackerConfig
 from eagor.tracking.motion import MotionModel
 from eagor.tracking.tracker import DirectionTracker
 from eagor.worlds.ball import PAINTS
@@ -335,6 +335,6 @@ def _tell(
     tracker: DirectionTracker, stamp: float, world_R_body: np.ndarray, position: np.ndarray,
     evidence: Evidence | None, config: TrackerConfig,
 ) -> None:  # fmt: skip
-    tracker.rotate(stamp, world_R_body, position if config.ranges is not None else None)
+    tracker.add_pose(stamp, world_R_body, position if config.ranges is not None else None)
     if evidence is not None:
         tracker.observe(evidence)

@@ -39,7 +39,7 @@ from eagor.perception.calibrated import Calibrated
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.methods import BASE
 from eagor.tasks.play import Recording
-from eagor.tracking.estimate import TrackerConfig
+from eagor.tracking.config import TrackerConfig
 
 DRAWS = 16  # settings in a round,
 ELITE = 4  # of which so many are kept
@@ -108,7 +108,7 @@ class _Space:
 
     def start(self) -> np.ndarray:
         """Where the search begins ``(parameters,)``: how looks are read, as above, and how targets move now."""
-        values = {"stated": LEARNT, **vars(self.read), **motion_values(BASE.motion)}
+        values = {"stated": LEARNT, **vars(self.read), **motion_values(BASE.target_motion)}
         return np.array([parameter.place(values[parameter.name]) for parameter in self.parameters])
 
     def at(self, places: np.ndarray, found_by: dict[str, Any] | None = None) -> Calibrated:

@@ -164,7 +164,7 @@ def _degrees(config: Settings) -> dict[str, int]:
     """The degrees of our default and of the published method, where this code is the one that was run."""
     if config.get("versions", {}).get("eagor") != __version__:
         return {}
-    from eagor.tracking.estimate import TrackerConfig
+    from eagor.tracking.config import TrackerConfig
 
     return {OURS: TrackerConfig().degree, PAPERS: TrackerConfig.paper().degree}
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from eagor._arrays import Array, frozen, matched, namespace, to_numpy
+from eagor._arrays import Array, frozen, namespace, table_like, to_numpy
 from eagor._checks import checked_stamp
 from eagor._reprs import changed
 from eagor.errors import ResponseError
@@ -119,7 +119,7 @@ class Evidence:
         if stamp is not None:
             stamp = checked_stamp(stamp)
         if coverage is not None:
-            log_ratio = log_ratio * matched(coverage, log_ratio)
+            log_ratio = log_ratio * table_like(coverage, log_ratio)
             coverage = None if (coverage == 1).all() else frozen(coverage)
         return cls(log_ratio, grid, calibration, stamp, region(grid, mask), peak, source, coverage)
 
@@ -268,7 +268,7 @@ class Evidence:
             return self.detections.response(self.grid.directions)
         ratio, xp = self.log_ratio, namespace(self.log_ratio)
         if self.coverage is not None:
-            share = matched(self.coverage, ratio)
+            share = table_like(self.coverage, ratio)
             ratio = ratio / xp.where(share > 0, share, xp.ones_like(share))
         scale = self.calibration.neutral + self.calibration.floor
         found = scale * xp.exp(ratio / self.calibration.temperature) - self.calibration.floor

@@ -56,7 +56,7 @@ class CommonError:
     newest: float = 0.0
 
     @property
-    def alike(self) -> float:
+    def correlation(self) -> float:
         """The mean correlation of the b of two looks, weighted by w: 1 for one look, or while nothing has faded.
 
         This fraction of the variance of b does not average out over the looks.

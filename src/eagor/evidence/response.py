@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from eagor._arrays import Array, matched, namespace, to_numpy
+from eagor._arrays import Array, namespace, table_like, to_numpy
 from eagor.errors import ResponseError
 from eagor.evidence.calibration import Calibration
 from eagor.grids import Grid
@@ -48,7 +48,7 @@ _NO_NUMBERS = (
 def where_covered(response: Array, mask: np.ndarray) -> Array:
     """`response` ``(..., H, W)`` with zeros where `mask` ``(H, W)`` says that nothing was covered."""
     xp = namespace(response)
-    return xp.where(matched(mask, response), response, xp.zeros_like(response))
+    return xp.where(table_like(mask, response), response, xp.zeros_like(response))
 
 
 def log_ratios(response: Array, calibration: Calibration, peak: float) -> Array:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._arrays import Array, matched, namespace
+from eagor._arrays import Array, namespace, table_like
 
 
 @lru_cache(maxsize=64)
@@ -55,7 +55,7 @@ def reduced_legendre(degree: int, z: Array) -> list[Array]:
     one = xp.ones_like(z)[None, ...]
     rows = [start[0] * one]
     for l in range(1, degree + 1):
-        scale_a, scale_b = (xp.reshape(matched(np.array(t[l]), z), column) for t in (a, b))
+        scale_a, scale_b = (xp.reshape(table_like(np.array(t[l]), z), column) for t in (a, b))
         below = z * rows[l - 1]
         if l > 1:
             two_below = xp.concat([rows[l - 2], xp.zeros_like(one)])

@@ -17,7 +17,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor._arrays import Array, as_float, constant, matched, namespace, recent, to_numpy
+from eagor._arrays import Array, as_float, constant, namespace, recent, table_like, to_numpy
 from eagor.grids import (
     ErpGrid,
     ErpWindow,
@@ -82,7 +82,7 @@ def synthesise(degree: int, coefficients: Array, where: Grid | ErpWindow | Array
         over_columns = constant(_longitude_values, degree, whole.width, like=coefficients)
         if isinstance(where, ErpWindow):
             over_rows = over_rows[..., where.top : where.top + where.rows]
-            over_columns = xp.take(over_columns, matched(where.columns, coefficients), axis=1)
+            over_columns = xp.take(over_columns, table_like(where.columns, coefficients), axis=1)
         packed = xp.take(coefficients, constant(_pack, degree, like=coefficients), axis=-1)
         packed = xp.permute_dims(xp.reshape(packed, (-1, 2 * degree + 1, degree + 1)), (1, 0, 2))
         rings = xp.reshape(packed @ over_rows, (2 * degree + 1, -1))
@@ -96,7 +96,7 @@ def synthesise(degree: int, coefficients: Array, where: Grid | ErpWindow | Array
         values = np.concatenate(parts, axis=-1) if parts else np.zeros((*coefficients.shape[:-1], 0))
         return values.reshape((*coefficients.shape[:-1], *points.shape[:-1]))
     if isinstance(points, np.ndarray):
-        points = matched(points, coefficients)
+        points = table_like(points, coefficients)
     basis = evaluate(degree, xp.reshape(points, (-1, 3)))
     return xp.reshape(coefficients @ basis.T, (*coefficients.shape[:-1], *points.shape[:-1]))
 
@@ -183,7 +183,7 @@ def _analyse_view(degree: int, values: Array, grid: Grid) -> Array:
         flat = xp.reshape(means, (*means.shape[:-2], -1))
         found = flat @ recent(_block_plan, lens, degree, like=values)
     else:
-        found = sum(means[..., i, :] @ matched(_block_row(lens, degree, i), values) for i in range(area.shape[0]))
+        found = sum(means[..., i, :] @ table_like(_block_row(lens, degree, i), values) for i in range(area.shape[0]))
     return rotate(degree, found, grid.body_R_view)
 
 
@@ -258,7 +258,7 @@ def pool(values: Array, edges: tuple[int, ...], axis: int) -> Array:
     if xp is np:
         return np.add.reduceat(values, np.asarray(edges[:-1]), axis=axis)
     total = xp.cumulative_sum(values, axis=axis)
-    last = xp.take(total, matched(np.asarray(edges[1:]) - 1, values), axis=axis)
-    first = xp.zeros_like(xp.take(last, matched(np.asarray([0]), values), axis=axis))
-    kept = xp.take(last, matched(np.arange(len(edges) - 2), values), axis=axis)
+    last = xp.take(total, table_like(np.asarray(edges[1:]) - 1, values), axis=axis)
+    first = xp.zeros_like(xp.take(last, table_like(np.asarray([0]), values), axis=axis))
+    kept = xp.take(last, table_like(np.arange(len(edges) - 2), values), axis=axis)
     return last - xp.concat([first, kept], axis=axis)

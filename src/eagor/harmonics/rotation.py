@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._arrays import Array, constant, matched, namespace, to_numpy
+from eagor._arrays import Array, constant, namespace, table_like, to_numpy
 from eagor.harmonics.legendre import evaluate, orders
 
 DENSE_UP_TO = 15  # a 256 x 256 matrix still beats 16 small ones
@@ -34,7 +34,7 @@ def rotate(degree: int, coefficients: Array, new_R_old: Array) -> Array:
     the coefficients.
     """
     if type(new_R_old) is not type(coefficients):
-        new_R_old = matched(to_numpy(new_R_old), coefficients)
+        new_R_old = table_like(to_numpy(new_R_old), coefficients)
     if new_R_old.ndim == 2 and type(coefficients) is np.ndarray and type(new_R_old) is np.ndarray:
         if coefficients.ndim == 1:
             return _rotate_alike(degree, coefficients, new_R_old)

@@ -18,7 +18,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor._arrays import Array, constant, matched, namespace
+from eagor._arrays import Array, constant, namespace, table_like
 from eagor.harmonics.legendre import latitude_functions, latitude_table
 from eagor.harmonics.rotation import rotate
 
@@ -43,7 +43,7 @@ def _along_pole(degree: int, shells: Array, ranges: np.ndarray, distance: float)
     xp = namespace(shells)
     count, nodes = len(ranges), len(_nodes(degree)[0])
     points = count * nodes
-    table, where, weights = (matched(part, shells) for part in _warp(degree, tuple(ranges.tolist()), distance))
+    table, where, weights = (table_like(part, shells) for part in _warp(degree, tuple(ranges.tolist()), distance))
     batch = tuple(shells.shape[:-2])
     packed = xp.take(shells, constant(_by_order, degree, like=shells), axis=-1)
     packed = xp.reshape(packed, (*batch, count, degree + 1, 2, degree + 1))

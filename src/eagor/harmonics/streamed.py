@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._arrays import Array, matched, namespace
+from eagor._arrays import Array, namespace, table_like
 from eagor.harmonics.legendre import latitude_functions_of
 
 _BLOCK_BYTES = 1 << 25
@@ -28,7 +28,7 @@ def analysed(degree: int, rings: Array, sines: np.ndarray, made: Made) -> Array:
     xp = namespace(rings)
     sine, cosine = [], []
     for first, last, table in _blocks(degree, sines):
-        table = matched(made(table), rings)
+        table = table_like(made(table), rings)
         cosine.append(table @ rings[degree + first : degree + last, ...])
         sine.append(table @ xp.flip(rings[degree - last + 1 : degree - first + 1, ...], axis=0))
     return _signed(xp, sine, cosine)
@@ -39,7 +39,7 @@ def synthesised(degree: int, packed: Array, sines: np.ndarray) -> Array:
     xp = namespace(packed)
     sine, cosine = [], []
     for first, last, table in _blocks(degree, sines):
-        table = matched(table, packed)
+        table = table_like(table, packed)
         cosine.append(packed[degree + first : degree + last, ...] @ table)
         sine.append(xp.flip(packed[degree - last + 1 : degree - first + 1, ...], axis=0) @ table)
     return _signed(xp, sine, cosine)

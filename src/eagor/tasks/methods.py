@@ -32,13 +32,13 @@ from eagor.evidence.detector import DetectorModel
 from eagor.perception import is_model
 from eagor.sphere import FORWARD
 from eagor.tasks.fitted import fitted
-from eagor.tracking.estimate import Estimate, TrackerConfig
+from eagor.tracking import Estimate, TrackerConfig
 from eagor.tracking.tracker import DirectionTracker
 
 PARTICLES = 2000
 REWIND = 64  # steps that a filter can be rewound by
 FLOOR = 0.0  # metres: z of the floor in the worlds' odometry
-BASE = TrackerConfig(floor=FLOOR)  # our tracker, where nothing else is said
+BASE = TrackerConfig(floor_height=FLOOR)  # our tracker, where nothing else is said
 
 # What each is, for reports; the order of tables.
 DESCRIPTIONS = {
@@ -159,7 +159,7 @@ class TrackerMethod:
     _estimate: Estimate | None = None
 
     def move(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
-        self.tracker.rotate(stamp, world_R_body, position if self.tracker.config.ranges is not None else None)
+        self.tracker.add_pose(stamp, world_R_body, position if self.tracker.config.ranges is not None else None)
         self.now = stamp
         self._estimate = None
 
@@ -277,7 +277,7 @@ _ANGLES = ("noise", "diffusion", "roughening", "kernel", "wander", "turn", "spre
 # The settings of our tracker: which part of its configuration they are of, what they are called there, how they read.
 _OURS: dict[str, tuple[str, str, Callable[[str, str], Any]]] = {
     "degree": ("", "degree", _whole),
-    "decode": ("", "decode", _decode),
+    "decode": ("answers", "decode", _decode),
     **{
         key: ("calibration", key, _number)
         for key in (*_READING, "persistence", "persists_for", "persists_within", "spread")
@@ -287,9 +287,9 @@ _OURS: dict[str, tuple[str, str, Callable[[str, str], Any]]] = {
     "dspread": ("detector", "spread", _number),
     **{key: ("detector", key, _number) for key in ("repeats", "repeats_for", "repeats_within")},
     "shells": ("", "ranges", _shells),
-    "heights": ("", "floor", _heights),
-    **{key: ("motion", key, _kinds) for key in ("wander", "turn")},
-    **{key: ("motion", key, _number) for key in ("start", "stop", "jump", "birth", "death")},
+    "heights": ("", "floor_height", _heights),
+    **{key: ("target_motion", key, _kinds) for key in ("wander", "turn")},
+    **{key: ("target_motion", key, _number) for key in ("start", "stop", "jump", "birth", "death")},
     "drift": ("", "drift", _number),
 }
 SETTINGS: dict[str, tuple[str, ...]] = {
@@ -321,7 +321,9 @@ def tracker_config(
     - of how detections are read: pd, clutter (?: to be learnt), dspread (degrees), repeats, repeats_for (seconds),
       repeats_within (metres). They change `detector` where the config has none of its own.
     """
-    found: dict[str, dict[str, Any]] = {"": {}, "calibration": {}, "detector": {}, "motion": {}}
+    found: dict[str, dict[str, Any]] = {
+        part: {} for part in ("", "calibration", "detector", "target_motion", "answers")
+    }
     for key, (part, name, read) in ((key, _OURS[key]) for key in settings):
         found[part][name] = read(key, settings[key])
     changes = found[""]
@@ -330,7 +332,9 @@ def tracker_config(
         changes["calibration"] = replace(read_by, scale_to_max=False, **found["calibration"])
     if found["detector"]:
         changes["detector"] = replace(config.detector or detector or DetectorModel(), **found["detector"])
-    return replace(config, motion=replace(config.motion, **found["motion"]), **changes)
+    for part in ("target_motion", "answers"):
+        changes[part] = replace(getattr(config, part), **found[part])
+    return replace(config, **changes)
 
 
 def _filter(base: str, settings: dict[str, str], rng: np.random.Generator) -> Method:

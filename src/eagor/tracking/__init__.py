@@ -5,16 +5,28 @@ One look of one target takes this way:
 1. `tracker`: `DirectionTracker.observe` files the evidence under its target, `tracks` puts it where its time of capture
    belongs, and `poses` says where the camera was then.
 2. `look`: all evidence of one moment, turned into world axes.
-3. `cases`: is the target absent, does it stand (`standing`), wander, or turn (`turning`)? Each case predicts the look,
-   and is weighed by how well it did. `motion` has the rates at which targets change from case to case.
-4. `estimate`: the answer in the body frame of now, with its candidates, cone, presence and status.
+3. `cases`: is the target absent, does it stand (`standing`), wander (`wandering`), or turn (`turning`)? Each case
+   predicts the look, and is weighed by how well it did. `motion` has the rates at which targets change from case to
+   case.
+4. `state`: what is believed after the look; it carries itself to another time and place, and decides the answer.
+5. `estimate`: the answer in the body frame of now, with its candidates, cone, presence and status.
 
 `config` has the settings.
 """
 
-from eagor.tracking.estimate import Estimate, Mode, Status, TrackerConfig
+from eagor.tracking.config import AnswerSettings, TrackerConfig
+from eagor.tracking.estimate import Estimate, Mode, Status
 from eagor.tracking.motion import MotionModel
 from eagor.tracking.poses import PoseHistory
 from eagor.tracking.tracker import DirectionTracker
 
-__all__ = ["DirectionTracker", "Estimate", "Mode", "MotionModel", "PoseHistory", "Status", "TrackerConfig"]
+__all__ = [
+    "AnswerSettings",
+    "DirectionTracker",
+    "Estimate",
+    "Mode",
+    "MotionModel",
+    "PoseHistory",
+    "Status",
+    "TrackerConfig",
+]

@@ -6,8 +6,7 @@ looks; a Markov chain links the cases. This is a Bernoulli filter (Ristic et al.
 Processing 61(13), 2013) with interacting multiple models (Blom and Bar-Shalom, IEEE Transactions on Automatic Control
 33(8), 1988). The presence is the sum of the weights of the cases with a target.
 
-A wanderer is a density on a grid: diffusion is exact there and costs one product, since the heat kernel multiplies the
-coefficients of degree l by exp(-l (l + 1) sigma^2 / 2). A standing target is the sum of all looks since it came to
+A wandering target is a density on a grid (`wandering`). A standing target is the sum of all looks since it came to
 stand (`standing`). Such a sum cannot absorb a target that stops only now, so the likelier of the two is kept.
 """
 
@@ -26,14 +25,13 @@ from eagor.evidence.detector import Rates
 from eagor.evidence.repeating import NONE_YET, CommonError
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
-from eagor.harmonics.peaks import decoding_grid
 from eagor.tracking.look import Look, Sight
 from eagor.tracking.motion import MotionModel
 from eagor.tracking.standing import Standing
 from eagor.tracking.turning import Turning
+from eagor.tracking.wandering import Wandering
 
 _UNHEARD = 1e-5  # of the belief: cells with less do not count when the detector is learnt
-_FAINTEST = 1e-12  # of a mean density: lower values are ringing of the truncated series
 _LEAST_NEW = 1e-6  # of a mean density: the lowest density of a target that comes to stand
 _UNLIKELY = 0.05  # if turning is less likely than this, it counts as standing
 _LARGEST = 700.0  # nats: the exponential still fits a float64
@@ -43,14 +41,13 @@ _LARGEST = 700.0  # nats: the exponential still fits a float64
 class Cases:
     """The cases and their probabilities: absent, standing, wandering in one of several ways, turning. World axes.
 
-    `weights` ``(2 + M,)`` or, with `turning`, ``(3 + M,)`` sum to 1. `wanderers` ``(M, H, W)``: densities over a
-    uniform one, on the decoding grid. `bias`: radians by which all looks together may be off: the part of their error
-    that all of them share (`common`).
+    `weights` ``(2 + M,)`` or, with `turning`, ``(3 + M,)`` sum to 1; M is the number of paces of `wandering`. `bias`:
+    radians by which all looks together may be off: the part of their error that all of them share (`common`).
     """
 
     weights: np.ndarray
     standing: Standing
-    wanderers: np.ndarray
+    wandering: Wandering
     turning: Turning | None = None
     bias: float = 0.0
     common: CommonError = NONE_YET
@@ -58,15 +55,15 @@ class Cases:
     @classmethod
     def prior(cls, motion: MotionModel, standing: Standing, presence: float = 0.5) -> Cases:
         """Before any look; `standing` is a uniform belief."""
-        moving, grid = motion.moving, decoding_grid(standing.degree)
+        moving = motion.moving
         weights = np.array([1 - presence, presence * (1 - moving), *(presence * moving * motion.kinds)])
         turning = Turning.prior(motion.turn) if motion.turn else None
-        return cls(weights, standing, np.ones((len(motion.wander), *grid.shape)), turning)
+        return cls(weights, standing, Wandering.prior(motion, standing.degree), turning)
 
     @property
     def grid(self) -> ErpGrid:
-        """Of the wanderers."""
-        return decoding_grid(self.standing.degree)
+        """On which densities and fields are kept."""
+        return self.wandering.grid
 
     @property
     def presence(self) -> float:
@@ -96,9 +93,9 @@ class Cases:
             values=stands.values + level,
             patches=tuple(patch.like(patch.values + level) for patch in stands.patches),
         )
-        if not len(self.wanderers) and not turns:
+        if not len(self.wandering) and not turns:
             return stands
-        wandering = np.tensordot(shares[1 : 1 + len(self.wanderers)], self.wanderers, axes=1)
+        wandering = self.wandering.mixed(shares[1 : 1 + len(self.wandering)])
         elsewhere = SphereField(self.grid, np.log(np.maximum(wandering, 1e-300)))
         turning = self.turning if turns > 0 else None
 
@@ -134,7 +131,8 @@ class Cases:
         if elapsed <= 0:
             return self if standing is self.standing else replace(self, standing=standing)
         flows = self.weights[:, None] * motion.transitions(elapsed)
-        wanderers = self._roamed(flows, elapsed, motion, drift)
+        stands = self._standing_density() if len(self.wandering) and flows[1, 2:].any() else 0.0
+        wandering = self.wandering.after(elapsed, motion, drift, flows, stands)
         turning = self._turned(flows, elapsed, motion, drift)
         if drift > 0:
             standing = _drifted(standing, drift, elapsed)
@@ -147,23 +145,7 @@ class Cases:
             standing, common = self._restarted(standing, newly), NONE_YET
         weights = flows.sum(axis=0)
         weights = weights / weights.sum()
-        return replace(self, weights=weights, standing=standing, wanderers=wanderers, turning=turning, common=common)
-
-    def _roamed(self, flows: np.ndarray, elapsed: float, motion: MotionModel, drift: float) -> np.ndarray:
-        """The wanderers' densities after `elapsed` seconds, with the inflow from the other cases."""
-        grid = self.grid
-        if not len(self.wanderers):
-            return self.wanderers
-        basis = RealHarmonics(grid.height // 2 - 1)  # the grid's: a density is narrower than its logarithm
-        jumped = motion.jumped(elapsed)
-        stands = self._standing_density() if flows[1, 2:].any() else 0.0
-        sigmas = np.hypot(motion.wander, drift) * math.sqrt(elapsed)
-        spread = basis.synthesise(basis.smooth(basis.analyse(self.wanderers, grid), sigmas[:, None]), grid)
-        roamed = (1 - jumped) * np.maximum(spread, _FAINTEST) + jumped
-        wander = slice(2, 2 + len(sigmas))
-        born, begun, kept = (flow[wander, None, None] for flow in (flows[0], flows[1], np.diagonal(flows)))
-        mixed = kept * roamed + begun * stands + born
-        return mixed / (np.einsum("mij,ij->m", mixed, grid.weights) / (4 * math.pi))[:, None, None]
+        return replace(self, weights=weights, standing=standing, wandering=wandering, turning=turning, common=common)
 
     def _turned(self, flows: np.ndarray, elapsed: float, motion: MotionModel, drift: float) -> Turning | None:
         """The turning target after `elapsed` seconds, with the inflow from the other cases."""
@@ -207,8 +189,7 @@ class Cases:
 
         `newly`: what flows in from the absent target, and from each wanderer.
         """
-        count = len(self.wanderers)
-        density = newly[0] + np.tensordot(newly[1 : 1 + count], self.wanderers, axes=1)
+        density = newly[0] + self.wandering.mixed(newly[1 : 1 + len(self.wandering)])
         if self.turning is not None and newly[-1] > 0:
             density = density + newly[-1] * self.turning.density(self.grid.directions)
         density = np.broadcast_to(density, self.grid.shape)
@@ -241,14 +222,7 @@ class Cases:
         standing = standing.opened(look).plus(look).focused(fresh)
         gains = np.zeros(len(self.weights))
         gains[1] = standing.log_mean - before
-        wanderers = self.wanderers
-        if len(wanderers):
-            ratio = np.exp(look.moving)
-            new = ratio if repeated == 0 else ratio * np.exp(-repeated * passing.moving)  # type: ignore[union-attr]
-            shares = self.grid.weights / (4 * math.pi)
-            gains[2 : 2 + len(wanderers)] = np.log(np.einsum("mij,ij->m", wanderers, new * shares))
-            wanderers = wanderers * ratio
-            wanderers /= np.einsum("mij,ij->m", wanderers, shares)[:, None, None]
+        wandering, gains[2 : 2 + len(self.wandering)] = self.wandering.updated(look, passing, repeated)
         turning, foretold = self.turning, np.zeros(1)
         if turning is not None:
             turning, gains[-1], foretold = turning.updated(look, passing, repeated)
@@ -258,9 +232,9 @@ class Cases:
         weights /= weights.sum()
         taken = repeated if passing is not None and passing.sight.tells else 0.0
         common = self.common.with_look(sight.repeating.left(elapsed, moved), taken, sight.tells)
-        bias = sight.bias * math.sqrt(common.alike) if sight.repeating.fades else sight.bias
+        bias = sight.bias * math.sqrt(common.correlation) if sight.repeating.fades else sight.bias
         standing = standing.judged(float(weights[1]), spread)
-        return Cases(weights, standing, wanderers, turning, bias, common), look, learnt
+        return Cases(weights, standing, wandering, turning, bias, common), look, learnt
 
     def _otherwise(self, look: Look, turns: np.ndarray) -> np.ndarray:
         """The weights of the scales ``(S,)`` if the target does not stand, after a look.
@@ -271,8 +245,8 @@ class Cases:
         if look.by_scale is None or len(otherwise) == 1:
             return otherwise
         foretold = np.full(len(otherwise), self.weights[0])
-        if len(self.wanderers):
-            roams = np.tensordot(self.weights[2 : 2 + len(self.wanderers)], self.wanderers, axes=1)
+        if len(self.wandering):
+            roams = self.wandering.mixed(self.weights[2 : 2 + len(self.wandering)])
             foretold += look.by_scale.reshape(len(foretold), -1) @ (roams * self.grid.weights / (4 * math.pi)).ravel()
         if self.turning is not None:
             foretold += self.weights[-1] * turns

@@ -1,8 +1,8 @@
 """Saving dataclasses with arrays to a file, without pickle: loading a file never runs code.
 
 A file has three parts: a line of JSON with kind, version, length and digest; a line of JSON with the structure, in
-which arrays and dataclasses are numbers; and the bytes of the arrays. Only dataclasses of the modules registered here
-can be saved. Loading calls their constructors, which check the fields, and sets their `given` values. An object in two
+which arrays and dataclasses are numbers; and the bytes of the arrays. Only dataclasses of the packages named here can
+be saved. Loading calls their constructors, which check the fields, and sets their `given` values. An object in two
 places is saved once.
 """
 
@@ -28,16 +28,8 @@ from eagor.errors import FormatError
 VERSION = 2
 FORMAT = "eagor tracker"
 LONGEST = 1000  # bytes of the first line
-# Only dataclasses of these modules may be in a file.
-MODULES = {
-    "eagor.grids",
-    *(f"eagor.evidence.{name}" for name in ("calibration", "detections", "detector", "evidence", "repeating")),
-    *(f"eagor.belief.{name}" for name in ("direction", "field", "ranged", "windows")),
-    *(
-        f"eagor.tracking.{name}"
-        for name in ("cases", "estimate", "look", "motion", "poses", "standing", "tracks", "turning")
-    ),
-}
+# Only dataclasses of these, and of their modules, may be in a file.
+PACKAGES = ("eagor.belief", "eagor.evidence", "eagor.grids", "eagor.tracking")
 
 
 def save(path: Path, state: Any) -> Path:
@@ -76,8 +68,12 @@ def load(path: Path) -> Any:
     text, _, data = body.partition(b"\n")
     try:
         return _Reader(json.loads(text), data).state
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, ImportError, RecursionError) as error:
         raise FormatError(f"{path} was saved by another version of eagor: {error}. Load it with that one") from error
+
+
+def _is_ours(module: str) -> bool:
+    return any(f"{module}.".startswith(f"{package}.") for package in PACKAGES)
 
 
 class _Writer:
@@ -106,7 +102,7 @@ class _Writer:
 
     def _added(self, value: Any) -> list[Any]:
         kind = type(value)
-        if is_dataclass(value) and kind.__module__ in MODULES:
+        if is_dataclass(value) and _is_ours(kind.__module__):
             found = {each.name: getattr(value, each.name) for each in fields(value)}
             found |= state_of(value) if hasattr(value, "__dict__") else {}
             self.nodes.append(
@@ -156,7 +152,7 @@ class _Reader:
 
     @staticmethod
     def _made(module: str, name: str, values: dict[str, Any]) -> Any:
-        if module not in MODULES:
+        if not _is_ours(module):
             raise ValueError(f"{module} is not saved")
         kind = getattr(import_module(module), name)
         if not is_dataclass(kind) or not isinstance(kind, type):

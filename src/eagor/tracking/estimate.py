@@ -1,114 +1,31 @@
-"""A tracker's settings and answers: `TrackerConfig` and `Estimate`."""
+"""The answer at one time: direction, candidates, cone, presence, distance, status."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from eagor._arrays import to_numpy
-from eagor._checks import above, require, whole, within
 from eagor._lazy import lazy
-from eagor._reprs import changed, where
-from eagor.belief.ranged import log_ranges
-from eagor.belief.reading import NEAR, Reading
-from eagor.evidence.calibration import Calibration
-from eagor.evidence.detector import DetectorModel, Rates
+from eagor._reprs import where
+from eagor.belief.reading import Reading
+from eagor.evidence.detector import Rates
 from eagor.grids import ErpGrid, Grid, PatchGrid
-from eagor.harmonics import RealHarmonics
 from eagor.sphere import azimuth_elevation, check_directions
 from eagor.tracking.cases import Cases
-from eagor.tracking.motion import MotionModel
+from eagor.tracking.config import TrackerConfig
+from eagor.tracking.state import Answer
 
-__all__ = ["Answer", "Estimate", "Mode", "Status", "TrackerConfig"]
+__all__ = ["Estimate", "Mode", "Status"]
 
 Status = Literal["searching", "tracking", "ambiguous", "stale"]
 SURE = math.radians(15)  # of the answer: a target within this angle counts as found
 RIVAL = 0.2  # of the belief: a second mode that holds this share makes the answer ambiguous
 LEAST_MODE = 0.02  # of the belief: modes that hold less are not listed
 MOST_MODES = 5
-
-
-FLAT = 1e-6  # nats: a belief that varies by less has no direction
-
-
-@dataclass(frozen=True)
-class TrackerConfig:
-    """How a `DirectionTracker` believes, forgets and answers.
-
-    - `degree`: of the harmonics over the whole sphere; about peaks the belief is finer.
-    - `decode`: "mode", or "mean" for the published estimate.
-    - `calibration`: read all evidence with this calibration instead of its own, detections too.
-    - `detector`: read every set of detections with this model instead of its own.
-    - `ranges`: shells (metres) of the belief over distance, used where positions are known; None: directions only.
-    - `floor`: height (z, metres) of the floor in the odometry's world, if known. Things stand on it, so a thing's
-      elevation tells its distance (`eagor.belief.heights.height_prior`).
-    - `motion`: how targets come, go and move (`eagor.tracking.motion.MotionModel`).
-    - `drift`: drift of the odometry's heading, radians per root second.
-    - `history`: seconds for which poses and evidence are kept; late evidence must not be older.
-    - `stale_after`: seconds without evidence after which an estimate is stale.
-    """
-
-    degree: int = 15
-    decode: Literal["mode", "mean"] = "mode"
-    calibration: Calibration | None = None
-    detector: DetectorModel | None = None
-    ranges: Sequence[float] | None = field(default_factory=lambda: tuple(log_ranges(count=14).tolist()))
-    floor: float | None = None
-    motion: MotionModel = field(default_factory=MotionModel)
-    drift: float = 0.0
-    history: float = 10.0
-    stale_after: float = 5.0
-
-    def __post_init__(self) -> None:
-        RealHarmonics(self.degree)  # raises for a wrong degree
-        kinds = (Calibration, DetectorModel, MotionModel)
-        fields = {
-            "degree": (whole(self.degree, 1, 127), "a whole number from 1 to 127"),
-            "decode": (self.decode in ("mode", "mean"), "mode or mean"),
-            "calibration": (self.calibration is None or isinstance(self.calibration, kinds[0]), "an eagor.Calibration"),
-            "detector": (self.detector is None or isinstance(self.detector, kinds[1]), "an eagor.DetectorModel"),
-            "ranges": (_are_ranges(self.ranges), "at least two rising distances in metres, or None"),
-            "floor": (self.floor is None or within(self.floor, -math.inf), "a height in metres, or None"),
-            "motion": (isinstance(self.motion, kinds[2]), "an eagor.MotionModel"),
-            "drift": (within(self.drift, 0, math.pi), "radians per root second, from 0 to pi"),
-            "history": (within(self.history, 0), "seconds from 0 on"),
-            "stale_after": (within(self.stale_after, 0), "seconds from 0 on"),
-        }
-        require(self, fields)
-
-    def __repr__(self) -> str:
-        return changed(self)
-
-    @classmethod
-    def paper(cls) -> TrackerConfig:
-        """The published recursion: degree 7, log(l + 1e-3) scaled to the frame's maximum, spherical mean."""
-        published = Calibration.paper()
-        return cls(degree=7, decode="mean", calibration=published, ranges=None, motion=MotionModel.still())
-
-    def fitted(
-        self, calibration: Calibration | None, detector: DetectorModel | None, forgetting: Mapping[str, Any]
-    ) -> TrackerConfig:
-        """This with fitted values: how looks are read (None: unchanged), and fields of `motion`."""
-        return replace(
-            self,
-            calibration=calibration or self.calibration,
-            detector=detector or self.detector,
-            motion=replace(self.motion, **forgetting),
-        )
-
-
-def _are_ranges(ranges: Sequence[float] | None) -> bool:
-    if ranges is None:
-        return True
-    try:
-        found = [float(value) for value in ranges]
-    except (TypeError, ValueError):
-        return False
-    return len(found) > 1 and all(above(value, 0) for value in found) and bool((np.diff(found) > 0).all())
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,33 +43,6 @@ class Mode:
 
     def __repr__(self) -> str:
         return f"Mode({where(self.azimuth, self.elevation)}, weight {self.weight:.2f})"
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """The answered direction ``(3,)``, world axes, and whether it is an older answer that is kept."""
-
-    direction: np.ndarray
-    held: bool = False
-
-
-def chosen(reading: Reading, before: Answer | None, repeats: float = 0.0) -> Answer | None:
-    """The answer: the heaviest mode, or the one `before` unless another holds 1 / (1 - repeats) times as much.
-
-    `repeats`: share of a look's mistakes that is still repeated. With independent looks (0) the answer is the heaviest
-    mode. Otherwise one mistake can make another mode heavier for many looks, and the answer would jump back and forth.
-    """
-    if float(np.ptp(reading.field.values)) < FLAT and not reading.field.patches:
-        return None
-    first, _ = reading.first(NEAR)
-    if before is None or first @ before.direction > math.cos(NEAR):
-        return Answer(first)
-    if reading.around(before.direction, NEAR) < reading.around(first, NEAR) * (1 - repeats):
-        return Answer(first)
-    near = reading.parts[2] @ before.direction > math.cos(NEAR)
-    kept = reading.top_of(near)
-    # If the belief still rises at the border of the cone, there is no peak left to keep.
-    return Answer(kept, True) if kept @ before.direction > math.cos(0.9 * NEAR) else Answer(first)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +80,7 @@ class Estimate:
         """The answer ``(3,)``: the first of `modes`, or the mode that is `held`; None while nothing is known."""
         if math.isinf(self.age):
             return None
-        if self.config.decode == "mean":
+        if self.config.answers.decode == "mean":
             coarse = self.cases.standing.coarse.direction_belief()
             return to_numpy(coarse.mean_direction()) @ self.world_R_body
         return None if self.answer is None else self.answer.direction @ self.world_R_body
@@ -272,7 +162,7 @@ class Estimate:
     @property
     def moving(self) -> float | None:
         """Probability that the target moves, if it is present; None if the motion model has no motion."""
-        return self.cases.moving if len(self.config.motion.kinds) else None
+        return self.cases.moving if len(self.config.target_motion.kinds) else None
 
     @property
     def distance(self) -> float | None:
@@ -298,12 +188,12 @@ class Estimate:
           mode holds a fifth of the belief;
         - "ambiguous": it is probably present, and several modes hold a fifth or more each, or half of the belief
           together;
-        - "stale": there was an answer, but no evidence for longer than `TrackerConfig.stale_after`.
+        - "stale": there was an answer, but no evidence for longer than `AnswerSettings.stale_after`.
         """
         if self.direction is None:
             return "searching"
         found = self._found()
-        return "stale" if found != "searching" and self.age > self.config.stale_after else found
+        return "stale" if found != "searching" and self.age > self.config.answers.stale_after else found
 
     def _found(self) -> Status:
         if self.presence < 0.5:

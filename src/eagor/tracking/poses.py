@@ -62,7 +62,7 @@ class PoseHistory:
             )
 
     def add(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None) -> list[float]:
-        """Append a pose; it replaces the last one if it has the same stamp. Errors as in `DirectionTracker.rotate`.
+        """Append a pose; it replaces the last one if it has the same stamp. Errors as in `DirectionTracker.add_pose`.
 
         Poses after a long gap have wrong stamps if a later pose falls before the gap again. They are then dropped, and
         their stamps returned.
@@ -125,8 +125,9 @@ class PoseHistory:
             return self._poses[after]
         if after == 0:
             raise PoseError(
-                f"no pose for t = {stamp:.6f} s: poses are known from {self._stamps[0]:.6f} s on. Feed rotate() before "
-                f"observe(), or raise the history (now {self.seconds:g} s; {POSES} poses are kept at most)"
+                f"no pose for t = {stamp:.6f} s: poses are known from {self._stamps[0]:.6f} s on. Call "
+                f"add_pose() before observe(), or raise the history (now {self.seconds:g} s; at most {POSES} poses are "
+                "kept)"
             )
         start, end = self._stamps[after - 1], self._stamps[after]
         (pose_a, place_a), (pose_b, place_b) = self._poses[after - 1], self._poses[after]

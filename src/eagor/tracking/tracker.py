@@ -16,16 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from eagor.belief.ranged import RangedBelief
 from eagor.errors import EagorError, FormatError, PoseError, TimeError
-from eagor.evidence import Evidence
+from eagor.evidence.evidence import Evidence
 from eagor.tracking import checkpoint
-from eagor.tracking.cases import Cases
-from eagor.tracking.estimate import Estimate, TrackerConfig, chosen
-from eagor.tracking.look import Sight
+from eagor.tracking.config import TrackerConfig
+from eagor.tracking.estimate import Estimate
 from eagor.tracking.poses import HELD, PoseHistory
-from eagor.tracking.standing import Standing
-from eagor.tracking.tracks import PENDING, Moment, State, Track
+from eagor.tracking.state import State
+from eagor.tracking.tracks import PENDING, Moment, Track
 
 __all__ = ["DirectionTracker"]
 
@@ -35,7 +33,7 @@ TARGETS = 100  # most targets at a time
 class DirectionTracker:
     """Follows any number of targets from stamped poses and stamped evidence.
 
-    Call `rotate` with every pose of the odometry, `observe` with every evidence as it arrives, and `estimate` for an
+    Call `add_pose` with every pose of the odometry, `observe` with every evidence as it arrives, and `estimate` for an
     answer. Stamps are seconds on one clock. Without any pose the camera stands still. Threads may share a tracker. It
     follows at most `TARGETS` targets; for one more, it forgets the one that was used least recently, with a warning.
     """
@@ -64,7 +62,7 @@ class DirectionTracker:
         with self._turn:
             return tuple(self._tracks)
 
-    def rotate(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None) -> None:
+    def add_pose(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None) -> None:
         """Add a pose of the body: orientation ``(3, 3)``, and `position` ``(3,)`` in metres, world frame, if known.
 
         Raises `TimeError` if `stamp` is earlier than the last pose, `RotationError` if the matrix is not a rotation,
@@ -94,6 +92,11 @@ class DirectionTracker:
                 "that made their stamps",
                 stacklevel=2,
             )
+
+    def rotate(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None) -> None:
+        """The old name of `add_pose`."""
+        warnings.warn("DirectionTracker.rotate is now DirectionTracker.add_pose", DeprecationWarning, stacklevel=2)
+        self.add_pose(stamp, world_R_body, position)
 
     def observe(self, evidence: Evidence, target: str = "target") -> None:
         """Add evidence about `target`, placed by its time of capture; it may be late and out of order.
@@ -126,7 +129,7 @@ class DirectionTracker:
             self._tracks[target] = track
             self._use(track)
             if len(track.moments) - track.taken_in > PENDING:
-                self._take_in(track)
+                track.state(self.config)
             dropped = None
             if len(self._tracks) > TARGETS:
                 dropped = min(self._tracks, key=lambda name: self._tracks[name].used)
@@ -146,25 +149,22 @@ class DirectionTracker:
         """
         with self._turn:
             pose, position = self._poses.at(now)
-            if target not in self._tracks and (target == "target" or not self._tracks):
-                return Estimate(now, math.inf, self._blank(position), pose, self.config)
-            track = self._track(target)
-            self._use(track)
-            newest = track.newest
-            if newest is None:
-                return Estimate(now, math.inf, self._blank(position), pose, self.config)
-            if now < newest:
+            track = None
+            if target in self._tracks or (target != "target" and self._tracks):
+                track = self._track(target)
+                self._use(track)
+            if track is None or track.newest is None:
+                blank = State.blank(self.config, now, position)
+                return Estimate(now, math.inf, blank.cases, pose, self.config)
+            if now < track.newest:
                 raise TimeError(
-                    f"asked for t = {now:.6f} s, but evidence up to {newest:.6f} s is already in; ask for that time or "
-                    f"later. If the stamp of that evidence is wrong, call tracker.reset({target!r})"
+                    f"asked for t = {now:.6f} s, but evidence up to {track.newest:.6f} s is already in; ask for that "
+                    f"time or later. If the stamp of that evidence is wrong, call tracker.reset({target!r})"
                 )
-            state = self._take_in(track)
-            cases = self._advanced(state, now, position)
-            answer = state.answer
-            if cases is not state.cases and self.config.decode == "mode":
-                repeats = state.look.sight.repeating.after(now - state.stamp) if state.look else 0.0
-                answer = chosen(cases.reading, state.answer, repeats)
-            return Estimate(now, now - state.stamp, cases, pose, self.config, answer, state.rates)
+            state = track.state(self.config)
+            assert state is not None
+            state = state.at(now, position, self.config)
+            return Estimate(now, now - state.stamp, state.cases, pose, self.config, state.answer, state.rates)
 
     def save(self, path: str | Path) -> Path:
         """Write the whole state to a file, atomically, and return its path; `load` continues from it.
@@ -229,59 +229,10 @@ class DirectionTracker:
             moment.firm = self._poses.reach(moment.stamp)
             track.forget_from(index)
 
-    def _take_in(self, track: Track) -> State:
-        """The state after the newest look."""
-        state = track.state(self.config.history, self._added)
-        assert state is not None
-        return state
-
-    def _added(self, state: State | None, moment: Moment) -> State:
-        """The state after one more look."""
-        stamp, position = moment.stamp, moment.position
-        sight = Sight.of(moment.looks, self.config.degree, stamp, moment.world_R_body, position)
-        if state is None:
-            cases, passing, since, rates, before = self._blank(position), None, None, None, None
-        else:
-            cases = self._advanced(state, stamp, position)
-            passing, rates, before = state.look, state.rates, state.answer
-            known = position is not None and state.position is not None
-            since = position - state.position if known else None  # type: ignore[operator]
-        cases, look, rates = cases.updated(sight, rates, passing, since)
-        if position is None and state is not None:
-            position = state.position
-        moved = 0.0 if since is None else float(np.linalg.norm(since))
-        repeats = sight.repeating.after(0.0 if state is None else stamp - state.stamp, moved)
-        answer = None if self.config.decode == "mean" else chosen(cases.reading, before, repeats)
-        return State(stamp, position, cases, look, rates, answer)
-
-    def _advanced(self, state: State, now: float, position: np.ndarray | None) -> Cases:
-        """The cases carried to a later time and another place."""
-        cases, height = state.cases, self._height(position)
-        step = None
-        if position is not None and self.config.ranges is not None:
-            if not isinstance(cases.standing.coarse, RangedBelief):  # positions are known from here on
-                ranges = np.asarray(self.config.ranges, dtype=np.float64)
-                cases = replace(cases, standing=cases.standing.ranged(ranges, height))
-            if state.position is not None:
-                step = position - state.position
-        return cases.after(now - state.stamp, self.config.motion, self.config.drift, step, height)
-
-    def _blank(self, position: np.ndarray | None) -> Cases:
-        ranges = None
-        if position is not None and self.config.ranges is not None:
-            ranges = np.asarray(self.config.ranges, dtype=np.float64)
-        standing = Standing.uniform(self.config.degree, ranges, self._height(position))
-        return Cases.prior(self.config.motion, standing)
-
-    def _height(self, position: np.ndarray | None) -> float | None:
-        """The camera's height above the floor, if known, to the centimetre, since a walking camera bobs."""
-        if self.config.floor is None or position is None:
-            return None
-        return round(float(position[2]) - self.config.floor, 2)
-
     def _check_height(self, position: np.ndarray) -> None:
-        if self.config.floor is not None and len(position) == 3 and not position[2] - self.config.floor >= 0.01:
+        floor = self.config.floor_height
+        if floor is not None and len(position) == 3 and not position[2] - floor >= 0.01:
             raise PoseError(
-                f"the camera is at z = {position[2]:.3f} m, and TrackerConfig.floor = {self.config.floor:g} m is not "
-                "below it; give the floor's z in the odometry's world, or None if it is not known"
+                f"the camera is at z = {position[2]:.3f} m, and TrackerConfig.floor_height = {floor:g} m is not below "
+                "it; give the floor's z in the odometry's world, or None if it is not known"
             )

@@ -9,36 +9,22 @@ from __future__ import annotations
 
 import bisect
 import copy
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from eagor.errors import TimeError
-from eagor.evidence import Evidence
-from eagor.evidence.detector import Rates
-from eagor.tracking.cases import Cases
-from eagor.tracking.estimate import Answer
-from eagor.tracking.look import Look
+from eagor.evidence.evidence import Evidence
+from eagor.tracking.config import TrackerConfig
+from eagor.tracking.look import Sight
 from eagor.tracking.poses import HELD
+from eagor.tracking.state import State
 
 SAME_MOMENT = 1e-3  # seconds: stamps this close are one moment
 PENDING = 64  # looks that may wait for the next answer; with more, all are processed at once
 MOMENTS = 128  # most moments per target
 VIEWS = 64  # of one moment
 NEWEST, APART = 3, 8  # moments whose states are kept
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """The belief about a target right after a look, with the body's position then."""
-
-    stamp: float
-    position: np.ndarray | None
-    cases: Cases
-    look: Look | None = None
-    rates: Rates | None = None
-    answer: Answer | None = None
 
 
 @dataclass(eq=False)
@@ -55,6 +41,10 @@ class Moment:
     firm: bool
     state: State | None = None  # after it, once it is taken in, and while it is kept
     bare: bool = False
+
+    def sight(self, degree: int) -> Sight:
+        """All of its evidence as one look."""
+        return Sight.of(self.looks, degree, self.stamp, self.world_R_body, self.position)
 
 
 @dataclass(eq=False)
@@ -126,15 +116,17 @@ class Track:
             if moment.stamp > until:
                 del self.moments[place]
 
-    def state(self, history: float, added: Callable[[State | None, Moment], State]) -> State | None:
-        """The state after the newest look, computed by `added` for each new look; None without looks."""
+    def state(self, config: TrackerConfig) -> State | None:
+        """The state after the newest look, once all looks are taken in; None without looks."""
         known = self.taken_in
         state = self.moments[known - 1].state if known else self.base
         for place in range(known, len(self.moments)):
-            state = self.moments[place].state = added(state, self.moments[place])
+            moment = self.moments[place]
+            before = state or State.blank(config, moment.stamp, moment.position)
+            state = moment.state = before.after(moment.sight(config.degree), config)
             if place >= NEWEST:
                 self._thin(place - NEWEST)
-        self._fold(history)
+        self._fold(config.history)
         return state
 
     def _thin(self, place: int) -> None:
