@@ -126,7 +126,7 @@ def run(options: BenchRun) -> int:
         outcome = carry_out(units, study.work, config, out, on_done=done, **how)
     if outcome.skipped:
         terminal.log(f"{outcome.skipped} of {len(units)} units were already in {out}")
-    return _said(study, study.read(out).summary, out, options.json)
+    return _said(study, studies.read(out).summary, out, options.json)
 
 
 def _folder(config: dict[str, Any]) -> str:
@@ -140,18 +140,18 @@ def _folder(config: dict[str, Any]) -> str:
 
 def score(options: BenchScore) -> int:
     """``eagor bench score``."""
-    from eagor.evaluation import predictions, scores, studies
+    from eagor.evaluation import predictions
 
-    settings, cases, told = predictions.read(options.predictions, options.task, options.data, _options(options))
-    records, missing = predictions.judged(settings, cases, told)
+    bare, cases, told = predictions.read(options.predictions, options.task, options.data, _options(options))
+    records, missing = predictions.judged(bare.settings, cases, told)
     if not records:
         raise EagorError(f"{options.predictions} has no prediction for any of the {len(cases)} cases")
     if options.out:
-        predictions.keep(settings, records, options.out)
-    summary = scores.summarise(settings, records) | {"missing": missing}
+        predictions.keep(bare.settings, records, options.out)
+    summary = bare.study.told(bare.settings, records).summary | {"missing": missing}
     if missing:
         terminal.warning(f"{missing} of {len(cases)} cases have no prediction; the figures are about the others")
-    code = _said(studies.load(str(settings["task"])), summary, options.out, options.json)
+    code = _said(bare.study, summary, options.out, options.json)
     return terminal.INCOMPLETE if missing and code == terminal.OK else code
 
 

@@ -8,7 +8,8 @@ from typing import Any
 from eagor.evaluation.page import Box, Row, Sheet
 from eagor.evaluation.published import FAILURE_TAGS, FIGURES, OURS
 from eagor.evaluation.samples import Record, cause_of, finished
-from eagor.tasks.benchmark import load
+from eagor.evaluation.tables import headed
+from eagor.tasks.benchmark import Benchmark
 
 Summary = Mapping[str, Any]
 NOTHING = "–"  # a cell without a case
@@ -29,20 +30,20 @@ def labels_of(summaries: Sequence[Summary]) -> list[str]:
     ]
 
 
-def main_sheet(summaries: Sequence[Summary], published: bool = True) -> Sheet:
+def main_sheet(benchmark: Benchmark, summaries: Sequence[Summary], published: bool = True) -> Sheet:
     """The paper's Table 1: a row per run, then what was published."""
-    task, labels = load(str(summaries[0]["task"])), labels_of(summaries)
-    figures = [f for f in task.figures if any(s.get(f.key) is not None for s in summaries)]
+    labels = labels_of(summaries)
+    figures = [f for f in benchmark.figures if any(s.get(f.key) is not None for s in summaries)]
     views = any("views" in s for s in summaries)
     rows = []
     for label, summary in zip(labels, summaries, strict=True):
         boxes = [_figure(summary, figure.key) for figure in figures]
         rows.append(_row(label, summary, [*boxes, _number(summary.get("views"), 1)] if views else boxes))
-    known = FIGURES.get(task.name, {}) if published else {}
+    known = FIGURES.get(benchmark.name, {}) if published else {}
     for name, values in known.items():
         texts = [f"{values[f.key]:.2f}".rstrip("0").rstrip(".") if f.key in values else NOTHING for f in figures]
         rows.append(Row(f"{name}, published", tuple(map(Box, [*texts, NOTHING] if views else texts)), "paper"))
-    heads = ["agent", *(f"{figure.title} ↑, %" for figure in figures), *(["views"] if views else [])]
+    heads = ["agent", *map(headed, figures), *(["views"] if views else [])]
     counts = "; ".join(
         f"{label}: {summary['episodes']} cases in {summary['clusters']} clusters"
         + (f", {summary['failed']} could not be run" if summary["failed"] else "")
@@ -58,7 +59,7 @@ def main_sheet(summaries: Sequence[Summary], published: bool = True) -> Sheet:
             "Published rows were measured with the models named, on the whole published data: they compare with ours "
             "only where model, data and scoring are the same."
         )
-    return Sheet(task.title, tuple(heads), tuple(rows), tuple(notes))
+    return Sheet(benchmark.title, tuple(heads), tuple(rows), tuple(notes))
 
 
 def turn_sheet(summaries: Sequence[Summary]) -> Sheet | None:
@@ -139,22 +140,24 @@ def cause_sheet(summary: Summary, meanings: Mapping[str, str]) -> Sheet | None:
     return Sheet("Why cases failed", ("cause", "cases", "of all, %", *tags), tuple(rows), notes)
 
 
-def failed_lines(records: Sequence[Record], limit: int | None = None) -> list[str]:
+def failed(records: Sequence[Record]) -> list[tuple[Record, str]]:
+    """The cases that failed and why, worst first: by their score, then by how far off they are."""
+    those = [(record, cause) for record in finished(records) if (cause := cause_of(record))]
+    return sorted(those, key=lambda item: (item[0].get("score", 0), -(item[0].get("error") or 0)))
+
+
+def failed_lines(failed: Sequence[tuple[Record, str]]) -> list[str]:
     """One line for each case that failed."""
-    found = []
-    for record in finished(records):
-        if cause := cause_of(record):
-            said = record.get("words") or record.get("question") or ""
-            answer = record.get("answer")
-            given = (
-                ", ".join(f"{key} {value}" for key, value in answer.items())
-                if isinstance(answer, Mapping)
-                else str(answer)
-            )
-            tags = ", ".join(record.get("tags", ()))
-            off = f", {record['error']:.0f}° off" if record.get("error") is not None else ""
-            found.append(f"{record['case']}  {cause}  [{tags}]  {said!r}: {given or 'no answer'}{off}")
-    return found[:limit]
+    lines = []
+    for record, cause in failed:
+        said = record.get("words") or record.get("question") or ""
+        answer = record.get("answer")
+        told = isinstance(answer, Mapping)
+        given = ", ".join(f"{key} {value}" for key, value in answer.items()) if told else str(answer)
+        tags = ", ".join(record.get("tags", ()))
+        off = f", {record['error']:.0f}° off" if record.get("error") is not None else ""
+        lines.append(f"{record['case']}  {cause}  [{tags}]  {said!r}: {given or 'no answer'}{off}")
+    return lines
 
 
 def _row(label: str, summary: Summary, boxes: Sequence[Box]) -> Row:

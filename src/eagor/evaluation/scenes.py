@@ -30,20 +30,25 @@ OpenPlace = Callable[[str, int, float], "Place"]
 
 def chosen(records: Sequence[Record], task: Task) -> dict[str, Record]:
     """The best, the median and the worst episode of our default method (fewer, where there are fewer)."""
-    ranked = sorted((record for record in finished(records) if OURS in record["methods"]), key=lambda r: _rank(r, task))
-    if not ranked:
+    those = ranked(records, task, OURS)
+    if not those:
         return {}
-    places = {"best": 0, "median": len(ranked) // 2, "worst": len(ranked) - 1}
+    places = {"best": 0, "median": len(those) // 2, "worst": len(those) - 1}
     found: dict[str, Record] = {}
     for name, place in places.items():
-        if ranked[place] not in found.values():
-            found[name] = ranked[place]
+        if those[place] not in found.values():
+            found[name] = those[place]
     return found
 
 
-def _rank(record: Record, task: Task) -> tuple[float, ...]:
+def ranked(records: Sequence[Record], task: Task, method: str) -> list[Record]:
+    """The episodes that `method` has played, best first: by its error, after success and path length."""
+    those = (record for record in finished(records) if method in record["methods"])
+    return sorted(those, key=lambda record: _rank(record["methods"][method], task))
+
+
+def _rank(entry: Mapping[str, Any], task: Task) -> tuple[float, ...]:
     """Lower is better."""
-    entry = record["methods"][OURS]
     if task.walked:
         metrics = entry["metrics"]
         return -metrics["success"], -metrics["spl"], metrics["mae"]

@@ -11,7 +11,7 @@ from eagor.evaluation.kernels import half_width_deg, highest_sidelobe
 from eagor.evaluation.page import Box, Row, Sheet
 from eagor.evaluation.published import FIGURES, OURS, PAPERS, RIVALS, is_ablation, is_rival
 from eagor.evaluation.samples import FEW, Gap, Record, gap, lowest_p, sample
-from eagor.evaluation.tables import SIGNIFICANT, best, corrected, mark, shown, shown_columns
+from eagor.evaluation.tables import SIGNIFICANT, best, corrected, headed, mark, shown, shown_columns
 from eagor.tasks.task import Column, load
 
 DAGGER = {"-": "†", "+": "‡", "": ""}
@@ -276,8 +276,7 @@ def _row(name: str, boxes: Sequence[Box]) -> Row:
 
 
 def _heads(columns: Sequence[Column], first: str = "method") -> tuple[str, ...]:
-    arrows = {"low": " ↓", "high": " ↑", None: ""}
-    return (first, *(f"{c.title}{arrows[c.better]}{f', {c.unit}' if c.unit else ''}" for c in columns))
+    return (first, *map(headed, columns))
 
 
 def _boxes(summary: dict[str, Any], name: str, columns: Sequence[Column], rivals: Sequence[str]) -> tuple[Box, ...]:

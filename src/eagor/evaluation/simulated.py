@@ -10,15 +10,20 @@ from typing import Any
 from eagor import worlds
 from eagor._version import __version__
 from eagor.errors import EagorError
-from eagor.evaluation import export, figures, ledger, scenes, sheets, tables
+from eagor.evaluation import export, figures, scenes, sheets, tables
 from eagor.evaluation.charts import legend
 from eagor.evaluation.page import Facts, Folded, Heading, Part, Pictures, Section, Sheet, Text, could_not
 from eagor.evaluation.published import OURS, PAPERS, is_ablation, is_rival, ordered
 from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, computing_time, finished
-from eagor.evaluation.study import Report, Settings, Summary, Told
+from eagor.evaluation.study import Report, Settings, Summary, Told, Worst
 from eagor.evaluation.tables import shown
 from eagor.tasks.rules import Camera
-from eagor.tasks.task import Task, load
+from eagor.tasks.task import Column, Task, load
+
+EXPORTS = {
+    "jsonl": "all records as JSON lines, one per unit of work",
+    "csv": "a row per episode and method with its figures",
+}
 
 
 @dataclass(frozen=True)
@@ -28,24 +33,24 @@ class Simulated:
     task: Task
     work = "eagor.tasks.play:work"
     case, several = "episode", False
-
-    @classmethod
-    def of(cls, settings: Settings, folder: Path) -> Simulated:
-        """The study of a run: its records name their task, or else run.json does."""
-        return cls(tables.task_of(_records(settings, folder)))
+    alike, exports = ("task", "world"), EXPORTS
 
     @property
     def name(self) -> str:
         """Of the task."""
         return self.task.name
 
-    def offer(self) -> dict[str, Any]:
-        return {"title": self.task.title, "what": self.task.what, "worlds": sorted(worlds.known())}
+    @property
+    def columns(self) -> Sequence[Column]:
+        """Of the task."""
+        return self.task.columns
 
-    def read(self, folder: Path) -> Told:
-        settings = ledger.description(folder)
-        records = _records(settings, folder)
-        return Told(settings, records, tables.summarise(records))
+    def offer(self) -> dict[str, Any]:
+        known = {"worlds": sorted(worlds.known()), "exports": EXPORTS}
+        return {"title": self.task.title, "what": self.task.what, **known}
+
+    def told(self, settings: Settings, records: Sequence[Record]) -> Told:
+        return Told(self, settings, records, tables.summarise(records))
 
     def as_text(self, summary: Summary) -> list[str]:
         return tables.as_text(summary)
@@ -91,9 +96,42 @@ class Simulated:
             {"tables.csv": export.table_csv(summary)},
         )
 
+    def worst(self, run: Told, method: str | None = None) -> Worst:
+        named = method or (OURS if OURS in run.methods else next(iter(run.methods), OURS))
+        if run.methods and named not in run.methods:
+            raise EagorError(f"the run has no method {named!r}; it has {', '.join(run.methods)}")
+        ranked = scenes.ranked(run.records, self.task, named)[::-1]
+        said = {key: run.summary[key] for key in ("task", "episodes", "failed", "failures")} | {"method": named}
+        lines, cases = [], []
+        for record in ranked:
+            episode = record["episode"]
+            lines.append(f"{episode['id']}  {episode['query']!r}  {_said(record, self.task, named)}")
+            cases.append(
+                {
+                    "case": episode["id"],
+                    "query": episode["query"],
+                    "figures": {column.key: column.of(record, named) for column in self.columns},
+                    "scene": episode.get("scene"),
+                    "unit": _unit(run, record, named),
+                }
+            )
+        return Worst(lines, cases, [], said)
 
-def _records(settings: Settings, folder: Path) -> list[dict[str, Any]]:
-    return [{"task": settings.get("task"), **record} for record in ledger.recorded(folder)]
+    def export(self, to: str, run: Told, folder: Path) -> list[Path]:
+        return [export.records_csv(run, folder) if to == "csv" else export.records_jsonl(run, folder)]
+
+
+def _unit(run: Told, record: Record, method: str) -> dict[str, Any] | None:
+    """What `eagor.tasks.play.work` is given to play an episode again; None where the record does not say."""
+    from eagor.tasks.episodes import PER_PLACE
+
+    episode = record["episode"]
+    if not {"world", "seed", "index"} <= episode.keys():
+        return None
+    world, seed, index = (episode[key] for key in ("world", "seed", "index"))
+    number = (seed - int(run.settings.get("seed", seed))) * PER_PLACE + index
+    slot = {"task": run.study.name, "world": world, "seed": seed, "index": index, "number": number}
+    return {"slot": slot, "methods": [method]}
 
 
 def _lead(run: Told, task: Task) -> list[Part]:
@@ -211,13 +249,8 @@ def _pictures(place: Any, record: Record, records: Sequence[Record], task: Task)
     return [Pictures(above, "map"), Pictures(scenes.strip(place, record), "strip"), Text(caption, "note")]
 
 
-def _said(record: Record, task: Task) -> str:
-    """The episode's figures in words."""
-    metrics = record["methods"][OURS]["metrics"]
-    found = []
-    for column in task.columns:
-        value = metrics.get(column.metric)
-        if value is None or (column.only_if and not metrics.get(column.only_if)):
-            continue
-        found.append(f"{column.title} {shown(column.scale * value, column)}{column.unit}")
-    return f"{OURS}: {', '.join(found)}."
+def _said(record: Record, task: Task, method: str = OURS) -> str:
+    """The figures of a method in an episode, in words."""
+    values = [(column, column.of(record, method)) for column in task.columns]
+    told = ", ".join(f"{c.title} {shown(value, c)}{c.unit}" for c, value in values if value is not None)
+    return f"{method}: {told}."

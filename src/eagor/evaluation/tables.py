@@ -5,7 +5,7 @@ Shares are in percent, angles in degrees; a cell without cases is None. All is p
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -13,18 +13,19 @@ from eagor.errors import EagorError
 from eagor.evaluation.page import in_columns
 from eagor.evaluation.published import OURS, compared_with, is_ablation, is_rival, ordered
 from eagor.evaluation.samples import (
-    Cell,
     Gap,
+    Measured,
     Record,
     Sample,
     apartment,
-    cell,
+    clustered,
     failures,
     finished,
     gap,
     holm,
     method_names,
     sample,
+    wilson,
 )
 from eagor.evaluation.shapes import IN_LEGS, SIMULATED, WALKED, WATCHED, checked
 from eagor.tasks.task import Column, Task, known, load
@@ -125,7 +126,13 @@ def shown_columns(summary: dict[str, Any]) -> list[Column]:
     return [column for column in load(summary["task"]).columns if any(row[column.key] is not None for row in rows)]
 
 
-def shown(value: float | None, column: Column, sign: bool = False) -> str:
+def headed(column: Measured) -> str:
+    """The head of a column: its title, an arrow to its better side, its unit."""
+    arrow = {"low": " ↓", "high": " ↑", None: ""}[column.better]
+    return f"{column.title}{arrow}{f', {column.unit}' if column.unit else ''}"
+
+
+def shown(value: float | None, column: Measured, sign: bool = False) -> str:
     """A figure as text; a dash where there is no case."""
     if value is None:
         return "–"
@@ -150,16 +157,17 @@ def _cells(records: Sequence[Record], columns: Sequence[Column]) -> tuple[dict[s
         name: {column.key: sample(records, name, column) for column in columns}
         for name in ordered(method_names(records))
     }
-    cells: dict[str, dict[str, Cell | None]] = {
-        name: {column.key: cell(row[column.key], column) for column in columns} for name, row in samples.items()
-    }
+
+    def each(cell: Callable[[Sample, Column], Any], nothing: Any = None) -> dict[str, dict[str, Any]]:
+        return {
+            name: {c.key: cell(row[c.key], c) if row[c.key].values else nothing for c in columns}
+            for name, row in samples.items()
+        }
+
     return {
-        "methods": {name: {key: c and c.value for key, c in row.items()} for name, row in cells.items()},
-        "intervals": {
-            name: {key: [c.low, c.high] if c and c.low is not None else None for key, c in row.items()}
-            for name, row in cells.items()
-        },
-        "counts": {name: {key: c.n if c else 0 for key, c in row.items()} for name, row in cells.items()},
+        "methods": each(lambda found, _: found.mean),
+        "intervals": each(lambda found, c: wilson(found.values.values(), c.scale) if c.share else clustered(found)),
+        "counts": each(lambda found, _: len(found.values), 0),
     }, samples
 
 
