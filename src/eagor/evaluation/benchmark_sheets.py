@@ -5,25 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from eagor.evaluation.page import Box, Row, Sheet
+from eagor.evaluation.page import NOTHING, Box, Row, Sheet, box, number, span
 from eagor.evaluation.published import FAILURE_TAGS, FIGURES, OURS
 from eagor.evaluation.samples import Record, cause_of, finished
 from eagor.evaluation.tables import headed
-from eagor.tasks.benchmark import Benchmark
+from eagor.tasks.benchmark import Benchmark, Figure
 
 Summary = Mapping[str, Any]
-NOTHING = "–"  # a cell without a case
-
-
-def label_of(summary: Summary) -> str:
-    """What a run is called in tables: its agent, and who looked or talked."""
-    who = summary.get("perception") or summary.get("model")
-    return f"{summary['agent']} · {who}" if who else str(summary["agent"])
 
 
 def labels_of(summaries: Sequence[Summary]) -> list[str]:
-    """Labels of several runs, told apart by a number where they would be the same."""
-    found = [label_of(summary) for summary in summaries]
+    """What runs are called in tables: their agent, who looked or talked, and a number where that would be the same."""
+    parts = ((str(s["agent"]), s.get("perception") or s.get("model")) for s in summaries)
+    found = [" · ".join(filter(None, part)) for part in parts]
     return [
         f"{label} ({found[: index + 1].count(label)})" if found.count(label) > 1 else label
         for index, label in enumerate(found)
@@ -37,8 +31,8 @@ def main_sheet(benchmark: Benchmark, summaries: Sequence[Summary], published: bo
     views = any("views" in s for s in summaries)
     rows = []
     for label, summary in zip(labels, summaries, strict=True):
-        boxes = [_figure(summary, figure.key) for figure in figures]
-        rows.append(_row(label, summary, [*boxes, _number(summary.get("views"), 1)] if views else boxes))
+        boxes = [_box(summary, figure) for figure in figures]
+        rows.append(_row(label, summary, [*boxes, box(summary.get("views"))] if views else boxes))
     known = FIGURES.get(benchmark.name, {}) if published else {}
     for name, values in known.items():
         texts = [f"{values[f.key]:.2f}".rstrip("0").rstrip(".") if f.key in values else NOTHING for f in figures]
@@ -70,8 +64,8 @@ def turn_sheet(summaries: Sequence[Summary]) -> Sheet | None:
     longest = max(len(summary["by_turn"]["success"]) for _, summary in with_turns)
     rows = []
     for label, summary in with_turns:
-        ends = zip(*(summary["by_turn"][key] for key in ("success", "low", "high")), strict=True)
-        boxes = [Box(f"{v:.1f}", "" if low is None else f"{low:.0f} to {high:.0f}") for v, low, high in ends]
+        turns = zip(*(summary["by_turn"][key] for key in ("success", "low", "high")), strict=True)
+        boxes = [Box(number(v), span(ends, 0)) for v, *ends in turns]
         rows.append(_row(label, summary, [*boxes, *[Box(NOTHING)] * (longest - len(boxes))]))
     note = (
         "Per cent of the episodes whose answer would have succeeded, had it been given at this turn; after a "
@@ -88,11 +82,11 @@ def views_sheet(summaries: Sequence[Summary]) -> Sheet | None:
             continue
         sure, error = summary.get("sure") or {}, summary.get("calibration_error")
         boxes = [
-            _number(summary["views"]),
-            _number(summary["views_to_success"]),
+            box(summary["views"], digits=2),
+            box(summary["views_to_success"], digits=2),
             Box(str(sure.get("episodes", NOTHING))),
-            _number(sure.get("right"), 1, sure.get("wilson")),
-            _number(None if error is None else 100 * error, 1),
+            box(sure.get("right"), sure.get("wilson")),
+            box(None if error is None else 100 * error),
         ]
         rows.append(_row(label, summary, boxes))
     if not rows:
@@ -115,7 +109,7 @@ def tag_sheet(summary: Summary) -> Sheet | None:
     published = FAILURE_TAGS.get(str(summary["task"]), {})
     rows = []
     for tag, found in summary["tags"].items():
-        boxes = Box(str(found["episodes"])), _number(found["share"], 1), _number(found["success"], 1, found["wilson"])
+        boxes = Box(str(found["episodes"])), box(found["share"]), box(found["success"], found["wilson"])
         rows.append(Row(tag, boxes))
         if tag in published:
             rows.append(Row("published", (Box(NOTHING), *(Box(f"{value:g}") for value in published[tag])), "paper"))
@@ -133,7 +127,7 @@ def cause_sheet(summary: Summary, meanings: Mapping[str, str]) -> Sheet | None:
         return None
     rows = []
     for cause, count in causes.items():
-        boxes = [Box(str(count)), _number(100 * count / summary["episodes"], 1)]
+        boxes = [Box(str(count)), box(100 * count / summary["episodes"])]
         boxes += [Box(str(tag["causes"].get(cause, 0))) for tag in tags.values()]
         rows.append(Row(cause.replace("_", " "), tuple(boxes)))
     notes = tuple(f"{cause.replace('_', ' ')}: {meanings[cause]}." for cause in causes if cause in meanings)
@@ -164,17 +158,8 @@ def _row(label: str, summary: Summary, boxes: Sequence[Box]) -> Row:
     return Row(label, tuple(boxes), "ours" if summary["agent"] == OURS else "")
 
 
-def _number(value: float | None, digits: int = 2, interval: Sequence[float] | None = None) -> Box:
-    return Box(NOTHING) if value is None else Box(f"{value:.{digits}f}", _to(interval))
-
-
-def _figure(summary: Summary, key: str) -> Box:
-    value = summary.get(key)
-    if value is None:
-        return Box(NOTHING)
-    ends = summary["intervals"][key]
-    return Box(f"{value:.2f}", " | ".join(_to(ends[kind]) for kind in ("wilson", "cluster") if ends[kind]))
-
-
-def _to(ends: Sequence[float] | None) -> str:
-    return f"{ends[0]:.1f} to {ends[1]:.1f}" if ends else ""
+def _box(summary: Summary, figure: Figure) -> Box:
+    """A figure of a run with both of its intervals."""
+    ends = summary["intervals"].get(figure.key, {})
+    small = " | ".join(span(ends[kind]) for kind in ("wilson", "cluster") if ends.get(kind))
+    return Box(number(summary.get(figure.key), figure.digits), small)

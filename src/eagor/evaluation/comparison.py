@@ -9,7 +9,7 @@ import numpy as np
 
 from eagor.errors import EagorError
 from eagor.evaluation.export import words
-from eagor.evaluation.page import in_columns
+from eagor.evaluation.page import in_columns, span
 from eagor.evaluation.published import OURS
 from eagor.evaluation.samples import FEW, Measured, Record, case_of, finished, gap, lowest_p, sample
 from eagor.evaluation.study import Told
@@ -67,30 +67,31 @@ def as_text(found: Mapping[str, Any], a: Told) -> list[str]:
     if "methods" in found:
         lines.append("  method: a {}, b {}".format(*found["methods"]))
     lines += [f"  {key}: a {words(x)}, b {words(y)}" for key, (x, y) in found["settings"].items()]
-    rows = [["", "a", "b", "a - b", "95 % interval", "p", "only a", "only b", "McNemar p"]]
+    outcomes = any("mcnemar" in figure for figure in found["figures"].values())
+    rows = [["", "a", "b", "a - b", "95 % interval", "p", *(("only a", "only b", "McNemar p") if outcomes else ())]]
     for column in a.study.columns:
         if (figure := found["figures"].get(column.key)) is None:
             continue
-        test, told = figure.get("mcnemar", {}), "low" in figure
-        ends = [shown(figure[end], column, True) for end in ("low", "high")] if told else []
+        told = "low" in figure
+        ends = (figure["low"], figure["high"]) if told else None
         rows.append(
             [
                 f"{headed(column)} ({figure['n']})",
                 shown(figure["a"], column),
                 shown(figure["b"], column),
                 shown(figure["difference"], column, True),
-                " to ".join(ends) or "-",
+                span(ends, column.digits, True) or "-",
                 f"{figure['p']:.2g}" if told else "-",
-                str(test.get("only_a", "-")),
-                str(test.get("only_b", "-")),
-                f"{test['p']:.2g}" if test else "-",
             ]
         )
+        if outcomes:
+            test = figure.get("mcnemar", {})
+            p = f"{test['p']:.2g}" if test else "-"
+            rows[-1] += [str(test.get("only_a", "-")), str(test.get("only_b", "-")), p]
     lines += in_columns(rows)
     what = "apartments" if a.methods else "clusters"
-    lines.append(
-        f"p: sign flips of whole {what}, each figure for itself; McNemar takes {a.study.case}s as independent."
-    )
+    note = f"; McNemar takes {a.study.case}s as independent" if outcomes else ""
+    lines.append(f"p: sign flips of whole {what}, each figure for itself{note}.")
     groups = max((figure.get("clusters", 1) for figure in found["figures"].values()), default=1)
     if groups == 1:
         only = f"Only one {what[:-1]}"

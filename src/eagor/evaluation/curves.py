@@ -94,19 +94,6 @@ def reliability(records: Sequence[Record], method: str) -> Curve | None:
     return _curve([round(100 * level) for level in LEVELS], rows, labels)
 
 
-def coverage(records: Sequence[Record], method: str, visible: bool) -> Curve | None:
-    """Share of steps, percent, with the truth inside the 90 % region, the target in sight or out of it; one point."""
-    rows, labels = [], []
-    for record in _of(records, method):
-        trace = record["methods"][method]["trace"]
-        inside = numbers(trace.get("inside") or [])
-        seen = np.array(record.get("truth", trace)["visible"], dtype=bool)
-        if len(inside) and len(here := inside[(seen == visible) & np.isfinite(inside)]):
-            rows.append(np.array([100 * here.mean()]))
-            labels.append(apartment(record))
-    return _curve([0], rows, labels)
-
-
 def _of(records: Sequence[Record], method: str) -> list[Record]:
     return [record for record in finished(records) if method in record["methods"]]
 

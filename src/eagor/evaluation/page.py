@@ -25,6 +25,7 @@ DARK = {
     "vmf": "#e9ebf0", "grid_filter": "#9fb6ff", "particle_filter": "#a4a9b3", "oracle": "#e9ebf0",
     "plain": "#f28b92",
 }  # fmt: skip
+NOTHING = "–"  # a figure without a case
 SPARE = 8  # colours of series that are no methods: x0 to x7
 
 
@@ -112,6 +113,24 @@ class Section:
     id: str
     heading: str
     parts: Sequence[Part]
+
+
+def number(value: float | None, digits: int = 1, sign: bool = False) -> str:
+    """A figure as text; a dash where there is no case."""
+    if value is None:
+        return NOTHING
+    value = round(value, digits) + 0.0  # no negative zero
+    return f"{value:{'+' if value and sign else ''}.{digits}f}".replace("-", "−")
+
+
+def span(ends: Sequence[float | None] | None, digits: int = 1, sign: bool = False) -> str:
+    """An interval as text; "" where there is none."""
+    return " to ".join(number(end, digits, sign) for end in ends) if ends and None not in ends else ""
+
+
+def box(value: float | None, ends: Sequence[float | None] | None = None, digits: int = 1) -> Box:
+    """A cell with a figure and its interval."""
+    return Box(number(value, digits), span(ends, digits))
 
 
 def in_columns(rows: Sequence[Sequence[str]]) -> list[str]:

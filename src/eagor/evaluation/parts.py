@@ -50,6 +50,16 @@ def distance_error(records: Sequence[Record], method: str) -> Part | None:
     return _over(records, method, read)
 
 
+def coverage(records: Sequence[Record], method: str, visible: bool) -> Part | None:
+    """Share of steps, percent, with the truth inside the 90 % region, the target in sight or out of it."""
+
+    def read(trace: dict, truth: dict) -> tuple[np.ndarray, np.ndarray]:
+        inside = 100 * numbers(trace.get("inside") or [])
+        return inside, np.array(truth["visible"], dtype=bool)[: len(inside)] == visible
+
+    return _over(records, method, read)
+
+
 def _over(
     records: Sequence[Record], method: str, read: Callable[[dict, dict], tuple[np.ndarray, np.ndarray]]
 ) -> Part | None:

@@ -10,7 +10,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from eagor.errors import EagorError
-from eagor.evaluation.page import in_columns
+from eagor.evaluation.page import in_columns, number
 from eagor.evaluation.published import OURS, compared_with, is_ablation, is_rival, ordered
 from eagor.evaluation.samples import (
     Gap,
@@ -133,12 +133,8 @@ def headed(column: Measured) -> str:
 
 
 def shown(value: float | None, column: Measured, sign: bool = False) -> str:
-    """A figure as text; a dash where there is no case."""
-    if value is None:
-        return "–"
-    value = round(value, column.digits) + 0.0  # no negative zero
-    text = f"{value:{'+' if value and (sign or column.key == 'delta') else ''}.{column.digits}f}"
-    return text.replace("-", "−")
+    """A figure of a column as text; a dash where there is no case."""
+    return number(value, column.digits, sign or column.key == "delta")
 
 
 def corrected(gaps: dict[tuple[str, ...], Gap | None]) -> dict[tuple[str, ...], dict[str, Gap | None]]:
