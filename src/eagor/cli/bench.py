@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eagor.cli import terminal
-from eagor.cli.columns import columns, facts
 from eagor.cli.options import Bench, BenchInfo, BenchList, BenchRun, BenchScore, given, pairs_of
 from eagor.cli.results import COMMANDS as RESULTS
 from eagor.errors import EagorError, FormatError
@@ -40,7 +39,7 @@ def listed(options: BenchList) -> int:
         return terminal.OK
     simulated = {name: entry for name, entry in found.items() if entry["kind"] == SIMULATED}
     print("Simulated, no data needed (eagor bench run TASK)")
-    columns(
+    terminal.columns(
         {name: entry.get("what", f"not available ({entry.get('unavailable')})") for name, entry in simulated.items()}
     )
     print(f"  worlds (--world): {', '.join(sorted(worlds.known()))}, or a GLB file\n")
@@ -52,11 +51,13 @@ def listed(options: BenchList) -> int:
             continue
         print(f"{name}  {entry['title']} (eagor bench run {name} --data DIR)")
         print("  agents")
-        columns(entry["agents"])
+        terminal.columns(entry["agents"])
         print("  options (--scoring, --labels, others with --set OPTION=VALUE)")
-        columns({key: f"{value['what']} (default {value['default']})" for key, value in entry["options"].items()})
+        terminal.columns(
+            {key: f"{value['what']} (default {value['default']})" for key, value in entry["options"].items()}
+        )
         print("  exports")
-        columns(entry["exports"])
+        terminal.columns(entry["exports"])
         print()
     return terminal.OK
 
@@ -87,7 +88,7 @@ def info(options: BenchInfo) -> int:
         terminal.emit(found)
     else:
         for told in found.values():
-            facts(told)
+            terminal.facts(told)
     return terminal.OK
 
 

@@ -11,12 +11,17 @@ from eagor.errors import EagorError
 from eagor.evaluation.export import words
 from eagor.evaluation.page import in_columns, span
 from eagor.evaluation.published import OURS
-from eagor.evaluation.samples import FEW, Measured, Record, case_of, finished, gap, lowest_p, sample
+from eagor.evaluation.samples import FEW, Measured, Record, case_of, gap, lowest_p, played_by, sample
 from eagor.evaluation.study import Told
 from eagor.evaluation.tables import headed, shown
 from eagor.statistics import mcnemar
 
-SAME = ("scene_hash", "query")  # of an episode: they tell whether two runs have played the same one
+SAME = (
+    "scene_hash",
+    "query",
+    "targets",
+    "stratum",
+)  # of an episode: they tell whether two runs have played the same one
 
 
 def compare(a: Told, b: Told, methods: Sequence[str] = ()) -> dict[str, Any]:
@@ -33,7 +38,10 @@ def compare(a: Told, b: Told, methods: Sequence[str] = ()) -> dict[str, Any]:
                 f"the runs differ in {key}: {a.settings.get(key)} and {b.settings.get(key)}; compare like with like"
             )
     named = _methods(a, b, methods)
-    left, right = (_cases(run, method) for run, method in zip((a, b), named, strict=True))
+    left, right = (
+        {case_of(record): record for record in played_by(run.records, method)}
+        for run, method in zip((a, b), named, strict=True)
+    )
     shared = sorted(left.keys() & right.keys())
     if not shared:
         raise EagorError(
@@ -118,11 +126,6 @@ def _methods(a: Told, b: Told, named: Sequence[str]) -> tuple[str | None, str | 
         if name not in run.methods:
             raise EagorError(f"the run has no method {name!r}; it has {', '.join(run.methods)}")
     return first, second
-
-
-def _cases(run: Told, method: str | None) -> dict[str, Record]:
-    """The results of a method by case."""
-    return {case_of(r): r for r in finished(run.records) if method is None or method in r["methods"]}
 
 
 def _check_same(case: str, left: Record, right: Record) -> None:

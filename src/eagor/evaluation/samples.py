@@ -61,11 +61,6 @@ class Sample:
         return _mean_of_means(values, self.kinds)(np.arange(len(values))) if self.kinds else float(values.mean())
 
 
-def apartment(record: Record) -> Any:
-    """Which episodes belong together: those of one apartment."""
-    return record["episode"].get("seed", record["episode"]["id"])
-
-
 def case_of(record: Record) -> str:
     """What a result is called: the case of a benchmark, the episode of a simulated task."""
     return record["episode"]["id"] if "episode" in record else record["case"]
@@ -73,7 +68,8 @@ def case_of(record: Record) -> str:
 
 def group_of(record: Record) -> Any:
     """Which cases share luck: those of one apartment, or of one cluster of a benchmark."""
-    return apartment(record) if "episode" in record else record["cluster"]
+    episode = record.get("episode")
+    return record["cluster"] if episode is None else episode.get("seed", episode["id"])
 
 
 def numbers(values: Sequence[float | bool | None]) -> np.ndarray:
@@ -84,6 +80,11 @@ def numbers(values: Sequence[float | bool | None]) -> np.ndarray:
 def finished(records: Iterable[Record]) -> list[Record]:
     """The records that hold a result."""
     return [record for record in records if record["status"] == "ok"]
+
+
+def played_by(records: Iterable[Record], method: str | None) -> list[Record]:
+    """The records with a result of `method`; of a benchmark (None), all with a result."""
+    return [record for record in finished(records) if method is None or method in record["methods"]]
 
 
 def cause_of(record: Record) -> str | None:

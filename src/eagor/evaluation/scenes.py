@@ -14,7 +14,7 @@ from eagor.errors import WorldError
 from eagor.evaluation.charts import blank, colour_of, look_of, style_of
 from eagor.evaluation.charts import finished as drawn
 from eagor.evaluation.published import OURS, is_rival, ordered
-from eagor.evaluation.samples import Record, finished
+from eagor.evaluation.samples import Record, played_by
 
 if TYPE_CHECKING:
     from eagor.tasks.places import Place
@@ -43,8 +43,7 @@ def chosen(records: Sequence[Record], task: Task) -> dict[str, Record]:
 
 def ranked(records: Sequence[Record], task: Task, method: str) -> list[Record]:
     """The episodes that `method` has played, best first: by its error, after success and path length."""
-    those = (record for record in finished(records) if method in record["methods"])
-    return sorted(those, key=lambda record: _rank(record["methods"][method], task))
+    return sorted(played_by(records, method), key=lambda record: _rank(record["methods"][method], task))
 
 
 def _rank(entry: Mapping[str, Any], task: Task) -> tuple[float, ...]:

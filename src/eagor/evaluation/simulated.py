@@ -17,6 +17,7 @@ from eagor.evaluation.published import OURS, PAPERS, is_ablation, is_rival, orde
 from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, computing_time, finished
 from eagor.evaluation.study import Report, Settings, Summary, Told, Worst
 from eagor.evaluation.tables import shown
+from eagor.tasks.episodes import PER_PLACE
 from eagor.tasks.rules import Camera
 from eagor.tasks.task import Column, Task, load
 
@@ -62,37 +63,32 @@ class Simulated:
         (run,) = runs
         summary, task, good, degrees = run.summary, self.task, finished(run.records), _degrees(run.settings)
         main = sheets.main_sheet(summary)
-        ordering = sheets.ordering_sheet(good, task.name)
-        made_of = sheets.parts_sheet(good, summary)
-        covered = sheets.coverage_sheet(good, summary)
+        ordering = _there(sheets.ordering_sheet(good, task.name))
+        made_of = _there(sheets.parts_sheet(good, summary))
+        covered = _there(sheets.coverage_sheet(good, summary))
         strata = sheets.strata_sheets(summary)
         varied = sheets.ablation_sheets(summary, degrees)
         named = [(f"{c.title}{f' ({c.unit})' if c.unit else ''}", c.what) for c in task.columns]
-        sections = [Section("figures", "Figures", [main, Folded("What the columns are", [Facts(named)])])]
-        if ordering is not None:
-            sections.append(Section("ordering", "How far the paper's ordering carries over", [ordering]))
-        if made_of is not None:
-            sections.append(Section("parts", "What the errors are made of", [made_of]))
-        sections += figures.curve_sections(good, task)
-        if strata:
-            sections.append(Section("strata", "By kind of episode", strata))
-        if covered is not None:
-            parts = [covered, *figures.reliability_chart(good)]
-            sections.append(Section("coverage", "How honest the stated regions are", parts))
-        if varied:
-            sections.append(Section("variants", "Variants", [*varied, *figures.kernel_chart(summary, degrees)]))
-        shown_ones = _episodes(good, task, run.settings, open_place)
-        sections.append(Section("episodes", "Three episodes to look at", shown_ones))
-        if summary["failed"]:
-            sections.append(Section("failed", "What could not be run", could_not(summary)))
+        honest = [*covered, *figures.reliability_chart(good)] if covered else []
+        variants = [*varied, *figures.kernel_chart(summary, degrees)] if varied else []
+        sections = [
+            Section("figures", "Figures", [main, Folded("What the columns are", [Facts(named)])]),
+            Section("ordering", "How far the paper's ordering carries over", ordering),
+            Section("parts", "What the errors are made of", made_of),
+            *figures.curve_sections(good, task),
+            Section("strata", "By kind of episode", strata),
+            Section("coverage", "How honest the stated regions are", honest),
+            Section("variants", "Variants", variants),
+            Section("episodes", "Three episodes to look at", _episodes(good, task, run.settings, open_place)),
+            Section("failed", "What could not be run", could_not(summary) if summary["failed"] else []),
+        ]
         facts = _facts(run)
-        kept: list[Sheet | None] = [main, ordering, made_of, *strata, covered, *varied]
         return Report(
             f"{task.title}: {summary['episodes']} episodes, {len(summary['methods'])} methods",
             [*_lead(run, task), Facts(facts)],
-            sections,
+            [section for section in sections if section.parts],
             facts,
-            [sheet for sheet in kept if sheet is not None],
+            [main, *ordering, *made_of, *strata, *covered, *varied],
             {"tables.csv": export.table_csv(summary)},
         )
 
@@ -123,15 +119,17 @@ class Simulated:
 
 def _unit(run: Told, record: Record, method: str) -> dict[str, Any] | None:
     """What `eagor.tasks.play.work` is given to play an episode again; None where the record does not say."""
-    from eagor.tasks.episodes import PER_PLACE
-
-    episode = record["episode"]
-    if not {"world", "seed", "index"} <= episode.keys():
+    episode, first = record["episode"], run.settings.get("seed")
+    world, seed, index = (episode.get(key) for key in ("world", "seed", "index"))
+    if world is None or not all(isinstance(value, int) for value in (first, seed, index)):
         return None
-    world, seed, index = (episode[key] for key in ("world", "seed", "index"))
-    number = (seed - int(run.settings.get("seed", seed))) * PER_PLACE + index
+    number = (seed - first) * PER_PLACE + index  # by which some tasks deal their scenarios
     slot = {"task": run.study.name, "world": world, "seed": seed, "index": index, "number": number}
     return {"slot": slot, "methods": [method]}
+
+
+def _there(sheet: Sheet | None) -> list[Sheet]:
+    return [] if sheet is None else [sheet]
 
 
 def _lead(run: Told, task: Task) -> list[Part]:
