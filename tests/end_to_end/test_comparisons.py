@@ -4,7 +4,7 @@ import csv
 import io
 import json
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import hstar_data
@@ -14,6 +14,7 @@ import synthetic_runs
 from eagor.cli import main
 from eagor.evaluation import ledger, studies
 from eagor.tasks import play, task
+from eagor.tasks.episodes import slots
 from eagor.tasks.simulated import TRACKING
 
 OURS_ALONE = replace(TRACKING, name="mine", title="Mine")  # as a package would bring it
@@ -146,6 +147,17 @@ def test_the_worst_episodes_come_first_and_can_be_played_again(played):
     assert lines[0].startswith(f"{found['cases'][0]['case']}  ")
     assert lines[-1] == "... and 1 more (--limit)"
     assert "no method 'grid'" in refused("failures", played, "--method", "grid")
+
+
+def test_an_episode_is_played_again_with_the_number_that_it_had_in_its_run(tmp_path):
+    """Tasks deal their scenarios by it, so an episode of a later apartment is another one with another number."""
+    records = synthetic_runs.tracking(apartments=3, methods=("eagor",))
+    for record in records:
+        record["episode"] |= {"world": "apartment", "index": int(record["episode"]["id"].partition("-")[2])}
+    cases = answer("failures", synthetic_runs.write_run(tmp_path / "run", records))["cases"]
+    wanted = {slot.id: asdict(slot) for slot in slots("tracking", 15, 2000)}
+    assert len(cases) == 9
+    assert all(case["unit"]["slot"] == wanted[case["case"]] for case in cases)
 
 
 def test_the_worst_are_ranked_by_their_error(made_up):

@@ -15,7 +15,7 @@ FIGURES = (
     Figure("overall", "Overall", "mean over the kinds", lambda record: record["score"], lambda record: record["kind"]),
     Figure("plain", "Plain", "mean over the cases", lambda record: record["score"]),
 )
-BENCHMARK: Any = SimpleNamespace(name="made up", figures=FIGURES)
+BENCHMARK: Any = SimpleNamespace(name="made up", figures=FIGURES, work="", exports={})
 SETTINGS = {"task": "made up", "data": "nowhere"}
 
 

@@ -46,7 +46,7 @@ def compare(options: BenchCompare) -> int:
 def failures(options: BenchFailures) -> int:
     """``eagor bench failures``."""
     from eagor.evaluation import studies
-    from eagor.evaluation.page import in_columns
+    from eagor.evaluation.page import lines_of
 
     if options.limit < 0:
         raise terminal.UsageError(f"--limit {options.limit}; wanted 0 or more")
@@ -56,8 +56,7 @@ def failures(options: BenchFailures) -> int:
         terminal.emit(worst.said | {"cases": worst.cases[: options.limit]})
         return terminal.OK
     for sheet in worst.sheets:
-        rows = [list(sheet.heads), *([row.head, *(box.text for box in row.boxes)] for row in sheet.rows)]
-        print(sheet.title, *in_columns(rows), "", sep="\n")
+        print(sheet.title, *lines_of(sheet), "", sep="\n")
     if not worst.lines:
         print("No case failed." if run.summary["episodes"] else f"No {run.study.case} has a result.")
     for line in worst.lines[: options.limit]:

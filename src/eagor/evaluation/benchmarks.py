@@ -11,12 +11,12 @@ from eagor._csv import as_csv
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import benchmark_sheets, export, ledger, scores
 from eagor.evaluation.benchmark_sheets import OURS, labels_of
-from eagor.evaluation.page import Facts, Folded, Items, Part, Pictures, Section, Sheet, Text, could_not, in_columns
+from eagor.evaluation.page import Facts, Folded, Items, Part, Pictures, Section, Sheet, Text, could_not, lines_of
 from eagor.evaluation.samples import LEVEL, RESAMPLES, computing_time
 from eagor.evaluation.shapes import checked, published
 from eagor.evaluation.study import Report, Settings, Summary, Told, Worst
 from eagor.evaluation.units import Unit
-from eagor.tasks.benchmark import Benchmark, Case, Figure, Record, load, read_options
+from eagor.tasks.benchmark import Benchmark, Case, Record, load, read_options
 
 KIND = "benchmark"  # in run.json: which kind of run this is
 EXPORTS = {  # of every benchmark
@@ -83,13 +83,15 @@ class BenchmarkRun:
         return [Unit(f"{self.task}/{case.id}", case.group, case.payload) for case in self.cases(config)]
 
 
-@dataclass(frozen=True)
 class Published:
     """See `eagor.evaluation.study.Study`."""
 
-    benchmark: Benchmark
     case, several = "case", True
-    alike = ("task", "data")
+    alike = ("data",)
+
+    def __init__(self, benchmark: Benchmark) -> None:
+        self.benchmark, self.name, self.work = benchmark, benchmark.name, benchmark.work
+        self.columns, self.exports = benchmark.figures, {**EXPORTS, **benchmark.exports}
 
     @classmethod
     def of(cls, settings: Settings, folder: Path) -> Published:
@@ -101,26 +103,6 @@ class Published:
             if not isinstance(settings.get(key), str):
                 raise FormatError(f"{Path(folder) / ledger.RUN} does not name its {key}; restore it")
         return cls(load(settings["task"]))
-
-    @property
-    def name(self) -> str:
-        """Of the benchmark."""
-        return self.benchmark.name
-
-    @property
-    def work(self) -> str:
-        """Of the benchmark."""
-        return self.benchmark.work
-
-    @property
-    def columns(self) -> Sequence[Figure]:
-        """Of the benchmark."""
-        return self.benchmark.figures
-
-    @property
-    def exports(self) -> Mapping[str, str]:
-        """Those of every benchmark, and its own."""
-        return {**EXPORTS, **self.benchmark.exports}
 
     def offer(self) -> dict[str, Any]:
         options = self.benchmark.options.items()
@@ -142,12 +124,8 @@ class Published:
 
     def as_text(self, summary: Summary) -> list[str]:
         sheet = benchmark_sheets.main_sheet(self.benchmark, [summary], published=False)
-        rows = [
-            [row.head, *(f"{box.text} ({box.small})" if box.small else box.text for box in row.boxes)]
-            for row in sheet.rows
-        ]
         lines = [f"{sheet.title}: {summary['episodes']} cases in {summary['clusters']} clusters"]
-        lines += [*in_columns([list(sheet.heads), *rows]), "In brackets: 95 %, Wilson's | cluster bootstrap."]
+        lines += [*lines_of(sheet), "In brackets: 95 %, Wilson's | cluster bootstrap."]
         return lines + ([f"{summary['failed']} could not be run; they are in no figure."] if summary["failed"] else [])
 
     def as_json(self, summary: Summary) -> dict[str, Any]:

@@ -16,12 +16,7 @@ from eagor.evaluation.study import Told
 from eagor.evaluation.tables import headed, shown
 from eagor.statistics import mcnemar
 
-SAME = (
-    "scene_hash",
-    "query",
-    "targets",
-    "stratum",
-)  # of an episode: they tell whether two runs have played the same one
+SAME = "scene_hash", "query", "targets", "stratum"  # of an episode: whether two runs have played the same one
 
 
 def compare(a: Told, b: Told, methods: Sequence[str] = ()) -> dict[str, Any]:
@@ -32,11 +27,10 @@ def compare(a: Told, b: Told, methods: Sequence[str] = ()) -> dict[str, Any]:
     ours. Raises `EagorError` if the runs are of different studies, data or worlds, or share no case.
     """
     study = a.study
-    for key in ("task", *study.alike):
-        if a.settings.get(key) != b.settings.get(key):
-            raise EagorError(
-                f"the runs differ in {key}: {a.settings.get(key)} and {b.settings.get(key)}; compare like with like"
-            )
+    alike = ((key, a.settings.get(key), b.settings.get(key)) for key in study.alike)
+    for key, x, y in (("task", study.name, b.study.name), *alike):
+        if x != y:
+            raise EagorError(f"the runs differ in {key}: {x} and {y}; compare like with like")
     named = _methods(a, b, methods)
     left, right = (
         {case_of(record): record for record in played_by(run.records, method)}
@@ -47,8 +41,8 @@ def compare(a: Told, b: Told, methods: Sequence[str] = ()) -> dict[str, Any]:
         raise EagorError(
             f"the runs share no {study.case} that both have a result of; run the same part of the data with both"
         )
-    for case in shared:
-        _check_same(case, left[case], right[case])
+    for case in shared if a.methods else ():
+        _check_same(case, left[case]["episode"], right[case]["episode"])
     pairs = [[part[case] for case in shared] for part in (left, right)]
     found = {column.key: _difference(column, pairs, named) for column in study.columns}
     return {
@@ -122,16 +116,15 @@ def _methods(a: Told, b: Told, named: Sequence[str]) -> tuple[str | None, str | 
     if not named and OURS not in both and len(both) != 1:
         raise EagorError(f"the runs have no {OURS} in common; name one or two of their methods with --methods")
     first, second = (*named, *named)[:2] if named else (OURS if OURS in both else both[0],) * 2
-    for name, run in ((first, a), (second, b)):
+    for label, name, run in (("a", first, a), ("b", second, b)):
         if name not in run.methods:
-            raise EagorError(f"the run has no method {name!r}; it has {', '.join(run.methods)}")
+            raise EagorError(f"run {label} has no method {name!r}; it has {', '.join(run.methods)}")
     return first, second
 
 
-def _check_same(case: str, left: Record, right: Record) -> None:
+def _check_same(case: str, left: Mapping[str, Any], right: Mapping[str, Any]) -> None:
     for key in SAME:
-        x, y = (record.get("episode", {}).get(key) for record in (left, right))
-        if x != y:
+        if (x := left.get(key)) != (y := right.get(key)):
             raise EagorError(f"{case} is another episode in each run: its {key} is {x} and {y}; compare like with like")
 
 

@@ -140,6 +140,12 @@ def in_columns(rows: Sequence[Sequence[str]]) -> list[str]:
     return ["  ".join(row).rstrip() for row in cells]
 
 
+def lines_of(sheet: Sheet) -> list[str]:
+    """A table as lines for a terminal, intervals in brackets."""
+    cells = ([f"{box.text} ({box.small})" if box.small else box.text for box in row.boxes] for row in sheet.rows)
+    return in_columns([sheet.heads, *([row.head, *texts] for row, texts in zip(sheet.rows, cells, strict=True))])
+
+
 def could_not(summary: Mapping[str, Any]) -> list[Part]:
     """Which units of a run have no result, and why."""
     lines = [f"{f['key']} (attempt {f['attempt']}): {f['error']}" for f in summary["failures"]]

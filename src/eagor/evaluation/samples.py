@@ -63,13 +63,12 @@ class Sample:
 
 def case_of(record: Record) -> str:
     """What a result is called: the case of a benchmark, the episode of a simulated task."""
-    return record["episode"]["id"] if "episode" in record else record["case"]
+    return record["case"] if "case" in record else record["episode"]["id"]
 
 
 def group_of(record: Record) -> Any:
     """Which cases share luck: those of one apartment, or of one cluster of a benchmark."""
-    episode = record.get("episode")
-    return record["cluster"] if episode is None else episode.get("seed", episode["id"])
+    return record["cluster"] if "cluster" in record else record["episode"].get("seed", record["episode"]["id"])
 
 
 def numbers(values: Sequence[float | bool | None]) -> np.ndarray:

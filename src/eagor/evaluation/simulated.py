@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from eagor.evaluation.study import Report, Settings, Summary, Told, Worst
 from eagor.evaluation.tables import shown
 from eagor.tasks.episodes import PER_PLACE
 from eagor.tasks.rules import Camera
-from eagor.tasks.task import Column, Task, load
+from eagor.tasks.task import Task
 
 EXPORTS = {
     "jsonl": "all records as JSON lines, one per unit of work",
@@ -27,24 +26,15 @@ EXPORTS = {
 }
 
 
-@dataclass(frozen=True)
 class Simulated:
     """See `eagor.evaluation.study.Study`."""
 
-    task: Task
     work = "eagor.tasks.play:work"
     case, several = "episode", False
-    alike, exports = ("task", "world"), EXPORTS
+    alike, exports = ("world",), EXPORTS
 
-    @property
-    def name(self) -> str:
-        """Of the task."""
-        return self.task.name
-
-    @property
-    def columns(self) -> Sequence[Column]:
-        """Of the task."""
-        return self.task.columns
+    def __init__(self, task: Task) -> None:
+        self.task, self.name, self.columns = task, task.name, task.columns
 
     def offer(self) -> dict[str, Any]:
         known = {"worlds": sorted(worlds.known()), "exports": EXPORTS}
@@ -82,7 +72,7 @@ class Simulated:
             Section("episodes", "Three episodes to look at", _episodes(good, task, run.settings, open_place)),
             Section("failed", "What could not be run", could_not(summary) if summary["failed"] else []),
         ]
-        facts = _facts(run)
+        facts = _facts(run, task)
         return Report(
             f"{task.title}: {summary['episodes']} episodes, {len(summary['methods'])} methods",
             [*_lead(run, task), Facts(facts)],
@@ -154,11 +144,11 @@ def _lead(run: Told, task: Task) -> list[Part]:
     return lead
 
 
-def _facts(run: Told) -> list[tuple[str, str]]:
+def _facts(run: Told, task: Task) -> list[tuple[str, str]]:
     """What was run, from run.json and the records."""
     config, records, summary, words = run.settings, run.records, run.summary, export.words
     seeds = sorted({record["episode"]["seed"] for record in finished(records) if "seed" in record["episode"]})
-    pairs = [("Task", load(summary["task"]).title)]
+    pairs = [("Task", task.title)]
     pairs += [(name.capitalize(), words(config[name])) for name in ("perception", "world", "rows") if name in config]
     if seeds:
         spread = f"{seeds[0]} to {seeds[-1]} ({len(seeds)} of them)" if len(seeds) > 1 else str(seeds[0])
