@@ -114,7 +114,7 @@ def test_base_commands_work(run):
     assert found["healthy"]
     assert set(found["optional"].values()) == {None}
     assert [each for each in found["install"] if how_to_install("sim") in each]
-    assert found["perceptions"]["scout"] == "wants onnxruntime (the extra 'sim')"
+    assert found["perceptions"]["scout"] == "wants gymnasium, trimesh, onnxruntime, jinja2 (the extra 'sim')"
     assert found["tasks"]["navigation"] == f"a simulated task needs gymnasium: {how_to_install('sim')}"
     code, out, err = run("-m", "eagor", "locate", "room.png", "the red ball", "--picture", "found.png", "--json")
     assert code == 0, err

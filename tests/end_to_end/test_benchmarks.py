@@ -14,12 +14,13 @@ from types import SimpleNamespace
 
 import hstar_data
 import pytest
+import small_benchmark
 
 from eagor.cli import main
 from eagor.errors import EagorError
-from eagor.evaluation import benchmark_sheets, ledger, scores
+from eagor.evaluation import ledger
+from eagor.evaluation.benchmarks import Published
 from eagor.evaluation.workers import Outcome, Unit, run_units
-from eagor.tasks import benchmark
 
 TESTS = Path(__file__).parents[1]
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "EAGOR_DEBUG"} | {
@@ -200,16 +201,15 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
         assert "tables.md is no folder" in refused(*words, "--out", tmp_path / "tables.md")
 
 
-def test_a_benchmark_that_names_no_causes_has_failures_all_the_same(monkeypatch):
-    monkeypatch.setitem(benchmark.BUILT_IN, "numbers", "small_benchmark:Numbers")
+def test_a_benchmark_that_names_no_causes_has_failures_all_the_same():
     records = [
-        {"case": case, "cluster": "a", "status": "ok", "tags": ["odd"], "score": score, "answer": "7"}
+        {"key": case, "case": case, "cluster": "a", "status": "ok", "tags": ["odd"], "score": score, "answer": "7"}
         for case, score in (("a1", 1.0), ("a2", 0.0))
     ]
     records.append({"key": "a3", "status": "failed", "attempt": 2, "error": "torn"})
-    summary = scores.summarise({"task": "numbers"}, records)
-    assert summary["causes"] == summary["tags"]["odd"]["causes"] == {"wrong": 1}
-    assert benchmark_sheets.failed_lines(records) == ["a2  wrong  [odd]  '': 7"]
+    run = Published(small_benchmark.Numbers()).told({"task": "numbers"}, records)
+    assert run.summary["causes"] == run.summary["tags"]["odd"]["causes"] == {"wrong": 1}
+    assert run.study.worst(run, None).lines == ["a2  wrong  [odd]  '': 7"]
 
 
 def test_the_list_and_what_a_folder_holds(folder, tmp_path):

@@ -9,7 +9,6 @@ import re
 import signal
 import subprocess
 import sys
-from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from eagor.cli import main
+from eagor.cli import machine, main
 from eagor.cli.words import in_words
 from eagor.conventions import direction_from_hstar, wxyz_from_rotation
 from eagor.grids import ErpGrid
@@ -139,7 +138,12 @@ def test_help_lists_the_commands():
 @pytest.mark.parametrize("words", [("bench", "run"), ("bench", "compare"), ("calibrate",), ("track",)])
 def test_help_says_everything_once(words):
     text = " ".join(eagor(*words, "--help").stdout.replace("│", " ").split())
-    told = ("Play a simulated task", "Is one run of a benchmark", "Fit how a perception", "Follow it through a series")
+    told = (
+        "Play a simulated task",
+        "Is one run better than another",
+        "Fit how a perception",
+        "Follow it through a series",
+    )
     assert sum(text.count(line) for line in told) == 1
     assert "default: None" not in text
     assert "default: False" not in text
@@ -203,12 +207,18 @@ def test_doctor():
     assert "all there" in eagor("doctor").stdout
 
 
-def test_the_doctor_says_what_a_served_model_wants(monkeypatch, capsys):
-    monkeypatch.setattr(
-        import_module("eagor.cli.doctor"), "find_spec", lambda name: None if name == "openai" else object()
-    )
+@pytest.mark.parametrize(
+    ("package", "who"),
+    [("openai", "endpoint"), ("tenacity", "endpoint"), ("onnxruntime", "scout"), ("gymnasium", "scout")],
+)
+def test_the_doctor_says_what_an_extra_lacks(monkeypatch, capsys, package, who):
+    there = machine.version_of
+    monkeypatch.setattr(machine, "version_of", lambda name: None if name == package else there(name))
     assert main(["doctor"]) == 0
-    assert "endpoint: wants openai (the extra 'endpoint')" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    extra = "sim" if who == "scout" else who
+    assert f"{who}: wants {package} (the extra '{extra}')" in out
+    assert re.search(rf"^{package} +not installed \(.*: the extra '{extra}'\)$", out, re.MULTILINE)
 
 
 # --- locate ----------------------------------------------------------------------------------------------------------

@@ -1,10 +1,12 @@
 """The figures of a benchmark's run, and the differences between two runs, against each other and by hand."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from eagor.evaluation import scores
+from eagor.evaluation.benchmarks import Published
+from eagor.evaluation.comparison import compare
 from eagor.evaluation.export import latex
 from eagor.evaluation.sheets import Box, Row, Sheet
 from eagor.tasks.benchmark import Figure
@@ -13,17 +15,13 @@ FIGURES = (
     Figure("overall", "Overall", "mean over the kinds", lambda record: record["score"], lambda record: record["kind"]),
     Figure("plain", "Plain", "mean over the cases", lambda record: record["score"]),
 )
+BENCHMARK: Any = SimpleNamespace(name="made up", figures=FIGURES, work="", exports={})
 SETTINGS = {"task": "made up", "data": "nowhere"}
-
-
-@pytest.fixture(autouse=True)
-def _benchmark(monkeypatch):
-    monkeypatch.setattr(scores, "load", lambda name: SimpleNamespace(figures=FIGURES))
 
 
 def run(*found):
     """Records of (kind, cluster, score), in order."""
-    return SETTINGS, [
+    records = [
         {
             "key": f"{k}",
             "case": f"{k:02d}",
@@ -35,6 +33,7 @@ def run(*found):
         }
         for k, (kind, cluster, score) in enumerate(found)
     ]
+    return Published(BENCHMARK).told(SETTINGS, records)
 
 
 # Six questions of one kind and two of another, in four clusters: the kinds weigh alike, the cases do not.
@@ -45,9 +44,9 @@ RIGHT = run(*zip(KINDS, ROOMS, (1, 0, 0, 0, 0, 0, 1, 1), strict=True))
 
 
 def test_a_comparison_is_about_the_figures_that_each_run_reports():
-    found = scores.compare(LEFT, RIGHT)["figures"]
+    found = compare(LEFT, RIGHT)["figures"]
     for key in ("overall", "plain"):
-        a, b = scores.summarise(*LEFT)[key], scores.summarise(*RIGHT)[key]
+        a, b = LEFT.summary[key], RIGHT.summary[key]
         assert (found[key]["a"], found[key]["b"]) == (pytest.approx(a), pytest.approx(b))
         assert found[key]["difference"] == pytest.approx(a - b)
         assert found[key]["low"] <= found[key]["difference"] <= found[key]["high"]
@@ -57,7 +56,7 @@ def test_a_comparison_is_about_the_figures_that_each_run_reports():
 
 def test_the_sign_flips_of_a_mean_over_kinds_weigh_the_kinds_alike():
     """By hand: what each cluster gives to the difference, under every pattern of signs."""
-    found = scores.compare(LEFT, RIGHT)["figures"]["overall"]
+    found = compare(LEFT, RIGHT)["figures"]["overall"]
     parts = (1 / 12, 2 / 12, 1 / 12 - 1 / 4, 0.0)
     reached = [
         sum(part * (1 if pattern >> k & 1 else -1) for k, part in enumerate(parts))
@@ -76,6 +75,6 @@ def test_whatever_a_model_is_called_its_row_is_latex():
 
 def test_one_cluster_has_a_difference_without_an_interval():
     alone = run(("often", "a", 1), ("rare", "a", 0)), run(("often", "a", 0), ("rare", "a", 0))
-    for figure in scores.compare(*alone)["figures"].values():
+    for figure in compare(*alone)["figures"].values():
         assert figure["difference"] == pytest.approx(50)
         assert figure.keys().isdisjoint({"low", "high", "p"})

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor.errors import EagorError
-from eagor.evaluation import curves
+from eagor.evaluation import curves, parts
 from eagor.evaluation.export import FIELDS, table_csv
 from eagor.evaluation.kernels import half_width_deg, highest_sidelobe, kernel
 from eagor.evaluation.published import FIGURES, OURS, ordered
@@ -326,8 +326,8 @@ def test_honest_regions_lie_on_the_diagonal():
 
 def test_coverage_in_and_out_of_sight():
     record = walk([1.0] * 6, inside=[True, False, True, False, False, None])
-    assert curves.coverage([record], "m", True).y == pytest.approx((200 / 3,))
-    assert curves.coverage([record], "m", False).y == (0.0,)
+    assert parts.coverage([record], "m", True).mean == pytest.approx(200 / 3)
+    assert parts.coverage([record], "m", False).mean == 0.0
 
 
 # Kernels

@@ -61,6 +61,25 @@ def test_a_record_of_a_simulated_task(walk, place, value):
     assert where in str(refused.value)
 
 
+@pytest.mark.parametrize("command", ["report", "failures", "compare", "export"])
+def test_no_command_goes_on_with_a_malformed_record(walk, tmp_path, capsys, command):
+    for place, value in SIMULATED:
+        bad = copy.deepcopy(walk)
+        put(bad[1], place, value)
+        run = str(synthetic_runs.write_run(tmp_path / "run", bad))
+        code = main(["bench", command, *[run] * (1 + (command == "compare"))])
+        said = capsys.readouterr()
+        assert (code, said.out) == (2, ""), (place, said)
+        assert repr(bad[1]["key"]) in said.err
+
+
+@pytest.mark.parametrize("seed", ["x", None, [2000]])
+def test_the_worst_episodes_of_a_run_whose_seed_nobody_can_read(walk, tmp_path, capsys, seed):
+    run = synthetic_runs.write_run(tmp_path / "run", walk, seed=seed)
+    assert main(["bench", "failures", str(run), "--json"]) == 0
+    assert [case["unit"] for case in json.loads(capsys.readouterr().out)["cases"]] == [None, None]
+
+
 @pytest.mark.parametrize("gone", ["pose", "true_azimuth_deg", "true_range_m", "visible"])
 def test_a_record_of_a_task_where_each_method_goes_its_own_way(gone):
     records = synthetic_runs.navigation(apartments=2, each=1, methods=("vmf", "eagor"))

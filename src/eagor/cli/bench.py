@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eagor.cli import terminal
-from eagor.cli.columns import columns, facts
 from eagor.cli.options import Bench, BenchInfo, BenchList, BenchRun, BenchScore, given, pairs_of
 from eagor.cli.results import COMMANDS as RESULTS
 from eagor.errors import EagorError, FormatError
@@ -40,7 +39,7 @@ def listed(options: BenchList) -> int:
         return terminal.OK
     simulated = {name: entry for name, entry in found.items() if entry["kind"] == SIMULATED}
     print("Simulated, no data needed (eagor bench run TASK)")
-    columns(
+    terminal.columns(
         {name: entry.get("what", f"not available ({entry.get('unavailable')})") for name, entry in simulated.items()}
     )
     print(f"  worlds (--world): {', '.join(sorted(worlds.known()))}, or a GLB file\n")
@@ -52,11 +51,13 @@ def listed(options: BenchList) -> int:
             continue
         print(f"{name}  {entry['title']} (eagor bench run {name} --data DIR)")
         print("  agents")
-        columns(entry["agents"])
+        terminal.columns(entry["agents"])
         print("  options (--scoring, --labels, others with --set OPTION=VALUE)")
-        columns({key: f"{value['what']} (default {value['default']})" for key, value in entry["options"].items()})
+        terminal.columns(
+            {key: f"{value['what']} (default {value['default']})" for key, value in entry["options"].items()}
+        )
         print("  exports")
-        columns(entry["exports"])
+        terminal.columns(entry["exports"])
         print()
     return terminal.OK
 
@@ -87,7 +88,7 @@ def info(options: BenchInfo) -> int:
         terminal.emit(found)
     else:
         for told in found.values():
-            facts(told)
+            terminal.facts(told)
     return terminal.OK
 
 
@@ -126,7 +127,7 @@ def run(options: BenchRun) -> int:
         outcome = carry_out(units, study.work, config, out, on_done=done, **how)
     if outcome.skipped:
         terminal.log(f"{outcome.skipped} of {len(units)} units were already in {out}")
-    return _said(study, study.read(out).summary, out, options.json)
+    return _said(study, studies.read(out).summary, out, options.json)
 
 
 def _folder(config: dict[str, Any]) -> str:
@@ -140,18 +141,18 @@ def _folder(config: dict[str, Any]) -> str:
 
 def score(options: BenchScore) -> int:
     """``eagor bench score``."""
-    from eagor.evaluation import predictions, scores, studies
+    from eagor.evaluation import predictions
 
-    settings, cases, told = predictions.read(options.predictions, options.task, options.data, _options(options))
-    records, missing = predictions.judged(settings, cases, told)
+    bare, cases, told = predictions.read(options.predictions, options.task, options.data, _options(options))
+    records, missing = predictions.judged(bare.settings, cases, told)
     if not records:
         raise EagorError(f"{options.predictions} has no prediction for any of the {len(cases)} cases")
     if options.out:
-        predictions.keep(settings, records, options.out)
-    summary = scores.summarise(settings, records) | {"missing": missing}
+        predictions.keep(bare.settings, records, options.out)
+    summary = bare.study.told(bare.settings, records).summary | {"missing": missing}
     if missing:
         terminal.warning(f"{missing} of {len(cases)} cases have no prediction; the figures are about the others")
-    code = _said(studies.load(str(settings["task"])), summary, options.out, options.json)
+    code = _said(bare.study, summary, options.out, options.json)
     return terminal.INCOMPLETE if missing and code == terminal.OK else code
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import platform
 from importlib.metadata import EntryPoint
-from importlib.util import find_spec
 from typing import Any
 
 from eagor import perception, plugins, worlds
+from eagor._extras import EXTRAS
 from eagor._version import __version__
 from eagor.cli import machine, terminal
 from eagor.cli.options import Doctor
@@ -16,17 +16,10 @@ from eagor.errors import MissingExtraError
 from eagor.tasks import benchmark, task
 
 PACKAGES = ("numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich")
-OPTIONAL = {
-    "gymnasium": "simulated tasks: the extra 'sim'",
-    "trimesh": "GLB files: the extra 'sim'",
-    "onnxruntime": "the scout: the extra 'sim'",
-    "jinja2": "report pages: the extra 'sim'",
-    "embreex": "faster rays in simulated worlds: the extra 'sim'",
-    "torch": "tensors on a GPU, and local models: the extra 'vlm'",
-    "transformers": "local models: the extra 'vlm'",
-    "openai": "models on servers: the extra 'endpoint'",
-}
-WANTS = {"endpoint": ("openai", "endpoint"), "scout": ("onnxruntime", "sim")}  # perceptions, beyond what they import
+USES = {**machine.USES, "ray": "runs on a cluster"}
+OPTIONAL = {name: f"{USES[extra]}: the extra '{extra}'" for extra, names in EXTRAS.items() for name in names}
+OPTIONAL |= {"embreex": "faster rays in simulated worlds: the extra 'sim'"}
+WANTS = {"endpoint": "endpoint", "scout": "sim"}  # perceptions, and the extra that they want beyond what they import
 READY = "ready"
 PARTS = (perception, worlds, task, benchmark)  # what packages can add to
 
@@ -34,7 +27,7 @@ PARTS = (perception, worlds, task, benchmark)  # what packages can add to
 def doctor(options: Doctor) -> int:
     """Run the command; exit code 1 if something that the package needs is missing."""
     found = {name: machine.version_of(name) for name in PACKAGES}
-    optional = {name: machine.version_of(name) if find_spec(name) else None for name in OPTIONAL}
+    optional = {name: machine.version_of(name) for name in OPTIONAL}
     here = machine.machine()
     points = {part.GROUP.removeprefix("eagor."): part.known() for part in PARTS}
     theirs = [point for part in PARTS for point in plugins.brought(part.GROUP, part.BUILT_IN)]
@@ -43,9 +36,9 @@ def doctor(options: Doctor) -> int:
         kind: {name: _state(each[name], faults, each[name] in theirs) for name in sorted(each)}
         for kind, each in points.items()
     }
-    for name, (package, extra) in WANTS.items():
-        if known["perceptions"][name] == READY and optional[package] is None:
-            known["perceptions"][name] = f"wants {package} (the extra '{extra}')"
+    for name, extra in WANTS.items():
+        if known["perceptions"][name] == READY and (short := machine.lacking(extra)):
+            known["perceptions"][name] = f"wants {', '.join(short)} (the extra '{extra}')"
     left_out = [
         text for kind, each in points.items() for at in each.values() for text in plugins.left_out(at, kind[:-1])
     ] + plugins.unreadable()

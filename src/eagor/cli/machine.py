@@ -81,7 +81,7 @@ def missing() -> list[str]:
     """What to install, change or remove, so that all runs here; empty where nothing is."""
     steps = []
     for extra, use in USES.items():
-        if short := [_wanted(name, least) for name, least in EXTRAS[extra].items() if not _reaches(name, least)]:
+        if short := lacking(extra):
             first = "pip install torch==2.13.0 first where there is no GPU, then " if short[0] == "torch" else ""
             steps.append(f"{use} lack {', '.join(short)}: {first}{how_to_install(extra)}")
     if find_spec("torch") and find_spec("torchvision"):
@@ -95,14 +95,16 @@ def missing() -> list[str]:
     return steps
 
 
-def _wanted(name: str, least: str) -> str:
-    number = version_of(name)
-    return name if number is None else f"{name} {least} or newer (there is {number})"
-
-
-def _reaches(name: str, least: str) -> bool:
-    number = version_of(name)
-    return number is not None and _parts(number) >= _parts(least)
+def lacking(extra: str) -> list[str]:
+    """The packages of an extra that are absent or too old here, in words."""
+    short = []
+    for name, least in EXTRAS[extra].items():
+        number = version_of(name)
+        if number is None:
+            short.append(name)
+        elif _parts(number) < _parts(least):
+            short.append(f"{name} {least} or newer (there is {number})")
+    return short
 
 
 def _parts(number: str) -> tuple[int, ...]:

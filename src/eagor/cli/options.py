@@ -265,7 +265,7 @@ class BenchReport(Common):
     folders: Annotated[tuple[Path, ...], Positional, arg(metavar="RUN ...", help_behavior_hint="(required)")]
     """The folder of the run; for benchmarks with published data also several."""
     out: Annotated[Path | None, _bare("DIR")] = None
-    """Of a benchmark: where the report goes (default: the first folder)."""
+    """Where the report goes (default: the first folder)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -305,22 +305,26 @@ class BenchScore(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class BenchCompare(Common):
-    """Is one run of a benchmark better than another on the cases that both have?"""
+    """Is one run better than another, or one method of a run than another, on the cases that both have?"""
 
     a: Annotated[Path, Positional, arg(metavar="A")]
     """The folder of a run."""
-    b: Annotated[Path, Positional, arg(metavar="B")]
-    """The folder of another."""
+    b: Annotated[Path | None, Positional, _bare("[B]")] = None
+    """The folder of another; without it, two methods of A are compared."""
+    methods: Annotated[tuple[str, ...], _bare("METHOD ...")] = ()
+    """Of a simulated task: one method, of both runs, or two, of A and of B (default: eagor)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchFailures(Common):
-    """Why the cases of a benchmark's run failed: what they ask for, crossed with what went wrong."""
+    """The worst cases of a run, worst first; of a benchmark, also what they ask for, crossed with what went wrong."""
 
     run: Annotated[Path, Positional, arg(metavar="RUN")]
     """The folder of the run."""
+    method: Annotated[str | None, _bare("NAME")] = None
+    """Of a simulated task: whose episodes (default: eagor)."""
     limit: Whole = 20
-    """List so many of the failed cases."""
+    """List so many of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -330,7 +334,10 @@ class BenchExport(Common):
     run: Annotated[Path | None, Positional, _bare("[RUN]")] = None
     """The folder of a run; what needs only the data does without."""
     to: Annotated[str, arg(metavar="FORMAT")] = "jsonl"
-    """jsonl (samples with lmms-eval's keys), or what the benchmark offers: lmms-eval, hstar-txt, ..."""
+    (
+        "jsonl (the records; of a benchmark, samples with lmms-eval's keys), csv (the figures of each case), or what "
+        "the benchmark offers: lmms-eval, hstar-txt, ..."
+    )
     task: Annotated[str | None, _bare("NAME")] = None
     """The benchmark, where no run is named."""
     data: DataOfRun = None

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from eagor._extras import need
 from eagor.cli import terminal
-from eagor.cli.columns import words
 from eagor.cli.options import BenchCompare, BenchExport, BenchFailures, BenchReport, pairs_of
 
 
 def report(options: BenchReport) -> int:
     """``eagor bench report``. Raises `StorageError` where the disk does not take it."""
     from eagor.cli.looking import checked_folder
-    from eagor.evaluation import studies
     from eagor.evaluation.report import write_report
 
     need("a report page", "sim", "jinja2")
     if not options.folders:
         raise terminal.UsageError("no run is named; wanted the folder of one")
     if options.out is not None:
-        if not studies.of(options.folders[0]).several:
-            raise terminal.UsageError("a run of a simulated task is reported alone, into its own folder")
         checked_folder(options.out)
     page = write_report(options.folders, out=options.out)
     if options.json:
@@ -31,81 +29,41 @@ def report(options: BenchReport) -> int:
 
 def compare(options: BenchCompare) -> int:
     """``eagor bench compare``."""
-    from eagor.evaluation import benchmarks, scores
-    from eagor.evaluation.page import in_columns
-    from eagor.evaluation.samples import FEW, lowest_p
+    from eagor.evaluation import bench, comparison, studies
 
-    found = scores.compare(benchmarks.read_run(options.a), benchmarks.read_run(options.b))
+    methods = bench.named(options.methods)
+    if options.b is None and len(methods) != 2:
+        raise terminal.UsageError("name a second run, or two methods of this one with --methods")
+    a = studies.read(options.a)
+    found = comparison.compare(a, a if options.b is None else studies.read(options.b), methods)
     if options.json:
         terminal.emit(found)
-        return terminal.OK
-    print(
-        f"{found['task']}: {found['cases']} cases that both have "
-        f"(a only: {found['only_in_a']}, b only: {found['only_in_b']})"
-    )
-    for key, (a, b) in found["settings"].items():
-        print(f"  {key}: a {words(a)}, b {words(b)}")
-    rows = [["", "a, %", "b, %", "a - b", "95 % interval", "p", "only a", "only b", "McNemar p"]]
-    for figure in found["figures"].values():
-        test = figure.get("mcnemar", {})
-        span = f"{figure['low']:+.1f} to {figure['high']:+.1f}" if "low" in figure else "-"
-        rows.append(
-            [
-                f"{figure['title']} ({figure['n']})",
-                f"{figure['a']:.1f}",
-                f"{figure['b']:.1f}",
-                f"{figure['difference']:+.1f}",
-                span,
-                f"{figure['p']:.2g}" if "p" in figure else "-",
-                str(test.get("only_a", "-")),
-                str(test.get("only_b", "-")),
-                f"{test['p']:.2g}" if test else "-",
-            ]
-        )
-    print(*in_columns(rows), sep="\n")
-    print("p: sign flips of whole clusters; McNemar takes cases as independent.")
-    clusters = max((figure.get("clusters", 1) for figure in found["figures"].values()), default=1)
-    if clusters == 1:
-        print("Only one cluster: nothing can be said about how far the differences carry over to others.")
-    elif clusters < FEW:
-        print(
-            f"Only {clusters} clusters: intervals that resample so few are too narrow, and p cannot be below "
-            f"{lowest_p(clusters):.2g}."
-        )
+    else:
+        print("\n".join(comparison.as_text(found, a)))
     return terminal.OK
 
 
 def failures(options: BenchFailures) -> int:
     """``eagor bench failures``."""
-    from eagor.evaluation import benchmark_sheets, benchmarks, scores
-    from eagor.evaluation.page import in_columns
-    from eagor.evaluation.samples import cause_of
-    from eagor.tasks import benchmark
+    from eagor.evaluation import studies
+    from eagor.evaluation.page import lines_of
 
     if options.limit < 0:
         raise terminal.UsageError(f"--limit {options.limit}; wanted 0 or more")
-    settings, records = benchmarks.read_run(options.run)
-    summary = scores.summarise(settings, records)
-    lines = benchmark_sheets.failed_lines(records)
+    run = studies.read(options.run)
+    worst = run.study.worst(run, options.method)
     if options.json:
-        keys = ("task", "agent", "episodes", "failed", "tags", "causes", "failures")
-        listed = [
-            {key: record.get(key) for key in ("case", "cause", "tags", "answer", "error")} | {"cause": cause}
-            for record in records
-            if (cause := cause_of(record))
-        ]
-        terminal.emit({key: summary[key] for key in keys} | {"cases": listed[: options.limit]})
+        terminal.emit(worst.said | {"cases": worst.cases[: options.limit]})
         return terminal.OK
-    for sheet in benchmarks.Published(benchmark.load(str(settings["task"]))).failure_sheets(summary):
-        rows = [list(sheet.heads), *([row.head, *(box.text for box in row.boxes)] for row in sheet.rows)]
-        print(sheet.title, *in_columns(rows), "", sep="\n")
-    if not lines:
-        print("No case failed." if summary["episodes"] else "No case has a result.")
-    for line in lines[: options.limit]:
+    for sheet in worst.sheets:
+        print(sheet.title, *lines_of(sheet), "", sep="\n")
+    if not worst.lines:
+        print("No case failed." if run.summary["episodes"] else f"No {run.study.case} has a result.")
+    for line in worst.lines[: options.limit]:
         print(line)
-    if len(lines) > options.limit:
-        print(f"... and {len(lines) - options.limit} more (--limit)")
-    for failure in summary["failures"]:
+    if len(worst.lines) > options.limit:
+        print(f"... and {len(worst.lines) - options.limit} more (--limit)")
+    for failure in run.summary["failures"]:
         print(f"could not be run: {failure['key']} (attempt {failure['attempt']}): {failure['error']}")
     return terminal.OK
 
@@ -113,30 +71,28 @@ def failures(options: BenchFailures) -> int:
 def export(options: BenchExport) -> int:
     """``eagor bench export``."""
     from eagor.cli.looking import checked_folder
-    from eagor.evaluation import benchmarks, predictions
-    from eagor.tasks import benchmark
+    from eagor.evaluation import predictions, studies
 
     if options.run is not None:
         if options.task or options.set:
             raise terminal.UsageError(f"{options.run} says what it is a run of; leave out --task and --set")
-        settings, records = benchmarks.read_run(options.run)
-        settings |= {"data": str(options.data.resolve())} if options.data else {}
+        run = studies.read(options.run)
+        if options.data:
+            run = replace(run, settings={**run.settings, "data": str(options.data.resolve())})
+    elif options.task and options.data:
+        run = predictions.bare(options.task, options.data, pairs_of(options.set))
     else:
-        if not (options.task and options.data):
-            raise terminal.UsageError("name a run, or --task and --data")
-        settings, records = predictions.bare_settings(options.task, options.data, pairs_of(options.set)), []
+        raise terminal.UsageError("name a run, or --task and --data")
     out = options.out or options.run
     if out is None:
         raise terminal.UsageError("without a run, name the folder to write into with --out")
     checked_folder(out)
-    known = benchmark.load(str(settings["task"]))
-    if options.to == "jsonl" and "jsonl" not in known.exports:
-        files = [predictions.samples(settings, records, out)]
-    elif options.to in known.exports:
-        files = known.export(options.to, records, settings, out)
-    else:
-        offers = ", ".join(("jsonl", *known.exports))
-        raise terminal.UsageError(f"{settings['task']} cannot be exported to {options.to!r}; it offers {offers}")
+    offers = run.study.exports
+    if options.to not in offers:
+        raise terminal.UsageError(
+            f"{run.study.name} cannot be exported to {options.to!r}; it offers {', '.join(offers)}"
+        )
+    files = run.study.export(options.to, run, out)
     if options.json:
         terminal.emit({"files": [str(file) for file in files]})
     else:

@@ -6,7 +6,7 @@ import json
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -42,6 +42,34 @@ def error(text: str) -> None:
 def emit(result: dict[str, Any]) -> None:
     """The one JSON object on stdout."""
     print(redacted(json.dumps(result, allow_nan=False, ensure_ascii=False)), flush=True)
+
+
+def columns(pairs: Mapping[str, Any], indent: int = 4) -> None:
+    """Print names and what they mean."""
+    wide = max((len(name) for name in pairs), default=0)
+    for name, what in pairs.items():
+        print(f"{' ' * indent}{name.ljust(wide)}  {what}")
+
+
+def facts(pairs: Mapping[str, Any], indent: int = 0) -> None:
+    """Print names and what was found, and what consists of parts below its name, indented."""
+    plain = {name: _words(value) for name, value in pairs.items() if not (isinstance(value, Mapping) and value)}
+    wide = max((len(name) for name in plain), default=0)
+    for name, value in pairs.items():
+        if name in plain:
+            print(f"{' ' * indent}{name.ljust(wide)}  {plain[name]}")
+        else:
+            print(f"{' ' * indent}{name}")
+            facts(value, indent + 2)
+
+
+def _words(value: Any) -> str:
+    """Text as it is, a list with commas, what is empty as "none", anything else as JSON."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, list | tuple) or value == {}:
+        return ", ".join(map(_words, value)) or "none"
+    return json.dumps(value, ensure_ascii=False)
 
 
 @contextmanager

@@ -3,8 +3,8 @@
 - `study`: the one Protocol that simulated tasks (`simulated`) and benchmarks with published data (`benchmarks`) fill;
   `studies` finds them;
 - `bench`, `benchmarks`: a run's settings and units; `workers` does the `units`, and `ledger` keeps a line of JSON each;
-- `tables` and `scores`: from records to figures, with intervals and differences (`samples`); `predictions`: what others
-  answered;
+- `samples`: means, intervals and paired differences; of them `tables` and `scores` make the figures of a run, and
+  `comparison` those of two; `predictions`: what others answered;
 - `report`: the page (`page`, `charts`, `figures`, `scenes`), Markdown, LaTeX and CSV (`export`) of a run, and its
   tables (`sheets`, `benchmark_sheets`), beside what was `published`;
 - `calibration`, `fitting`, `lasting`: how a perception's responses are read; `labelled`: panoramas with labels.

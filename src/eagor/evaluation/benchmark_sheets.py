@@ -5,44 +5,39 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from eagor.evaluation.page import Box, Row, Sheet
+from eagor.evaluation.page import NOTHING, Box, Row, Sheet, box, number, span
 from eagor.evaluation.published import FAILURE_TAGS, FIGURES, OURS
 from eagor.evaluation.samples import Record, cause_of, finished
-from eagor.tasks.benchmark import load
+from eagor.evaluation.tables import headed
+from eagor.tasks.benchmark import Benchmark, Figure
 
 Summary = Mapping[str, Any]
-NOTHING = "–"  # a cell without a case
-
-
-def label_of(summary: Summary) -> str:
-    """What a run is called in tables: its agent, and who looked or talked."""
-    who = summary.get("perception") or summary.get("model")
-    return f"{summary['agent']} · {who}" if who else str(summary["agent"])
 
 
 def labels_of(summaries: Sequence[Summary]) -> list[str]:
-    """Labels of several runs, told apart by a number where they would be the same."""
-    found = [label_of(summary) for summary in summaries]
+    """What runs are called in tables: their agent, who looked or talked, and a number where that would be the same."""
+    parts = ((str(s["agent"]), s.get("perception") or s.get("model")) for s in summaries)
+    found = [" · ".join(filter(None, part)) for part in parts]
     return [
         f"{label} ({found[: index + 1].count(label)})" if found.count(label) > 1 else label
         for index, label in enumerate(found)
     ]
 
 
-def main_sheet(summaries: Sequence[Summary], published: bool = True) -> Sheet:
+def main_sheet(benchmark: Benchmark, summaries: Sequence[Summary], published: bool = True) -> Sheet:
     """The paper's Table 1: a row per run, then what was published."""
-    task, labels = load(str(summaries[0]["task"])), labels_of(summaries)
-    figures = [f for f in task.figures if any(s.get(f.key) is not None for s in summaries)]
+    labels = labels_of(summaries)
+    figures = [f for f in benchmark.figures if any(s.get(f.key) is not None for s in summaries)]
     views = any("views" in s for s in summaries)
     rows = []
     for label, summary in zip(labels, summaries, strict=True):
-        boxes = [_figure(summary, figure.key) for figure in figures]
-        rows.append(_row(label, summary, [*boxes, _number(summary.get("views"), 1)] if views else boxes))
-    known = FIGURES.get(task.name, {}) if published else {}
+        boxes = [_box(summary, figure) for figure in figures]
+        rows.append(_row(label, summary, [*boxes, box(summary.get("views"))] if views else boxes))
+    known = FIGURES.get(benchmark.name, {}) if published else {}
     for name, values in known.items():
         texts = [f"{values[f.key]:.2f}".rstrip("0").rstrip(".") if f.key in values else NOTHING for f in figures]
         rows.append(Row(f"{name}, published", tuple(map(Box, [*texts, NOTHING] if views else texts)), "paper"))
-    heads = ["agent", *(f"{figure.title} ↑, %" for figure in figures), *(["views"] if views else [])]
+    heads = ["agent", *map(headed, figures), *(["views"] if views else [])]
     counts = "; ".join(
         f"{label}: {summary['episodes']} cases in {summary['clusters']} clusters"
         + (f", {summary['failed']} could not be run" if summary["failed"] else "")
@@ -58,7 +53,7 @@ def main_sheet(summaries: Sequence[Summary], published: bool = True) -> Sheet:
             "Published rows were measured with the models named, on the whole published data: they compare with ours "
             "only where model, data and scoring are the same."
         )
-    return Sheet(task.title, tuple(heads), tuple(rows), tuple(notes))
+    return Sheet(benchmark.title, tuple(heads), tuple(rows), tuple(notes))
 
 
 def turn_sheet(summaries: Sequence[Summary]) -> Sheet | None:
@@ -69,8 +64,8 @@ def turn_sheet(summaries: Sequence[Summary]) -> Sheet | None:
     longest = max(len(summary["by_turn"]["success"]) for _, summary in with_turns)
     rows = []
     for label, summary in with_turns:
-        ends = zip(*(summary["by_turn"][key] for key in ("success", "low", "high")), strict=True)
-        boxes = [Box(f"{v:.1f}", "" if low is None else f"{low:.0f} to {high:.0f}") for v, low, high in ends]
+        turns = zip(*(summary["by_turn"][key] for key in ("success", "low", "high")), strict=True)
+        boxes = [Box(number(v), span(ends, 0)) for v, *ends in turns]
         rows.append(_row(label, summary, [*boxes, *[Box(NOTHING)] * (longest - len(boxes))]))
     note = (
         "Per cent of the episodes whose answer would have succeeded, had it been given at this turn; after a "
@@ -87,11 +82,11 @@ def views_sheet(summaries: Sequence[Summary]) -> Sheet | None:
             continue
         sure, error = summary.get("sure") or {}, summary.get("calibration_error")
         boxes = [
-            _number(summary["views"]),
-            _number(summary["views_to_success"]),
+            box(summary["views"], digits=2),
+            box(summary["views_to_success"], digits=2),
             Box(str(sure.get("episodes", NOTHING))),
-            _number(sure.get("right"), 1, sure.get("wilson")),
-            _number(None if error is None else 100 * error, 1),
+            box(sure.get("right"), sure.get("wilson")),
+            box(None if error is None else 100 * error),
         ]
         rows.append(_row(label, summary, boxes))
     if not rows:
@@ -114,7 +109,7 @@ def tag_sheet(summary: Summary) -> Sheet | None:
     published = FAILURE_TAGS.get(str(summary["task"]), {})
     rows = []
     for tag, found in summary["tags"].items():
-        boxes = Box(str(found["episodes"])), _number(found["share"], 1), _number(found["success"], 1, found["wilson"])
+        boxes = Box(str(found["episodes"])), box(found["share"]), box(found["success"], found["wilson"])
         rows.append(Row(tag, boxes))
         if tag in published:
             rows.append(Row("published", (Box(NOTHING), *(Box(f"{value:g}") for value in published[tag])), "paper"))
@@ -132,46 +127,39 @@ def cause_sheet(summary: Summary, meanings: Mapping[str, str]) -> Sheet | None:
         return None
     rows = []
     for cause, count in causes.items():
-        boxes = [Box(str(count)), _number(100 * count / summary["episodes"], 1)]
+        boxes = [Box(str(count)), box(100 * count / summary["episodes"])]
         boxes += [Box(str(tag["causes"].get(cause, 0))) for tag in tags.values()]
         rows.append(Row(cause.replace("_", " "), tuple(boxes)))
     notes = tuple(f"{cause.replace('_', ' ')}: {meanings[cause]}." for cause in causes if cause in meanings)
     return Sheet("Why cases failed", ("cause", "cases", "of all, %", *tags), tuple(rows), notes)
 
 
-def failed_lines(records: Sequence[Record], limit: int | None = None) -> list[str]:
+def failed(records: Sequence[Record]) -> list[tuple[Record, str]]:
+    """The cases that failed and why, worst first: by their score, then by how far off they are."""
+    those = [(record, cause) for record in finished(records) if (cause := cause_of(record))]
+    return sorted(those, key=lambda item: (item[0].get("score", 0), -(item[0].get("error") or 0)))
+
+
+def failed_lines(failed: Sequence[tuple[Record, str]]) -> list[str]:
     """One line for each case that failed."""
-    found = []
-    for record in finished(records):
-        if cause := cause_of(record):
-            said = record.get("words") or record.get("question") or ""
-            answer = record.get("answer")
-            given = (
-                ", ".join(f"{key} {value}" for key, value in answer.items())
-                if isinstance(answer, Mapping)
-                else str(answer)
-            )
-            tags = ", ".join(record.get("tags", ()))
-            off = f", {record['error']:.0f}° off" if record.get("error") is not None else ""
-            found.append(f"{record['case']}  {cause}  [{tags}]  {said!r}: {given or 'no answer'}{off}")
-    return found[:limit]
+    lines = []
+    for record, cause in failed:
+        said = record.get("words") or record.get("question") or ""
+        answer = record.get("answer")
+        told = isinstance(answer, Mapping)
+        given = ", ".join(f"{key} {value}" for key, value in answer.items()) if told else str(answer)
+        tags = ", ".join(record.get("tags", ()))
+        off = f", {record['error']:.0f}° off" if record.get("error") is not None else ""
+        lines.append(f"{record['case']}  {cause}  [{tags}]  {said!r}: {given or 'no answer'}{off}")
+    return lines
 
 
 def _row(label: str, summary: Summary, boxes: Sequence[Box]) -> Row:
     return Row(label, tuple(boxes), "ours" if summary["agent"] == OURS else "")
 
 
-def _number(value: float | None, digits: int = 2, interval: Sequence[float] | None = None) -> Box:
-    return Box(NOTHING) if value is None else Box(f"{value:.{digits}f}", _to(interval))
-
-
-def _figure(summary: Summary, key: str) -> Box:
-    value = summary.get(key)
-    if value is None:
-        return Box(NOTHING)
-    ends = summary["intervals"][key]
-    return Box(f"{value:.2f}", " | ".join(_to(ends[kind]) for kind in ("wilson", "cluster") if ends[kind]))
-
-
-def _to(ends: Sequence[float] | None) -> str:
-    return f"{ends[0]:.1f} to {ends[1]:.1f}" if ends else ""
+def _box(summary: Summary, figure: Figure) -> Box:
+    """A figure of a run with both of its intervals."""
+    ends = summary["intervals"].get(figure.key, {})
+    small = " | ".join(span(ends[kind]) for kind in ("wilson", "cluster") if ends.get(kind))
+    return Box(number(summary.get(figure.key), figure.digits), small)

@@ -11,15 +11,18 @@ from eagor._csv import as_csv
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import benchmark_sheets, export, ledger, scores
 from eagor.evaluation.benchmark_sheets import OURS, labels_of
-from eagor.evaluation.page import Facts, Folded, Items, Part, Pictures, Section, Sheet, Text, could_not, in_columns
+from eagor.evaluation.page import Facts, Folded, Items, Part, Pictures, Section, Sheet, Text, could_not, lines_of
 from eagor.evaluation.samples import LEVEL, RESAMPLES, computing_time
 from eagor.evaluation.shapes import checked, published
-from eagor.evaluation.study import Report, Settings, Summary, Told
+from eagor.evaluation.study import Report, Settings, Summary, Told, Worst
 from eagor.evaluation.units import Unit
-from eagor.tasks.benchmark import Benchmark, Case, Record, known, load, read_options
+from eagor.tasks.benchmark import Benchmark, Case, Record, load, read_options
 
 KIND = "benchmark"  # in run.json: which kind of run this is
-EXPORT = {"jsonl": "samples as JSON lines with lmms-eval's keys"}  # of every benchmark
+EXPORTS = {  # of every benchmark
+    "jsonl": "samples as JSON lines with lmms-eval's keys",
+    "csv": "a row per case with its figures",
+}
 LISTED = 200  # failed cases in a report
 
 
@@ -80,12 +83,15 @@ class BenchmarkRun:
         return [Unit(f"{self.task}/{case.id}", case.group, case.payload) for case in self.cases(config)]
 
 
-@dataclass(frozen=True)
 class Published:
     """See `eagor.evaluation.study.Study`."""
 
-    benchmark: Benchmark
     case, several = "case", True
+    alike = ("data",)
+
+    def __init__(self, benchmark: Benchmark) -> None:
+        self.benchmark, self.name, self.work = benchmark, benchmark.name, benchmark.work
+        self.columns, self.exports = benchmark.figures, {**EXPORTS, **benchmark.exports}
 
     @classmethod
     def of(cls, settings: Settings, folder: Path) -> Published:
@@ -98,16 +104,6 @@ class Published:
                 raise FormatError(f"{Path(folder) / ledger.RUN} does not name its {key}; restore it")
         return cls(load(settings["task"]))
 
-    @property
-    def name(self) -> str:
-        """Of the benchmark."""
-        return self.benchmark.name
-
-    @property
-    def work(self) -> str:
-        """Of the benchmark."""
-        return self.benchmark.work
-
     def offer(self) -> dict[str, Any]:
         options = self.benchmark.options.items()
         return {
@@ -116,21 +112,20 @@ class Published:
             "options": {
                 key: {"default": o.default, "what": o.what, "choices": _short(o.choices)} for key, o in options
             },
-            "exports": {**EXPORT, **self.benchmark.exports},
+            "exports": self.exports,
         }
 
-    def read(self, folder: Path) -> Told:
-        settings, records = read_run(folder)
-        return Told(settings, records, scores.summarise(settings, records))
+    def checked(self, records: Sequence[Record]) -> Sequence[Record]:
+        """`records`, as this benchmark writes them. Raises `FormatError`, which names it, for a malformed one."""
+        return checked(records, published(getattr(self.benchmark, "record", {})))
+
+    def told(self, settings: Settings, records: Sequence[Record]) -> Told:
+        return Told(self, settings, self.checked(records), scores.summarise(settings, records, self.benchmark))
 
     def as_text(self, summary: Summary) -> list[str]:
-        sheet = benchmark_sheets.main_sheet([summary], published=False)
-        rows = [
-            [row.head, *(f"{box.text} ({box.small})" if box.small else box.text for box in row.boxes)]
-            for row in sheet.rows
-        ]
+        sheet = benchmark_sheets.main_sheet(self.benchmark, [summary], published=False)
         lines = [f"{sheet.title}: {summary['episodes']} cases in {summary['clusters']} clusters"]
-        lines += [*in_columns([list(sheet.heads), *rows]), "In brackets: 95 %, Wilson's | cluster bootstrap."]
+        lines += [*lines_of(sheet), "In brackets: 95 %, Wilson's | cluster bootstrap."]
         return lines + ([f"{summary['failed']} could not be run; they are in no figure."] if summary["failed"] else [])
 
     def as_json(self, summary: Summary) -> dict[str, Any]:
@@ -146,7 +141,7 @@ class Published:
         summaries = [run.summary for run in runs]
         labels = labels_of(summaries)
         turns, views = benchmark_sheets.turn_sheet(summaries), benchmark_sheets.views_sheet(summaries)
-        sheets = [benchmark_sheets.main_sheet(summaries)]
+        sheets = [benchmark_sheets.main_sheet(self.benchmark, summaries)]
         sections = [Section("figures", "Figures", [*sheets])]
         if turns is not None:
             sheets.append(turns)
@@ -158,7 +153,7 @@ class Published:
         for label, run in zip(labels, runs, strict=True):
             if found := self.failure_sheets(run.summary):
                 parts: list[Part] = [*found]
-                if lines := benchmark_sheets.failed_lines(run.records, LISTED):
+                if lines := self.worst(run).lines[:LISTED]:
                     parts.append(Folded(f"The cases that failed ({len(lines)} shown)", [Items(lines)]))
                 sections.append(Section(f"failures-{len(sections)}", f"Failures: {label}", parts))
                 sheets += [Sheet(f"{sheet.title}: {label}", sheet.heads, sheet.rows, sheet.notes) for sheet in found]
@@ -177,16 +172,25 @@ class Published:
             {"tables.csv": _csv(self.benchmark, labels, summaries), "tables.tex": export.latex(sheets[0])},
         )
 
+    def worst(self, run: Told, method: str | None = None) -> Worst:
+        if method:
+            raise EagorError(f"a run of {self.name} has one agent; leave out the method {method}")
+        keys = ("task", "agent", "episodes", "failed", "tags", "causes", "failures")
+        failed = benchmark_sheets.failed(run.records)
+        cases = [
+            {key: record.get(key) for key in ("case", "cause", "tags", "answer", "error")} | {"cause": cause}
+            for record, cause in failed
+        ]
+        said = {key: run.summary[key] for key in keys}
+        return Worst(benchmark_sheets.failed_lines(failed), cases, self.failure_sheets(run.summary), said)
 
-def read_run(folder: Path) -> tuple[dict[str, Any], Sequence[Record]]:
-    """The settings and the records of a benchmark's run, which need not be installed here.
-
-    Raises `EagorError` if it is none, or has no records; `FormatError`, which names it, for a malformed record.
-    """
-    settings = ledger.description(folder)
-    installed = settings.get("task") in known()
-    more = getattr(Published.of(settings, folder).benchmark, "record", {}) if installed else {}
-    return settings, checked(ledger.recorded(folder), published(more))
+    def export(self, to: str, run: Told, folder: Path) -> list[Path]:
+        if to in self.benchmark.exports:
+            return self.benchmark.export(to, run.records, run.settings, folder)
+        if to == "csv":
+            return [export.records_csv(run, folder)]
+        cases = self.benchmark.cases(Path(str(run.settings["data"])), run.settings)
+        return [export.samples(cases, run.records, folder)]
 
 
 def _short(choices: tuple[Any, ...]) -> Any:

@@ -149,23 +149,14 @@ class _Look:
 
 def _timely(recording: Recording) -> list[_Look]:
     """The looks of a recording that gave detections."""
-    place = {moment.stamp: index for index, moment in enumerate(recording.moments)}
+    place: dict[float | None, int] = {moment.stamp: index for index, moment in enumerate(recording.moments)}
     found = []
     for moment in recording.moments:
-        if moment.evidence is None or moment.evidence.detections is None:
+        if moment.evidence is None or (detections := moment.evidence.detections) is None:
             continue
-        stamp = moment.evidence.stamp
-        index = place.get(stamp, place[moment.stamp])  # type: ignore[arg-type]
-        then = recording.moments[index]
-        found.append(
-            _Look(
-                then.stamp,
-                moment.evidence.detections,
-                recording.directions[index],
-                bool(recording.truth["visible"][index]),
-                then.world_R_body,
-            )
-        )
+        index = place.get(moment.evidence.stamp, place[moment.stamp])
+        then, seen = recording.moments[index], bool(recording.truth["visible"][index])
+        found.append(_Look(then.stamp, detections, recording.directions[index], seen, then.world_R_body))
     return found
 
 

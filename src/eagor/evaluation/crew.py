@@ -160,18 +160,18 @@ def work_together(book: Any, hire: Callable[[], Seat], count: int) -> None:
 class ThreadSeat(Seat):
     """A thread of this process: for work that waits for servers, and is safe to use from several threads."""
 
-    def __init__(self, do: Do, task: str | None, ledger: Ledger) -> None:
-        self._attempt = lambda unit, attempt: attempt_unit(do, unit, attempt, task, ledger)
+    def __init__(self, do: Do, book: Book, ledger: Ledger) -> None:
+        self._work, self._book, self._ledger = do, book, ledger
         super().__init__()
 
     def _do(self, unit: Unit, attempt: int) -> dict[str, Any]:
-        return self._attempt(unit, attempt)
+        return attempt_unit(self._work, unit, attempt, self._book.task, self._ledger)
 
 
 def in_threads(book: Book, work: str, config: dict[str, Any]) -> Callable[[], Seat]:
     """What hires threads, which share what `work` set up and the ledger of `book`."""
     do, ledger = load(work, config), _Shared(book.ledger)
-    return lambda: ThreadSeat(do, book.task, ledger)
+    return lambda: ThreadSeat(do, book, ledger)
 
 
 class _Shared(Ledger):
@@ -285,7 +285,7 @@ def _one_thread() -> Iterator[None]:
 def _serve(line: Connection, work: str, config: dict[str, Any], folder: Path, task: str | None) -> None:
     """The life of a worker process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of the terminal; the parent decides
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    leave_with_parent()
     with (
         suppress(EOFError, BrokenPipeError, ConnectionResetError),
         Ledger(folder, first=1) as ledger,
@@ -304,9 +304,14 @@ def _serve(line: Connection, work: str, config: dict[str, Any], folder: Path, ta
             line.send(type(error)(str(error)))
 
 
-def _leave_with_parent() -> None:
-    """End this process when its parent has ended, however that came about: nobody is left to give it work."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+def leave_with_parent(first: Callable[[], object] = lambda: None) -> None:
+    """End this process, after `first`, once its parent has ended, however that came about: nobody gives it work."""
+
+    def wait_for_it() -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            first()
+            os._exit(1)
+
+    threading.Thread(target=wait_for_it, daemon=True).start()

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor.evaluation.samples import Record, apartment, finished, mean_intervals, numbers
+from eagor.evaluation.samples import Record, group_of, mean_intervals, numbers, played_by
 from eagor.metrics import seam_crossings
 from eagor.sphere import direction
 
@@ -59,7 +59,7 @@ def around(
     `alone` leaves out steps that belong to the neighbouring events.
     """
     rows, labels = [], []
-    for record in _of(records, method):
+    for record in played_by(records, method):
         found, where = errors(record, method), events(record, method)
         windows = []
         for index, event in enumerate(where):
@@ -70,13 +70,13 @@ def around(
             windows.append(window)
         if windows:
             rows.append(_mean(np.array(windows)))
-            labels.append(apartment(record))
+            labels.append(group_of(record))
     return _curve(range(-before, after + 1), rows, labels)
 
 
 def by_step(records: Sequence[Record], method: str) -> Curve | None:
     """Error of `method` at each step. It ends where fewer than half of the episodes go on."""
-    found = [(errors(record, method), apartment(record)) for record in _of(records, method)]
+    found = [(errors(record, method), group_of(record)) for record in played_by(records, method)]
     longest = max((len(values) for values, _ in found), default=0)
     rows = [np.pad(values, (0, longest - len(values)), constant_values=np.nan) for values, _ in found]
     return _curve(range(longest), rows, [label for _, label in found])
@@ -85,30 +85,13 @@ def by_step(records: Sequence[Record], method: str) -> Curve | None:
 def reliability(records: Sequence[Record], method: str) -> Curve | None:
     """Share of steps, percent, at which the truth lay in the region of each mass (percent); None where none is said."""
     rows, labels = [], []
-    for record in _of(records, method):
+    for record in played_by(records, method):
         stated = numbers(record["methods"][method]["trace"].get("mass_above") or [])
         stated = stated[np.isfinite(stated)]
         if len(stated):
             rows.append(np.array([100 * float((stated < level).mean()) for level in LEVELS]))
-            labels.append(apartment(record))
+            labels.append(group_of(record))
     return _curve([round(100 * level) for level in LEVELS], rows, labels)
-
-
-def coverage(records: Sequence[Record], method: str, visible: bool) -> Curve | None:
-    """Share of steps, percent, with the truth inside the 90 % region, the target in sight or out of it; one point."""
-    rows, labels = [], []
-    for record in _of(records, method):
-        trace = record["methods"][method]["trace"]
-        inside = numbers(trace.get("inside") or [])
-        seen = np.array(record.get("truth", trace)["visible"], dtype=bool)
-        if len(inside) and len(here := inside[(seen == visible) & np.isfinite(inside)]):
-            rows.append(np.array([100 * here.mean()]))
-            labels.append(apartment(record))
-    return _curve([0], rows, labels)
-
-
-def _of(records: Sequence[Record], method: str) -> list[Record]:
-    return [record for record in finished(records) if method in record["methods"]]
 
 
 def _mean(rows: np.ndarray) -> np.ndarray:

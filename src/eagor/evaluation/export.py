@@ -1,15 +1,24 @@
-"""Tables as Markdown, as LaTeX and as CSV."""
+"""Tables as Markdown, as LaTeX and as CSV; records as CSV and as JSON lines."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 from collections.abc import Iterable, Sequence
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from eagor._csv import as_csv
+from eagor._files import written
 from eagor.evaluation.page import Box, Sheet
 from eagor.evaluation.published import compared_with
+from eagor.evaluation.samples import Record, case_of, finished, group_of
+from eagor.tasks.benchmark import Case
 from eagor.tasks.task import load
+
+if TYPE_CHECKING:
+    from eagor.evaluation.study import Told
 
 FIELDS = (
     "task", "stratum", "method", "column", "unit", "value", "low", "high", "n",
@@ -88,6 +97,60 @@ def table_csv(summary: dict[str, Any]) -> str:
                     row += [found[name] for name in ("difference", "low", "high", "p", "p_holm")]
                 rows.append(row + [None] * (len(FIELDS) - len(row)))
     return as_csv([FIELDS, *rows])
+
+
+def records_jsonl(run: Told, folder: Path) -> Path:
+    """Write the records of a run, one line each; returns the file."""
+    lines = (json.dumps(record, ensure_ascii=False) + "\n" for record in run.records)
+    return written(folder / "records.jsonl", "".join(lines))
+
+
+def records_csv(run: Told, folder: Path) -> Path:
+    """Write a row per case, and method where there are several, with its figures at full precision; returns the file.
+
+    "" where there is no case; of a unit without a result, why it failed.
+    """
+    columns = run.study.columns
+    rows: list[list[Any]] = [["key", "status", "case", "group", "method", "failure", *(c.key for c in columns)]]
+    for record in run.records:
+        if record["status"] != "ok":
+            rows.append([record["key"], "failed", None, None, None, record.get("error", ""), *[None] * len(columns)])
+            continue
+        for method in record["methods"] if run.methods else (None,):
+            figures = [column.of(record, method) for column in columns]
+            rows.append([record["key"], "ok", case_of(record), group_of(record), method, None, *figures])
+    return written(folder / "records.csv", as_csv(rows))
+
+
+def samples(cases: Sequence[Case], records: Sequence[Record], folder: Path) -> Path:
+    """Write one line per case with lmms-eval's keys, and ours beside them; returns the file.
+
+    doc_id is the case's number in the benchmark's own order; resps and filtered_resps hold the answer as text, empty
+    where there is none. Without records, all cases; else those that have one.
+    """
+    by_case = {str(record["case"]): record for record in finished(records)}
+    lines = []
+    for number, case in enumerate(cases):
+        record = by_case.get(case.id, {})
+        if records and not record:
+            continue
+        answer = record.get("answer")
+        text = answer if isinstance(answer, str) else "" if answer is None else json.dumps(answer, ensure_ascii=False)
+        content = json.dumps(case.payload, sort_keys=True)
+        line = {
+            "doc_id": number,
+            "doc_hash": hashlib.sha256(content.encode()).hexdigest(),
+            "input": record.get("words", record.get("question")),
+            "target": record.get("target", record.get("truth")),
+            "resps": [[text]],
+            "filtered_resps": [text],
+            "case": case.id,
+            "cluster": case.cluster,
+        }
+        left_out = ("key", "attempt", "status", "seconds", "case", "cluster")
+        line |= {key: value for key, value in record.items() if key not in left_out and key not in line}
+        lines.append(json.dumps(line, ensure_ascii=False) + "\n")
+    return written(folder / "samples.jsonl", "".join(lines))
 
 
 def _plain(text: str) -> str:

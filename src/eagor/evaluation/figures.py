@@ -12,7 +12,7 @@ from eagor.evaluation import curves, sheets
 from eagor.evaluation.charts import Series, line_chart, look_of
 from eagor.evaluation.curves import Curve
 from eagor.evaluation.kernels import kernel
-from eagor.evaluation.page import Box, Folded, Heading, Part, Pictures, Row, Section, Sheet, Text
+from eagor.evaluation.page import Folded, Heading, Part, Pictures, Row, Section, Sheet, Text, box
 from eagor.evaluation.published import OURS, PAPERS, RESOLUTION_DEG, RIVALS, is_rival, ordered
 from eagor.evaluation.samples import Record, method_names
 from eagor.tasks.task import Task
@@ -100,13 +100,8 @@ def _numbers(title: str, x_label: str, series: Sequence[Series]) -> Sheet:
     rows = []
     for line in series:
         known = dict(zip(line.curve.x, zip(line.curve.y, line.curve.low, line.curve.high, strict=True), strict=True))
-        boxes = []
-        for x in xs:
-            y, low, high = known.get(x, (None, None, None))
-            boxes.append(
-                Box("–" if y is None else f"{y:.1f}", "" if low is None or high is None else f"{low:.1f} to {high:.1f}")
-            )
-        rows.append(Row(line.name, tuple(boxes)))
+        cells = (known.get(x, (None, None, None)) for x in xs)
+        rows.append(Row(line.name, tuple(box(y, ends) for y, *ends in cells)))
     heads = (x_label, *(f"{x:g}".replace("-", "−") for x in xs))
     return Sheet(title, heads, tuple(rows), (f"Means over {_episodes(series)}.",))
 

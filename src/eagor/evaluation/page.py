@@ -25,6 +25,7 @@ DARK = {
     "vmf": "#e9ebf0", "grid_filter": "#9fb6ff", "particle_filter": "#a4a9b3", "oracle": "#e9ebf0",
     "plain": "#f28b92",
 }  # fmt: skip
+NOTHING = "–"  # a figure without a case
 SPARE = 8  # colours of series that are no methods: x0 to x7
 
 
@@ -114,11 +115,35 @@ class Section:
     parts: Sequence[Part]
 
 
+def number(value: float | None, digits: int = 1, sign: bool = False) -> str:
+    """A figure as text; a dash where there is no case."""
+    if value is None:
+        return NOTHING
+    value = round(value, digits) + 0.0  # no negative zero
+    return f"{value:{'+' if value and sign else ''}.{digits}f}".replace("-", "−")
+
+
+def span(ends: Sequence[float | None] | None, digits: int = 1, sign: bool = False) -> str:
+    """An interval as text; "" where there is none."""
+    return " to ".join(number(end, digits, sign) for end in ends) if ends and None not in ends else ""
+
+
+def box(value: float | None, ends: Sequence[float | None] | None = None, digits: int = 1) -> Box:
+    """A cell with a figure and its interval."""
+    return Box(number(value, digits), span(ends, digits))
+
+
 def in_columns(rows: Sequence[Sequence[str]]) -> list[str]:
     """Rows under their heads as lines for a terminal: the first column to the left, the others to the right."""
     wide = [max(len(row[k]) for row in rows if k < len(row)) for k in range(len(rows[0]))]
     cells = ([text.ljust(wide[k]) if k == 0 else text.rjust(wide[k]) for k, text in enumerate(row)] for row in rows)
     return ["  ".join(row).rstrip() for row in cells]
+
+
+def lines_of(sheet: Sheet) -> list[str]:
+    """A table as lines for a terminal, intervals in brackets."""
+    cells = ([f"{box.text} ({box.small})" if box.small else box.text for box in row.boxes] for row in sheet.rows)
+    return in_columns([sheet.heads, *([row.head, *texts] for row, texts in zip(sheet.rows, cells, strict=True))])
 
 
 def could_not(summary: Mapping[str, Any]) -> list[Part]:

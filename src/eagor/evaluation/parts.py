@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor.evaluation.samples import Record, apartment, finished, mean_intervals, numbers
+from eagor.evaluation.samples import Record, group_of, mean_intervals, numbers, played_by
 
 UNSEEN, IN_SIGHT, HIDDEN = "before it was first seen", "in sight", "hidden again"
 PARTS = (UNSEEN, IN_SIGHT, HIDDEN)
@@ -50,13 +50,21 @@ def distance_error(records: Sequence[Record], method: str) -> Part | None:
     return _over(records, method, read)
 
 
+def coverage(records: Sequence[Record], method: str, visible: bool) -> Part | None:
+    """Share of steps, percent, with the truth inside the 90 % region, the target in sight or out of it."""
+
+    def read(trace: dict, truth: dict) -> tuple[np.ndarray, np.ndarray]:
+        inside = 100 * numbers(trace.get("inside") or [])
+        return inside, np.array(truth["visible"], dtype=bool)[: len(inside)] == visible
+
+    return _over(records, method, read)
+
+
 def _over(
     records: Sequence[Record], method: str, read: Callable[[dict, dict], tuple[np.ndarray, np.ndarray]]
 ) -> Part | None:
     means, groups, used, steps = [], [], 0, 0
-    for record in finished(records):
-        if method not in record["methods"]:
-            continue
+    for record in played_by(records, method):
         trace = record["methods"][method]["trace"]
         values, chosen = read(trace, record.get("truth", trace))
         chosen = chosen & np.isfinite(values)
@@ -64,7 +72,7 @@ def _over(
         if chosen.any():
             used += int(chosen.sum())
             means.append(float(values[chosen].mean()))
-            groups.append(apartment(record))
+            groups.append(group_of(record))
     if not means:
         return None
     low, high = mean_intervals(np.array(means)[:, None], groups)

@@ -1,52 +1,55 @@
-"""Predictions that were made elsewhere: read, judged by a benchmark's rules, kept as a run; and samples written out."""
+"""Predictions that were made elsewhere: read, judged by a benchmark's rules, kept as a run."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from eagor._files import written
 from eagor._json import parsed, shown
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger
-from eagor.evaluation.benchmarks import KIND, BenchmarkRun, read_run
+from eagor.evaluation.benchmarks import KIND, Published
 from eagor.evaluation.samples import finished
+from eagor.evaluation.study import Told
 from eagor.tasks.benchmark import Case, Record, load, read_options
 
-SAMPLES = "samples.jsonl"
 IDS = ("case", "id", "doc_id")  # what names the case in a line: its id, or its number in the benchmark's own order
 
 
 def read(
     source: Path, task: str | None = None, data: Path | None = None, options: Mapping[str, Any] | None = None
-) -> tuple[dict[str, Any], list[Case], dict[str, dict[str, Any]]]:
-    """Settings, cases, and predictions by case, from a JSON lines file or the folder of a run.
+) -> tuple[Told, list[Case], dict[str, dict[str, Any]]]:
+    """What is predicted, its cases, and predictions by case, from a JSON lines file or the folder of a run.
 
     `task` and `data` are needed where `source` is no run; `options` go over those of the run. Raises `EagorError` or
     `FormatError`, naming the line.
     """
     source = Path(source)
     if source.is_dir():
-        settings, records = read_run(source)
-        options = {k: v for k, v in settings.items() if k in load(str(settings["task"])).options} | dict(options or {})
-        task, data = task or str(settings["task"]), Path(data or str(settings["data"])).resolve()
-        merged = {**settings, "task": task, "data": str(data), **read_options(load(task), options)}
-        cases = load(task).cases(data, merged)
-        return merged, cases, {str(record["case"]): _of_record(record) for record in finished(records)}
+        settings = ledger.description(source)
+        study = Published.of(settings, source)
+        records = study.checked(ledger.recorded(source))
+        benchmark = load(task) if task else study.benchmark
+        known = {key: value for key, value in settings.items() if key in study.benchmark.options}
+        told = {"task": benchmark.name, "data": str(Path(data or settings["data"]).resolve())}
+        settings = {**settings, **told, **read_options(benchmark, known | dict(options or {}))}
+        given = {str(record["case"]): _of_record(record) for record in finished(records)}
+        cases = benchmark.cases(Path(told["data"]), settings)
+        return Told(Published(benchmark), settings, [], {}), cases, given
     if not (task and data):
         raise EagorError(f"{source} is no run; say with --task and --data what it predicts")
-    settings = bare_settings(task, data, options or {})
-    cases = load(task).cases(data, settings)
-    return settings, cases, _lines(source, [case.id for case in cases])
+    run = bare(task, data, options or {})
+    cases = load(task).cases(data, run.settings)
+    return run, cases, _lines(source, [case.id for case in cases])
 
 
-def bare_settings(task: str, data: Path, options: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings of something that nobody here plays. Raises `EagorError`."""
+def bare(task: str, data: Path, options: Mapping[str, Any]) -> Told:
+    """A run of a benchmark that nobody here plays: no records. Raises `EagorError`."""
     told = {"task": task, "data": str(Path(data).resolve()), "agent": "predictions", "perception": None, "model": None}
-    return {"kind": KIND, **told, "seed": 0, **read_options(load(task), options)}
+    settings = {"kind": KIND, **told, "seed": 0, **read_options(load(task), options)}
+    return Told(Published(load(task)), settings, [], {})
 
 
 def judged(
@@ -84,39 +87,6 @@ def _same(record: Record, kept: Record) -> bool:
     """Whether a result that is kept says what `record` says, whenever and however quickly it came about."""
     found = json.loads(ledger.as_line(record))
     return all(kept.get(name) == value for name, value in found.items() if name not in ("attempt", "seconds"))
-
-
-def samples(settings: Mapping[str, Any], records: Sequence[Record], folder: Path) -> Path:
-    """Write one line per case with lmms-eval's keys, and ours beside them; returns the file.
-
-    doc_id is the case's number in the benchmark's own order; resps and filtered_resps hold the answer as text, empty
-    where there is none.
-    """
-    run = BenchmarkRun(str(settings["task"]), Path(str(settings["data"])))
-    cases = run.benchmark.cases(run.data, settings)
-    by_case = {str(record["case"]): record for record in finished(records)}
-    lines = []
-    for number, case in enumerate(cases):
-        record = by_case.get(case.id)
-        if records and record is None:
-            continue
-        text = "" if record is None or record.get("answer") is None else _text(record["answer"])
-        content = json.dumps(case.payload, sort_keys=True)
-        line = {
-            "doc_id": number,
-            "doc_hash": hashlib.sha256(content.encode()).hexdigest(),
-            "input": None if record is None else record.get("words", record.get("question")),
-            "target": None if record is None else record.get("target", record.get("truth")),
-            "resps": [[text]],
-            "filtered_resps": [text],
-            "case": case.id,
-            "cluster": case.cluster,
-        }
-        if record is not None:
-            left_out = ("key", "attempt", "status", "seconds", "case", "cluster")
-            line |= {key: value for key, value in record.items() if key not in left_out and key not in line}
-        lines.append(json.dumps(line, ensure_ascii=False) + "\n")
-    return written(folder / SAMPLES, "".join(lines))
 
 
 def _of_record(record: Record) -> dict[str, Any]:
@@ -179,7 +149,3 @@ def _prediction(given: Mapping[str, Any]) -> dict[str, Any]:
     except ValueError:
         held = None
     return held if isinstance(held, dict) else {"text": text}
-
-
-def _text(answer: Any) -> str:
-    return answer if isinstance(answer, str) else json.dumps(answer, ensure_ascii=False)

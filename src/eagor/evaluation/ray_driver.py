@@ -7,12 +7,10 @@ the run ends none of Ray's servers. It asks the process that started it what is 
 from __future__ import annotations
 
 import importlib
-import multiprocessing
 import os
 import pickle
 import signal
 import sys
-import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -20,7 +18,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from eagor.errors import EagorError
-from eagor.evaluation.crew import Lost, Seat, work_together
+from eagor.evaluation.crew import Lost, Seat, leave_with_parent, work_together
 from eagor.evaluation.units import Unit, WorkError, attempt_unit, failure, load
 
 OVER, READY = "over", "ready"
@@ -29,7 +27,7 @@ OVER, READY = "over", "ready"
 def drive(line: Connection, work: str, config: dict[str, Any], count: int, address: str | None, task: Any) -> None:
     """The life of this process; the last word on the line is `OVER`, with the error if there was one."""
     os.setsid()
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    leave_with_parent(lambda: end_session(os.getpid()))  # Ray itself would stay for a minute
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):  # the parent has gone
         line.send((OVER, (_trouble(line, work, config, count, address, task),)))
 
@@ -68,15 +66,6 @@ def _lives_in(process: Any, leader: int) -> bool:
         return os.getsid(process.pid) == leader and process.status() != psutil.STATUS_ZOMBIE
     except (psutil.Error, OSError):
         return False  # it has just ended, or is somebody else's
-
-
-def _leave_with_parent() -> None:
-    """End the whole session when the parent has ended, however that came about: Ray itself would stay for a minute."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        end_session(os.getpid())
-        os._exit(1)
 
 
 def _join(ray: Any, address: str | None) -> None:

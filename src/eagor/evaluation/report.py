@@ -24,13 +24,13 @@ def write_report(folders: Path | Sequence[Path], open_place: Any = None, out: Pa
     named = [Path(folders)] if isinstance(folders, str | Path) else [Path(folder) for folder in folders]
     if not named:
         raise EagorError("no run is named; wanted the folder of one or several")
-    found = [studies.of(folder) for folder in named]
-    if len(names := {study.name for study in found}) > 1:
+    runs = [studies.read(folder) for folder in named]
+    if len(names := {run.study.name for run in runs}) > 1:
         raise EagorError(f"the runs are of {', '.join(sorted(names))}; one report is about one benchmark")
-    study = found[0]
+    study = runs[0].study
     if len(named) > 1 and not study.several:
-        raise EagorError("a run of a simulated task is reported alone, into its own folder")
-    told = study.report([study.read(folder) for folder in named], open_place)
+        raise EagorError("a run of a simulated task is reported alone; name one folder")
+    told = study.report(runs, open_place)
     place = Path(out or named[0])
     path = place / "report.html"
     written(path, page.document(told.title, told.lead, told.sections))

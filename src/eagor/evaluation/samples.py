@@ -1,19 +1,20 @@
-"""From records to figures per episode, and from those to means with their uncertainty.
+"""From records to values by case, and from those to means and differences with their uncertainty.
 
-Episodes of one apartment (the "seed") share its rooms and light, so whole apartments are resampled, always with the
-same seed.
+Cases of one group share luck (the episodes of one apartment its rooms and light; those of a benchmark's cluster its
+scene or target), so whole groups are resampled, always with the same seed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.statistics import paired_difference, wilson_interval
+from eagor.statistics import bootstrap_interval, paired_difference, wilson_interval
+from eagor.tasks.benchmark import Figure
 from eagor.tasks.task import Column
 
 SEED = 20260
@@ -22,17 +23,7 @@ LEVEL = 0.95
 FEW = 10  # groups (apartments, clusters), below which intervals that resample them are too narrow to be trusted
 
 Record = Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Cell:
-    """A mean over `n` episodes of `groups` apartments; low and high are None where there is too little to tell."""
-
-    value: float
-    low: float | None
-    high: float | None
-    n: int
-    groups: int
+Measured = Column | Figure  # a column of the table of a simulated task, or of a benchmark
 
 
 @dataclass(frozen=True)
@@ -50,15 +41,34 @@ class Gap:
 
 @dataclass(frozen=True)
 class Sample:
-    """A method's figures of one column: `values` and `groups` by episode."""
+    """The values of one column by case, and which group each case shares its luck with.
+
+    `kinds`: of a figure that is a mean of means, the kind of each case; else empty.
+    """
 
     values: dict[str, float]
     groups: dict[str, Any]
+    kinds: dict[str, str]
+
+    def only(self, cases: Sequence[str]) -> Sample:
+        """The part with these cases."""
+        return Sample(*({case: part[case] for case in cases if part} for part in vars(self).values()))
+
+    @property
+    def mean(self) -> float:
+        """Of all values, or of the means of the kinds."""
+        values = np.array(list(self.values.values()))
+        return _mean_of_means(values, self.kinds)(np.arange(len(values))) if self.kinds else float(values.mean())
 
 
-def apartment(record: Record) -> Any:
-    """Which episodes belong together: those of one apartment."""
-    return record["episode"].get("seed", record["episode"]["id"])
+def case_of(record: Record) -> str:
+    """What a result is called: the case of a benchmark, the episode of a simulated task."""
+    return record["case"] if "case" in record else record["episode"]["id"]
+
+
+def group_of(record: Record) -> Any:
+    """Which cases share luck: those of one apartment, or of one cluster of a benchmark."""
+    return record["cluster"] if "cluster" in record else record["episode"].get("seed", record["episode"]["id"])
 
 
 def numbers(values: Sequence[float | bool | None]) -> np.ndarray:
@@ -69,6 +79,11 @@ def numbers(values: Sequence[float | bool | None]) -> np.ndarray:
 def finished(records: Iterable[Record]) -> list[Record]:
     """The records that hold a result."""
     return [record for record in records if record["status"] == "ok"]
+
+
+def played_by(records: Iterable[Record], method: str | None) -> list[Record]:
+    """The records with a result of `method`; of a benchmark (None), all with a result."""
+    return [record for record in finished(records) if method is None or method in record["methods"]]
 
 
 def cause_of(record: Record) -> str | None:
@@ -97,36 +112,56 @@ def method_names(records: Iterable[Record]) -> set[str]:
     return {name for record in finished(records) for name in record["methods"]}
 
 
-def sample(records: Sequence[Record], method: str, column: Column) -> Sample:
-    """The figures of `method` in `column`, in the column's unit, of the episodes that have one."""
-    values, groups = {}, {}
+def sample(records: Iterable[Record], method: str | None, column: Measured) -> Sample:
+    """The figures of `method` (None: a benchmark's records have none) in `column`, of the cases that have one."""
+    found = Sample({}, {}, {})
     for record in finished(records):
-        found = record["methods"].get(method)
-        if found is None:
+        if (value := column.of(record, method)) is None:
             continue
-        metrics = found["metrics"]
-        value = metrics.get(column.metric)
-        if value is None or (column.only_if and not metrics.get(column.only_if)):
-            continue
-        name = record["episode"]["id"]
-        if name in values:
-            raise EagorError(f"the episode {name!r} has two results of {method}; give each episode an id of its own")
-        values[name], groups[name] = column.scale * float(value), apartment(record)
-    return Sample(values, groups)
+        case = case_of(record)
+        if case in found.values:
+            whose = f" of {method}" if method else ""
+            raise EagorError(f"{case!r} has two results{whose}; give each episode or case an id of its own")
+        found.values[case] = value
+        found.groups[case] = group_of(record)
+        if column.over:
+            found.kinds[case] = column.over(record)
+    return found
 
 
-def cell(found: Sample, column: Column) -> Cell | None:
-    """The mean of a sample with its 95 % interval: Wilson's for shares, a cluster bootstrap for the rest."""
-    if not found.values:
+def wilson(values: Collection[float], scale: float) -> list[float]:
+    """Wilson's 95 % interval of the mean of `values`, which are 0 or `scale`."""
+    ends = wilson_interval(round(sum(values) / scale), len(values), LEVEL)
+    return [scale * ends.low, scale * ends.high]
+
+
+def clustered(found: Sample) -> list[float] | None:
+    """The 95 % interval of the mean by a bootstrap of whole groups; None with fewer than two."""
+    values, labels = np.array(list(found.values.values())), list(found.groups.values())
+    if len(set(labels)) < 2:
         return None
-    values = np.array(list(found.values.values()))
-    labels = list(found.groups.values())
-    value, n, groups = float(values.mean()), len(values), len(set(labels))
-    if column.share:
-        interval = wilson_interval(round(float(values.sum()) / column.scale), n, LEVEL)
-        return Cell(value, column.scale * interval.low, column.scale * interval.high, n, groups)
-    low, high = mean_intervals(values[:, None], labels)
-    return Cell(value, low[0], high[0], n, groups)
+    if not found.kinds:
+        low, high = mean_intervals(values[:, None], labels)
+        return None if low[0] is None or high[0] is None else [low[0], high[0]]
+    return _ends(_mean_of_means(values, found.kinds), labels)
+
+
+def _ends(statistic: Callable[[np.ndarray], float], labels: Sequence[Any]) -> list[float]:
+    """The bootstrap's interval of a statistic of the indices of the cases."""
+    ends = bootstrap_interval(np.arange(len(labels)), np.random.default_rng(SEED), LEVEL, statistic, labels, RESAMPLES)
+    return [ends.low, ends.high]
+
+
+def _mean_of_means(values: np.ndarray, kinds: Mapping[str, str]) -> Callable[[np.ndarray], float]:
+    """What takes indices into `values` ``(n,)`` and returns the mean over their `kinds` of the mean over each kind."""
+    place = np.unique(list(kinds.values()), return_inverse=True)[1]
+
+    def mean(indices: np.ndarray) -> float:
+        rows = indices.astype(np.intp)
+        sums, counts = np.bincount(place[rows], values[rows]), np.bincount(place[rows])
+        return float((sums[counts > 0] / counts[counts > 0]).mean())
+
+    return mean
 
 
 def mean_intervals(values: np.ndarray, labels: Sequence[Any]) -> tuple[list[float | None], list[float | None]]:
@@ -154,19 +189,22 @@ def mean_intervals(values: np.ndarray, labels: Sequence[Any]) -> tuple[list[floa
 
 
 def gap(a: Sample, b: Sample) -> Gap | None:
-    """Mean of a - b over the episodes that both have; None with fewer than two apartments."""
-    shared = [name for name in a.values if name in b.values]
-    labels = [a.groups[name] for name in shared]
+    """Mean of a - b over the cases that both have; None with fewer than two groups."""
+    shared = [case for case in a.values if case in b.values]
+    a, b = a.only(shared), b.only(shared)
+    labels = list(a.groups.values())
     if len(set(labels)) < 2:
         return None
-    found = paired_difference(
-        [a.values[name] for name in shared],
-        [b.values[name] for name in shared],
-        np.random.default_rng(SEED),
-        groups=labels,
-        level=LEVEL,
-    )
-    return Gap(found.difference, found.interval.low, found.interval.high, found.p, found.n, found.groups)
+    x, y = (np.array(list(part.values.values())) for part in (a, b))
+    weights = np.ones(len(shared))
+    if a.kinds:  # with these, a plain mean is the mean of the kinds' means
+        _, place, counts = np.unique(list(a.kinds.values()), return_inverse=True, return_counts=True)
+        weights = len(shared) / (len(counts) * counts[place])
+    found = paired_difference(weights * x, weights * y, np.random.default_rng(SEED), groups=labels, level=LEVEL)
+    low, high = found.interval.low, found.interval.high
+    if a.kinds:  # groups that are drawn hold other shares of the kinds
+        low, high = _ends(_mean_of_means(x - y, a.kinds), labels)
+    return Gap(found.difference, low, high, found.p, found.n, found.groups)
 
 
 def lowest_p(groups: int, tests: int = 1) -> float:

@@ -14,7 +14,7 @@ from eagor.errors import WorldError
 from eagor.evaluation.charts import blank, colour_of, look_of, style_of
 from eagor.evaluation.charts import finished as drawn
 from eagor.evaluation.published import OURS, is_rival, ordered
-from eagor.evaluation.samples import Record, finished
+from eagor.evaluation.samples import Record, played_by
 
 if TYPE_CHECKING:
     from eagor.tasks.places import Place
@@ -30,20 +30,24 @@ OpenPlace = Callable[[str, int, float], "Place"]
 
 def chosen(records: Sequence[Record], task: Task) -> dict[str, Record]:
     """The best, the median and the worst episode of our default method (fewer, where there are fewer)."""
-    ranked = sorted((record for record in finished(records) if OURS in record["methods"]), key=lambda r: _rank(r, task))
-    if not ranked:
+    those = ranked(records, task, OURS)
+    if not those:
         return {}
-    places = {"best": 0, "median": len(ranked) // 2, "worst": len(ranked) - 1}
+    places = {"best": 0, "median": len(those) // 2, "worst": len(those) - 1}
     found: dict[str, Record] = {}
     for name, place in places.items():
-        if ranked[place] not in found.values():
-            found[name] = ranked[place]
+        if those[place] not in found.values():
+            found[name] = those[place]
     return found
 
 
-def _rank(record: Record, task: Task) -> tuple[float, ...]:
+def ranked(records: Sequence[Record], task: Task, method: str) -> list[Record]:
+    """The episodes that `method` has played, best first: by its error, after success and path length."""
+    return sorted(played_by(records, method), key=lambda record: _rank(record["methods"][method], task))
+
+
+def _rank(entry: Mapping[str, Any], task: Task) -> tuple[float, ...]:
     """Lower is better."""
-    entry = record["methods"][OURS]
     if task.walked:
         metrics = entry["metrics"]
         return -metrics["success"], -metrics["spl"], metrics["mae"]

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
 
-from eagor.evaluation import curves, parts
+from eagor.evaluation import parts
 from eagor.evaluation.kernels import half_width_deg, highest_sidelobe
-from eagor.evaluation.page import Box, Row, Sheet
+from eagor.evaluation.page import Box, Row, Sheet, box, span
 from eagor.evaluation.published import FIGURES, OURS, PAPERS, RIVALS, is_ablation, is_rival
 from eagor.evaluation.samples import FEW, Gap, Record, gap, lowest_p, sample
-from eagor.evaluation.tables import SIGNIFICANT, best, corrected, mark, shown, shown_columns
+from eagor.evaluation.tables import SIGNIFICANT, best, corrected, headed, mark, shown, shown_columns
 from eagor.tasks.task import Column, load
 
 DAGGER = {"-": "†", "+": "‡", "": ""}
@@ -139,7 +139,7 @@ def ordering_sheet(records: Sequence[Record], task: str) -> Sheet | None:
             margin, value = ahead * (1 if column.better == "low" else -1), measured[column.key]
             claimed.append(Box(shown(margin, column, True)))
             verdicts.append(verdict(margin, value))
-            ends = f"{shown(value.low, column, True)} to {shown(value.high, column, True)}" if value else ""
+            ends = span((value.low, value.high), column.digits, True) if value else ""
             boxes.append(Box(shown(value and value.difference, column, True), ends, verdicts[-1]))
         rows.append(Row(f"over {rival}: published", tuple(claimed), "paper"))
         rows.append(Row(f"over {rival}: measured", tuple(boxes)))
@@ -172,9 +172,8 @@ def coverage_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet 
     for name, row in summary["methods"].items():
         if is_ablation(name) or row["coverage"] is None:
             continue
-        found = [curves.coverage(records, name, visible) for visible in (True, False)]
-        parts = [Box(shown(c.y[0], column), _interval((c.low[0], c.high[0]), column)) if c else Box("–") for c in found]
-        rows.append(_row(name, [_box(summary, name, column), *parts]))
+        found = [_part_box(parts.coverage(records, name, visible)) for visible in (True, False)]
+        rows.append(_row(name, [_box(summary, name, column), *found]))
     if not rows:
         return None
     note = (
@@ -211,9 +210,7 @@ def parts_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet | N
 
 
 def _part_box(value: parts.Part | None) -> Box:
-    if value is None:
-        return Box("–")
-    return Box(f"{value.mean:.1f}", "" if value.low is None else f"{value.low:.1f} to {value.high:.1f}")
+    return box(value.mean, (value.low, value.high)) if value else box(None)
 
 
 def ablation_sheets(summary: dict[str, Any], degrees: dict[str, int]) -> list[Sheet]:
@@ -262,13 +259,9 @@ def degree_of(name: str) -> int | None:
 
 def _kernel_boxes(degree: int | None) -> tuple[Box, ...]:
     if degree is None:
-        return (Box("–"),) * 3
-    width, ripple = half_width_deg(degree), highest_sidelobe(degree)
-    return (
-        Box(str(degree)),
-        Box("–" if width is None else f"{width:.1f}"),
-        Box("–" if ripple is None else f"{100 * ripple:.1f}"),
-    )
+        return (box(None),) * 3
+    ripple = highest_sidelobe(degree)
+    return Box(str(degree)), box(half_width_deg(degree)), box(None if ripple is None else 100 * ripple)
 
 
 def _row(name: str, boxes: Sequence[Box]) -> Row:
@@ -276,8 +269,7 @@ def _row(name: str, boxes: Sequence[Box]) -> Row:
 
 
 def _heads(columns: Sequence[Column], first: str = "method") -> tuple[str, ...]:
-    arrows = {"low": " ↓", "high": " ↑", None: ""}
-    return (first, *(f"{c.title}{arrows[c.better]}{f', {c.unit}' if c.unit else ''}" for c in columns))
+    return (first, *map(headed, columns))
 
 
 def _boxes(summary: dict[str, Any], name: str, columns: Sequence[Column], rivals: Sequence[str]) -> tuple[Box, ...]:
@@ -286,12 +278,8 @@ def _boxes(summary: dict[str, Any], name: str, columns: Sequence[Column], rivals
 
 def _box(summary: dict[str, Any], name: str, column: Column, winner: bool = False) -> Box:
     value, interval = summary["methods"][name][column.key], summary["intervals"][name][column.key]
-    low_high = _interval(interval, column) if interval else ""
-    return Box(shown(value, column), low_high, DAGGER[mark(summary, name, column)], winner)
-
-
-def _interval(ends: Sequence[float | None], column: Column) -> str:
-    return "" if None in ends else f"{shown(ends[0], column)} to {shown(ends[1], column)}"
+    small = span(interval, column.digits, column.key == "delta")
+    return Box(shown(value, column), small, DAGGER[mark(summary, name, column)], winner)
 
 
 def _cases(summary: dict[str, Any], names: Sequence[str], columns: Sequence[Column]) -> str:

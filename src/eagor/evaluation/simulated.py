@@ -3,49 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from eagor import worlds
 from eagor._version import __version__
 from eagor.errors import EagorError
-from eagor.evaluation import export, figures, ledger, scenes, sheets, tables
+from eagor.evaluation import export, figures, scenes, sheets, tables
 from eagor.evaluation.charts import legend
 from eagor.evaluation.page import Facts, Folded, Heading, Part, Pictures, Section, Sheet, Text, could_not
 from eagor.evaluation.published import OURS, PAPERS, is_ablation, is_rival, ordered
 from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, computing_time, finished
-from eagor.evaluation.study import Report, Settings, Summary, Told
+from eagor.evaluation.study import Report, Settings, Summary, Told, Worst
 from eagor.evaluation.tables import shown
+from eagor.tasks.episodes import PER_PLACE
 from eagor.tasks.rules import Camera
-from eagor.tasks.task import Task, load
+from eagor.tasks.task import Task
+
+EXPORTS = {
+    "jsonl": "all records as JSON lines, one per unit of work",
+    "csv": "a row per episode and method with its figures",
+}
 
 
-@dataclass(frozen=True)
 class Simulated:
     """See `eagor.evaluation.study.Study`."""
 
-    task: Task
     work = "eagor.tasks.play:work"
     case, several = "episode", False
+    alike, exports = ("world",), EXPORTS
 
-    @classmethod
-    def of(cls, settings: Settings, folder: Path) -> Simulated:
-        """The study of a run: its records name their task, or else run.json does."""
-        return cls(tables.task_of(_records(settings, folder)))
-
-    @property
-    def name(self) -> str:
-        """Of the task."""
-        return self.task.name
+    def __init__(self, task: Task) -> None:
+        self.task, self.name, self.columns = task, task.name, task.columns
 
     def offer(self) -> dict[str, Any]:
-        return {"title": self.task.title, "what": self.task.what, "worlds": sorted(worlds.known())}
+        known = {"worlds": sorted(worlds.known()), "exports": EXPORTS}
+        return {"title": self.task.title, "what": self.task.what, **known}
 
-    def read(self, folder: Path) -> Told:
-        settings = ledger.description(folder)
-        records = _records(settings, folder)
-        return Told(settings, records, tables.summarise(records))
+    def told(self, settings: Settings, records: Sequence[Record]) -> Told:
+        return Told(self, settings, records, tables.summarise(records))
 
     def as_text(self, summary: Summary) -> list[str]:
         return tables.as_text(summary)
@@ -57,43 +53,73 @@ class Simulated:
         (run,) = runs
         summary, task, good, degrees = run.summary, self.task, finished(run.records), _degrees(run.settings)
         main = sheets.main_sheet(summary)
-        ordering = sheets.ordering_sheet(good, task.name)
-        made_of = sheets.parts_sheet(good, summary)
-        covered = sheets.coverage_sheet(good, summary)
+        ordering = _there(sheets.ordering_sheet(good, task.name))
+        made_of = _there(sheets.parts_sheet(good, summary))
+        covered = _there(sheets.coverage_sheet(good, summary))
         strata = sheets.strata_sheets(summary)
         varied = sheets.ablation_sheets(summary, degrees)
         named = [(f"{c.title}{f' ({c.unit})' if c.unit else ''}", c.what) for c in task.columns]
-        sections = [Section("figures", "Figures", [main, Folded("What the columns are", [Facts(named)])])]
-        if ordering is not None:
-            sections.append(Section("ordering", "How far the paper's ordering carries over", [ordering]))
-        if made_of is not None:
-            sections.append(Section("parts", "What the errors are made of", [made_of]))
-        sections += figures.curve_sections(good, task)
-        if strata:
-            sections.append(Section("strata", "By kind of episode", strata))
-        if covered is not None:
-            parts = [covered, *figures.reliability_chart(good)]
-            sections.append(Section("coverage", "How honest the stated regions are", parts))
-        if varied:
-            sections.append(Section("variants", "Variants", [*varied, *figures.kernel_chart(summary, degrees)]))
-        shown_ones = _episodes(good, task, run.settings, open_place)
-        sections.append(Section("episodes", "Three episodes to look at", shown_ones))
-        if summary["failed"]:
-            sections.append(Section("failed", "What could not be run", could_not(summary)))
-        facts = _facts(run)
-        kept: list[Sheet | None] = [main, ordering, made_of, *strata, covered, *varied]
+        honest = [*covered, *figures.reliability_chart(good)] if covered else []
+        variants = [*varied, *figures.kernel_chart(summary, degrees)] if varied else []
+        sections = [
+            Section("figures", "Figures", [main, Folded("What the columns are", [Facts(named)])]),
+            Section("ordering", "How far the paper's ordering carries over", ordering),
+            Section("parts", "What the errors are made of", made_of),
+            *figures.curve_sections(good, task),
+            Section("strata", "By kind of episode", strata),
+            Section("coverage", "How honest the stated regions are", honest),
+            Section("variants", "Variants", variants),
+            Section("episodes", "Three episodes to look at", _episodes(good, task, run.settings, open_place)),
+            Section("failed", "What could not be run", could_not(summary) if summary["failed"] else []),
+        ]
+        facts = _facts(run, task)
         return Report(
             f"{task.title}: {summary['episodes']} episodes, {len(summary['methods'])} methods",
             [*_lead(run, task), Facts(facts)],
-            sections,
+            [section for section in sections if section.parts],
             facts,
-            [sheet for sheet in kept if sheet is not None],
+            [main, *ordering, *made_of, *strata, *covered, *varied],
             {"tables.csv": export.table_csv(summary)},
         )
 
+    def worst(self, run: Told, method: str | None = None) -> Worst:
+        named = method or (OURS if OURS in run.methods else next(iter(run.methods), OURS))
+        if run.methods and named not in run.methods:
+            raise EagorError(f"the run has no method {named!r}; it has {', '.join(run.methods)}")
+        ranked = scenes.ranked(run.records, self.task, named)[::-1]
+        said = {key: run.summary[key] for key in ("task", "episodes", "failed", "failures")} | {"method": named}
+        lines, cases = [], []
+        for record in ranked:
+            episode = record["episode"]
+            lines.append(f"{episode['id']}  {episode['query']!r}  {_said(record, self.task, named)}")
+            cases.append(
+                {
+                    "case": episode["id"],
+                    "query": episode["query"],
+                    "figures": {column.key: column.of(record, named) for column in self.columns},
+                    "scene": episode.get("scene"),
+                    "unit": _unit(run, record, named),
+                }
+            )
+        return Worst(lines, cases, [], said)
 
-def _records(settings: Settings, folder: Path) -> list[dict[str, Any]]:
-    return [{"task": settings.get("task"), **record} for record in ledger.recorded(folder)]
+    def export(self, to: str, run: Told, folder: Path) -> list[Path]:
+        return [export.records_csv(run, folder) if to == "csv" else export.records_jsonl(run, folder)]
+
+
+def _unit(run: Told, record: Record, method: str) -> dict[str, Any] | None:
+    """What `eagor.tasks.play.work` is given to play an episode again; None where the record does not say."""
+    episode, first = record["episode"], run.settings.get("seed")
+    world, seed, index = (episode.get(key) for key in ("world", "seed", "index"))
+    if world is None or not all(isinstance(value, int) for value in (first, seed, index)):
+        return None
+    number = (seed - first) * PER_PLACE + index  # by which some tasks deal their scenarios
+    slot = {"task": run.study.name, "world": world, "seed": seed, "index": index, "number": number}
+    return {"slot": slot, "methods": [method]}
+
+
+def _there(sheet: Sheet | None) -> list[Sheet]:
+    return [] if sheet is None else [sheet]
 
 
 def _lead(run: Told, task: Task) -> list[Part]:
@@ -118,11 +144,11 @@ def _lead(run: Told, task: Task) -> list[Part]:
     return lead
 
 
-def _facts(run: Told) -> list[tuple[str, str]]:
+def _facts(run: Told, task: Task) -> list[tuple[str, str]]:
     """What was run, from run.json and the records."""
     config, records, summary, words = run.settings, run.records, run.summary, export.words
     seeds = sorted({record["episode"]["seed"] for record in finished(records) if "seed" in record["episode"]})
-    pairs = [("Task", load(summary["task"]).title)]
+    pairs = [("Task", task.title)]
     pairs += [(name.capitalize(), words(config[name])) for name in ("perception", "world", "rows") if name in config]
     if seeds:
         spread = f"{seeds[0]} to {seeds[-1]} ({len(seeds)} of them)" if len(seeds) > 1 else str(seeds[0])
@@ -211,13 +237,8 @@ def _pictures(place: Any, record: Record, records: Sequence[Record], task: Task)
     return [Pictures(above, "map"), Pictures(scenes.strip(place, record), "strip"), Text(caption, "note")]
 
 
-def _said(record: Record, task: Task) -> str:
-    """The episode's figures in words."""
-    metrics = record["methods"][OURS]["metrics"]
-    found = []
-    for column in task.columns:
-        value = metrics.get(column.metric)
-        if value is None or (column.only_if and not metrics.get(column.only_if)):
-            continue
-        found.append(f"{column.title} {shown(column.scale * value, column)}{column.unit}")
-    return f"{OURS}: {', '.join(found)}."
+def _said(record: Record, task: Task, method: str = OURS) -> str:
+    """The figures of a method in an episode, in words."""
+    values = [(column, column.of(record, method)) for column in task.columns]
+    told = ", ".join(f"{c.title} {shown(value, c)}{c.unit}" for c, value in values if value is not None)
+    return f"{method}: {told}."

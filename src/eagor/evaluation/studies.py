@@ -7,10 +7,10 @@ from typing import Any
 
 from eagor import plugins
 from eagor.errors import EagorError
-from eagor.evaluation import ledger
+from eagor.evaluation import ledger, tables
 from eagor.evaluation.benchmarks import KIND, Published
 from eagor.evaluation.simulated import Simulated
-from eagor.evaluation.study import Study
+from eagor.evaluation.study import Study, Told
 from eagor.tasks import benchmark, task
 
 SIMULATED, PUBLISHED = "simulated", "published data"
@@ -30,12 +30,15 @@ def load(name: str) -> Study:
     raise EagorError(f"there is no task {name!r}; known are {', '.join(known())}")
 
 
-def of(folder: Path) -> Study:
-    """The study whose run is in `folder`. Raises `FormatError` if it is no run."""
+def read(folder: Path) -> Told:
+    """The run in `folder`. Raises `FormatError` if it is none, `EagorError` if it has no records; as `Study.told`."""
     settings = ledger.description(folder)
-    if settings.get("kind") == KIND:
-        return Published.of(settings, folder)
-    return Simulated.of(settings, folder)
+    study = Published.of(settings, folder) if settings.get("kind") == KIND else None
+    records = ledger.recorded(folder)
+    if study is None:  # the records name their task, or else run.json does
+        records = [{"task": settings.get("task"), **record} for record in records]
+        study = Simulated(tables.task_of(records))
+    return study.told(settings, records)
 
 
 def offers() -> dict[str, dict[str, Any]]:

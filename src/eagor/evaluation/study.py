@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from eagor.evaluation.page import Part, Section, Sheet
-from eagor.evaluation.samples import Record
+from eagor.evaluation.samples import Measured, Record
 from eagor.evaluation.units import Unit
 
 Settings = Mapping[str, Any]
@@ -21,11 +21,30 @@ Summary = dict[str, Any]
 
 @dataclass(frozen=True)
 class Told:
-    """A run as its folder tells it: ``run.json``, the records, and what they come to."""
+    """A run as its folder tells it: its study, ``run.json``, the records, and what they come to."""
 
+    study: Study
     settings: Settings
     records: Sequence[Record]
     summary: Summary
+
+    @property
+    def methods(self) -> list[str]:
+        """Which methods have results; none of a benchmark's run, which has one agent."""
+        return list(self.summary.get("methods", ()))
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The cases of a run that went worst, worst first: a line and a JSON object each.
+
+    `sheets`: tables of why cases failed; `said`: what else JSON has.
+    """
+
+    lines: Sequence[str]
+    cases: Sequence[dict[str, Any]]
+    sheets: Sequence[Sheet]
+    said: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -60,7 +79,8 @@ class Study(Protocol):
 
     `work`: ``"package.module:function"``; ``function(settings)`` returns what plays one unit's payload and returns its
     record. `case`: what a unit's result is called ("episode", "case"). `several`: whether one report may be about
-    several runs.
+    several runs. `columns`: the figures of its table; `alike`: the settings in which runs must agree to be compared;
+    `exports`: what a run can be written as, and a line about each.
     """
 
     @property
@@ -71,13 +91,19 @@ class Study(Protocol):
     def case(self) -> str: ...
     @property
     def several(self) -> bool: ...
+    @property
+    def columns(self) -> Sequence[Measured]: ...
+    @property
+    def alike(self) -> Sequence[str]: ...
+    @property
+    def exports(self) -> Mapping[str, str]: ...
 
     def offer(self) -> dict[str, Any]:
         """What ``eagor bench list --json`` says of it."""
         ...
 
-    def read(self, folder: Path) -> Told:
-        """The run in `folder`. Raises `EagorError` without records; `FormatError`, naming it, for a malformed one."""
+    def told(self, settings: Settings, records: Sequence[Record]) -> Told:
+        """The run that these are of. Raises `FormatError`, which names it, for a malformed record."""
         ...
 
     def as_text(self, summary: Summary) -> list[str]:
@@ -90,4 +116,12 @@ class Study(Protocol):
 
     def report(self, runs: Sequence[Told], open_place: Any = None) -> Report:
         """The report of one or several runs; `open_place` makes a world again, for pictures."""
+        ...
+
+    def worst(self, run: Told, method: str | None) -> Worst:
+        """The worst cases of a run; of a simulated one, those of `method` (None: ours, else the first)."""
+        ...
+
+    def export(self, to: str, run: Told, folder: Path) -> list[Path]:
+        """Write what `exports` names `to` into `folder`; returns the files. `run` may have no records."""
         ...

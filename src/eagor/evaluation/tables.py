@@ -5,26 +5,27 @@ Shares are in percent, angles in degrees; a cell without cases is None. All is p
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
 from eagor.errors import EagorError
-from eagor.evaluation.page import in_columns
+from eagor.evaluation.page import in_columns, number
 from eagor.evaluation.published import OURS, compared_with, is_ablation, is_rival, ordered
 from eagor.evaluation.samples import (
-    Cell,
     Gap,
+    Measured,
     Record,
     Sample,
-    apartment,
-    cell,
+    clustered,
     failures,
     finished,
     gap,
+    group_of,
     holm,
     method_names,
     sample,
+    wilson,
 )
 from eagor.evaluation.shapes import IN_LEGS, SIMULATED, WALKED, WATCHED, checked
 from eagor.tasks.task import Column, Task, known, load
@@ -56,7 +57,7 @@ def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any
     return {
         "task": task.name,
         "episodes": len({record["episode"]["id"] for record in good}),
-        "apartments": len({apartment(record) for record in good}),
+        "apartments": len({group_of(record) for record in good}),
         "failed": len(records) - len(good),
         **cells,
         "reference": reference,
@@ -125,13 +126,15 @@ def shown_columns(summary: dict[str, Any]) -> list[Column]:
     return [column for column in load(summary["task"]).columns if any(row[column.key] is not None for row in rows)]
 
 
-def shown(value: float | None, column: Column, sign: bool = False) -> str:
-    """A figure as text; a dash where there is no case."""
-    if value is None:
-        return "–"
-    value = round(value, column.digits) + 0.0  # no negative zero
-    text = f"{value:{'+' if value and (sign or column.key == 'delta') else ''}.{column.digits}f}"
-    return text.replace("-", "−")
+def headed(column: Measured) -> str:
+    """The head of a column: its title, an arrow to its better side, its unit."""
+    arrow = {"low": " ↓", "high": " ↑", None: ""}[column.better]
+    return f"{column.title}{arrow}{f', {column.unit}' if column.unit else ''}"
+
+
+def shown(value: float | None, column: Measured, sign: bool = False) -> str:
+    """A figure of a column as text; a dash where there is no case."""
+    return number(value, column.digits, sign or column.key == "delta")
 
 
 def corrected(gaps: dict[tuple[str, ...], Gap | None]) -> dict[tuple[str, ...], dict[str, Gap | None]]:
@@ -150,16 +153,17 @@ def _cells(records: Sequence[Record], columns: Sequence[Column]) -> tuple[dict[s
         name: {column.key: sample(records, name, column) for column in columns}
         for name in ordered(method_names(records))
     }
-    cells: dict[str, dict[str, Cell | None]] = {
-        name: {column.key: cell(row[column.key], column) for column in columns} for name, row in samples.items()
-    }
+
+    def each(cell: Callable[[Sample, Column], Any], nothing: Any = None) -> dict[str, dict[str, Any]]:
+        return {
+            name: {c.key: cell(row[c.key], c) if row[c.key].values else nothing for c in columns}
+            for name, row in samples.items()
+        }
+
     return {
-        "methods": {name: {key: c and c.value for key, c in row.items()} for name, row in cells.items()},
-        "intervals": {
-            name: {key: [c.low, c.high] if c and c.low is not None else None for key, c in row.items()}
-            for name, row in cells.items()
-        },
-        "counts": {name: {key: c.n if c else 0 for key, c in row.items()} for name, row in cells.items()},
+        "methods": each(lambda found, _: found.mean),
+        "intervals": each(lambda found, c: wilson(found.values.values(), c.scale) if c.share else clustered(found)),
+        "counts": each(lambda found, _: len(found.values), 0),
     }, samples
 
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 from eagor import plugins
 from eagor._checks import whole, within
@@ -97,6 +97,16 @@ class Figure:
     what: str
     read: Callable[[Record], float | None]
     over: Callable[[Record], str] | None = None
+    unit: ClassVar[str] = "%"
+    better: ClassVar[str] = "high"
+    scale: ClassVar[float] = 100.0
+    digits: ClassVar[int] = 2
+    share: ClassVar[bool] = True
+
+    def of(self, record: Record, method: str | None = None) -> float | None:
+        """What a record contributes, per cent; None if it does not belong here. No benchmark's record has methods."""
+        value = self.read(record)
+        return None if value is None else self.scale * value
 
 
 @runtime_checkable

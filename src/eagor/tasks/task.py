@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -47,6 +47,15 @@ class Column:
     share: bool = False
     only_if: str | None = None
     why: str = ""
+    over: ClassVar[None] = None
+
+    def of(self, record: Mapping[str, Any], method: str | None) -> float | None:
+        """The figure of `method` in a record, in `unit`; None where there is no case."""
+        metrics = record["methods"][method]["metrics"] if method in record["methods"] else {}
+        value = metrics.get(self.metric)
+        if value is None or (self.only_if and not metrics.get(self.only_if)):
+            return None
+        return self.scale * float(value)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,214 @@
+"""Comparisons, worst episodes and exports of runs of any study, from the command line."""
+
+import csv
+import io
+import json
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import hstar_data
+import pytest
+import synthetic_runs
+
+from eagor.cli import main
+from eagor.evaluation import ledger, studies
+from eagor.tasks import play, task
+from eagor.tasks.episodes import slots
+from eagor.tasks.simulated import TRACKING
+
+OURS_ALONE = replace(TRACKING, name="mine", title="Mine")  # as a package would bring it
+RULES = {
+    "waypoint": ("--episodes", 2),
+    "navigation": ("--episodes", 2, "--set", "max_steps=12"),
+    "tracking": ("--episodes", 2),
+    "mine": ("--episodes", 2),
+}
+
+
+def bench(*words):
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        code = main(["bench", *map(str, words)])
+    return code, out.getvalue(), err.getvalue()
+
+
+def answer(*words):
+    code, out, err = bench(*words, "--json")
+    assert code == 0, err
+    return json.loads(out)
+
+
+def refused(*words):
+    code, out, err = bench(*words)
+    assert (code, out) == (2, ""), err
+    return err
+
+
+@pytest.fixture(scope="module", params=RULES)
+def played(request, tmp_path_factory):
+    """A tiny run of each task, by two methods."""
+    out = tmp_path_factory.mktemp(request.param) / "run"
+    words = ("--perception", "truth", "--seed", 3, "--methods", "vmf,eagor", *RULES[request.param])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(task.BUILT_IN, "mine", f"{__name__}:OURS_ALONE")
+        assert bench("run", request.param, *words, "--out", out)[0] == 0
+        yield out
+
+
+@pytest.fixture(scope="module")
+def made_up(tmp_path_factory):
+    """Two runs of one task, the second of fewer apartments, and one of another task."""
+    home = tmp_path_factory.mktemp("made up")
+    synthetic_runs.write_run(home / "a", synthetic_runs.waypoint(seed=0, apartments=6, methods=("vmf", "eagor")))
+    synthetic_runs.write_run(home / "b", synthetic_runs.waypoint(seed=1, apartments=5), perception="scout")
+    synthetic_runs.write_run(home / "other", synthetic_runs.tracking(apartments=2))
+    return home
+
+
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory):
+    home = tmp_path_factory.mktemp("searched")
+    words = ("--data", hstar_data.write(home), "--perception", "truth:miss=0.5", "--out", home / "run")
+    assert bench("run", "hstar-hos", *words)[0] == 0
+    return home / "run"
+
+
+def test_two_methods_of_a_run_differ_as_its_table_says(made_up):
+    found = answer("compare", made_up / "a", "--methods", "vmf", "eagor")
+    assert (found["task"], found["methods"], found["cases"]) == ("waypoint", ["vmf", "eagor"], 18)
+    assert (found["only_in_a"], found["only_in_b"], found["settings"]) == (0, 0, {})
+    table = studies.read(made_up / "a").summary["differences"]["vmf"]
+    for key, row in table.items():
+        figure = found["figures"][key]
+        assert [figure[name] for name in ("difference", "low", "high", "p", "n", "clusters")] == pytest.approx(
+            [row[name] for name in ("difference", "low", "high", "p", "n", "groups")]
+        )
+
+
+def test_two_runs_are_compared_on_the_episodes_that_both_have(made_up):
+    found = answer("compare", made_up / "a", made_up / "b")
+    assert (found["methods"], found["cases"]) == (["eagor", "eagor"], 15)
+    assert (found["only_in_a"], found["only_in_b"]) == (3, 0)
+    assert found["settings"]["perception"] == ["oracle", "scout"]
+    both = [{r["episode"]["id"]: r for r in ledger.read(made_up / name)} for name in "ab"]
+    gaps = [
+        both[0][name]["methods"]["eagor"]["metrics"]["L4"] - record["methods"]["eagor"]["metrics"]["L4"]
+        for name, record in both[1].items()
+    ]
+    figure = found["figures"]["L4"]
+    assert figure["difference"] == pytest.approx(figure["a"] - figure["b"]) == pytest.approx(sum(gaps) / len(gaps))
+    assert figure["low"] <= figure["difference"] <= figure["high"]
+    text = bench("compare", made_up / "a", made_up / "b", "--methods", "vmf,eagor")[1]
+    assert "method: a vmf, b eagor" in text
+    assert "L4 ↓, ° (15)" in text
+    assert "Only 5 apartments" in text
+
+
+def test_what_cannot_be_compared_is_refused(made_up, searched, tmp_path):
+    a = made_up / "a"
+    assert "name a second run" in refused("compare", a)
+    assert "name a second run" in refused("compare", a, "--methods", "vmf")
+    assert "differ in task" in refused("compare", a, made_up / "other")
+    assert "differ in task" in refused("compare", a, searched)
+    assert "no method 'grid'; it has vmf, eagor" in refused("compare", a, made_up / "b", "--methods", "grid")
+    assert "wanted one, or two" in refused("compare", a, made_up / "b", "--methods", "vmf,grid,eagor")
+    assert "has one agent" in refused("compare", searched, searched, "--methods", "eagor")
+    elsewhere = synthetic_runs.waypoint(apartments=2, methods=("vmf", "grid"))
+    assert "no eagor in common" in refused(
+        "compare", synthetic_runs.write_run(tmp_path / "two", elsewhere), tmp_path / "two"
+    )
+    for record in elsewhere:
+        record["episode"]["scene_hash"] = "of another version"
+    synthetic_runs.write_run(tmp_path / "new", elsewhere)
+    assert "another episode in each run" in refused("compare", tmp_path / "new", a, "--methods", "vmf")
+    synthetic_runs.write_run(tmp_path / "far", elsewhere, world="loft")
+    assert "differ in world" in refused("compare", tmp_path / "far", a, "--methods", "vmf")
+
+
+def test_the_worst_episodes_come_first_and_can_be_played_again(played):
+    found = answer("failures", played)
+    assert (found["method"], found["episodes"], len(found["cases"])) == ("eagor", 2, 2)
+    run = studies.read(played)
+    key = run.study.task.headline
+    if not run.study.task.walked:
+        first, second = (case["figures"][key] for case in found["cases"])
+        assert first >= second or key == "L4"
+    case = answer("failures", played, "--limit", 1, "--method", "vmf")["cases"][0]
+    recorded = next(
+        r["methods"]["vmf"]["metrics"]
+        for r in run.records
+        if r["episode"]["id"] == case["case"] and "vmf" in r["methods"]
+    )
+    again = play.work(run.settings)(case["unit"])
+    assert again["episode"]["id"] == case["case"]
+    assert again["methods"]["vmf"]["metrics"] == pytest.approx(recorded)
+    lines = bench("failures", played, "--limit", 1)[1].splitlines()
+    assert lines[0].startswith(f"{found['cases'][0]['case']}  ")
+    assert lines[-1] == "... and 1 more (--limit)"
+    assert "no method 'grid'" in refused("failures", played, "--method", "grid")
+
+
+def test_an_episode_is_played_again_with_the_number_that_it_had_in_its_run(tmp_path):
+    """Tasks deal their scenarios by it, so an episode of a later apartment is another one with another number."""
+    records = synthetic_runs.tracking(apartments=3, methods=("eagor",))
+    for record in records:
+        record["episode"] |= {"world": "apartment", "index": int(record["episode"]["id"].partition("-")[2])}
+    cases = answer("failures", synthetic_runs.write_run(tmp_path / "run", records))["cases"]
+    wanted = {slot.id: asdict(slot) for slot in slots("tracking", 15, 2000)}
+    assert len(cases) == 9
+    assert all(case["unit"]["slot"] == wanted[case["case"]] for case in cases)
+
+
+def test_the_worst_are_ranked_by_their_error(made_up):
+    cases = answer("failures", made_up / "a", "--limit", 100)["cases"]
+    errors = {r["episode"]["id"]: sum(r["methods"]["eagor"]["trace"]["error_deg"]) for r in ledger.read(made_up / "a")}
+    assert [case["case"] for case in cases] == sorted(errors, key=errors.get, reverse=True)
+
+
+def test_records_are_exported_whole_and_as_a_table(played, tmp_path):
+    (file,) = answer("export", played, "--out", tmp_path)["files"]
+    assert [json.loads(line) for line in Path(file).read_text().splitlines()] == ledger.read(played)
+    (file,) = answer("export", played, "--to", "csv", "--out", tmp_path)["files"]
+    with open(file, newline="") as table:
+        rows = list(csv.DictReader(table))
+    run = studies.read(played)
+    assert {(row["case"], row["method"]) for row in rows} == {
+        ("3-0", "vmf"),
+        ("3-0", "eagor"),
+        ("3-1", "vmf"),
+        ("3-1", "eagor"),
+    }
+    for column in run.study.columns:
+        values = [float(row[column.key]) for row in rows if row["method"] == "vmf" and row[column.key]]
+        mean = run.summary["methods"]["vmf"][column.key]
+        assert (sum(values) / len(values) if values else None) == (None if mean is None else pytest.approx(mean))
+    assert "it offers jsonl, csv" in refused("export", played, "--to", "lmms-eval", "--out", tmp_path)
+    assert "no benchmark 'tracking'" in refused("export", "--task", "tracking", "--data", tmp_path, "--out", tmp_path)
+
+
+def test_the_table_of_a_benchmarks_cases(searched, tmp_path):
+    (file,) = answer("export", searched, "--to", "csv", "--out", tmp_path)["files"]
+    with open(file, newline="") as table:
+        rows = list(csv.DictReader(table))
+    overall = [float(row["overall"]) for row in rows]
+    assert len(rows) == 16
+    assert sum(overall) / 16 == studies.read(searched).summary["overall"]
+    assert {row["method"] for row in rows} == {""}
+
+
+def test_failed_units_are_in_the_exports(tmp_path):
+    run = synthetic_runs.write_run(tmp_path / "run", synthetic_runs.navigation(apartments=2))
+    (file,) = answer("export", run, "--to", "csv")["files"]
+    assert Path(file).parent == run
+    with open(file, newline="") as table:
+        failed = [row for row in csv.DictReader(table) if row["status"] == "failed"]
+    assert len(failed) == 2
+    assert all("no way <to> the target" in row["failure"] for row in failed)
+
+
+def test_the_worst_cases_of_a_benchmark_come_first(searched):
+    off = [case["error"] for case in answer("failures", searched)["cases"]]
+    assert len(off) > 1
+    assert off == sorted(off, reverse=True)
+    assert "has one agent" in refused("failures", searched, "--method", "eagor")
