@@ -19,12 +19,12 @@ from eagor.evaluation.labelled import apartment_labels
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.perception import is_model, load, rows_of, short_name
+from eagor.perception.cutting import cut
 from eagor.perception.partial import look_at_view
 from eagor.perception.transformers import TransformersPerception, loading
 from eagor.perception.transformers.language import LanguageModel
 from eagor.perception.vlm.families import FAMILIES, Checkpoint
 from eagor.perception.vlm.labelled import Labelled, cap_radius, read_labelled
-from eagor.perception.vlm.views import cut
 from eagor.sphere import angular_distance, direction, world_R_body
 from eagor.tasks.eyes import shared
 from eagor.worlds.panorama import read_panorama
@@ -141,7 +141,7 @@ def seen_in_a_view(perception, place):
     """Where a view of 54 x 96 pixels towards azimuth 0 has its best direction, with a red thing at `place`."""
     pitch, hfov = 0.1, math.radians(100)
     grid = PerspectiveGrid(54, 96, hfov, world_R_body(0.0, -pitch))
-    image = cut(vlm_models.marked(*place, radius=0.2, rows=256, seed=5), grid)
+    image = cut(vlm_models.marked(*place, radius=0.2, rows=256, seed=5), grid)[0]
     evidence = look_at_view(perception, image, pitch, hfov, "red thing", stamp=2.0)
     return evidence, Belief.uniform(15).update(evidence).mode()
 

@@ -14,6 +14,7 @@ from eagor.errors import AnswerError, EagorError, GridError, ImageError, QueryEr
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
+from eagor.perception.cutting import cut, tangent_views
 from eagor.perception.vlm.boxes import Box, parse_boxes
 from eagor.perception.vlm.drawing import drawn
 from eagor.perception.vlm.lenient import values
@@ -22,7 +23,7 @@ from eagor.perception.vlm.prompts import GENERAL, ask_boxes, ask_presence, boxes
 from eagor.perception.vlm.sizes import exact_size, resized
 from eagor.perception.vlm.styles import style_of
 from eagor.perception.vlm.tokens import Trace
-from eagor.perception.vlm.views import cut, filled, framed, lift, tangent_views
+from eagor.perception.vlm.views import filled, framed, lift
 from eagor.sphere import angular_distance, direction, unit, world_R_body
 
 SIDES = {"pixels": (896, 448), "thousand": (1000, 1000), "unit": (1, 1)}  # across, down
@@ -574,7 +575,7 @@ def test_positive_azimuth_is_left(where):
     grid = ErpGrid(180, 360)
     panorama = np.full((180, 360, 3), 100, dtype=np.uint8)
     panorama[angular_distance(grid.directions, direction(azimuth, elevation)) < math.radians(5)] = (255, 0, 0)
-    picture = cut(panorama, tangent_views(200)[0]).astype(int)
+    picture = cut(panorama, tangent_views(200)[0])[0].astype(int)
     rows, cols = np.nonzero(picture[..., 0] - picture[..., 1] > 120)
     row, col = rows.mean() + 0.5, cols.mean() + 0.5
     focal = 100 / math.tan(math.radians(50))
@@ -588,7 +589,7 @@ def test_what_is_cut_shows_what_is_there(yaw, pitch):
     for rows in (64, 256):  # coarser and finer than the view
         panorama = np.rint((ErpGrid(rows, 2 * rows).directions + 1) * 127.5).astype(np.uint8)
         view = PerspectiveGrid(64, 64, math.radians(100), world_R_body(math.radians(yaw), -math.radians(pitch)))
-        shown = cut(panorama, view)
+        (shown,) = cut(panorama, view)
         assert shown.dtype == np.uint8
         np.testing.assert_allclose(shown / 127.5 - 1, view.directions, atol=0.05 if rows == 64 else 0.025)
 
@@ -596,7 +597,7 @@ def test_what_is_cut_shows_what_is_there(yaw, pitch):
 def test_fine_detail_is_averaged_not_skipped():
     stripes = np.zeros((512, 1024, 3), dtype=np.uint8)
     stripes[:, ::2] = 200
-    assert abs(cut(stripes, PerspectiveGrid(32, 32, math.radians(90))).astype(int) - 100).max() < 12
+    assert abs(cut(stripes, PerspectiveGrid(32, 32, math.radians(90)))[0].astype(int) - 100).max() < 12
 
 
 def test_views_and_responses_must_fit():

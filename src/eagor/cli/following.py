@@ -103,7 +103,7 @@ def follow(
         try:
             panorama = read_frame(step.image, force, warn=not warned)
             warned = warned or not is_whole(panorama)
-            looks = _own(look_if_recorded(perception, panorama, query, stamp), stamp, frames)
+            looks = _own(look_if_recorded(perception, panorama, query, stamp, step.pose.world_R_body), stamp, frames)
         except EagorError as error:
             if is_input_fault(error) or (isinstance(error, ShapeError) and stamp == frames[0]):
                 raise

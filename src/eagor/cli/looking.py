@@ -19,6 +19,7 @@ from eagor.errors import EagorError, ImageError, QueryError, TimeError
 from eagor.evidence import Evidence
 from eagor.evidence.detector import parse_model
 from eagor.perception import Perception, load, short_name
+from eagor.perception import look as one_look
 from eagor.perception.calibrated import Calibrated, read_calibrated
 from eagor.perception.replay import ReplayPerception
 from eagor.tracking.config import TrackerConfig
@@ -208,19 +209,23 @@ def first_stamp(perception: Perception, query: str) -> float:
     return 0.0
 
 
-def look(perception: Perception, panorama: np.ndarray, query: str, stamp: float) -> tuple[Evidence, ...]:
+def look(
+    perception: Perception, panorama: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray | None = None
+) -> tuple[Evidence, ...]:
     """What `perception` sees: one evidence, or one per view where a replay has several views of one moment."""
     if isinstance(perception, ReplayPerception):
         return tuple(
             r.evidence(query, perception.calibration, perception.detector) for r in perception.near(query, stamp)
         )
-    return (perception(panorama, query, stamp=stamp),)
+    return (one_look(perception, panorama, query, stamp=stamp, world_R_body=world_R_body),)
 
 
-def look_if_recorded(perception: Perception, panorama: np.ndarray, query: str, stamp: float) -> tuple[Evidence, ...]:
+def look_if_recorded(
+    perception: Perception, panorama: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray | None = None
+) -> tuple[Evidence, ...]:
     """As `look`, but a time for which a replay has no line says nothing, as its format has it."""
     try:
-        return look(perception, panorama, query, stamp)
+        return look(perception, panorama, query, stamp, world_R_body)
     except TimeError:
         if isinstance(perception, ReplayPerception):
             return ()

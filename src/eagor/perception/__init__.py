@@ -21,7 +21,27 @@ from eagor import plugins
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import Evidence
 
-__all__ = ["Perception", "check_perception", "is_model", "known", "load", "parse_options", "rows_of", "short_name"]
+__all__ = [
+    "Perception",
+    "Views",
+    "check_perception",
+    "is_model",
+    "known",
+    "load",
+    "look",
+    "parse_options",
+    "rows_of",
+    "short_name",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Views":  # it needs more than the others: loaded when it is asked for
+        from eagor.perception.views import Views
+
+        return Views
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 GROUP = "eagor.perceptions"
 # Known even where the package runs from a folder, without installed metadata.
@@ -49,8 +69,26 @@ class Perception(Protocol):
         `stamp`: when it was captured, seconds; the evidence carries it. Raises `QueryError` if the words mean nothing
         to this perception, `ImageError` if the image is unusable. Not finding the thing is no error: the evidence then
         says that we looked and saw nothing.
+
+        A perception that sees better in level pictures has an attribute ``takes_pose`` that is true, and takes the pose
+        at capture by name: ``world_R_body`` ``(3, 3)``, None where it is not known. Call perceptions by `look`.
         """
         ...
+
+
+def look(
+    perception: Perception,
+    panorama: np.ndarray,
+    query: str,
+    *,
+    stamp: float | None = None,
+    world_R_body: np.ndarray | None = None,
+) -> Evidence:
+    """One look; a perception that takes the pose at capture ``(3, 3)`` is told it."""
+    if getattr(perception, "takes_pose", False):
+        taking: Any = perception
+        return taking(panorama, query, stamp=stamp, world_R_body=world_R_body)
+    return perception(panorama, query, stamp=stamp)
 
 
 def known() -> dict[str, EntryPoint]:

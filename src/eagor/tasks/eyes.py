@@ -16,7 +16,7 @@ import numpy as np
 
 from eagor.errors import AnswerError
 from eagor.evidence import Evidence
-from eagor.perception import Perception, load
+from eagor.perception import Perception, load, look
 from eagor.perception.calibrated import Calibrated, from_json
 from eagor.queries import Named
 from eagor.tasks.chat import shared_chat
@@ -52,7 +52,7 @@ class PixelEye:
         """One answer among hundreds that cannot be read costs its step, not the episode."""
         self.looks += 1
         try:
-            evidence = self.perception(image, query, stamp=stamp)
+            evidence = look(self.perception, image, query, stamp=stamp, world_R_body=world_R_body)
         except AnswerError as error:
             self.unread.append(error)
             return None

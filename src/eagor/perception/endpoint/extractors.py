@@ -14,6 +14,7 @@ import numpy as np
 
 from eagor.evidence.shapes import WHOLE_SPHERE, canvas_of
 from eagor.grids import Grid, PerspectiveGrid
+from eagor.perception.cutting import cut
 from eagor.perception.endpoint.messages import Answer, Picture, Request, question
 from eagor.perception.vlm.boxes import Box, parse_boxes
 from eagor.perception.vlm.drawing import drawn
@@ -23,7 +24,7 @@ from eagor.perception.vlm.prompts import ask_boxes, ask_presence, boxes_schema
 from eagor.perception.vlm.seam import merged
 from eagor.perception.vlm.sizes import resized
 from eagor.perception.vlm.styles import Style
-from eagor.perception.vlm.views import cut, filled, framed, lift
+from eagor.perception.vlm.views import filled, framed, lift
 
 GRID = WHOLE_SPHERE  # where all responses to panoramas come
 Asked = Literal["boxes", "presence"]
@@ -126,7 +127,8 @@ def views_plan(
     panorama: np.ndarray, style: Style, views: Sequence[PerspectiveGrid], margin: float, asked: Asked, kind: Format
 ) -> Plan:
     """Boxes in, or the presence in, each of several views of the panorama."""
-    shots = [Shot(Picture(cut(panorama, view), kind), view, canvas_of(view)) for view in views]
+    pictures = cut(panorama, *views)
+    shots = [Shot(Picture(p, kind), view, canvas_of(view)) for p, view in zip(pictures, views, strict=True)]
     return Plan(tuple(shots), asked, style, lambda looks: lift(looks, views, GRID, margin))
 
 

@@ -18,6 +18,7 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import PatchGrid, PerspectiveGrid
+from eagor.perception.cutting import check_fields, tangent_views
 from eagor.perception.endpoint.addresses import shown_address
 from eagor.perception.endpoint.extractors import GRID, Plan, boxes_plan, view_plan, views_plan
 from eagor.perception.endpoint.messages import Answer
@@ -27,7 +28,6 @@ from eagor.perception.vlm.found import Thing, detected
 from eagor.perception.vlm.prompts import phrase
 from eagor.perception.vlm.sizes import checked_picture, exact_size
 from eagor.perception.vlm.styles import Style, style_of
-from eagor.perception.vlm.views import check_fields, tangent_views
 
 _SECOND_TRY = 0.5  # temperature when an answer could not be read: at 0 it would be the same again
 

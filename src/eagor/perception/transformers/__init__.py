@@ -228,7 +228,8 @@ class TransformersPerception:
         return _Shots(pictures, [(grid, 0.0), (grid, roll)], [grid, grid], combine, told)
 
     def _views(self, image: np.ndarray) -> _Shots:
-        from eagor.perception.vlm.views import cut, lift
+        from eagor.perception.cutting import cut
+        from eagor.perception.vlm.views import lift
 
         views = self._cut()
         rows, cols = self.looker.cells(1.0, self.per_view)
@@ -239,7 +240,7 @@ class TransformersPerception:
             "extractor": "views", "pixels": list(self.looker.size(1.0)), "per_view": self.per_view
         }  # fmt: skip
         return _Shots(
-            [cut(image, view) for view in views],
+            cut(image, *views),
             [(view, 0.0) for view in views],
             grids,
             lambda found: lift(list(found), views, PatchGrid(lines, 2 * lines)),
@@ -248,6 +249,6 @@ class TransformersPerception:
 
     def _cut(self) -> tuple[PerspectiveGrid, ...]:
         """The views that are cut out of a panorama."""
-        from eagor.perception.vlm.views import tangent_views
+        from eagor.perception.cutting import tangent_views
 
         return tangent_views(min(self.looker.size(1.0)), _VIEW_FIELD)

@@ -12,6 +12,7 @@ import torch
 
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
+from eagor.perception.cutting import cut
 from eagor.perception.transformers.attention import SATURATION, mean_over_heads, of_heads, relative, saturated
 from eagor.perception.transformers.capture import Capture, full_layers, prepare
 from eagor.perception.transformers.heads import Heads, Observed
@@ -24,7 +25,6 @@ from eagor.perception.vlm.families import Extractor, Family
 from eagor.perception.vlm.labelled import Labelled
 from eagor.perception.vlm.prompts import GENERAL, ask_boxes, ask_presence
 from eagor.perception.vlm.sizes import resized
-from eagor.perception.vlm.views import cut
 
 
 @dataclass
@@ -161,7 +161,7 @@ class LanguageModel:
         """
         panorama = example.panorama
         planned = self.plan(1.0 if view is not None else panorama.shape[1] / panorama.shape[0])
-        picture = panorama if view is None else cut(panorama, view)
+        picture = panorama if view is None else cut(panorama, view)[0]
         rows, cols = planned.shape
         grid = PatchGrid(rows, cols) if view is None else replace(view, height=rows, width=cols)
         with self.lock:

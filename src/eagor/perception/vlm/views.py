@@ -1,106 +1,21 @@
-"""Tangent views: overlapping pictures that cover the sphere, cut from a panorama, and the way back to one grid.
+"""From the responses of overlapping views back to one grid; pictures framed to the size that a model wants.
 
-Models know such pictures better than panoramas, and no view has a seam. Each view counts less and less towards its own
-border, where things are cut.
+Each view counts less and less towards its own border, where things are cut.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
 
-from eagor.errors import GridError, ResponseError
-from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
+from eagor.errors import ResponseError
+from eagor.grids import PatchGrid, PerspectiveGrid
+from eagor.perception.cutting import OVERLAP, depth_inside
 from eagor.perception.vlm.sizes import checked_picture, resized
-from eagor.sphere import direction, world_R_body
 
-OVERLAP = math.radians(10)
-_ROUNDING = 1e-6  # radians, or views: what neighbours that touch exactly may miss by
 _SAMPLES = 3  # along each side of a cell that responses are lifted to
-
-
-def tangent_views(
-    size: int, hfov: float = math.radians(100), overlap: float = OVERLAP, reach: float = math.pi / 2
-) -> tuple[PerspectiveGrid, ...]:
-    """Square views of `size` pixels and field `hfov` that cover all directions up to elevation +-`reach` (radians).
-
-    Views narrower by `overlap` would still cover them, so that `lift` with half of it as margin covers each direction
-    fully. The views stand in rings at even elevations (one view at each pole), the first of each ring
-    towards azimuth 0; of such layouts the one with the fewest views is taken: 6, as a cube, for 100 degrees with
-    10 of overlap. Raises `GridError` if the views are too narrow for the overlap, or wider than a plane can show.
-    """
-    check_fields(hfov, overlap, reach)
-    poses = _poses(round((hfov - overlap) / 2, 9), round(reach, 9))
-    return tuple(PerspectiveGrid(size, size, hfov, world_R_body(yaw, -pitch)) for yaw, pitch in poses)
-
-
-def check_fields(hfov: float, overlap: float, reach: float) -> None:
-    """Raise `GridError` where `tangent_views` would, for these angles (radians)."""
-    least = math.radians(30) - 1e-9  # 40 degrees less 10 are 30, whatever is rounded on the way to radians
-    if not (0 <= overlap < hfov <= math.radians(150) and hfov - overlap >= least and 0 < reach <= math.pi / 2):
-        raise GridError(
-            f"views of {math.degrees(hfov):g} degrees with {math.degrees(overlap):g} of overlap up to elevation "
-            f"{math.degrees(reach):g}; wanted fields up to 150, at least 30 wider than the overlap, and 0 < reach <= 90"
-        )
-
-
-@lru_cache(maxsize=16)
-def _poses(inner: float, reach: float) -> tuple[tuple[float, float], ...]:
-    """(yaw left, pitch up) of the fewest views of half-angle `inner` that cover the sphere up to `reach`."""
-    # Rings at the poles only where they are to be seen; a single ring may do for a narrow band.
-    fewest = math.ceil(math.pi / (2 * inner) - _ROUNDING) + 1
-    layouts = [np.linspace(-math.pi / 2, math.pi / 2, rings) for rings in range(max(fewest, 3), fewest + 4)]
-    fewest = math.ceil(reach / inner - _ROUNDING)
-    layouts += [np.linspace(-1, 1, rings) * max(reach - inner, 0.0) for rings in range(max(fewest, 2), fewest + 4)]
-    layouts += [np.zeros(1)]
-    tests = [_points(reach, inner / per) for per in (4, 12, 40)]  # most layouts fail a coarse one already
-    best: tuple[tuple[float, float], ...] = ()
-    for rings in layouts:
-        for around in range(math.ceil(math.pi / inner - _ROUNDING), 4 * math.ceil(math.pi / inner)):
-            poses = _ring_poses(rings, around)
-            if best and len(poses) >= len(best):
-                break
-            if all(_covered(points, poses, inner) for points in tests):
-                best = poses
-                break
-    return best
-
-
-def _points(reach: float, spacing: float) -> np.ndarray:
-    """Directions ``(n, 3)`` every `spacing` radians from the equator up to `reach`: the layouts are symmetric."""
-    elevations = np.linspace(0, reach, math.ceil(reach / spacing) + 1)
-    azimuths = np.arange(math.ceil(2 * math.pi / spacing)) * (2 * math.pi / math.ceil(2 * math.pi / spacing))
-    return direction(*np.meshgrid(azimuths, elevations)).reshape(-1, 3)
-
-
-def _ring_poses(rings: np.ndarray, around: int) -> tuple[tuple[float, float], ...]:
-    poses = []
-    for pitch in sorted(rings.tolist(), key=abs):
-        count = 1 if math.cos(pitch) < 1e-9 else max(3, math.ceil(around * math.cos(pitch) - 1e-9))
-        poses += [(2 * math.pi * index / count, pitch) for index in range(count)]
-    return tuple(poses)
-
-
-def _covered(points: np.ndarray, poses: Sequence[tuple[float, float]], inner: float) -> bool:
-    """Whether each of `points` ``(n, 3)`` lies at least within the inner field of one view."""
-    left = points
-    for yaw, pitch in poses:
-        left = left[_depth(left @ world_R_body(yaw, -pitch), inner, inner) < -_ROUNDING]
-        if len(left) == 0:
-            return True
-    return False
-
-
-def _depth(rays: np.ndarray, half_width: float, half_height: float) -> np.ndarray:
-    """How much narrower (radians, on each side) a view could be and still show directions ``(..., 3)``.
-
-    They are in the view's own frame; negative outside.
-    """
-    x, y, z = rays[..., 0], np.abs(rays[..., 1]), np.abs(rays[..., 2])
-    return np.minimum(half_width - np.arctan2(y, x), half_height - np.arctan2(z, x))
 
 
 def framed(
@@ -136,31 +51,6 @@ def filled(shape: tuple[int, int], size: tuple[int, int], inner: tuple[int, int]
     return np.minimum(shares[0][:, None] * shares[1], 1.0)
 
 
-def cut(panorama: np.ndarray, grid: PerspectiveGrid) -> np.ndarray:
-    """What a camera with `grid` sees of the panorama ``(H, W, 3)`` uint8: uint8 ``(*grid.shape, 3)``.
-
-    Bilinear, around the seam and over the poles. A panorama that is finer than the view is shrunk first, so that
-    nothing is left out between the pixels. Raises `ImageError`.
-    """
-    image = checked_picture(panorama)
-    # A pixel of a view spans fewest degrees at its border; half way between that and the middle blurs least.
-    rows = max(2, math.ceil(math.pi * grid.focal / math.cos(grid.hfov / 2)))
-    if image.shape[0] > rows:
-        image = resized(image, (rows, max(2, round(rows * image.shape[1] / image.shape[0]))), wrap=True)
-    height, width = image.shape[:2]
-    x, y, _ = ErpGrid(height, width).project(grid.directions)
-    # Beyond a pole the picture goes on half a turn away: one such row above and one below.
-    beyond = [np.roll(image[edge], width // 2, axis=0)[None] for edge in (0, -1)]
-    canvas = np.concatenate([beyond[0], image, beyond[1]]).astype(np.float32)
-    u, v = x - 0.5, np.clip(y, 0, height) + 0.5
-    left, top = np.floor(u).astype(np.intp), np.clip(np.floor(v).astype(np.intp), 0, height)
-    across, down = ((part[..., None]).astype(np.float32) for part in (u - left, v - top))
-    left, right = left % width, (left + 1) % width
-    upper = canvas[top, left] * (1 - across) + canvas[top, right] * across
-    lower = canvas[top + 1, left] * (1 - across) + canvas[top + 1, right] * across
-    return np.rint(upper * (1 - down) + lower * down).astype(np.uint8)
-
-
 def lift(
     responses: Sequence[np.ndarray], views: Sequence[PerspectiveGrid], grid: PatchGrid, margin: float = OVERLAP / 2
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -189,7 +79,7 @@ def lift(
     weights, coverage = np.zeros(fine.shape), np.zeros(fine.shape)
     for array, view in zip(arrays, views, strict=True):
         half_height = math.atan(math.tan(view.hfov / 2) * view.height / view.width)
-        depth = _depth(fine.directions @ view.body_R_view, view.hfov / 2, half_height)
+        depth = depth_inside(fine.directions @ view.body_R_view, view.hfov / 2, half_height)
         inside = depth > 0
         rise = np.clip(depth[inside] / margin, 0, 1) if margin > 0 else 1.0
         weight = np.sin(rise * (math.pi / 2)) ** 2

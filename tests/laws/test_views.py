@@ -1,0 +1,239 @@
+"""Any detector for ordinary pictures, made to look all around."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import find_objects, label
+
+from eagor import DetectorModel, DirectionTracker, ErpGrid, Evidence
+from eagor.errors import EagorError, GridError, ImageError, QueryError
+from eagor.perception import check_perception, look
+from eagor.perception.cutting import cut, tangent_views
+from eagor.perception.pieces import Piece, things
+from eagor.perception.views import Views
+from eagor.sphere import angular_distance, direction, rotation, world_R_body
+from eagor.worlds.panorama import turn
+
+GREY = 90
+GRID = ErpGrid(256, 512)
+
+
+def painted(*discs):
+    """A grey panorama with red discs: (direction, radius in radians)."""
+    panorama = np.full((256, 512, 3), GREY, dtype=np.uint8)
+    for where, radius in discs:
+        panorama[angular_distance(GRID.directions, where) < radius] = (220, 20, 20)
+    return panorama
+
+
+def red(picture, query):
+    """A detector: the boxes of what is red."""
+    parts, _ = label(picture[..., 0].astype(int) - picture[..., 1] > 60)
+    boxes = [[x.start, y.start, x.stop, y.stop] for y, x in find_objects(parts)]
+    return np.array(boxes, dtype=float).reshape(-1, 4), np.full(len(boxes), 0.9)
+
+
+def found(panorama, pose=None, **settings):
+    return Views(red, size=128, **settings)(panorama, "thing", stamp=1.0, world_R_body=pose).detections
+
+
+DIRECTION = st.tuples(st.floats(0, 2 * math.pi), st.floats(-math.pi / 2, math.pi / 2)).map(lambda at: direction(*at))
+
+
+@given(DIRECTION)
+@settings(max_examples=20, deadline=None)
+def test_a_small_thing_is_one_detection_wherever_it_is(where):
+    seen = found(painted((where, math.radians(6))))
+    assert len(seen) == 1, "however many views show it"
+    assert angular_distance(seen.directions[0], where) < math.radians(2)
+    assert not seen.views, "all was looked at"
+
+
+@given(DIRECTION)
+@settings(max_examples=12, deadline=None)
+def test_a_thing_that_all_views_cut_is_put_together(where):
+    seen = found(painted((where, math.radians(40))))
+    best = seen.directions[int(seen.scores.argmax())]
+    assert angular_distance(best, where) < math.radians(8)
+    widths = 1 / np.linalg.norm(seen.axes[0], axis=1)
+    assert widths.min() > math.radians(12), "it is as wide as it is"
+
+
+def test_things_side_by_side_stay_two():
+    places = direction(0.2, 0.1), direction(0.6, 0.1)
+    seen = found(painted(*((place, math.radians(5)) for place in places)))
+    assert len(seen) == 2
+    for place in places:
+        assert np.min(angular_distance(seen.directions, place)) < math.radians(2)
+
+
+@given(DIRECTION, st.floats(-3, 3), st.floats(-1.2, 1.2), st.floats(-3, 3))
+@settings(max_examples=12, deadline=None)
+def test_views_are_level_however_the_camera_is_turned(where, yaw, pitch, roll):
+    pose = world_R_body(yaw, pitch, roll)
+    perception = Views(red, size=128)
+    for view in perception.views(pose):
+        left = pose @ view.body_R_view[:, 1]
+        assert abs(left[2]) < 1e-9, "the left side of each picture points at the horizon"
+    seen = found(turn(painted((where, math.radians(8))), pose.T), pose)
+    assert len(seen) == 1
+    assert angular_distance(pose @ seen.directions[0], where) < math.radians(2.5)
+
+
+def test_without_a_pose_the_camera_counts_as_level():
+    told, untold = (Views(red, size=64).views(pose) for pose in (np.eye(3), None))
+    for a, b in zip(told, untold, strict=True):
+        np.testing.assert_allclose(a.body_R_view, b.body_R_view, atol=1e-12)
+    heading = Views(red, size=64).views(world_R_body(1.0))
+    np.testing.assert_allclose(heading[0].body_R_view, untold[0].body_R_view, atol=1e-12)
+
+
+@pytest.mark.parametrize("pitch", [math.pi / 2, -math.pi / 2])
+def test_a_camera_that_looks_straight_up_or_down_has_level_views_too(pitch):
+    pose = world_R_body(0.7, pitch)
+    for view in Views(red, size=64).views(pose):
+        assert abs((pose @ view.body_R_view[:, 1])[2]) < 1e-9
+
+
+def test_upright_pictures_reach_the_detector():
+    """A flag of two colours, one above the other: the detector sees red above blue under every tilt."""
+    flag = np.full((256, 512, 3), GREY, dtype=np.uint8)
+    flag[108:128, 250:262], flag[128:148, 250:262] = (220, 20, 20), (20, 20, 220)
+    seen = []
+
+    def upright(picture, query):
+        amounts = picture.astype(int)
+        reds = np.argwhere(amounts[..., 0] - amounts[..., 2] > 100)[:, 0]
+        blues = np.argwhere(amounts[..., 2] - amounts[..., 0] > 100)[:, 0]
+        if len(reds) and len(blues):
+            seen.append(reds.mean() < blues.mean())
+        return np.zeros((0, 4)), np.zeros(0)
+
+    for roll in (0.0, 1.5, 3.0):
+        pose = world_R_body(0.3, 0.2, roll)
+        Views(upright, size=128)(turn(flag, pose.T), "flag", world_R_body=pose)
+    assert len(seen) >= 3
+    assert all(seen)
+
+
+def test_an_open_side_widens_and_shifts_what_one_view_alone_has_seen():
+    grid = tangent_views(100, math.radians(90), 0.0)[0]
+    whole = Piece(0, grid, np.array([30.0, 40.0, 60.0, 60.0]), 0.9)
+    part = Piece(0, grid, np.array([70.0, 40.0, 100.0, 60.0]), 0.9)
+    (inside,), (opened,) = things([whole]), things([part])
+    assert not whole.cut.any()
+    assert part.cut.tolist() == [False, False, True, False]
+    middle = grid.unproject(85.0, 50.0)
+    assert angular_distance(inside.direction, grid.unproject(45.0, 50.0)) < math.radians(1)
+    to_the_right = math.atan2(middle[1], middle[0]) - math.atan2(opened.direction[1], opened.direction[0])
+    assert to_the_right > math.radians(5), "the thing goes on behind the border"
+    assert opened.covariance.trace() > inside.covariance.trace()
+
+
+def test_nothing_found_is_a_look_that_saw_nothing():
+    evidence = Views(red, size=64)(painted(), "thing", stamp=2.0)
+    assert isinstance(evidence, Evidence)
+    assert len(evidence.detections) == 0
+    assert evidence.stamp == 2.0
+    assert (np.asarray(evidence.log_ratio) < 0).all()
+
+
+def test_the_contract_of_perceptions_is_kept():
+    panorama = painted((direction(0.4, 0.2), math.radians(8)))
+    check_perception(Views(red, size=96), panorama, "thing")
+    model = DetectorModel(detection_probability=0.8, spread=math.radians(3))
+    evidence = Views(red, size=96, detector=model)(panorama, "thing")
+    assert evidence.detections.model is model
+
+
+def test_labels_that_the_query_does_not_mean_are_left_out():
+    def labelled(picture, query):
+        boxes, scores = red(picture, query)
+        return boxes, scores, ["sofa"] * len(boxes)
+
+    labelled.classes = ("sofa", "chair")
+    panorama = painted((direction(0.4, 0.2), math.radians(8)))
+    assert len(Views(labelled, size=96)(panorama, "sofas").detections) == 1
+    assert len(Views(labelled, size=96)(panorama, "chair").detections) == 0
+    with pytest.raises(QueryError, match="zebra"):
+        Views(labelled, size=96)(panorama, "zebra")
+
+
+@pytest.mark.parametrize(
+    "nonsense",
+    [
+        None,
+        "a chair",
+        (np.zeros((2, 4)), np.zeros(3)),
+        (np.full((1, 4), np.nan), np.ones(1)),
+        (np.array([[10.0, 10.0, 5.0, 20.0]]), np.ones(1)),
+        (np.array([[1.0, 1.0, 5.0, 20.0]]), np.array([7.0])),
+        (np.zeros((1, 3)), np.ones(1)),
+    ],
+)
+def test_a_detector_that_returns_nonsense_is_told_so(nonsense):
+    with pytest.raises(EagorError, match="wanted"):
+        Views(lambda picture, query: nonsense, size=64)(painted(), "thing")
+
+
+def test_wrong_settings_and_pictures_are_refused():
+    with pytest.raises(GridError, match="cover the sphere"):
+        Views(red, hfov=60, count=4)
+    with pytest.raises(GridError, match="150"):
+        Views(red, hfov=170)
+    with pytest.raises(EagorError, match="detect"):
+        Views("yolo.onnx")
+    with pytest.raises(EagorError, match="size"):
+        Views(red, size=0)
+    with pytest.raises(ImageError, match="uint8"):
+        Views(red, size=64)(np.zeros((4, 8)), "thing")
+    with pytest.raises(QueryError, match="words"):
+        Views(red, size=64)(painted(), " ")
+
+
+def test_a_look_tells_the_pose_only_to_who_takes_it():
+    told = []
+
+    class Takes:
+        takes_pose = True
+
+        def __call__(self, panorama, query, *, stamp=None, world_R_body=None):
+            told.append(world_R_body)
+
+    def plain(panorama, query, *, stamp=None):
+        told.append("nothing")
+
+    for perception in (Takes(), plain):
+        look(perception, painted(), "thing", world_R_body=np.eye(3))
+    np.testing.assert_array_equal(told[0], np.eye(3))
+    assert told[1] == "nothing"
+
+
+def test_a_tumbling_camera_finds_the_thing():
+    where, panorama = direction(2.0, 0.3), painted((direction(2.0, 0.3), math.radians(7)))
+    tracker, perception = DirectionTracker(), Views(red, size=96)
+    rng = np.random.default_rng(3)
+    for stamp in range(4):
+        pose = rotation(rng.normal(size=3), float(rng.uniform(0, 3)))
+        tracker.add_pose(float(stamp), pose)
+        tracker.observe(look(perception, turn(panorama, pose.T), "thing", stamp=float(stamp), world_R_body=pose))
+    estimate = tracker.estimate(3.0)
+    assert angular_distance(pose @ estimate.direction, where) < math.radians(2)
+    assert estimate.presence > 0.9
+
+
+def test_more_views_overlap_more():
+    few, many = Views(red, hfov=100, count=6), Views(red, hfov=100, count=14)
+    assert "6 views of 100" in repr(few)
+    assert len(many.views()) == 14
+    assert few.rows == many.rows
+
+
+def test_cutting_is_the_same_for_one_view_and_for_all():
+    panorama = painted((direction(0.4, 0.2), 0.3))
+    views = tangent_views(64)
+    for together, view in zip(cut(panorama, *views), views, strict=True):
+        np.testing.assert_array_equal(together, cut(panorama, view)[0])
