@@ -19,14 +19,18 @@ PACKAGES = ("numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro"
 OPTIONAL = {
     "gymnasium": "simulated tasks: the extra 'sim'",
     "trimesh": "GLB files: the extra 'sim'",
-    "onnxruntime": "the scout: the extra 'sim'",
+    "onnxruntime": "detectors in ONNX files: the extra 'photos'; the scout: the extra 'sim'",
     "jinja2": "report pages: the extra 'sim'",
     "embreex": "faster rays in simulated worlds: the extra 'sim'",
     "torch": "tensors on a GPU, and local models: the extra 'vlm'",
     "transformers": "local models: the extra 'vlm'",
     "openai": "models on servers: the extra 'endpoint'",
 }
-WANTS = {"endpoint": ("openai", "endpoint"), "scout": ("onnxruntime", "sim")}  # perceptions, beyond what they import
+WANTS = {  # perceptions, beyond what they import
+    "endpoint": ("openai", "endpoint"),
+    "onnx": ("onnxruntime", "photos"),
+    "scout": ("onnxruntime", "sim"),
+}
 READY = "ready"
 PARTS = (perception, worlds, task, benchmark)  # what packages can add to
 
