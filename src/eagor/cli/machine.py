@@ -12,7 +12,12 @@ from typing import Any
 from eagor._extras import EXTRAS, how_to_install
 from eagor.perception.vlm.families import FAMILIES, Checkpoint
 
-USES = {"sim": "simulated worlds, tasks and the scout", "vlm": "local models", "endpoint": "models on servers"}
+USES = {
+    "sim": "simulated worlds, tasks and the scout",
+    "photos": "photographs and videos",
+    "vlm": "local models",
+    "endpoint": "models on servers",
+}
 _LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # of a container
 
 

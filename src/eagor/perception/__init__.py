@@ -48,6 +48,7 @@ GROUP = "eagor.perceptions"
 BUILT_IN = {
     "colour": "eagor.perception.colour:ColourPerception",
     "endpoint": "eagor.perception.endpoint:from_text",
+    "onnx": "eagor.perception.onnx:from_text",
     "replay": "eagor.perception.replay:ReplayPerception",
     "scout": "eagor.perception.scout:ScoutPerception",
     "truth": "eagor.perception.truth:TruthPerception",

@@ -26,6 +26,7 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
 from eagor.perception.scout.resizing import resized
+from eagor.perception.sessions import session
 from eagor.queries import parse_query
 
 __all__ = ["CALIBRATION", "ScoutPerception"]
@@ -112,9 +113,4 @@ def _vocabulary() -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 @lru_cache(maxsize=1)
 def _session() -> Any:
-    """The network, ready to run on one core: the machine's others belong to the caller."""
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    return onnxruntime.InferenceSession(FOLDER / "scout.onnx", options, providers=["CPUExecutionProvider"])
+    return session(FOLDER / "scout.onnx")

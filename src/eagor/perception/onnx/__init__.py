@@ -1,0 +1,11 @@
+"""Detectors for ordinary pictures in ONNX files: the YOLO family, SSD, DETR, torchvision, MMDetection, CenterNet.
+
+``--perception onnx:MODEL.onnx?labels=coco.txt&size=640`` runs one without a line of code. `LAYOUTS` lists the ways of
+writing boxes that are known; they were written from the documentation of the exports. Tested are small graphs with the
+same outputs.
+"""
+
+from eagor.perception.onnx.detector import OnnxDetector, from_text
+from eagor.perception.onnx.layouts import LAYOUTS
+
+__all__ = ["LAYOUTS", "OnnxDetector", "from_text"]

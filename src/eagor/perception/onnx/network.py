@@ -1,0 +1,152 @@
+"""A detector's file, opened: what goes in, how large, what comes out, what the file says about itself."""
+
+from __future__ import annotations
+
+import ast
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor._extras import need
+from eagor.errors import EagorError
+from eagor.perception.onnx.layouts import Output
+from eagor.perception.sessions import session
+
+Size = tuple[int, int]
+
+LARGEST = 8192  # rows or columns of an input
+_DTYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(double)": np.float64,
+           "tensor(uint8)": np.uint8}  # fmt: skip
+_WHOLE = {"tensor(int64)": np.int64, "tensor(int32)": np.int32, "tensor(bool)": np.bool_}
+_SIZES = ("orig_target_sizes", "orig_size", "target_sizes")  # inputs that want columns, rows
+
+
+class Network:
+    """A network that takes one picture. `fixed`: rows and columns that it takes, None where any will do.
+
+    Raises `EagorError` for a file that is none, or takes something else; `MissingExtraError` without onnxruntime.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], threads: int = 1) -> None:
+        need("a detector in an ONNX file", "photos", "onnxruntime")
+        self.path = Path(path)
+        if not self.path.is_file():
+            what = "is a folder" if self.path.is_dir() else "is not there"
+            raise EagorError(f"the model {self.path} {what}; wanted a detector in an ONNX file, such as yolo11n.onnx")
+        try:
+            self._session = session(self.path, threads)
+        except Exception as error:  # onnxruntime has a class for each fault, below none of its own
+            raise EagorError(
+                f"{self.path} cannot be opened as an ONNX model ({_first_line(error)}); export it again, by a version "
+                "of ONNX that this onnxruntime knows"
+            ) from error
+        self.notes: Mapping[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
+        given = self._session.get_inputs()
+        pictures = [each for each in given if _is_picture(each)]
+        if len(pictures) != 1:
+            shapes = ", ".join(f"{each.name} {each.type} {each.shape}" for each in given)
+            raise EagorError(f"{self.path} takes {shapes}; wanted one picture, (1, 3, h, w) or (1, h, w, 3)")
+        (self._picture,) = pictures
+        self._others = [each for each in given if each is not self._picture]
+        self.inputs = tuple(each.name for each in self._others)
+        shape = self._picture.shape
+        self.dtype: np.dtype[Any] = np.dtype(_DTYPES[self._picture.type])
+        self.batched = len(shape) == 4
+        if self.batched and isinstance(shape[0], int) and shape[0] != 1:
+            raise EagorError(f"{self.path} takes {shape[0]} pictures at once; export it for one, or for any number")
+        sides = shape[-3:]
+        self.channels_first = sides[0] == 3 or sides[2] != 3
+        rows, columns = sides[1:] if self.channels_first else sides[:2]
+        self.fixed = _known(rows), _known(columns)
+
+    def size(self, asked: int | Size | str | None, otherwise: int) -> Size:
+        """Rows and columns of the input: what is `asked` for, else fixed, else of the metadata, else `otherwise`.
+
+        Raises `EagorError` if the file does not take what is asked for.
+        """
+        found = _size(asked) if asked is not None else self._noted() or (otherwise, otherwise)
+        size = tuple(fixed or each for fixed, each in zip(self.fixed, found, strict=True))
+        if asked is not None and size != found:
+            raise EagorError(
+                f"size = {asked!r}; {self.path} takes {size[1]} columns and {size[0]} rows only. Leave size out, or "
+                "export the model for any size (dynamic axes)"
+            )
+        return size[0], size[1]
+
+    def _noted(self) -> Size | None:
+        """``imgsz`` of the metadata: rows, columns."""
+        try:
+            found = ast.literal_eval(self.notes.get("imgsz", ""))
+            return _size(tuple(found) if isinstance(found, list) else found)
+        except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
+            return None
+
+    def run(self, tensor: np.ndarray, size: Size) -> list[np.ndarray]:
+        """All outputs for one picture ``(3, h, w)`` or ``(h, w, 3)``; lists and maps are left out.
+
+        Raises `EagorError` if the network cannot run on it.
+        """
+        feed = {self._picture.name: tensor[None] if self.batched else tensor}
+        feed |= {each.name: self._further(each, size) for each in self._others}
+        try:
+            found = self._session.run(None, feed)
+        except Exception as error:
+            raise EagorError(
+                f"{self.path} does not run on a picture of {size[1]} x {size[0]} ({_first_line(error)}); try another "
+                "size=..., a multiple of 32"
+            ) from error
+        return [each if isinstance(each, np.ndarray) else np.zeros(()) for each in found]
+
+    def outputs(self, found: list[np.ndarray]) -> tuple[Output, ...]:
+        """What `run` found, described."""
+        names = [each.name for each in self._session.get_outputs()]
+        return tuple(Output(n, each.shape, each.dtype.kind in "iu") for n, each in zip(names, found, strict=True))
+
+    def _further(self, given: Any, size: Size) -> np.ndarray:
+        """What an input besides the picture gets; all that these inputs are known for is the picture's size."""
+        dtype, name = ({**_DTYPES, **_WHOLE}).get(given.type, np.float32), given.name.lower()
+        if name in _SIZES:
+            return np.array([size[::-1]], dtype=dtype)
+        if name in ("image_shape", "im_shape"):
+            return np.array([size], dtype=dtype)
+        if name == "scale_factor":
+            return np.ones((1, 2), dtype=dtype)
+        if name == "pixel_mask":
+            sides = [_known(fixed) or free for fixed, free in zip(given.shape[1:], size, strict=False)]
+            return np.ones((1, *sides), dtype=dtype)
+        raise EagorError(
+            f"{self.path} wants a further input {given.name} {given.shape}, which is not known here; export it "
+            "without, or call it yourself and give eagor.perception.views.Views a function"
+        )
+
+
+def _known(side: Any) -> int | None:
+    """A side of a shape; None where it is free: a name, or nothing."""
+    return side if isinstance(side, int) else None
+
+
+def _is_picture(given: Any) -> bool:
+    shape = given.shape
+    if given.type not in _DTYPES or len(shape) not in (3, 4):
+        return False
+    channels = [each for each in (shape[-3], shape[-1]) if isinstance(each, int)]
+    return 3 in channels or (len(channels) < 2 and len(shape) == 4)
+
+
+def _size(asked: Any) -> Size:
+    """640, (480, 640) or "480x640": rows and columns."""
+    parts: Any = asked
+    if isinstance(asked, str):
+        parts = tuple(int(part) if part.isdecimal() else part for part in asked.lower().split("x"))
+    parts = parts if isinstance(parts, tuple | list) else (parts,)
+    good = all(isinstance(part, int) and not isinstance(part, bool) and 8 <= part <= LARGEST for part in parts)
+    if not good or len(parts) not in (1, 2):
+        raise EagorError(f"size = {asked!r}; wanted pixels, 8 to {LARGEST}, or ROWSxCOLUMNS such as 480x640")
+    return parts[0], parts[-1]
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]

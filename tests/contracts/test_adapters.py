@@ -1,0 +1,176 @@
+"""What people's detectors return is read by its attributes, and checked; what is wrong is said."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import supervision
+import torch
+
+from eagor.errors import ResponseError
+from eagor.perception.adapters import Boxes, boxes_of
+
+BOXES = np.array([[10.0, 20.0, 30.0, 60.0], [50.0, 10.0, 80.0, 90.0]])
+SCORES = np.array([0.9, 0.25])
+NAMES = {0: "person", 56: "chair"}
+SHAPE = (100, 200, 3)
+
+
+def ultralytics(**more):
+    boxes = SimpleNamespace(xyxy=torch.tensor(BOXES), conf=torch.tensor(SCORES), cls=torch.tensor([56.0, 0.0]), id=None)
+    return SimpleNamespace(boxes=boxes, names=NAMES, masks=None, **more)
+
+
+def mediapipe():
+    found = []
+    for box, score, name in zip(BOXES, SCORES, ["chair", "person"], strict=True):
+        x0, y0, x1, y1 = map(int, box)
+        categories = [
+            SimpleNamespace(score=score / 2, category_name="other", index=3),
+            SimpleNamespace(score=score, category_name=name, index=0),
+        ]
+        place = SimpleNamespace(origin_x=x0, origin_y=y0, width=x1 - x0, height=y1 - y0)
+        found.append(SimpleNamespace(bounding_box=place, categories=categories))
+    return SimpleNamespace(detections=found)
+
+
+def blob():
+    rows = np.column_stack([[0, 0], [56, 0], SCORES, BOXES / [200, 100, 200, 100]])
+    filling = np.array([[0, 0, 0, 0, 0, 0, 0], [-1, 5, 0.9, 0, 0, 1, 1]])
+    return np.concatenate([rows, filling])[None, None].astype(np.float32)
+
+
+def records(**label):
+    found = []
+    for at, ((x0, y0, x1, y1), score) in enumerate(zip(BOXES, SCORES, strict=True)):
+        own = {key: value[at] for key, value in label.items()}
+        found.append({"image_id": 1, "bbox": [x0, y0, x1 - x0, y1 - y0], "score": score} | own)
+    return found
+
+
+def pipeline():
+    corners = [dict(zip(("xmin", "ymin", "xmax", "ymax"), map(int, box), strict=True)) for box in BOXES]
+    return [{"score": s, "label": n, "box": b} for s, n, b in zip(SCORES, ["chair", "person"], corners, strict=True)]
+
+
+NUMBERS = {"class_id": np.array([56, 0])}
+TENSORS = {"boxes": torch.tensor(BOXES, requires_grad=True), "scores": torch.tensor(SCORES).bfloat16()}
+FOUND = {
+    "plain": (BOXES, SCORES, ["chair", "person"]),
+    "lists": [BOXES.tolist(), SCORES.tolist(), np.array(["chair", "person"])],
+    "numbers": (BOXES, SCORES, [56, 0]),
+    "tensors": (torch.tensor(BOXES), torch.tensor(SCORES), torch.tensor([56, 0])),
+    "supervision": supervision.Detections(xyxy=BOXES, confidence=SCORES, **NUMBERS),
+    "supervision with names": supervision.Detections(
+        xyxy=BOXES, confidence=SCORES, class_id=np.array([1, 2]), data={"class_name": np.array(["chair", "person"])}
+    ),
+    "ultralytics": ultralytics(),
+    "ultralytics, as it returns them": [ultralytics()],
+    "torchvision": TENSORS | {"labels": torch.tensor([56, 0]), "masks": None},
+    "torchvision, as it returns them": [TENSORS | {"labels": torch.tensor([56, 0])}],
+    "hugging face": TENSORS | {"labels": torch.tensor([0, 0]), "text_labels": ["chair", "person"]},
+    "pipeline": pipeline(),
+    "mediapipe": mediapipe(),
+    "opencv": blob(),
+    "coco": records(category_id=[56, 0]),
+    "coco with names": records(category=["chair", "person"]),
+}
+
+
+@pytest.mark.parametrize("kind", FOUND)
+def test_each_kind_is_read(kind):
+    boxes, scores, labels = boxes_of(FOUND[kind], NAMES, SHAPE)
+    np.testing.assert_allclose(boxes, BOXES, atol=1e-4)
+    np.testing.assert_allclose(scores, SCORES, atol=2e-3)
+    assert labels == ["chair", "person"]
+    assert boxes.dtype == scores.dtype == np.float64
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        [], ([], []), (np.zeros((0, 4)), np.zeros(0)), (np.zeros(0), np.zeros(0), []), supervision.Detections(
+            xyxy=np.zeros((0, 4)), confidence=np.zeros(0)), SimpleNamespace(detections=[]), np.zeros((1, 1, 0, 7)),
+        {"boxes": torch.zeros((0, 4)), "scores": torch.zeros(0), "labels": torch.zeros(0)},
+        SimpleNamespace(detections=None),
+    ],
+)  # fmt: skip
+def test_nothing_found_is_no_error(found):
+    boxes, scores, _ = boxes_of(found, NAMES, SHAPE)
+    assert (boxes.shape, scores.shape) == ((0, 4), (0,))
+
+
+def test_the_empty_answer_of_supervision():
+    empty = supervision.Detections.empty()
+    boxes, scores, _ = boxes_of(empty)
+    assert (boxes.shape, scores.shape) == ((0, 4), (0,))
+
+
+def test_labels_may_be_left_out():
+    assert boxes_of((BOXES, SCORES)).labels is None
+    assert boxes_of(records()).labels is None
+    assert boxes_of(supervision.Detections(xyxy=BOXES, confidence=SCORES)).labels is None
+    assert isinstance(boxes_of((BOXES, SCORES)), Boxes)
+
+
+def test_a_list_of_names_will_do_and_own_names_give_way():
+    assert boxes_of((BOXES, SCORES, [1, 0]), ["cup", "mug"]).labels == ["mug", "cup"]
+    assert boxes_of(ultralytics(), {56: "seat", 0: "human"}).labels == ["seat", "human"]
+
+
+def test_boxes_without_area_are_left_out():
+    flat = np.array([[10, 20, 10, 60], [10, 20, 30, 20], [10, 20, 30, 60.0]])
+    boxes, scores, labels = boxes_of((flat, [0.1, 0.2, 0.3], ["a", "b", "c"]))
+    assert (boxes.tolist(), scores.tolist(), labels) == ([[10, 20, 30, 60]], [0.3], ["c"])
+
+
+def test_the_older_solutions_of_mediapipe_want_the_shape():
+    box = SimpleNamespace(xmin=0.1, ymin=0.2, width=0.1, height=0.4)
+    face = SimpleNamespace(location_data=SimpleNamespace(relative_bounding_box=box), score=[0.8])
+    found = boxes_of(SimpleNamespace(detections=[face]), shape=SHAPE)
+    np.testing.assert_allclose(found.boxes, [[20, 20, 40, 60]])
+    assert found.labels == ["face"]
+    with pytest.raises(ResponseError, match=r"fractions of the picture; wanted shape=picture\.shape"):
+        boxes_of(SimpleNamespace(detections=[face]))
+
+
+@pytest.mark.parametrize(
+    ("found", "wanted"),
+    [
+        (None, r"returned builtins\.NoneType; wanted \(boxes, scores\) or .*supervision"),
+        (7, r"returned builtins\.int; wanted"),
+        ("chair", r"returned builtins\.str; wanted"),
+        (BOXES, r"an array of shape \(2, 4\); wanted"),
+        ((BOXES,), r"a tuple of 1 \(ndarray, ...\); wanted"),
+        ({"boxes": BOXES}, "a dictionary with boxes; wanted"),
+        ([ultralytics(), ultralytics()], "boxes came as types.SimpleNamespace; wanted numbers"),
+        ((BOXES, SCORES[:1]), "2 boxes and 1 scores came"),
+        ((BOXES, SCORES, ["chair"]), "2 boxes and 1 labels came"),
+        ((BOXES[:, :3], SCORES), r"boxes of shape \(2, 3\) came; wanted \(n, 4\)"),
+        ((BOXES, ["high", "low"]), "scores came as a list of 2 .*; wanted one number for each box"),
+        ((BOXES * np.nan, SCORES), "boxes came that are not finite"),
+        ((BOXES, [0.5, np.inf]), "scores came that are not finite"),
+        ((BOXES, SCORES * 100), r"scores from 25 to 90 came; scores outside \[0, 1\] want a stated squashing"),
+        ((BOXES, -SCORES), r"outside \[0, 1\] want a stated squashing"),
+        ((BOXES[:, [2, 1, 0, 3]], SCORES), r"the box \[30\.0, 20\.0, 10\.0, 60\.0\] came; wanted x0 < x1"),
+        (([[50, 60, 20, 30]], [0.5]), "If it is x, y, width, height"),
+        ((BOXES / 200, SCORES), "seem to be fractions of the picture"),
+        ((BOXES, SCORES, [0, 7]), "the label 7 came, and names has 2 entries without it"),
+        ((BOXES, SCORES, [0, -1]), "the label -1 came, and names has"),
+        ((BOXES, SCORES, [0.5, 1]), r"the label 0\.5 came; wanted a text"),
+        (supervision.Detections(xyxy=BOXES), "without confidence; wanted scores"),
+        (records(label=["chair", None]), "some dictionaries came with a label, some without"),
+        ([{"bbox": [1, 2, 3, 4]}], "a list of 1 .* without"),
+        ([{"box": {"left": 3}, "score": 0.5}], "without 'xmin'; wanted"),
+    ],
+)
+def test_what_is_wrong_is_said(found, wanted):
+    with pytest.raises(ResponseError, match=wanted):
+        boxes_of(found, NAMES, SHAPE)
+
+
+def test_numbers_without_names_and_fractions_without_a_shape():
+    with pytest.raises(ResponseError, match="labels came as numbers, such as 56; wanted texts, or names="):
+        boxes_of((BOXES, SCORES, [56, 0]))
+    with pytest.raises(ResponseError, match=r"an SSD blob are fractions of the picture; wanted shape=picture\.shape"):
+        boxes_of(blob(), NAMES)
