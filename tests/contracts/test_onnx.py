@@ -447,6 +447,13 @@ def test_a_layout_that_is_named_has_to_fit(tmp_path):
         OnnxDetector(path, THREE, layout="yolo")
 
 
+def test_the_metadata_may_name_the_layout(tmp_path):
+    outputs = {"one": yolov8()["output0"][..., :50].copy()}
+    assert OnnxDetector(onnx_file(tmp_path / "d.onnx", outputs, notes={"layout": "yolov8"}), THREE).layout == "yolov8"
+    with pytest.raises(EagorError, match="layout = 'mine'; wanted auto"):
+        OnnxDetector(onnx_file(tmp_path / "d.onnx", outputs, notes={"layout": "mine"}), THREE)
+
+
 def test_numbers_that_are_none(tmp_path):
     outputs = yolov8()
     outputs["output0"][0, 2, 5] = np.nan

@@ -204,8 +204,10 @@ def centernet(outputs: Sequence[np.ndarray], frame: Frame) -> Found:
     """
     scores, distances = probabilities(outputs[0][0], frame.sigmoid), outputs[1][0].astype(np.float64)
     around = np.pad(scores, ((0, 0), (1, 1), (1, 1)), constant_values=-1)
-    windows = np.lib.stride_tricks.sliding_window_view(around, (3, 3), axis=(1, 2))
-    kind, row, column = np.nonzero((scores >= windows.max(axis=(-2, -1))) & (scores >= frame.threshold))
+    kind, row, column = np.nonzero(scores >= frame.threshold)
+    near = [around[kind, row + down, column + across] for down in range(3) for across in range(3)]
+    peaks = np.max(near, axis=0) <= scores[kind, row, column]
+    kind, row, column = kind[peaks], row[peaks], column[peaks]
     x, y = column * frame.size[1] / scores.shape[2], row * frame.size[0] / scores.shape[1]
     left, top, right, bottom = distances[:, row, column]
     return Found(np.stack([x - left, y - top, x + right, y + bottom], axis=1), scores[kind, row, column], kind)

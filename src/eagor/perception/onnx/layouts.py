@@ -72,10 +72,13 @@ class Layout:
 
 
 def choose(name: str, graph: Graph) -> tuple[str, tuple[int, ...]]:
-    """The layout of `graph`, and the places of its outputs; `name`: "auto", or the layout that it has to be.
+    """The layout of `graph`, and the places of its outputs; `name`: the layout that it has to be.
+
+    "auto": as the metadata say under ``layout``; else as names, shapes and metadata tell.
 
     Raises `EagorError`, which lists the outputs and the layouts, if none or several fit.
     """
+    name = graph.notes.get("layout", name) if name == "auto" else name
     if name != "auto":
         if name not in LAYOUTS:
             raise EagorError(f"layout = {name!r}; wanted auto, {', '.join(LAYOUTS)}")

@@ -1,0 +1,238 @@
+"""Which classes of a detector a query means: articles, plurals, compounds, other names, wider words.
+
+A detector with a closed set of classes knows no colours and no relations: a query with one is refused, and the noun
+alone is suggested. The tables are in `eagor.perception.synonyms`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+
+from eagor.errors import QueryError
+from eagor.perception.colour import COLOURS as SHADES
+from eagor.perception.synonyms import (
+    DESCRIBING,
+    DRINKING,
+    GROUPS,
+    IRREGULAR,
+    KIN,
+    OPENERS,
+    OTHER_THINGS,
+    WIDER,
+)  # fmt: skip
+from eagor.queries import COLOURS
+
+__all__ = ["meant", "plain", "singular"]
+
+OPEN_VOCABULARY = (
+    "any words: a model with an open vocabulary, such as --perception google/owlv2-base-patch16-ensemble or Grounding "
+    "DINO (the extra 'vlm'), or a server, --perception endpoint:MODEL@ADDRESS (docs/models.md)"
+)
+_COLOURS = {*COLOURS, *SHADES}
+_PLACES = """
+on in at by near next beside behind under above below between with without to from over inside outside against
+around that which who
+"""
+_RELATIONS = frozenset(_PLACES.split())
+_HOLDING = {"cup", "glass", "mug", "bottle", "bowl", "vase", "box", "can", "jar", "pot"}  # a cup of tea is a cup
+_PARTS = {"slice", "piece", "pair", "bunch", "group", "kind", "sort", "couple"}  # a slice of pizza is pizza
+_EVERY = 8  # classes that an error names
+_ROOMS = ("chair", "couch", "bed", "dining table", "tv", "refrigerator", "potted plant", "person")
+
+
+def meant(query: str, classes: Sequence[str], *, described: bool = False) -> tuple[str, ...]:
+    """The names among `classes` that `query` means, as they are spelt there and in their order.
+
+    A class's own name wins over its other names, those over wider words ("animal" means every animal that is there),
+    and those over the last word of a compound ("office chair" means a chair). `described`: leave out words that
+    describe ("red", "wooden", "by the window") instead of refusing them.
+
+    Raises `QueryError` for a word that no class fits, which names the nearest classes; for words that describe, as a
+    detector with a closed set of classes finds every chair, not the red one; and for a query without words.
+    """
+    words = plain(query).split() if isinstance(query, str) else []
+    if not words:
+        raise QueryError(f"the query {query!r} has no words; say what to look for, such as {_some(classes)}")
+    if found := _named(" ".join(words), classes):  # whatever it is, a class is called so
+        return found
+    words = _asked(words)
+    if found := _called(" ".join(words), classes):
+        return found
+    noun, left_out = _noun(words)
+    found = _found(noun, classes)
+    if found and (not left_out or described):
+        return found
+    if all(word in _COLOURS for word in words):
+        raise QueryError(
+            f"the query {query!r} names a colour and no thing; this detector does not know colours. It knows "
+            f"{_some(classes)}. --perception colour finds what is of a colour; for {OPEN_VOCABULARY}"
+        )
+    if found:
+        raise _too_much(query, left_out, noun, found)
+    raise _unknown(query, noun or words, classes)
+
+
+def plain(text: str) -> str:
+    """`text` in small letters, words with one space between them: ``"Television_Set"`` is ``"television set"``."""
+    text = re.sub(r"['’]s?\b", "", str(text).lower())
+    return " ".join(re.findall(r"[^\W_]+", text))
+
+
+def singular(words: str) -> str:
+    """The last of `words` in the singular; "glass", "bus" and "scissors" stay as they are."""
+    first, _, last = words.rpartition(" ")
+    if last == "glasses" and first.rpartition(" ")[2] in DRINKING:
+        return f"{first} glass"
+    return f"{first} {_one(last)}".strip()
+
+
+@lru_cache(maxsize=4096)
+def _one(word: str) -> str:
+    if word in IRREGULAR:
+        return IRREGULAR[word]
+    if word in IRREGULAR.values() or len(word) < 4 or not word.endswith("s") or word.endswith(("ss", "us", "is")):
+        return word
+    if word.endswith("ies") and len(word) > 4:
+        return word[:-3] + "y"
+    if word.endswith(("ches", "shes", "sses", "xes", "zes", "oes")):
+        return word[:-2]
+    return word[:-1]
+
+
+def _asked(words: list[str]) -> list[str]:
+    """Without "where is the" and the like before it."""
+    while len(words) > 1 and words[0] in OPENERS:
+        words = words[1:]
+    return words
+
+
+def _noun(words: list[str]) -> tuple[list[str], list[str]]:
+    """The noun and what stands before its last word; and the words that describe it, which were taken off."""
+    left_out: list[str] = []
+    for at in range(1, len(words)):
+        if words[at] in _RELATIONS:
+            words, left_out = words[:at], words[at:]
+            break
+        if words[at] == "of":  # but a picture of a dog is no dog
+            head, rest = _one(words[at - 1]), _asked(words[at + 1 :])
+            words = words[:at] if head in _HOLDING else rest if head in _PARTS and rest else words
+            break
+    while len(words) > 1 and (words[0] in DESCRIBING or words[0] in _COLOURS):
+        left_out, words = [*left_out, words[0]], words[1:]
+        words = _asked(words)
+    return words, left_out
+
+
+def _found(words: list[str], classes: Sequence[str]) -> tuple[str, ...]:
+    """By name, by another name, by a wider word; then by fewer and fewer of the last words."""
+    if "of" in words:
+        return ()
+    for at in range(len(words)):
+        name = " ".join(words[at:])
+        if singular(name) in OTHER_THINGS:
+            break
+        if at and len(WIDER.get(singular(name), "1")) > 1:  # a car seat is no couch
+            break
+        if found := _called(name, classes):
+            return found
+    return ()
+
+
+def _called(name: str, classes: Sequence[str]) -> tuple[str, ...]:
+    return _named(name, classes) or _other(name, classes) or _wider(name, classes)
+
+
+def _named(name: str, classes: Sequence[str]) -> tuple[str, ...]:
+    """The classes that are called `name`, in the singular or as written."""
+    ways = _spelt(tuple(classes))
+    for way in (name, singular(name), singular(name).replace(" ", "")):
+        if found := ways.get(way):
+            return found
+    return ()
+
+
+@lru_cache(maxsize=64)
+def _spelt(classes: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """The classes by what they are called: ``"Monitor/TV"`` is a monitor, a tv, and both; ``"bow (weapon)"`` a bow."""
+    exact: dict[str, list[str]] = {}
+    parts: dict[str, list[str]] = {}
+    for each in classes:
+        whole = plain(each)
+        for way in {whole, singular(whole), whole.replace(" ", "")}:
+            exact.setdefault(way, []).append(each)
+        without = re.sub(r"\([^)]*\)", "", each)
+        for part in [without, *re.split(r"[/;,|]", without)]:
+            for way in {plain(part), singular(plain(part))} - {""}:
+                parts.setdefault(way, []).append(each)
+    return {way: tuple(dict.fromkeys(names)) for way, names in (parts | exact).items()}
+
+
+@lru_cache(maxsize=1)
+def _groups() -> dict[str, tuple[str, ...]]:
+    """Every name to the names that mean the same."""
+    return {name: group for group in GROUPS for name in group}
+
+
+def _other(name: str, classes: Sequence[str]) -> tuple[str, ...]:
+    """The classes with another name for `name`: the nearest in the group, and all that are spelt so."""
+    for way in dict.fromkeys((name, singular(name))):
+        for same in _groups().get(way, ()):
+            if found := _named(same, classes):
+                return found
+    return ()
+
+
+def _wider(name: str, classes: Sequence[str]) -> tuple[str, ...]:
+    """The classes of a wider word, each by any of its names."""
+    found: list[str] = []
+    for way in dict.fromkeys((name, singular(name), *_groups().get(name, ()), *_groups().get(singular(name), ()))):
+        for kind in WIDER.get(way, ()):
+            found += _named(kind, classes) or _other(kind, classes)
+        if found:
+            break
+    return tuple(each for each in dict.fromkeys(classes) if each in set(found))
+
+
+def _too_much(query: str, left_out: Sequence[str], noun: Iterable[str], found: Sequence[str]) -> QueryError:
+    text, what = " ".join(left_out), "words such as"
+    if any(word in _COLOURS for word in left_out):
+        what = "colours, such as"
+    return QueryError(
+        f"the query {query!r}: this detector does not know {what} {text!r}; it finds every {' or '.join(found)}. Ask "
+        f"for {' '.join(noun)!r} alone, or take one that knows {OPEN_VOCABULARY}"
+    )
+
+
+def _unknown(query: str, words: Sequence[str], classes: Sequence[str]) -> QueryError:
+    near = nearest(" ".join(words), classes)
+    hint = f"the nearest that it knows: {', '.join(near)}" if near else f"it knows {_some(classes)}"
+    if not near:
+        hint += ", and nothing near that word"
+    return QueryError(
+        f"the query {query!r} names none of this detector's {len(classes)} classes; {hint}. For {OPEN_VOCABULARY}"
+    )
+
+
+def nearest(name: str, classes: Sequence[str], most: int = 5) -> tuple[str, ...]:
+    """The classes nearest to `name`: those of the same kind of thing, those spelt alike, those with a word of it."""
+    name = singular(plain(name))
+    last = name.rpartition(" ")[2]
+    by_way = dict.fromkeys([*_spelt(tuple(classes)), *(other for other in _groups() if _other(other, classes))])
+    alike = difflib.get_close_matches(name, by_way, n=3, cutoff=0.82)
+    found = [each for way in alike for each in _named(way, classes) or _other(way, classes)]
+    same = dict.fromkeys((name, *_groups().get(name, ()), last))
+    for kind in (each for way in same for each in KIN.get(way, ())):
+        found += _named(kind, classes) or _other(kind, classes)
+    found += [each for each in classes if last in plain(each).split()]
+    return tuple(dict.fromkeys(found))[:most]
+
+
+def _some(classes: Sequence[str]) -> str:
+    """Some of the classes, those of rooms first, and how many more there are."""
+    shown = [each for kind in _ROOMS for each in _named(kind, classes)]
+    shown = list(dict.fromkeys([*shown, *classes]))[:_EVERY]
+    rest = len(classes) - len(shown)
+    return ", ".join(shown) + (f" and {rest} more" if rest > 0 else "")
