@@ -21,7 +21,11 @@ PACKAGES = ("numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro"
 USES = {**machine.USES, "ray": "runs on a cluster"}
 OPTIONAL = {name: f"{USES[extra]}: the extra '{extra}'" for extra, names in EXTRAS.items() for name in names}
 OPTIONAL |= {"embreex": "faster rays in simulated worlds: the extra 'sim'"}
-WANTS = {"endpoint": "endpoint", "onnx": "photos", "scout": "sim"}  # perceptions, and the extra that they want beyond what they import
+WANTS = {
+    "endpoint": "endpoint",
+    "onnx": "photos",
+    "scout": "sim",
+}  # perceptions, and the extra that they want beyond what they import
 READY = "ready"
 PARTS = (perception, worlds, task, benchmark)  # what packages can add to
 

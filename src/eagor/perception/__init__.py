@@ -46,6 +46,7 @@ def __getattr__(name: str) -> Any:
 GROUP = "eagor.perceptions"
 # Known even where the package runs from a folder, without installed metadata.
 BUILT_IN = {
+    "coco": "eagor.perception.coco:from_text",
     "colour": "eagor.perception.colour:ColourPerception",
     "endpoint": "eagor.perception.endpoint:from_text",
     "onnx": "eagor.perception.onnx:from_text",

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -67,8 +68,7 @@ class Piece:
         return smaller > 0 and max(in_other, in_self) > SAME * smaller
 
 
-@dataclass(frozen=True, eq=False)
-class Thing:
+class Thing(NamedTuple):
     """A thing on the sphere: mean `direction` ``(3,)``, `covariance` ``(2, 2)`` about it (radians squared), score."""
 
     direction: np.ndarray

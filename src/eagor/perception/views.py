@@ -12,13 +12,13 @@ import numpy as np
 
 from eagor._checks import within
 from eagor.errors import EagorError, GridError, QueryError
-from eagor.evidence import Detections, DetectorModel, Evidence, View
-from eagor.evidence.detections import anisotropic
+from eagor.evidence import DetectorModel, Evidence, View
 from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import PerspectiveGrid
 from eagor.perception.adapters import boxes_of
+from eagor.perception.blobs import spread_evidence
 from eagor.perception.cutting import cut, tangent_views
-from eagor.perception.pieces import Piece, Thing, things
+from eagor.perception.pieces import Piece, things
 from eagor.perception.vlm.sizes import checked_picture
 from eagor.perception.words import meant
 from eagor.sphere import azimuth_elevation, check_rotation, world_R_body
@@ -101,13 +101,13 @@ class Views:
         pieces = []
         for number, (grid, picture) in enumerate(zip(grids, cut(panorama, *grids), strict=True)):
             pieces += self._pieces(number, grid, picture, query, wanted)
-        return self._evidence(things(pieces), View(WHOLE_SPHERE), stamp)
+        return spread_evidence(things(pieces), self.detector, View(WHOLE_SPHERE), stamp)
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
         """One look at an ordinary picture ``(h, w, 3)`` uint8 that `grid` describes."""
         image = checked_picture(image, "the picture")
         pieces = self._pieces(0, grid, image, query, self._wanted(query))
-        return self._evidence(things(pieces), View(grid), stamp)
+        return spread_evidence(things(pieces), self.detector, View(grid), stamp)
 
     def _wanted(self, query: str) -> tuple[str, ...] | None:
         if not isinstance(query, str) or not query.strip():
@@ -128,14 +128,6 @@ class Views:
             if (inside[2:] - inside[:2] > 1e-6 * size[:2]).all():
                 found.append(Piece(number, grid, inside, float(score), label))
         return found
-
-    def _evidence(self, found: list[Thing], seen: View, stamp: float | None) -> Evidence:
-        model = self.detector
-        directions = np.array([thing.direction for thing in found]).reshape(-1, 3)
-        covariances = np.array([thing.covariance for thing in found]).reshape(-1, 2, 2) + model.spread**2 * np.eye(2)
-        scores = np.array([thing.score for thing in found])
-        detections = Detections.around(model, directions, anisotropic(directions, covariances), scores, seen)
-        return Evidence.from_detections(detections, WHOLE_SPHERE if seen.is_whole else seen.grid, stamp)
 
 
 def _fits(label: str, query: str, wanted: tuple[str, ...] | None) -> bool:

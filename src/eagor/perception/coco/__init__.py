@@ -10,15 +10,22 @@ Metadata: ``names``, the classes as JSON, and ``layout``, "centernet".
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import inspect
+from typing import TYPE_CHECKING, Any
 
 from eagor._extras import need
+from eagor.errors import EagorError
+from eagor.evidence.detector import DetectorModel
 from eagor.perception.coco.classes import CLASSES
 
 if TYPE_CHECKING:
-    from eagor.perception.onnx import OnnxDetector  # pyright: ignore[reportMissingImports]
+    from eagor.perception.onnx import OnnxDetector
+    from eagor.perception.views import Views
 
-__all__ = ["CLASSES", "coco_detector"]
+__all__ = ["CLASSES", "coco_detector", "from_text"]
+
+# A network that takes a thing for another one does so again in the next frame.
+DETECTOR = DetectorModel(repeats=0.5)
 
 
 def coco_detector() -> OnnxDetector:
@@ -31,6 +38,21 @@ def coco_detector() -> OnnxDetector:
     from eagor.perception.coco.store import COCO
 
     path = COCO.installed()
-    from eagor.perception.onnx import OnnxDetector  # pyright: ignore[reportMissingImports]
+    from eagor.perception.onnx import OnnxDetector
 
     return OnnxDetector(path)
+
+
+def from_text(text: str = "", /, **options: Any) -> Views:
+    """The perception ``coco[:option=value&...]``: this detector in level views; options as `Views` has them.
+
+    Raises `MissingExtraError` as `coco_detector` does, and `EagorError` for an option that `Views` does not have.
+    """
+    from eagor.perception import parse_options
+    from eagor.perception.views import Views
+
+    given: dict[str, Any] = {"detector": DETECTOR} | parse_options(text.removeprefix("?")) | options
+    known = [*inspect.signature(Views).parameters][1:]
+    if unknown := sorted(given.keys() - {*known}):
+        raise EagorError(f"coco has no option {', '.join(unknown)}; it has {', '.join(known)}")
+    return Views(coco_detector(), **given)

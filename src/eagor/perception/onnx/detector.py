@@ -158,9 +158,9 @@ class OnnxDetector:
 def from_text(text: str = "", /, **options: Any) -> Perception:
     """The perception that ``MODEL.onnx[?option=value&...]`` names: the detector in level views of a panorama.
 
-    Options are those of `OnnxDetector`, and of `eagor.perception.views.Views` ``hfov``, ``overlap_deg`` (its overlap),
-    ``view`` (pixels of a view's side; default: as many as the network takes), ``rows`` and ``detector``; those that
-    are passed by name win. Raises `EagorError` for options that do not exist, and as `OnnxDetector` does.
+    Options are those of `OnnxDetector`, and of `eagor.perception.views.Views` ``hfov``, ``count``, ``detector`` and
+    ``view`` (pixels of a view's side; default: as many as the network takes); those that are passed by name win. Raises
+    `EagorError` for options that do not exist, and as `OnnxDetector` does.
     """
     from eagor.perception import parse_options
 
@@ -178,7 +178,7 @@ def from_text(text: str = "", /, **options: Any) -> Perception:
     return import_module("eagor.perception.views").Views(detect, **fields)
 
 
-_OF_VIEWS = {"hfov": "hfov", "overlap_deg": "overlap", "view": "size", "rows": "rows", "detector": "detector"}
+_OF_VIEWS = {"hfov": "hfov", "count": "count", "view": "size", "detector": "detector"}
 
 
 def _again(made: dict[str, Any]) -> OnnxDetector:
