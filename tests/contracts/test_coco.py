@@ -264,6 +264,12 @@ def test_a_cache_that_cannot_be_written_is_said_before_anything_is_fetched(small
         install(small)
 
 
+def test_a_cache_without_room_is_said_before_anything_is_fetched(small, own_npm):
+    own_npm("raise SystemExit('asked')")
+    with pytest.raises(StorageError, match=r"MB are free, 1000001 wanted\).*Set EAGOR_CACHE"):
+        install(replace(small, size=10**12))
+
+
 def test_a_disk_that_is_full_at_the_end_leaves_nothing_half_written(small, tmp_path, monkeypatch):
     def full(_):
         raise OSError(28, "No space left on device")
