@@ -154,5 +154,6 @@ def _try_to_write(folder: Path, size: int) -> None:
         why = error.strerror or str(error)
     if why:
         raise StorageError(
-            f"{folder} cannot be written ({why}), so the model cannot be kept there. Set EAGOR_CACHE to a folder that can"
+            f"{folder} cannot be written ({why}), so the model cannot be kept there. Set EAGOR_CACHE to a folder that "
+            "can"
         )
