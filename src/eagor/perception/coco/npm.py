@@ -10,7 +10,8 @@ import shutil
 import subprocess
 import tarfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -39,10 +40,11 @@ class NpmPackage:
         return f"{self.name} {self.version}"
 
 
-def fetched(package: NpmPackage, folder: Path) -> Path:
+def fetched(package: NpmPackage, folder: Path, moved_on: Callable[[float], object] = lambda _: None) -> Path:
     """Fetch the archive of `package` into the empty `folder`, check it, and return where it is.
 
     npm does it, with its own settings (registry, proxy), and runs nothing of the package. It leaves nothing elsewhere.
+    Some times a second `moved_on` gets the share that has come, 0 to 1.
     Raises `MissingExtraError` without npm, `StorageError` where there is no room, `ServerError` if the package cannot
     be had, or is another than it was.
     """
@@ -54,19 +56,13 @@ def fetched(package: NpmPackage, folder: Path) -> Path:
             raise _no_room(folder, wanted, f"{free >> 20} MB are free")
         command = [*_npm(), "pack", f"{package.name}@{package.version}", *_NO_SCRIPTS, *_FEW_TRIES]
         command += ["--cache", str(folder / "cache")]
-        try:
-            done = subprocess.run(command, cwd=place, stdin=subprocess.DEVNULL, capture_output=True, check=False)
-        except OSError as error:
-            raise ServerError(
-                f"{command[0]} cannot be started ({error.strerror or error}); install npm anew"
-            ) from error
+        code, said = _run(command, place, lambda: moved_on(min(_size_of(folder) / package.size, 1.0)))
         archives = list(place.glob("*.tgz"))
-        if done.returncode != 0 or len(archives) != 1:
-            said = done.stderr.decode("utf-8", "replace")
+        if code != 0 or len(archives) != 1:
             if any(text in said for text in _FULL):
                 raise _no_room(folder, wanted, "it ran full")
             raise ServerError(
-                f"npm could not fetch {package} ({_in_short(said) or f'exit code {done.returncode}'}). It needs a "
+                f"npm could not fetch {package} ({_in_short(said) or f'exit code {code}'}). It needs a "
                 "network, or a registry or proxy that `npm config` names; nothing was changed, so try again"
             )
         _check(package, archives[0])
@@ -108,6 +104,38 @@ def members(archive: Path, wanted: Mapping[str, int]) -> dict[str, bytes]:
         raise FormatError(f"{archive.name} cannot be read as an archive: {error}") from error
     if lacking := sorted(set(wanted) - set(found)):
         raise FormatError(f"{archive.name} lacks {', '.join(lacking)}")
+    return found
+
+
+def _run(command: list[str], folder: Path, meanwhile: Callable[[], object]) -> tuple[int, str]:
+    """Run `command` in `folder`; its exit code, and what it said on stderr. Whatever ends us, ends it too."""
+    said = folder.with_name("said")
+    with said.open("wb") as errors:
+        try:
+            process = subprocess.Popen(
+                command, cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors
+            )
+        except OSError as error:
+            raise ServerError(f"{command[0]} cannot be started ({error.strerror or error})") from error
+        with process:
+            try:
+                while True:
+                    with suppress(subprocess.TimeoutExpired):
+                        process.wait(0.25)
+                        break
+                    meanwhile()
+            except BaseException:
+                process.kill()
+                raise
+    return process.returncode, said.read_bytes().decode("utf-8", "replace")
+
+
+def _size_of(folder: Path) -> int:
+    found = 0
+    with suppress(OSError):  # files come and go
+        for path in folder.rglob("*"):
+            with suppress(OSError):
+                found += path.stat().st_size
     return found
 
 

