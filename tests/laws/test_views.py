@@ -126,10 +126,10 @@ def test_an_open_side_widens_and_shifts_what_one_view_alone_has_seen():
     (inside,), (opened,) = things([whole]), things([part])
     assert not whole.cut.any()
     assert part.cut.tolist() == [False, False, True, False]
-    middle = grid.unproject(85.0, 50.0)
     assert angular_distance(inside.direction, grid.unproject(45.0, 50.0)) < math.radians(1)
-    to_the_right = math.atan2(middle[1], middle[0]) - math.atan2(opened.direction[1], opened.direction[0])
-    assert to_the_right > math.radians(5), "the thing goes on behind the border"
+    closed = grid.unproject(85.0, 50.0)
+    shift = math.atan2(closed[1], closed[0]) - math.atan2(opened.direction[1], opened.direction[0])
+    assert math.radians(2) < shift < math.radians(8), "the thing goes on to the right, behind the border"
     assert opened.covariance.trace() > inside.covariance.trace()
 
 
@@ -175,7 +175,7 @@ def test_labels_that_the_query_does_not_mean_are_left_out():
     ],
 )
 def test_a_detector_that_returns_nonsense_is_told_so(nonsense):
-    with pytest.raises(EagorError, match="wanted"):
+    with pytest.raises(EagorError, match="want"):
         Views(lambda picture, query: nonsense, size=64)(painted(), "thing")
 
 
