@@ -171,7 +171,7 @@ def test_load_makes_installed_ones(monkeypatch):
     assert isinstance(load("upside"), ColourPerception)
     with pytest.raises(EagorError, match=r"'broken'.*cannot be imported"):
         load("broken")
-    with pytest.raises(QueryError, match="broken, colour, endpoint, replay, scout, truth, upside"):
+    with pytest.raises(QueryError, match="broken, colour, endpoint, onnx, replay, scout, truth, upside"):
         load("nonsense:1")
 
 
