@@ -140,6 +140,7 @@ def test_base_commands_work(run):
         ("vlm", "locate room.png chair --perception some/model"),
         ("vlm", "calibrate heads --perception some/model --out heads.json"),
         ("endpoint", "locate room.png chair --perception endpoint:qwen"),
+        ("photos", "locate room.png chair --perception onnx:d.onnx"),
     ],
 )
 def test_other_commands_name_their_extra(run, extra, command):

@@ -286,6 +286,7 @@ def test_panoramas_are_rendered_as_fine_as_the_model_sees(planted, family):
         ("scout", "scout", False),
         ("truth:miss=0.5", "truth", False),
         ("replay:some/file.jsonl", "replay", False),
+        ("onnx:some/yolo11n.onnx?size=640", "onnx-yolo11n", False),
         ("Qwen/Qwen2.5-VL-7B-Instruct", "Qwen2.5-VL-7B-Instruct", True),
         ("Qwen/Qwen2.5-VL-7B-Instruct?extractor=boxes&pixels=401408", "Qwen2.5-VL-7B-Instruct", True),
         ("/models/tiny?heads=a/b.json", "tiny", True),

@@ -107,7 +107,8 @@ class Locate(Common):
     """What to look for, in words."""
     perception: Name = "colour"
     (
-        "Who looks: colour (the colour that the query names), replay:FILE.jsonl (what a detector wrote), a model "
+        "Who looks: colour (the colour that the query names), replay:FILE.jsonl (what a detector wrote), "
+        "onnx:MODEL.onnx (a detector's file, options after ?), a model "
         "(FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, endpoint:MODEL@http://HOST:PORT/v1, options after ?), or an installed "
         "one; `eagor doctor` lists them."
     )
@@ -139,7 +140,7 @@ class Track(Common):
         "stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch nose DOWN); also x,y,z (metres) and frame (file name)."
     )
     perception: Name = "colour"
-    """Who looks: colour, replay:FILE.jsonl, a model (as for locate), or an installed one."""
+    """Who looks: colour, replay:FILE.jsonl, onnx:MODEL.onnx, a model (as for locate), or an installed one."""
     floor: Annotated[float | None, _bare("Z")] = None
     """Height of the floor in the poses' world, metres, where it is known: things stand on it, which tells distances."""
     calibration: Annotated[Path | None, _bare("FILE.json")] = None

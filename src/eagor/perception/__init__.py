@@ -152,6 +152,8 @@ def short_name(spec: str) -> str:
 
         model, _ = place_of(text.partition("?")[0])
         name = f"endpoint-{model.rstrip('/').rpartition('/')[2]}" if model else name
+    elif name == "onnx":
+        name = f"onnx-{Path(text.partition('?')[0]).stem}"
     elif name not in known():
         name = Path(os.path.expanduser(str(spec).partition("?")[0])).resolve().name
     return re.sub(r"[^\w.+-]+", "-", name).strip("-.") or "perception"
