@@ -197,7 +197,7 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
     assert sum(failed["causes"].values()) == round(16 * (1 - ours["overall"] / 100))
     assert "No case failed" in bench("failures", place / "oracle").stdout
     for words in (("report", place / "ours"), ("export", place / "ours")):
-        assert "tables.md is no folder" in refused(*words, "--out", tmp_path / "tables.md")
+        assert "tables.md is not a folder" in refused(*words, "--out", tmp_path / "tables.md")
 
 
 def test_a_benchmark_that_names_no_causes_has_failures_all_the_same(monkeypatch):

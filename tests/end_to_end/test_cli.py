@@ -139,7 +139,7 @@ def test_help_lists_the_commands():
 @pytest.mark.parametrize("words", [("bench", "run"), ("bench", "compare"), ("calibrate",), ("track",)])
 def test_help_says_everything_once(words):
     text = " ".join(eagor(*words, "--help").stdout.replace("│", " ").split())
-    told = ("Play a simulated task", "Is one run of a benchmark", "Fit how a perception", "Follow it through a series")
+    told = ("Run a simulated task", "Compare two runs of a", "Calibrate a perception", "Follow an object through")
     assert sum(text.count(line) for line in told) == 1
     assert "default: None" not in text
     assert "default: False" not in text

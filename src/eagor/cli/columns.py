@@ -1,4 +1,4 @@
-"""Text in columns, for people who read a terminal."""
+"""Text in columns for the terminal."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 
 
 def columns(pairs: Mapping[str, Any], indent: int = 4) -> None:
-    """Print names and what they mean."""
+    """Print names and their meanings."""
     wide = max((len(name) for name in pairs), default=0)
     for name, what in pairs.items():
         print(f"{' ' * indent}{name.ljust(wide)}  {what}")
 
 
 def facts(pairs: Mapping[str, Any], indent: int = 0) -> None:
-    """Print names and what was found, and what consists of parts below its name, indented."""
+    """Print names and values; nested values are indented below their name."""
     plain = {name: words(value) for name, value in pairs.items() if not (isinstance(value, Mapping) and value)}
     wide = max((len(name) for name in plain), default=0)
     for name, value in pairs.items():
@@ -27,7 +27,7 @@ def facts(pairs: Mapping[str, Any], indent: int = 0) -> None:
 
 
 def words(value: Any) -> str:
-    """Text as it is, a list with commas, what is empty as "none", anything else as JSON."""
+    """Text unchanged, a list with commas, empty values as "none", anything else as JSON."""
     if isinstance(value, str):
         return value
     if isinstance(value, list | tuple) or value == {}:

@@ -1,4 +1,4 @@
-"""``eagor bench``: what came of runs. Report, compare, failures, export."""
+"""``eagor bench report``, ``compare``, ``failures`` and ``export``."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from eagor.cli.options import BenchCompare, BenchExport, BenchFailures, BenchRep
 
 
 def report(options: BenchReport) -> int:
-    """``eagor bench report``. Raises `StorageError` where the disk does not take it."""
+    """``eagor bench report``. Raises `StorageError` if it cannot be written."""
     from eagor.cli.looking import checked_folder
     from eagor.evaluation import studies
     from eagor.evaluation.report import write_report
 
     need("a report page", "sim", "jinja2")
     if not options.folders:
-        raise terminal.UsageError("no run is named; wanted the folder of one")
+        raise terminal.UsageError("no run was given; wanted the folder of a run")
     if options.out is not None:
         if not studies.of(options.folders[0]).several:
-            raise terminal.UsageError("a run of a simulated task is reported alone, into its own folder")
+            raise terminal.UsageError("--out is for benchmarks; a simulated task's report goes into its own folder")
         checked_folder(options.out)
     page = write_report(options.folders, out=options.out)
     if options.json:
@@ -118,16 +118,16 @@ def export(options: BenchExport) -> int:
 
     if options.run is not None:
         if options.task or options.set:
-            raise terminal.UsageError(f"{options.run} says what it is a run of; leave out --task and --set")
+            raise terminal.UsageError(f"{options.run} names its task and options; leave out --task and --set")
         settings, records = benchmarks.read_run(options.run)
         settings |= {"data": str(options.data.resolve())} if options.data else {}
     else:
         if not (options.task and options.data):
-            raise terminal.UsageError("name a run, or --task and --data")
+            raise terminal.UsageError("give a run, or --task and --data")
         settings, records = predictions.bare_settings(options.task, options.data, pairs_of(options.set)), []
     out = options.out or options.run
     if out is None:
-        raise terminal.UsageError("without a run, name the folder to write into with --out")
+        raise terminal.UsageError("without a run, give the folder to write to with --out")
     checked_folder(out)
     known = benchmark.load(str(settings["task"]))
     if options.to == "jsonl" and "jsonl" not in known.exports:
