@@ -132,11 +132,11 @@ def _lines(path: str | Path, text: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _check_header(names: Sequence[str]) -> None:
-    """Raise `FormatError` unless the columns say when, and in one way only how the body stood."""
+    """Raise `FormatError` unless there is a stamp and exactly one form of orientation, each column once."""
     known = ("stamp", *QUATERNION, *ANGLES, *POSITION, "frame")
     twice = sorted({n for n in names if n in known and names.count(n) > 1})
     if twice:
-        raise FormatError(f"the column {twice[0]!r} is there twice")
+        raise FormatError(f"the column {twice[0]!r} appears twice")
     groups = {group: [n for n in group if n in names] for group in (QUATERNION, ANGLES, POSITION)}
     for group, found in groups.items():
         if found and len(found) < len(group):
@@ -162,8 +162,8 @@ def _from_quaternion(wxyz: Sequence[float]) -> np.ndarray:
     norm = math.hypot(*wxyz)
     if abs(norm - 1) > _NORM_TOLERANCE:
         raise RotationError(
-            f"qw,qx,qy,qz = {', '.join(f'{v:g}' for v in wxyz)} is no rotation: its length is {norm:.3g}, wanted 1. "
-            "Normalise it; the real part comes first"
+            f"qw,qx,qy,qz = {', '.join(f'{v:g}' for v in wxyz)} is not a rotation: its length is {norm:.3g}, wanted 1. "
+            "Normalise it; the scalar part comes first"
         )
     return rotation_from_wxyz(np.asarray(wxyz) / norm)
 

@@ -86,11 +86,11 @@ def track(options: Track) -> int:
         summary = {"query": query, "perception": options.perception, "frames": entries, "left_out": bad}
         terminal.emit(summary)
     if bad == len(images):
-        raise terminal.RunError(f"none of the {bad} frames could be looked at; the reasons are above")
+        raise terminal.RunError(f"none of the {bad} frames could be used; the reasons are above")
     if looked == 0:
         raise terminal.RunError(
-            f"{options.perception} has nothing for any of the {len(images)} frames; are its stamps on the clock of "
-            f"{options.poses} ({steps[0].pose.stamp:g} to {steps[-1].pose.stamp:g} s)?"
+            f"{options.perception} has no record for any of the {len(images)} frames; its stamps must use the clock of "
+            f"{options.poses} ({steps[0].pose.stamp:g} to {steps[-1].pose.stamp:g} s)"
         )
     if bad:
         terminal.log(f"{bad} of {len(images)} frames were left out")
