@@ -222,7 +222,7 @@ def test_the_list_and_what_a_folder_holds(folder, tmp_path):
     at = lines.index("episodes")
     assert [line.split() for line in lines[at + 1 : at + 3]] == [["hos", "16"], ["hps", "0"]]
     assert not any("{" in line for line in lines), "parts are lines, not JSON"
-    assert "no benchmark's data" in refused("info", tmp_path)
+    assert "holds the data of no known benchmark" in refused("info", tmp_path)
 
 
 @pytest.mark.parametrize(
