@@ -42,7 +42,7 @@ WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
         (("locate", "a.png", "red", "--picture", "folder/../a.png"), "a.png is what is read"),
         ((*TRACK, "red", "--poses", "poses.csv", "--out", "poses.csv"), "--out poses.csv is what is read"),
         (("track", "folder", "red", "--poses", "poses.csv", "--picture", "folder"), "--picture folder is what is read"),
-        (("locate", "a.png", "red", "--calibration", "bad.json"), "bad.json is no JSON"),
+        (("locate", "a.png", "red", "--calibration", "bad.json"), "bad.json is not JSON"),
         (("locate", "a.png", "red", "--calibration", "folder"), "folder cannot be read"),
         ((*TRACK, "chair", "--poses", "poses.csv", "--out", "new.csv"), "names no colour"),
         ((*TRACK, "red", "--poses", "poses.csv", "--floor", "nan"), "--floor nan"),

@@ -19,7 +19,7 @@ SPINES = 15
 
 @dataclass(frozen=True)
 class Picture:
-    """A kind of picture: the colours it comes in (empty: it has none), its variants, and what draws one.
+    """A kind of picture: its colours (empty: none), its variants, and its draw function.
 
     `draw(rng, colour, variant)` returns linear RGB ``(h, w, 3)``.
     """
@@ -30,7 +30,7 @@ class Picture:
     emission: float = 0.0
 
 
-# What goes with the main colour of a rug: a second colour, and one for small motifs.
+# For each main colour of a rug: a second colour, and one for small motifs.
 _PARTNERS: dict[str, tuple[str, str]] = {
     "red": ("beige", "blue"), "blue": ("beige", "red"), "beige": ("brown", "grey"), "grey": ("white", "black"),
     "green": ("beige", "brown"), "brown": ("beige", "orange"), "orange": ("beige", "brown"),
