@@ -34,7 +34,7 @@ def written(path: Path, content: str | bytes) -> Path:
     """Write `content` (text as UTF-8, without secrets) to `path`, and return it; folders above it are made.
 
     The old file stays until all of the new content is on the disk. If writing fails, the old file stays and nothing
-    else is left. Raises `StorageError`, which says where, why, and how much room is wanted.
+    else is left. Raises `StorageError`, which says where, why, and how much room is needed.
     """
     _put(path, content, Path.replace)
     return path
@@ -78,7 +78,7 @@ def _put(path: Path, content: str | bytes, place: Callable[[Path, Path], object]
         place(part, path)
     except OSError as error:
         raise StorageError(
-            f"{path} cannot be written ({error.strerror or error}); {len(data)} bytes are wanted there. Make room, or "
+            f"{path} cannot be written ({error.strerror or error}); {len(data)} bytes are needed there. Make room, or "
             "name another place"
         ) from error
     finally:
@@ -128,8 +128,8 @@ class Lines:
                 raise
         except OSError as error:
             raise StorageError(
-                f"{self.path} takes no more ({error.strerror or error}); {len(data)} bytes are wanted. What was "
-                "written before is whole. Make room, or name another place, then start again"
+                f"{self.path} takes no more ({error.strerror or error}); {len(data)} bytes are needed. What was "
+                "written before is intact. Make room, or name another place, then start again"
             ) from error
 
     def __enter__(self) -> Lines:

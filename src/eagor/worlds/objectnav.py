@@ -132,7 +132,7 @@ def write_episodes(folder: Path | str, split: str, scenes: Sequence[SceneEpisode
     for scene in scenes:
         names = {episode.scene for episode in scene.episodes}
         if len(names) != 1:
-            raise WorldError(f"the episodes of one scene name the scenes {sorted(names)}; wanted only one of them")
+            raise WorldError(f"the episodes of one scene name the scenes {sorted(names)}; wanted exactly one")
         (file,) = names
         stem = PurePosixPath(file).name.split(".")[0]
         if stem in contents:
