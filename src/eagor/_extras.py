@@ -1,7 +1,4 @@
-"""The packages of the extras, and the error if one is missing.
-
-The package is in no registry yet, so the command to install an extra includes a clone's.
-"""
+"""The packages of the extras, and the error if one is missing; an install command that also works in a clone."""
 
 from __future__ import annotations
 

@@ -87,10 +87,7 @@ def _put(path: Path, content: str | bytes, place: Callable[[Path, Path], object]
 
 
 def open_regular(path: Path, flags: int = os.O_RDONLY) -> int:
-    """A descriptor of the regular file at `path`, opened without following links.
-
-    Raises `OSError` also for a link, a pipe, a device or a folder.
-    """
+    """A descriptor of the regular file at `path`, without following links. Raises `OSError` for anything else."""
     careful = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     refused = OSError(errno.EINVAL, f"{path.name} is a link, a pipe, a device or a folder; wanted a regular file")
     try:

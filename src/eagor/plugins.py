@@ -70,10 +70,7 @@ def left_out(point: EntryPoint, kind: str) -> list[str]:
 
 
 def bring(point: EntryPoint, kind: str) -> Any:
-    """The object that `point` names; `kind` says what it is ("perception"). Raises `EagorError` if that fails.
-
-    Warns of plugins that are `left_out`.
-    """
+    """The object that `point` names; warns of what is `left_out`. Raises `EagorError`; `kind`: "perception", ..."""
     for line in left_out(point, kind):
         warnings.warn(line, stacklevel=2)
     try:
@@ -89,10 +86,7 @@ def bring(point: EntryPoint, kind: str) -> Any:
 
 
 def faults(points: Iterable[EntryPoint]) -> dict[EntryPoint, str]:
-    """Those of `points` that cannot be imported, with the reason.
-
-    All are tested at once, each in a process of its own: hanging, exiting or printing does not affect the others.
-    """
+    """Those of `points` that cannot be imported, with the reason; all tried at once in separate processes."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     tried = {}
     for point in points:

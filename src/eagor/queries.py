@@ -57,10 +57,7 @@ class Query:
 
 
 def parse_query(text: str, categories: Iterable[str]) -> Query:
-    """The query in `text`, over these categories, in their spelling.
-
-    Raises `QueryError`, which lists the known words, for other words.
-    """
+    """The query in `text`, over these categories. Raises `QueryError`, which lists the known words."""
     known = sorted(set(categories))
     words = re.findall(r"[a-z]+", text.lower()) if isinstance(text, str) else []
     words = [word for word in words if word not in _FILLERS]

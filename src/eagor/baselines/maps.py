@@ -93,10 +93,7 @@ def spread(density: np.ndarray, sigma: float) -> np.ndarray:
 
 @lru_cache(maxsize=32)
 def _kernel(sigma: float) -> np.ndarray:
-    """The kernel of `spread`, ``(W / 2 + 1, H, H)``.
-
-    It depends on the difference in azimuth alone: a Fourier transform over the columns leaves one matrix per frequency.
-    """
+    """The kernel of `spread` ``(W / 2 + 1, H, H)``: the Fourier transform over azimuth differences."""
     cosine = GRID.directions @ GRID.directions[:, 0].T  # row, column; row of the source, which is in column 0
     kernel = np.exp((cosine - 1) / sigma**2)
     mass = np.einsum("ijk,i->k", kernel, GRID.weights[:, 0])

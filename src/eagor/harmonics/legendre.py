@@ -105,10 +105,7 @@ def _evaluate(degree: int, directions: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _monic(degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """For Q_lm with leading coefficients 1: the factors ``(l, m, 1)`` of Q_l-2,m, and the leading coefficients.
-
-    The latter ``((degree + 1)^2, 1)``, by index.
-    """
+    """For monic Q_lm: the factors ``(l, m, 1)`` of Q_l-2,m, and leading coefficients ``((degree + 1)^2, 1)``."""
     start, a, b = _recursion(degree)
     leading, below = np.diag(start), np.zeros((degree + 1, degree + 1, 1))
     for l in range(1, degree + 1):

@@ -26,10 +26,7 @@ def decoding_grid(degree: int) -> ErpGrid:
 
 
 def peak(degree: int, coefficients: Array) -> Array:
-    """Directions ``(..., 3)`` of the maxima of fields ``(..., size)``, to a fraction of the grid's spacing.
-
-    For a constant field, returns forward (1, 0, 0).
-    """
+    """Directions ``(..., 3)`` of the maxima of fields ``(..., size)``; forward (1, 0, 0) for a constant field."""
     grid = decoding_grid(degree)
     values = RealHarmonics(degree).synthesise(coefficients, grid)
     return peak_on_grid(grid, values)

@@ -60,10 +60,7 @@ def rotate(degree: int, coefficients: Array, new_R_old: Array) -> Array:
 
 
 def _rotate_alike(degree: int, coefficients: np.ndarray, new_R_old: np.ndarray) -> np.ndarray:
-    """One rotation of one belief ``(size,)`` or of several ``(size, n)``, in as few NumPy calls as possible.
-
-    A robot repeats this step all the time.
-    """
+    """One rotation of one belief ``(size,)`` or of several ``(size, n)``, in as few NumPy calls as possible."""
     (r00, r01, r02), (r10, r11, r12), (_, _, r22) = new_R_old.tolist()
     tilt = math.hypot(r02, r12)
     if tilt < 1e-15 and r22 > 0:  # a pure yaw

@@ -102,10 +102,7 @@ def is_model(spec: str) -> bool:
 
 
 def short_name(spec: str) -> str:
-    """A short form of `spec` for file names: ``scout``, ``Qwen2.5-VL-7B-Instruct``, ``endpoint-qwen2.5vl-7b``.
-
-    It is not unique.
-    """
+    """A short form of `spec` for file names, not unique: ``scout``, ``endpoint-qwen2.5vl-7b``."""
     name, _, text = str(spec).partition(":")
     if name == "endpoint":
         from eagor.perception.endpoint.addresses import place_of

@@ -114,10 +114,7 @@ class ColourPerception:
         return self._evidence(response, grid, grid, stamp)
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
-        """Evidence for what `query` names in one perspective picture ``(h, w, 3)``, whose pixels `grid` describes.
-
-        Errors as for a call.
-        """
+        """Evidence from one perspective picture ``(h, w, 3)``, whose pixels `grid` describes. Errors as for a call."""
         colour = parse_colour(query)
         times = max(grid.height / self.rows, grid.width / (2 * self.rows), 1.0)  # the same factor in both directions
         linear = _reduced(image, max(1, round(grid.height / times)), max(1, round(grid.width / times)))

@@ -80,10 +80,7 @@ def _in_view(found: Evidence, grid: PerspectiveGrid) -> Evidence:
 
 
 def pasted(picture: np.ndarray, grid: PerspectiveGrid, rows: int) -> np.ndarray:
-    """A panorama ``(rows, 2 rows, 3)`` uint8 with `picture` where `grid` looks, and its mean colour elsewhere.
-
-    A picture finer than the panorama is shrunk first, to avoid aliasing.
-    """
+    """A panorama ``(rows, 2 rows, 3)`` uint8 with `picture` where `grid` looks, and its mean colour elsewhere."""
     from PIL import Image
 
     target = ErpGrid(rows, 2 * rows)

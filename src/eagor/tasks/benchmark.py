@@ -73,10 +73,7 @@ class Option:
 
 
 def _number(kind: type[int] | type[float], value: Any) -> Any:
-    """`value`, possibly text, as a finite number of this kind; None for a wrong number, such as True or 2.7 as int.
-
-    Other text is returned as it is: an option may have words as choices.
-    """
+    """`value` as a finite number of this kind, None for a wrong one; other text stays (a choice may be a word)."""
     try:
         found = kind(value)
     except (TypeError, ValueError, OverflowError):
@@ -180,10 +177,7 @@ def load(name: str) -> Benchmark:
 
 
 def read_options(benchmark: Benchmark, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Every option of `benchmark`: from `values` if given and not None, otherwise the default.
-
-    Raises `EagorError` for an unknown option or a value that does not fit.
-    """
+    """Every option of `benchmark`, given or default. Raises `EagorError` for unknown options and wrong values."""
     given = {name: value for name, value in values.items() if value is not None}
     if unknown := sorted(set(given) - set(benchmark.options)):
         has = ", ".join(benchmark.options) or "none"

@@ -29,10 +29,7 @@ class Pose:
 
 @dataclass
 class Carrier:
-    """Moves on the floor. `rng` draws the odometry's drift.
-
-    The body's heading is its walking direction; bobbing and swaying are added to it.
-    """
+    """Moves on the floor along its heading, with bobbing and swaying; `rng` draws the odometry's drift."""
 
     camera: Camera
     disturbances: Disturbances

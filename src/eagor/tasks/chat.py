@@ -1,7 +1,4 @@
-"""Talking models for the ``vlm`` agents of the benchmarks: named by text, made once per process.
-
-Any callable that fits `Chat` will do.
-"""
+"""Talking models (any `Chat`) for the ``vlm`` agents of the benchmarks: named by text, made once per process."""
 
 from __future__ import annotations
 

@@ -52,10 +52,7 @@ class Place:
         return names
 
     def missing(self, rng: np.random.Generator, known: bool = False) -> Query:
-        """A query without an answer here: an absent category, or a category here in another colour.
-
-        `known`: only categories that are here.
-        """
+        """A query without an answer: an absent category (not if `known`), or a category here in another colour."""
         from eagor.worlds.apartment import CATEGORIES
 
         here = {thing.category for thing in self.scene.instances} - {*UNTARGETED}

@@ -32,10 +32,7 @@ MASS = 0.9  # of the credible regions whose coverage is measured
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """One step of an open-loop episode: the odometry's pose, and the evidence that arrives (if any).
-
-    `other`: the evidence of the same look for the recording's second query.
-    """
+    """One step of an open-loop episode: pose by odometry, evidence that arrives, and that of the `other` query."""
 
     stamp: float
     world_R_body: np.ndarray

@@ -124,7 +124,7 @@ class NavigationRules(_Rules):
     detour: bool = _rule(True, _BOOL)
     nearest: float = _rule(2.0, _from(0, "metres from 0 on"))
     farthest: float = _rule(8.0, _METRES)
-    ratio: float = _rule(1.5, _from(1, "a number from 1 on: no way is shorter than the straight line"))
+    ratio: float = _rule(1.5, _from(1, "a number from 1 on: no path is shorter than the straight line"))
     winding_above: float = _rule(1.2, _from(0, "a number from 0 on"))
     facing_away: float = _rule(20.0, _from(0, "degrees from 0 to 180", 180))
     visible_pixels: int = _rule(2, _PIXELS)
@@ -175,7 +175,7 @@ class TrackingRules(_Rules):
     def __post_init__(self) -> None:
         super().__post_init__()
         away, back = self.away
-        shown = (away > 0 or back == 0, f"the ball there at the first of {self.steps} steps: begin later, or take more")
+        shown = (away > 0 or back == 0, f"the ball present at step 1 of {self.steps}: begin later, or take more steps")
         require(self, {"gone": shown}, WorldError)
 
     @property

@@ -36,10 +36,7 @@ class BallLabel:
 
 @dataclass(frozen=True)
 class TrackingEpisode(Episode):
-    """The poses of camera and ball at each step.
-
-    `route`: x, y, yaw of the body; `balls`: x, y, z of the ball's centre, None while it is away.
-    """
+    """`route`: x, y, yaw of the body per step; `balls`: x, y, z of the ball's centre, None while it is away."""
 
     route: tuple[tuple[float, float, float], ...] = ()
     balls: tuple[tuple[float, float, float] | None, ...] = ()

@@ -92,10 +92,7 @@ def plan(slot: Slot, camera: Camera, rules: WaypointRules) -> WaypointEpisode:
 
 
 def _route(place: Place, camera: Camera, rules: WaypointRules, slack: float, rng: np.random.Generator) -> _Route | None:
-    """Four legs through the place from a random start; None if there is no room for them.
-
-    A turn may miss its range by `slack` degrees.
-    """
+    """Four legs from a random start, or None; a turn may miss its range by `slack` degrees."""
     xy, yaw = place.ground.sample(rng), None
     rows: list[np.ndarray] = []
     legs: list[str] = []

@@ -62,10 +62,7 @@ def known() -> dict[str, EntryPoint]:
 
 
 def load(name: str) -> World:
-    """The world `name`: ``"apartment"``, an installed one, or a GLB file (the same scene for every seed).
-
-    Raises `WorldError` for anything else, `EagorError` if it cannot be imported.
-    """
+    """The world ``"apartment"``, an installed one, or a GLB file. Raises `WorldError`, or `EagorError` on import."""
     choices = known()
     if name in choices:
         return plugins.bring(choices[name], "world")

@@ -118,10 +118,7 @@ class Tree:
 
 
 def _split_large(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles ``(T, 3, 3)`` halved until none spans a sixteenth of the scene; large ones would enlarge the boxes.
-
-    Returns the pieces and the triangle of each.
-    """
+    """Triangles ``(T, 3, 3)`` halved until none spans a sixteenth of the scene, and the triangle of each piece."""
     source = np.arange(len(corners))
     limit = np.ptp(corners.reshape(-1, 3), axis=0).max() / 16
     done: list[tuple[np.ndarray, np.ndarray]] = []

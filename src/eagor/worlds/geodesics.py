@@ -41,10 +41,7 @@ _STEPS = _steps()
 def cells_of(
     xy: np.ndarray, origin: np.ndarray, cell: float, shape: tuple[int, ...]
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Points ``(..., 2)`` in a grid: in units of cells, as row and column, and whether on the grid (NaN is not).
-
-    The first two are 0 for points off the grid.
-    """
+    """Points ``(..., 2)`` in cells, as row and column (0 off the grid), and whether on the grid (NaN is not)."""
     place = (np.asarray(xy, dtype=np.float64) - origin) / cell
     known = np.all((place >= 0) & (place < shape[::-1]), axis=-1)
     place = np.where(np.expand_dims(known, -1), place, 0.0)

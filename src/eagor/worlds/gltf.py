@@ -31,10 +31,7 @@ def node_name(category: str, owner: int, material: int | None) -> str:
 
 
 def name_from_nodes(names: Iterable[str]) -> tuple[str, str | None]:
-    """Category and colour from the first name with words for them: "RedChair.001" is a red chair.
-
-    Names like "mesh_3" say nothing; if all are like that, the category is "object".
-    """
+    """Category and colour in the first meaningful name ("RedChair.001": a red chair; default "object")."""
     for name in names:
         apart = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
         words = [word for word in re.findall(r"[a-z]+", apart.lower()) if len(word) > 1 and word not in _EMPTY_WORDS]
@@ -84,10 +81,7 @@ def write_exactly(tree: dict[str, Any], materials: tuple[Material, ...]) -> None
 
 
 def from_pbr(pbr: Any, entries: list[dict[str, Any]], pixels: dict[int, np.ndarray]) -> Material:
-    """trimesh's material, or None, as ours; `entries`: the materials in the JSON part of the file.
-
-    `pixels`: the pictures decoded so far, by identity; none is decoded twice.
-    """
+    """trimesh's material (or None) as ours, with the JSON `entries`; `pixels` caches decoded pictures by identity."""
     if pbr is None:
         return Material("default")
     name = str(getattr(pbr, "name", None) or "material")

@@ -158,10 +158,7 @@ class Ground:
         return self._spread(index[usable], away[usable])
 
     def footprint(self, instance: Instance) -> Field:
-        """Distances to the footprint of an instance (its bounds seen from above), metres.
-
-        The path ends with a straight line from a point `beside` it; inf everywhere if there is none.
-        """
+        """Distances to the footprint of an instance, metres, via points `beside` it; inf everywhere without any."""
         seeds, away = self._beside(instance)
         return self._spread(seeds, away / self.cell)
 
@@ -238,7 +235,7 @@ class Ground:
         row, col = self._cell_of(x, y)
         if not math.isfinite(field.metres[row, col]):
             raise WorldError(
-                f"there is no way from ({x:.2f}, {y:.2f}) to the goal; is it free ground? snap() finds some"
+                f"there is no path from ({x:.2f}, {y:.2f}) to the goal; is it free ground? snap() finds some"
             )
         cells = self._graph.descend(field.metres / self.cell, row, col)
         ox, oy = float(self.origin[0]), float(self.origin[1])

@@ -23,10 +23,7 @@ def place_of(text: str) -> tuple[str, tuple[str, ...]]:
 
 
 def checked_address(url: str) -> str:
-    """`url`, with ``/v1`` added if it has no path. Raises `EagorError` if it is not an address.
-
-    Its password and query parameters count as secrets from now on.
-    """
+    """`url` with ``/v1`` added if it has no path; its secrets are kept out of output. Raises `EagorError`."""
     try:
         parts = urlsplit(str(url).strip())
         valid = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0

@@ -47,10 +47,7 @@ class ServedChat(Asker):
         return self._said(messages, self.max_tokens)
 
     def check(self) -> None:
-        """Ask for one word about a grey picture, to test server, model, key and picture support before a long run.
-
-        Raises what a call raises, except for a reply without text.
-        """
+        """Ask for one word about a grey picture, to test the setup before a long run; ignores an empty reply."""
         grey = np.full((112, 112, 3), 128, dtype=np.uint8)
         with suppress(AnswerError):
             self._said([Message("user", f"{IMAGE}\nWhat is this?", (grey,))], 1)

@@ -166,10 +166,7 @@ class EndpointPerception(Asker):
         return Look(responses, coverage, source, plan.things(readings, len(queries)))
 
     def check(self) -> None:
-        """Look at a grey picture, to test server, model, key and picture support before a long run.
-
-        Raises what a look raises, except for an unreadable answer: there is nothing to see.
-        """
+        """Look at a grey picture, to test the setup before a long run; ignores an unreadable answer."""
         rows = self.rows
         with suppress(AnswerError):
             self.look(np.full((rows, 2 * rows, 3), 128, dtype=np.uint8), ["chair"])

@@ -35,8 +35,7 @@ _CONNECTING = threading.Lock()
 class Asker:
     """A model on an OpenAI-compatible server, with timeout and retries; base class of everything that asks one.
 
-    It connects with the first request. Threads share the connections; pickled copies and forked processes connect
-    anew.
+    It connects with the first request. Threads share the connections; pickled copies and forked processes connect anew.
 
     `model`: its name there, empty for the server's only model. `servers`: the server's address, mostly ending in
     ``/v1``, in a tuple of one: several servers need a proxy. The rest: docs/models.md.
@@ -126,10 +125,7 @@ def _option(name: str, value: str, default: Any) -> Any:
 
 
 class Server:
-    """The connections to one server. Thread-safe; threads share the limits.
-
-    Raises `EagorError` if packages are missing or the environment variable with the key is not set.
-    """
+    """The connections to one server, shared by threads. Raises `EagorError` without the packages or the key."""
 
     def __init__(self, asker: Asker, concurrency: int, max_tokens: int) -> None:
         need_client()

@@ -81,10 +81,7 @@ class ScoutPerception:
         return Evidence.from_response(response, self.grid, self.calibration, stamp)
 
     def respond(self, panorama: np.ndarray, queries: Sequence[str]) -> np.ndarray:
-        """Responses ``(Q, h, w)`` float32 in [0, 1] to several queries, from one pass over the picture.
-
-        Errors as for a call.
-        """
+        """Responses ``(Q, h, w)`` float32 in [0, 1] to several queries, from one pass. Errors as for a call."""
         categories, colours = _vocabulary()
         asked = [parse_query(query, categories) for query in queries]
         words = [[categories.index(q.category), colours.index(q.colour) if q.colour else len(colours)] for q in asked]

@@ -147,10 +147,7 @@ def _squares(image: np.ndarray, plan: Plan, processor: Any) -> list[np.ndarray]:
 
 @dataclass(frozen=True)
 class Prompt:
-    """Token ids of a prompt, cut after its last image token into `prefix` ``(1, S)`` and `suffix` ``(1, T)``.
-
-    `columns`: positions ``(n,)`` of the image tokens in the prefix.
-    """
+    """Token ids: `prefix` ``(1, S)`` up to the last image, `suffix` ``(1, T)``; `columns` ``(n,)``: image tokens."""
 
     prefix: torch.Tensor
     columns: torch.Tensor

@@ -99,10 +99,7 @@ class LanguageModel:
     def look(
         self, images: Sequence[np.ndarray], grids: Sequence[Grid], queries: Sequence[str], extractor: Extractor
     ) -> tuple[np.ndarray, Account]:
-        """Responses ``(B, Q, h, w)`` float32 in [0, 1] of images of the size from `size`.
-
-        `grids`: the cells of each image's response, with the shape from `cells`.
-        """
+        """Responses ``(B, Q, h, w)`` float32 in [0, 1] of images of the size from `size`, on the cells `grids`."""
         account = Account()
         found = np.zeros((len(images), len(queries), *grids[0].shape), dtype=np.float32)
         with self.lock:

@@ -49,10 +49,7 @@ class Layout:
         return tuple(found)
 
     def cells(self, tokens: np.ndarray) -> np.ndarray:
-        """Values of tokens ``(..., count)`` as sums over cells ``(..., h, w)``.
-
-        A token's value is spread evenly over its window; what lies outside the image is dropped.
-        """
+        """Token values ``(..., count)``, spread evenly over their windows, as sums over cells ``(..., h, w)``."""
         tokens = np.asarray(tokens)
         if tokens.shape[-1] != self.count:
             raise ValueError(f"{tokens.shape[-1]} values came for {self.count} image tokens")

@@ -67,10 +67,7 @@ KINDS = {
 
 @dataclass
 class Localiser:
-    """A loaded localiser, a `looker.Looker`; attributes as in `language.LanguageModel`.
-
-    `threshold`: boxes with a lower score are dropped; None for the family's.
-    """
+    """A loaded localiser, a `looker.Looker`; drops boxes below `threshold` (None: the family's)."""
 
     name: str
     revision: str

@@ -122,10 +122,7 @@ def share(
 
 
 def _copied(cache: Any) -> Any:
-    """A cache that can grow without changing `cache`.
-
-    Layers that grow by concatenation never change the old tensors, so their copy shares them; others are copied.
-    """
+    """A copy of `cache` that can grow without changing it; layers that grow by concatenation share their tensors."""
     new = copy.copy(cache)
     new.layers = [
         copy.copy(layer) if isinstance(layer, DynamicLayer) else copy.deepcopy(layer) for layer in cache.layers

@@ -15,10 +15,7 @@ class Endless(Exception):
 
 @contextmanager
 def limited_steps(most: int) -> Iterator[None]:
-    """Raise `Endless` in the code inside, in this thread, once it has run more than `most` lines of Python.
-
-    The interpreter's tracing counts them, so a debugger does not trace meanwhile.
-    """
+    """Raise `Endless` in the code inside (this thread) after `most` lines of Python. Suspends a debugger."""
     left = most
 
     def step(frame: FrameType, event: str, argument: Any) -> Any:

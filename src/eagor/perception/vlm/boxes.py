@@ -266,9 +266,6 @@ def _box(found: _Found, frame: Frame, size: tuple[int, int], trace: Trace | None
 
 
 def _confidence(numbers: tuple[Node, ...], decided: tuple[int, int], trace: Trace) -> float:
-    """The probability of opening the entry (rather than ending the list) times that of its numbers.
-
-    That of the numbers is the geometric mean over their first tokens.
-    """
+    """The probability of opening the entry times the geometric mean over the first tokens of its numbers."""
     begun = sum(trace.log_probability(number.start, number.start + 1) for number in numbers) / len(numbers)
     return math.exp(trace.log_probability(*decided) + begun)

@@ -27,10 +27,7 @@ class Checkpoint:
 
     @property
     def gigabytes(self) -> float:
-        """Memory (1e9 bytes) in 16 bits, plus a fifth for everything beside the weights.
-
-        An estimate from the number of parameters; `benchmarks/vlm_latency.py` measures it.
-        """
+        """Estimated memory (1e9 bytes) in 16 bits, plus a fifth (measure: `benchmarks/vlm_latency.py`)."""
         return 2.4 * self.billions
 
 
@@ -157,10 +154,7 @@ def chosen(name: str, family: Family, option: str) -> Extractor:
 
 
 def family_of(config: Mapping[str, Any] | Any, source: str) -> Family:
-    """The family of a model's configuration (an object or the parsed ``config.json``); errors name `source`.
-
-    Raises `EagorError`, which lists the families, for an unknown one.
-    """
+    """The family of a configuration (object or parsed ``config.json``). Raises `EagorError`, which names `source`."""
     kind = config.get("model_type") if isinstance(config, Mapping) else getattr(config, "model_type", None)
     for family in FAMILIES:
         if kind in family.model_types:

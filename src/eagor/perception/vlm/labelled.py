@@ -38,10 +38,7 @@ class Labelled:
 
 
 def labelled_lines(file: Path) -> list[tuple[int, dict[str, Any]]]:
-    """The lines of a file of labelled panoramas with their numbers; all is checked except the images.
-
-    Raises `FormatError`, which names the file and the line of a fault.
-    """
+    """The numbered lines of a file of labelled panoramas, checked except for the images. Raises `FormatError`."""
     try:
         text = Path(file).read_bytes().decode("utf-8-sig")
     except (OSError, ValueError) as error:

@@ -95,10 +95,7 @@ def _covered(points: np.ndarray, poses: Sequence[tuple[float, float]], inner: fl
 
 
 def _depth(rays: np.ndarray, half_width: float, half_height: float) -> np.ndarray:
-    """How much narrower (radians, on each side) a view could be and still show directions ``(..., 3)``.
-
-    They are in the view's own frame; negative outside it.
-    """
+    """How much narrower (radians, on each side) a view could be and still show rays ``(..., 3)`` of its own frame."""
     x, y, z = rays[..., 0], np.abs(rays[..., 1]), np.abs(rays[..., 2])
     return np.minimum(half_width - np.arctan2(y, x), half_height - np.arctan2(z, x))
 

@@ -58,10 +58,7 @@ def spot(seed: int, most: int = 4) -> Spot:
 
 
 def write_scene(spot: Spot, folder: Path, rows: int = 512) -> Path | None:
-    """Write one scene in the published format, with a picture of `rows` rows (0: a grey one, for studies without it).
-
-    Returns its folder, None if the spot has no target.
-    """
+    """Write one published-format scene, `rows` high (0: a grey picture); its folder, or None without a target."""
     from PIL import Image
 
     if not spot.items:

@@ -58,10 +58,7 @@ def open_eye(
     resolution: int,
     read: Callable[[Evidence], Evidence] = lambda evidence: evidence,
 ) -> Eye:
-    """`perception`, from `open_perception`, for one episode; `seed` is for truth's mistakes.
-
-    `read` recalibrates its evidence. Raises `EagorError` for anything else.
-    """
+    """`perception` (from `open_perception`) for one episode; `seed`: of truth's mistakes, `read`: recalibrates."""
     if isinstance(perception, Noise):
         look = annotated(TruthEye(episode.yaw, episode.pitch, perception, luck(seed, episode.id)))
     elif isinstance(perception, Perception):

@@ -75,10 +75,7 @@ class Action:
 
 @dataclass(frozen=True)
 class Reply(Mapping[str, Any]):
-    """A parsed reply: the thought, the actions' texts, and whether the form was kept.
-
-    Also a mapping with exactly these names, as the published parser returns.
-    """
+    """A parsed reply: the thought, the actions, whether the form was kept; also a mapping of these names."""
 
     think_content: str
     actions: list[str]

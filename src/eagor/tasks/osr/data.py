@@ -40,10 +40,7 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Question:
-    """One question about one picture, with the published answer: text, or the grid of a map.
-
-    `id`: scene, kind of file and turn, such as "scene/qa/18".
-    """
+    """One question about a picture, with the published answer: text, or a map's grid; `id` as "scene/qa/18"."""
 
     id: str
     scene: str

@@ -66,10 +66,7 @@ def named(dot: float, cross: float) -> str:
 
 
 def distance_label(layout: Layout, category: str, choices: Iterable[str]) -> str:
-    """The published answer to "which of the choices is the closest to the category?": the first of the nearest.
-
-    Raises `FormatError` for an invalid layout.
-    """
+    """The published answer to "which of the choices is the closest to the category?": the first of the nearest."""
     start = _position(layout, category)
     if isinstance(start, str):
         return start

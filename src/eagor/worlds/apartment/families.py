@@ -17,10 +17,7 @@ Rooms = list[tuple[str, tuple[Rectangle, ...]]]  # kinds, and what they consist 
 
 @dataclass(frozen=True)
 class Layout:
-    """Rooms as `(kind, rectangles)`; `doors` and `openings` (no wall between) as pairs of indices of `rooms`.
-
-    `entrance` is the room with the front door.
-    """
+    """Rooms as `(kind, rectangles)`; `doors`, `openings` as pairs of room indices; `entrance`: the front door's."""
 
     rooms: tuple[tuple[str, tuple[Rectangle, ...]], ...]
     doors: tuple[tuple[int, int], ...]

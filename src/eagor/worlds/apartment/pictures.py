@@ -1,7 +1,4 @@
-"""Coloured textures, drawn whole: rugs, book spines, screens; and paintings' registry.
-
-All are linear RGB ``(h, w, 3)`` with their first row at the top.
-"""
+"""Coloured textures (rugs, book spines, screens, paintings): linear RGB ``(h, w, 3)``, first row at the top."""
 
 from __future__ import annotations
 
@@ -19,10 +16,7 @@ SPINES = 15
 
 @dataclass(frozen=True)
 class Picture:
-    """A kind of picture: its colours (empty: none), its variants, and its draw function.
-
-    `draw(rng, colour, variant)` returns linear RGB ``(h, w, 3)``.
-    """
+    """A kind of picture: colours (empty: none), variants, `draw(rng, colour, variant)`: linear RGB ``(h, w, 3)``."""
 
     colours: tuple[str, ...]
     variants: int

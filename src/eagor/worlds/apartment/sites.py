@@ -53,10 +53,7 @@ def along_walls(
     floor: Floor, room: int, size: np.ndarray, rng: np.random.Generator, *,
     corner: float = 0.0, middle: float = 0.0, gap: float = GAP, side: float = 0.04,
 ) -> Sites:  # fmt: skip
-    """Backs to the walls of a room: at both ends of each wall (score `corner`), in its middle, and between.
-
-    `side` metres are left free at the ends of a wall.
-    """
+    """Backs to walls: in the corners (score `corner`), the `middle`, and between; `side` metres free at the ends."""
     found = []
     for face in floor.faces:
         if face.room != room or face.end - face.start - size[1] - 2 * side < 0:
