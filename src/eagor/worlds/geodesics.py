@@ -64,8 +64,8 @@ class Field:
     def distance(self, xy: np.ndarray) -> np.ndarray:
         """Metres ``(...)`` from points ``(..., 2)``; inf without a path, off the ground and for NaN.
 
-        Bilinear between the four cell centres around a point. Centres that cannot be reached, or whose path is much
-        longer than that from the point's own cell, are left out: they lie behind a thin wall.
+        Bilinear between the four cell centres around a point. Centres that cannot be reached, or whose distance
+        differs much from that of the point's own cell, are left out: they lie behind a thin wall.
         """
         place, own, known = cells_of(xy, self.origin, self.cell, self.metres.shape)
         here = np.where(known, self.metres[own], np.inf)

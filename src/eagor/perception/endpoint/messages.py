@@ -26,7 +26,7 @@ LIKELIEST = 10  # alternatives per token whose probabilities are requested
 class Picture:
     """An image ``(H, W, 3)`` uint8 to send; encoded once for all questions about it.
 
-    PNG is lossless, JPEG much smaller. `quality`: of JPEG, 0 to 100; None for the default without chroma subsampling.
+    PNG is lossless, JPEG much smaller. `quality`: of JPEG, 0 to 100; None: 95 without chroma subsampling.
     """
 
     image: np.ndarray
