@@ -486,7 +486,7 @@ BROKEN_BENCHMARKS = {
         "and that again to",
     ),
     "no cases": (other(cases=lambda self, data, s: []), "has no cases in"),
-    "an id twice": (other(cases=lambda self, data, s: CASES * 2), "calls several cases a1"),
+    "an id twice": (other(cases=lambda self, data, s: CASES * 2), "gives several cases the id a1"),
     "other cases each time": (
         other(cases=lambda self, data, s: [replace(CASES[0], id=f"a{next(_seen)}")]),
         "wanted the same in the same order",

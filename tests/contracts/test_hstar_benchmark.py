@@ -96,7 +96,7 @@ def test_what_cannot_be_read_is_refused_with_its_name(tmp_path):
     annotation = folder / "hos_bench" / "hall" / "annotation.json"
     for text, words in (
         ("{", "is not JSON"),
-        ("{}", "no list"),
+        ("{}", "is not a list"),
         ('[{"task": "Find it", "yaw": [1]}]', "entry 0.*two angles"),
         ('[{"yaw": [1, 2], "pitch": [1, 2]}]', "entry 0.*task"),
     ):
