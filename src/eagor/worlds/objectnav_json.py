@@ -135,7 +135,7 @@ def _words(category: str) -> str:
 def _numbers(values: Any, count: int) -> np.ndarray:
     found = np.asarray(values, dtype=np.float64)
     if found.shape != (count,) or not np.isfinite(found).all():
-        raise ValueError(f"the numbers are {values!r}; wanted {count} finite ones")
+        raise ValueError(f"{values!r} is not {count} finite numbers")
     return found
 
 
@@ -165,7 +165,7 @@ def episode_from_json(entry: dict[str, Any], index: int) -> Episode:
     nearest = info.pop("closest_goal_object_id", None)
     for value in (geodesic, euclidean):
         if value is not None and not math.isfinite(value):
-            raise ValueError(f"a distance is {value}; wanted a finite number")
+            raise ValueError(f"a distance of {value}")
     return Episode(
         str(entry["scene_id"]),
         _words(entry["object_category"]),
