@@ -28,7 +28,7 @@ class ResponseError(EagorError):
 
 
 class TimeError(EagorError):
-    """A time stamp is missing, not finite, or earlier than it may be."""
+    """A time stamp is missing, not finite, or too early."""
 
 
 class PoseError(EagorError):
@@ -64,7 +64,7 @@ class StorageError(EagorError):
 
 
 class MissingExtraError(EagorError, ImportError):
-    """A package is not installed that one of our extras brings; the text says how to install it."""
+    """A package of one of our extras is not installed; the text says how to install it."""
 
 
 class WorkError(EagorError):

@@ -1,7 +1,7 @@
 """Tangent views: overlapping pictures that cover the sphere, cut from a panorama, and the way back to one grid.
 
-Models know such pictures better than panoramas, and no view has a seam. Each view counts less and less towards its own
-border, where things are cut.
+Models know such pictures better than panoramas, and no view has a seam. The weight of each view falls towards its
+border, where things are cut off.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from eagor.perception.vlm.sizes import checked_picture, resized
 from eagor.sphere import direction, world_R_body
 
 OVERLAP = math.radians(10)
-_ROUNDING = 1e-6  # radians, or views: what neighbours that touch exactly may miss by
-_SAMPLES = 3  # along each side of a cell that responses are lifted to
+_ROUNDING = 1e-6  # tolerance, in radians or views, for neighbours that touch exactly
+_SAMPLES = 3  # sample points along each side of a cell in `lift`
 
 
 def tangent_views(
     size: int, hfov: float = math.radians(100), overlap: float = OVERLAP, reach: float = math.pi / 2
 ) -> tuple[PerspectiveGrid, ...]:
-    """Square views of `size` pixels and field `hfov` that cover all directions up to elevation +-`reach` (radians).
+    """Square views of `size` pixels and field of view `hfov` that cover all directions up to elevation +-`reach`.
 
-    Views narrower by `overlap` would still cover them, so that `lift` with half of it as margin covers each direction
-    fully. The views stand in rings at even elevations (one view at each pole), the first of each ring
-    towards azimuth 0; of such layouts the one with the fewest views is taken: 6, as a cube, for 100 degrees with
-    10 of overlap. Raises `GridError` if the views are too narrow for the overlap, or wider than a plane can show.
+    Angles are in radians. Views narrower by `overlap` would still cover them, so that `lift` with a margin of half of
+    it covers each direction fully. The views form rings at evenly spaced elevations (one view at each pole), the first
+    of each ring at azimuth 0. The layout with the fewest views is taken: 6, as a cube, for 100 degrees with 10 of
+    overlap. Raises `GridError` if the views are too narrow for the overlap, or too wide for a plane.
     """
     check_fields(hfov, overlap, reach)
     poses = _poses(round((hfov - overlap) / 2, 9), round(reach, 9))
@@ -39,7 +39,7 @@ def tangent_views(
 
 def check_fields(hfov: float, overlap: float, reach: float) -> None:
     """Raise `GridError` where `tangent_views` would, for these angles (radians)."""
-    least = math.radians(30) - 1e-9  # 40 degrees less 10 are 30, whatever is rounded on the way to radians
+    least = math.radians(30) - 1e-9  # tolerance: 40 degrees less 10 are 30, despite rounding in radians
     if not (0 <= overlap < hfov <= math.radians(150) and hfov - overlap >= least and 0 < reach <= math.pi / 2):
         raise GridError(
             f"views of {math.degrees(hfov):g} degrees with {math.degrees(overlap):g} of overlap up to elevation "
@@ -50,13 +50,13 @@ def check_fields(hfov: float, overlap: float, reach: float) -> None:
 @lru_cache(maxsize=16)
 def _poses(inner: float, reach: float) -> tuple[tuple[float, float], ...]:
     """(yaw left, pitch up) of the fewest views of half-angle `inner` that cover the sphere up to `reach`."""
-    # Rings at the poles only where they are to be seen; a single ring may do for a narrow band.
+    # Rings at the poles only if they are in reach; a single ring may suffice for a narrow band.
     fewest = math.ceil(math.pi / (2 * inner) - _ROUNDING) + 1
     layouts = [np.linspace(-math.pi / 2, math.pi / 2, rings) for rings in range(max(fewest, 3), fewest + 4)]
     fewest = math.ceil(reach / inner - _ROUNDING)
     layouts += [np.linspace(-1, 1, rings) * max(reach - inner, 0.0) for rings in range(max(fewest, 2), fewest + 4)]
     layouts += [np.zeros(1)]
-    tests = [_points(reach, inner / per) for per in (4, 12, 40)]  # most layouts fail a coarse one already
+    tests = [_points(reach, inner / per) for per in (4, 12, 40)]  # most layouts fail a coarse test already
     best: tuple[tuple[float, float], ...] = ()
     for rings in layouts:
         for around in range(math.ceil(math.pi / inner - _ROUNDING), 4 * math.ceil(math.pi / inner)):
@@ -85,7 +85,7 @@ def _ring_poses(rings: np.ndarray, around: int) -> tuple[tuple[float, float], ..
 
 
 def _covered(points: np.ndarray, poses: Sequence[tuple[float, float]], inner: float) -> bool:
-    """Whether each of `points` ``(n, 3)`` lies at least within the inner field of one view."""
+    """Whether each of `points` ``(n, 3)`` lies within the inner field of at least one view."""
     left = points
     for yaw, pitch in poses:
         left = left[_depth(left @ world_R_body(yaw, -pitch), inner, inner) < -_ROUNDING]
@@ -95,10 +95,7 @@ def _covered(points: np.ndarray, poses: Sequence[tuple[float, float]], inner: fl
 
 
 def _depth(rays: np.ndarray, half_width: float, half_height: float) -> np.ndarray:
-    """How much narrower (radians, on each side) a view could be and still show directions ``(..., 3)``.
-
-    They are in the view's own frame; negative outside.
-    """
+    """How much narrower (radians, on each side) a view could be and still show rays ``(..., 3)`` of its own frame."""
     x, y, z = rays[..., 0], np.abs(rays[..., 1]), np.abs(rays[..., 2])
     return np.minimum(half_width - np.arctan2(y, x), half_height - np.arctan2(z, x))
 
@@ -106,15 +103,15 @@ def _depth(rays: np.ndarray, half_width: float, half_height: float) -> np.ndarra
 def framed(
     image: np.ndarray, grid: PerspectiveGrid, size: tuple[int, int]
 ) -> tuple[np.ndarray, PerspectiveGrid, tuple[int, int]]:
-    """A picture of `size` (height, width) with `image` whole in its middle, its grid, and how much `image` fills of it.
+    """A picture of `size` (height, width) with `image` in its middle, its grid, and the rows and columns of `image`.
 
-    Stretching to the size that a model wants would bend the view; so what is missing on two sides is the image's mean
-    colour. `grid` describes the image's pixels; what it fills is (rows, columns). Raises `ImageError`.
+    The rest has the image's mean colour; stretching to the model's size would distort the view. `grid` describes the
+    pixels of `image`. Raises `ImageError`.
     """
     image = checked_picture(image, "the view")
     height, width = size
     scale = min(height / grid.height, width / grid.width)
-    # As even or odd as the whole, so that the middle stays the middle.
+    # Of the same parity as the whole, so that the middle stays the middle.
     rows, cols = (
         min(whole, max(2 - whole % 2, whole - 2 * round((whole - scale * side) / 2)))
         for whole, side in ((height, grid.height), (width, grid.width))
@@ -128,7 +125,7 @@ def framed(
 
 
 def filled(shape: tuple[int, int], size: tuple[int, int], inner: tuple[int, int]) -> np.ndarray:
-    """How much of each cell ``(h, w)`` of a picture of `size` lies in the middle part of `inner` pixels, 0 to 1."""
+    """The fraction of each cell ``(h, w)`` of a picture of `size` that lies in the middle part of `inner` pixels."""
     shares = []
     for count, whole, part in zip(shape, size, inner, strict=True):
         edges = np.clip(np.arange(count + 1) * (whole / count), (whole - part) / 2, (whole + part) / 2)
@@ -137,19 +134,19 @@ def filled(shape: tuple[int, int], size: tuple[int, int], inner: tuple[int, int]
 
 
 def cut(panorama: np.ndarray, grid: PerspectiveGrid) -> np.ndarray:
-    """What a camera with `grid` sees of the panorama ``(H, W, 3)`` uint8: uint8 ``(*grid.shape, 3)``.
+    """The view ``(*grid.shape, 3)`` uint8 that a camera with `grid` has of the panorama ``(H, W, 3)`` uint8.
 
-    Bilinear, around the seam and over the poles. A panorama that is finer than the view is shrunk first, so that
-    nothing is left out between the pixels. Raises `ImageError`.
+    Bilinear, across the seam and over the poles. A panorama finer than the view is shrunk first, to avoid aliasing.
+    Raises `ImageError`.
     """
     image = checked_picture(panorama)
-    # A pixel of a view spans fewest degrees at its border; half way between that and the middle blurs least.
+    # A pixel of a view spans the smallest angle at the border; the scale half way to the middle blurs least.
     rows = max(2, math.ceil(math.pi * grid.focal / math.cos(grid.hfov / 2)))
     if image.shape[0] > rows:
         image = resized(image, (rows, max(2, round(rows * image.shape[1] / image.shape[0]))), wrap=True)
     height, width = image.shape[:2]
     x, y, _ = ErpGrid(height, width).project(grid.directions)
-    # Beyond a pole the picture goes on half a turn away: one such row above and one below.
+    # Beyond a pole the picture continues half a turn away: one such row above and one below.
     beyond = [np.roll(image[edge], width // 2, axis=0)[None] for edge in (0, -1)]
     canvas = np.concatenate([beyond[0], image, beyond[1]]).astype(np.float32)
     u, v = x - 0.5, np.clip(y, 0, height) + 0.5
@@ -164,16 +161,16 @@ def cut(panorama: np.ndarray, grid: PerspectiveGrid) -> np.ndarray:
 def lift(
     responses: Sequence[np.ndarray], views: Sequence[PerspectiveGrid], grid: PatchGrid, margin: float = OVERLAP / 2
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One response on the sphere from one ``(Q, rows, cols)`` per view, and how far each cell was looked at.
+    """One response on the sphere from one ``(Q, rows, cols)`` per view, and its coverage.
 
     Args:
-        responses: per view the values in [0, 1] of its cells, which divide the view evenly; a single cell holds for
-            the whole view.
-        views: where they look.
+        responses: per view the values in [0, 1] of its cells, which divide the view evenly; a single cell covers the
+            whole view.
+        views: their poses.
         grid: the cells of the result.
-        margin: radians of a view's field, at each side, over which its weight rises from 0 to 1 (as sin^2).
+        margin: radians at each side of a view over which its weight rises from 0 to 1 (as sin^2).
 
-    Returns the response ``(Q, h, w)`` float32, where views overlap the mean by weight, and the coverage ``(h, w)`` in
+    Returns the response ``(Q, h, w)`` float32, the weighted mean where views overlap, and the coverage ``(h, w)`` in
     [0, 1], the weight of the view that sees the cell best. Where coverage is 0 nothing was seen (response 0): pass it
     to `Evidence.from_response`. Raises `ResponseError` if the responses do not fit the views.
     """
@@ -183,7 +180,7 @@ def lift(
     if any(array.ndim != 3 or array.shape[0] != arrays[0].shape[0] or array.size == 0 for array in arrays):
         shapes = sorted({array.shape for array in arrays})
         raise ResponseError(f"responses of views have shapes {shapes}; wanted (queries, rows, cols), queries alike")
-    # Points in each cell: borders of views run through cells, and cells of views may be finer than ours.
+    # Several points per cell: borders of views run through cells, and cells of views may be finer than ours.
     fine = PatchGrid(grid.rows * _SAMPLES, grid.cols * _SAMPLES)
     total = np.zeros((arrays[0].shape[0], *fine.shape))
     weights, coverage = np.zeros(fine.shape), np.zeros(fine.shape)
@@ -207,7 +204,7 @@ def lift(
 
 
 def bilinear(layers: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """`layers` ``(Q, rows, cols)`` of a view read at fractions (x, y) of it; constant beyond the outer centres."""
+    """`layers` ``(Q, rows, cols)`` of a view at fractions (x, y) of it; constant beyond the outer centres."""
     rows, cols = layers.shape[1:]
     u, v = np.clip(x * cols - 0.5, 0, cols - 1), np.clip(y * rows - 0.5, 0, rows - 1)
     left, top = np.floor(u).astype(np.intp), np.floor(v).astype(np.intp)
