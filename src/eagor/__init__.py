@@ -6,10 +6,10 @@
     estimate = tracker.estimate(now)                          # direction, cone, modes, presence, status
 
 The frames are on one page, `eagor.sphere`. A look goes through `eagor.evidence`, `eagor.belief` and `eagor.tracking`;
-each of them begins with a page that says what is where.
+the docstring of each is an overview of its modules. The baselines are in `eagor.baselines`.
 
-Each name is loaded when it is first used (PEP 562): `eagor --help` answers without NumPy, and the command line chooses
-the number of threads before NumPy is loaded. The methods to compare with are in `eagor.baselines`.
+Each name is loaded when it is first used (PEP 562): `eagor --help` answers without NumPy, and the command line sets the
+number of threads before NumPy is loaded.
 """
 
 from __future__ import annotations

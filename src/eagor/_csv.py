@@ -1,4 +1,4 @@
-"""CSV in which a spreadsheet sees no formulas."""
+"""CSV without text that a spreadsheet would run as a formula."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import io
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-_FORMULA = ("=", "+", "-", "@", "\t", "\n")  # a spreadsheet would compute a cell that begins so
+_FORMULA = ("=", "+", "-", "@", "\t", "\n")  # a spreadsheet takes a cell that begins with one of these for a formula
 
 
 def as_csv(rows: Iterable[Sequence[Any]], ending: str = "\n") -> str:
@@ -20,7 +20,7 @@ def as_csv(rows: Iterable[Sequence[Any]], ending: str = "\n") -> str:
 def _cell(value: Any) -> Any:
     if not isinstance(value, str):
         return value
-    value = value.replace("\r", "\n")  # the writer does not always quote \r, which would begin a row
+    value = value.replace("\r", "\n")  # the writer does not always quote \r, which would start a new row
     if not value.startswith(_FORMULA):
         return value
     try:

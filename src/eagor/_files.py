@@ -47,7 +47,7 @@ def written(path: Path, content: str | bytes) -> Path:
     """Write `content` (text as UTF-8, without secrets) to `path`, and return it; folders above it are made.
 
     The old file stays until all of the new content is on the disk. If writing fails, the old file stays and nothing
-    else is left. Raises `StorageError`, which says where, why, and how much room is wanted.
+    else is left. Raises `StorageError`, which says where, why, and how much room is needed.
     """
     _put(path, content, Path.replace)
     return path
@@ -91,7 +91,7 @@ def _put(path: Path, content: str | bytes, place: Callable[[Path, Path], object]
         place(part, path)
     except OSError as error:
         raise StorageError(
-            f"{path} cannot be written ({error.strerror or error}); {len(data)} bytes are wanted there. Make room, or "
+            f"{path} cannot be written ({error.strerror or error}); {len(data)} bytes are needed there. Make room, or "
             "name another place"
         ) from error
     finally:
@@ -100,10 +100,7 @@ def _put(path: Path, content: str | bytes, place: Callable[[Path, Path], object]
 
 
 def open_regular(path: Path, flags: int = os.O_RDONLY) -> int:
-    """A descriptor of the regular file at `path`, opened without following links.
-
-    Raises `OSError` also for a link, a pipe, a device or a folder.
-    """
+    """A descriptor of the regular file at `path`, without following links. Raises `OSError` for anything else."""
     careful = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     refused = OSError(errno.EINVAL, f"{path.name} is a link, a pipe, a device or a folder; wanted a regular file")
     try:
@@ -141,8 +138,8 @@ class Lines:
                 raise
         except OSError as error:
             raise StorageError(
-                f"{self.path} takes no more ({error.strerror or error}); {len(data)} bytes are wanted. What was "
-                "written before is whole. Make room, or name another place, then start again"
+                f"{self.path} takes no more ({error.strerror or error}); {len(data)} bytes are needed. What was "
+                "written before is intact. Make room, or name another place, then start again"
             ) from error
 
     def __enter__(self) -> Lines:

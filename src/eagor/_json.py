@@ -6,7 +6,7 @@ import json
 import math
 from typing import Any, NoReturn
 
-_DEEPEST = 200  # nested lists: repr, copy and json can still recurse over so many
+_DEEPEST = 200  # nesting of lists that repr, copy and json can still recurse over
 
 
 def parsed(text: str | bytes, strict: bool = False) -> Any:
@@ -18,30 +18,30 @@ def parsed(text: str | bytes, strict: bool = False) -> Any:
     try:
         found = json.loads(text, parse_constant=_refused if strict else None)
     except RecursionError:
-        raise ValueError("lists within lists, too deep to be read") from None
+        raise ValueError("the lists are nested too deep to be read") from None
     opened = text.count(b"[") + text.count(b"{") if isinstance(text, bytes) else text.count("[") + text.count("{")
     if opened > _DEEPEST and _is_deep(found):
-        raise ValueError(f"lists within lists, more than {_DEEPEST} deep")
+        raise ValueError(f"the lists are nested more than {_DEEPEST} deep")
     return found
 
 
 def number(value: Any) -> float:
     """`value` as a float. Raises `ValueError` unless it is a finite number; text and True are not numbers."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{shown(value)} where a number was wanted")
+        raise ValueError(f"{shown(value)} is not a number")
     try:
         found = float(value)
     except OverflowError:
         found = math.inf
     if not math.isfinite(found):
-        raise ValueError(f"{shown(value)} where a finite number was wanted")
+        raise ValueError(f"{shown(value)} is not a finite number")
     return found
 
 
 def whole(value: Any) -> int:
     """`value` itself. Raises `ValueError` unless it is a whole number."""
     if isinstance(value, bool) or not isinstance(value, int):
-        raise ValueError(f"{shown(value)} where a whole number was wanted")
+        raise ValueError(f"{shown(value)} is not a whole number")
     return value
 
 

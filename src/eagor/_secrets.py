@@ -1,4 +1,4 @@
-"""Keys and passwords that this process was given, kept out of everything that it writes.
+"""Keeps keys and passwords of this process out of everything that it writes.
 
 Code that reads a secret passes it to `keep_out`. Code that writes text to a file, a report or a terminal passes the
 text through `redacted`.

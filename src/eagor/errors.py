@@ -28,7 +28,7 @@ class ResponseError(EagorError):
 
 
 class TimeError(EagorError):
-    """A time stamp is missing, not finite, or earlier than it may be."""
+    """A time stamp is missing, not finite, or too early."""
 
 
 class PoseError(EagorError):

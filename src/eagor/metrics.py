@@ -1,9 +1,9 @@
-"""How good a run was: direction errors, consistency over time, navigation success, calibration of the uncertainty.
+"""Metrics of a run: direction errors, consistency over time, navigation success, calibration of the uncertainty.
 
 Directions are unit vectors in the body frame (x forward, y left, z up), step k in the frame of step k. Errors are in
 degrees, as in reports; everything else is in radians and metres. A mean over no cases is None, never NaN.
-All functions raise `DirectionError` or `RotationError` for bad vectors and matrices, `EagorError` for other input that
-is empty, not finite, or does not fit. Intervals and tests are in `eagor.statistics`.
+All functions raise `DirectionError` or `RotationError` for bad vectors and matrices, and `EagorError` for other input
+that is empty, not finite, or does not fit. Intervals and tests are in `eagor.statistics`.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def mae_by_segment(
 def leg_delta(
     by_segment: Mapping[Hashable, float | None], first: Hashable = "L1", last: Hashable = "L4"
 ) -> float | None:
-    """How much the error grew over a walk: last leg minus first leg; None where either has no cases."""
+    """The growth of the error over a walk: last leg minus first leg; None if either has no cases."""
     if missing := [name for name in (first, last) if name not in by_segment]:
         raise EagorError(
             f"no segment {missing} among {list(by_segment)}; name the first and last leg as they are there"
@@ -90,10 +90,10 @@ def occlusion_error(errors: ArrayLike, occluded: ArrayLike) -> float | None:
 def seam_crossings(true_directions: ArrayLike) -> np.ndarray:
     """Mask ``(n,)`` of the steps at which the true bearing crosses the seam of the panorama, azimuth +-pi.
 
-    `true_directions` ``(n, 3)`` are the target's, in the body frame. Step k is a crossing where the short arc from the
-    bearing of step k - 1 to that of step k cuts the half-plane behind (y = 0, x < 0): y changes sign, and where it does
-    x is negative. Changing sides in front does not count. Exactly behind counts as left (azimuth pi), so a walk that
-    stops on the seam counts once. The first step is never a crossing.
+    `true_directions` ``(n, 3)`` are the target's, in the body frame. Step k is a crossing if the short arc from the
+    bearing of step k - 1 to that of step k cuts the half-plane behind (y = 0, x < 0): y changes sign, and x is negative
+    there. Changing sides in front does not count. Exactly behind counts as left (azimuth pi), so a walk that stops on
+    the seam counts once. The first step is never a crossing.
     """
     directions = _directions(true_directions, "true_directions", "(n, 3)")
     left = directions[:, 1] >= 0
@@ -111,7 +111,7 @@ def seam_error(errors: ArrayLike, true_directions: ArrayLike) -> float | None:
 
 
 def ego_motion(world_R_body: ArrayLike, positions: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """The motions between n poses, as `temporal_consistency` wants them.
+    """The motions between n poses, as input of `temporal_consistency`.
 
     `world_R_body` is ``(n, 3, 3)`` and `positions` ``(n, 3)``, metres, world frame. Returns new_R_old ``(n - 1, 3, 3)``
     and the body's displacement in the NEW body frame ``(n - 1, 3)``, metres.
@@ -127,11 +127,11 @@ def ego_motion(world_R_body: ArrayLike, positions: ArrayLike) -> tuple[np.ndarra
 def temporal_consistency(
     estimates: ArrayLike, new_R_old: ArrayLike, translations: ArrayLike, true_ranges: ArrayLike
 ) -> float | None:
-    """TC (deg/step): mean angle between each estimate and the one before it, carried along by the true motion.
+    """TC (deg/step): mean angle between each estimate and the previous one, moved along by the true motion.
 
     The previous estimate, put at the target's true range, becomes the point ``new_R_old @ (direction * range) -
-    translation`` of the new body frame. A perfect estimate of a target that stands still therefore scores 0; while
-    the body only turns, so does any estimate that stays fixed in the world. Lower is calmer, not always better.
+    translation`` of the new body frame. So a perfect estimate of a static target scores 0; while the body only turns,
+    so does any estimate that is fixed in the world. Lower is smoother, not always better.
 
     Args:
         estimates: ``(n, 3)``, body frame of each step.
@@ -140,10 +140,10 @@ def temporal_consistency(
         true_ranges: ``(n,)``, distance to the target at each step, metres (the last is not used).
 
     Returns:
-        Degrees per step; None where there is only one step.
+        Degrees per step; None if there is only one step.
 
     Raises:
-        EagorError: also where a carried point falls on the camera itself, which has no direction.
+        EagorError: also if a moved point falls on the camera itself, where it has no direction.
     """
     directions = _directions(estimates, "estimates", "(n, 3)")
     if len(directions) == 1:
@@ -156,7 +156,7 @@ def temporal_consistency(
         raise EagorError(f"true_ranges {ranges.shape} do not fit; wanted {(len(directions),)}, metres, none negative")
     points = _turned(directions, new_R_old) * ranges[:-1, None] - moved
     if (np.linalg.norm(points, axis=-1) == 0).any():
-        raise EagorError("an estimate carried along falls on the camera itself; end the episode before it is reached")
+        raise EagorError("a moved estimate falls on the camera itself; end the episode before the target is reached")
     return float(angular_error_deg(directions[1:], points).mean())
 
 
@@ -199,8 +199,8 @@ def spl(succeeded: ArrayLike, shortest: ArrayLike, path: ArrayLike) -> np.ndarra
 def soft_spl(distance: ArrayLike, shortest: ArrayLike, path: ArrayLike) -> np.ndarray:
     """SoftSPL, per episode: ``max(0, 1 - distance / shortest) * shortest / max(shortest, path)``, Habitat's definition.
 
-    `distance` is what is left at the end (metres, inf where there is no way). Where shortest = 0, the progress is 1 for
-    an agent that ends on the target and 0 for any other.
+    `distance` is the remaining one at the end (metres, inf without a path). If shortest = 0, the progress is 1 for an
+    agent that ends on the target and 0 for any other.
     """
     distance, shortest = _lengths(distance, "distance", endless=True), _lengths(shortest, "shortest")
     efficiency = _efficiency(shortest, path)

@@ -1,18 +1,17 @@
-"""Finding what other packages bring: perceptions, worlds, tasks and benchmarks, by name.
+"""Plugins: perceptions, worlds, tasks and benchmarks of other packages, by name.
 
-A package adds its own under an entry-point group in its ``pyproject.toml``, and it is known wherever that package is
-installed:
+A package adds its own under an entry-point group in its ``pyproject.toml``; they are known wherever it is installed:
 
-- ``eagor.perceptions``: what makes a perception, a class or function (`eagor.perception`);
+- ``eagor.perceptions``: a class or function that makes a perception (`eagor.perception`);
 - ``eagor.worlds``: a world, a function from a seed to a scene (`eagor.worlds`);
 - ``eagor.tasks``: a simulated task, an `eagor.tasks.task.Task`;
-- ``eagor.benchmarks``: a benchmark with published data, or what makes it (`eagor.tasks.benchmark`).
+- ``eagor.benchmarks``: a benchmark with published data, or a function that makes it (`eagor.tasks.benchmark`).
 
-Our own are known even where the package runs from a folder, without installed metadata. A name of ours cannot be taken:
-who brings it too is left out, and loading what has the name warns of that, as ``eagor doctor`` does.
+Ours are known even if the package runs from a folder, without installed metadata. Plugins cannot take our names: such a
+plugin is left out, with a warning when the name is loaded, and in ``eagor doctor``.
 
-What others bring may be broken in any way. It is imported only by what needs it, `faults` finds out elsewhere whether
-that would work, and a package whose list of entry points cannot be read is as if it brought nothing.
+Plugins may be broken in any way. They are imported only when needed; `faults` tests the import in other processes; and
+a package whose list of entry points cannot be read counts as having none.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ __all__ = [
 ]  # fmt: skip
 
 _READ: Any = Distribution.entry_points.fget  # as it is outside of `readable_lists`
-PATIENCE = 30.0  # seconds that an import may take where many are tried; one that draws in torch takes ten
+PATIENCE = 30.0  # seconds that an import may take when all are tested; importing torch takes ten
 _PROBE = """
 import os, sys
 from importlib.metadata import EntryPoint
@@ -50,31 +49,28 @@ os._exit(0)
 
 
 def known(group: str, built_in: Mapping[str, str]) -> dict[str, EntryPoint]:
-    """Everything in `group` by name, `built_in` (name: ``"package.module:object"``) first; nothing is imported yet."""
+    """Everything in `group` by name, `built_in` (name: ``"package.module:object"``) first. Imports none of it."""
     ours = {name: EntryPoint(name, value, group) for name, value in built_in.items()}
     return ours | {point.name: point for point in _installed(group) if point.name not in ours}
 
 
 def brought(group: str, built_in: Mapping[str, str]) -> list[EntryPoint]:
-    """What others bring to `group`."""
+    """The entry points of other packages in `group`."""
     return [point for name, point in known(group, built_in).items() if name not in built_in]
 
 
 def left_out(point: EntryPoint, kind: str) -> list[str]:
-    """A line about each of what is installed under the name of `point` too, and never reached; `kind` as in `bring`."""
+    """A line about each entry point hidden behind `point` because of the same name; `kind` as in `bring`."""
     return [
         f"the {kind} {other.name!r} ({other.value}) of {version_of(other) or 'another package'} is left out: "
-        f"the name is that of {point.value}. Give it another name"
+        f"{point.value} has the same name. Give it another name"
         for other in _installed(point.group)
         if other.name == point.name and other.value != point.value
     ]
 
 
 def bring(point: EntryPoint, kind: str) -> Any:
-    """The object that `point` names; `kind` says what it is ("perception"). Raises `EagorError` if it cannot be had.
-
-    Warns of what is `left_out` for it.
-    """
+    """The object that `point` names; warns of what is `left_out`. Raises `EagorError`; `kind`: "perception", ..."""
     for line in left_out(point, kind):
         warnings.warn(line, stacklevel=2)
     try:
@@ -90,10 +86,7 @@ def bring(point: EntryPoint, kind: str) -> Any:
 
 
 def faults(points: Iterable[EntryPoint]) -> dict[EntryPoint, str]:
-    """Those of `points` that cannot be imported, and why; all are tried at once, each in a process of its own.
-
-    So one that hangs, ends its process or prints disturbs nobody.
-    """
+    """Those of `points` that cannot be imported, with the reason; all tried at once in separate processes."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     tried = {}
     for point in points:
@@ -103,7 +96,7 @@ def faults(points: Iterable[EntryPoint]) -> dict[EntryPoint, str]:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             env=environment,
-            start_new_session=True,  # so that what it starts can be ended with it
+            start_new_session=True,  # so that its child processes can be ended with it
         )
     found, late = {}, time.monotonic() + PATIENCE
     try:
@@ -111,7 +104,7 @@ def faults(points: Iterable[EntryPoint]) -> dict[EntryPoint, str]:
             try:
                 out, _ = process.communicate(timeout=max(0.5, late - time.monotonic()))
             except subprocess.TimeoutExpired:
-                why = f"its import has not come to an end in {PATIENCE:.0f} s"
+                why = f"its import took longer than {PATIENCE:.0f} s"
             else:
                 _, ended, said = out.rpartition(b"\0")
                 why = said.decode() if ended else "its import ends the process"
@@ -127,10 +120,10 @@ def faults(points: Iterable[EntryPoint]) -> dict[EntryPoint, str]:
 
 @contextmanager
 def readable_lists() -> Iterator[None]:
-    """Inside, a package whose list of entry points cannot be read has none, whoever asks.
+    """Within this context, a package whose list of entry points cannot be read has none, for every caller.
 
-    For a process of ours, not for one that uses us: tyro and gymnasium ask while they are imported, and would end with
-    an error for the sake of any package that happens to be installed.
+    For our own processes only, not for programs that use us as a library. tyro and gymnasium read the lists while they
+    are imported, and would fail because of any such package.
     """
     before = Distribution.entry_points
     Distribution.entry_points = property(lambda self: EntryPoints(_points(self)[0]))  # type: ignore[method-assign]
@@ -151,32 +144,32 @@ def unreadable() -> list[str]:
 
 
 def check_named(found: Any, point: EntryPoint, kind: str, wanted: Any, *, or_maker: bool = False) -> None:
-    """Raises `EagorError` unless `found` is a `wanted` with the name of `point`; `or_maker`: its maker would do too."""
+    """Raise `EagorError` unless `found` is a `wanted` with the name of `point`, or, with `or_maker`, makes one."""
     if isinstance(found, wanted) and found.name == point.name:
         return
     what = f"the {kind} {found.name!r}" if isinstance(found, wanted) else f"a {type(found).__name__}"
     raise EagorError(
         f"the entry point {point.name!r} of {point.group} ({point.value}) is {what}; wanted an "
         f"{wanted.__module__}.{wanted.__name__} whose name is that of the entry point"
-        + (", or what makes it" if or_maker else "")
+        + (", or a function that makes it" if or_maker else "")
     )
 
 
 def version_of(point: EntryPoint) -> str | None:
-    """Name and version of the package that `point` came with, such as ``"eagor-example 1.0"``; None for our own."""
+    """Name and version of the package of `point`, such as ``"eagor-example 1.0"``; None for our own."""
     return _name(point.dist) if point.dist is not None else None
 
 
 def _installed(group: str) -> list[EntryPoint]:
-    """What installed packages have in `group`."""
+    """The entry points of installed packages in `group`."""
     try:
         return list(entry_points(group=group))
-    except Exception:  # one list that cannot be read spoils the call for all
+    except Exception:  # one unreadable list makes the call fail for all
         return [point for each in distributions() for point in _points(each)[0] if point.group == group]
 
 
 def _points(package: Distribution) -> tuple[list[EntryPoint], str]:
-    """The entry points of `package`, or none and why they cannot be read."""
+    """The entry points of `package`, or none and the reason why they cannot be read."""
     try:
         return list(_READ(package)), ""
     except Exception as error:

@@ -1,4 +1,4 @@
-"""What is asked for, in words: "[colour] category", such as "red chair", "the grey couch", "plant".
+"""Queries of the form "[colour] category", such as "red chair", "the grey couch", "plant".
 
 All synonyms are here. Perceptions with a fixed vocabulary and tasks that choose targets both parse queries with it.
 """
@@ -33,7 +33,7 @@ _FILLERS = {"the", "a", "an", "that", "my", "our"}
 
 
 class Named(Protocol):
-    """Anything with a category and perhaps a colour."""
+    """Anything with a category and optionally a colour."""
 
     @property
     def category(self) -> str: ...
@@ -43,7 +43,7 @@ class Named(Protocol):
 
 @dataclass(frozen=True)
 class Query:
-    """A category, and a colour where one was said."""
+    """A category, and a colour if the query names one."""
 
     category: str
     colour: str | None = None
@@ -52,15 +52,12 @@ class Query:
         return f"{self.colour} {self.category}" if self.colour else self.category
 
     def matches(self, thing: Named) -> bool:
-        """Whether `thing` is what is asked for."""
+        """Whether `thing` fits the query."""
         return thing.category == self.category and self.colour in (None, thing.colour)
 
 
 def parse_query(text: str, categories: Iterable[str]) -> Query:
-    """The query in `text`, over these categories, which are taken as they are spelt.
-
-    Raises `QueryError`, which lists what is known, for other words.
-    """
+    """The query in `text`, over these categories. Raises `QueryError`, which lists the known words."""
     known = sorted(set(categories))
     words = re.findall(r"[a-z]+", text.lower()) if isinstance(text, str) else []
     words = [word for word in words if word not in _FILLERS]
@@ -68,7 +65,7 @@ def parse_query(text: str, categories: Iterable[str]) -> Query:
     if words and singular(words[0]) in COLOURS and " ".join(words) not in known:
         colour, words = singular(words[0]), words[1:]
     name = " ".join(words)
-    # A word that the world uses itself is meant as it stands; only then comes what else it may be called.
+    # The world's own words come first, synonyms second.
     spelt = {" ".join(re.findall(r"[a-z]+", category.lower())): category for category in reversed(known)}
     meant = {singular(words): category for words, category in spelt.items()} | spelt
     category = meant.get(name) or meant.get(singular(name))
@@ -76,19 +73,19 @@ def parse_query(text: str, categories: Iterable[str]) -> Query:
         near = difflib.get_close_matches(name, known, n=1)
         hint = f" Did you mean {near[0]!r}?" if near else ""
         raise QueryError(
-            f"the query {text!r} names nothing that is known here.{hint} Wanted '[colour] category'; categories: "
+            f"the query {text!r} names nothing known here.{hint} Wanted '[colour] category'; categories: "
             f"{', '.join(known)}; colours: {', '.join(COLOURS)}"
         )
     return Query(category, colour)
 
 
 def matching(query: Query, things: Sequence[Named]) -> list[int]:
-    """The places in `things` of those that `query` asks for."""
+    """The indices in `things` of those that fit `query`."""
     return [index for index, thing in enumerate(things) if query.matches(thing)]
 
 
 def singular(words: str) -> str:
-    """`words` under the name used here, singular."""
+    """`words` in our vocabulary, singular."""
     for ending, instead in (("", ""), ("ves", "f"), ("es", ""), ("s", "")):
         if words.endswith(ending):
             stem = words.removesuffix(ending) + instead

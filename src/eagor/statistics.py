@@ -63,7 +63,7 @@ class ReliabilityBin:
 
 
 def finite_values(values: ArrayLike, name: str) -> np.ndarray:
-    """`values` as a float64 array; `EagorError`, naming them `name`, where they are empty or not finite."""
+    """`values` as a float64 array; `EagorError`, with their `name`, if they are empty or not finite."""
     array = np.asarray(values, dtype=np.float64)
     if array.size == 0:
         raise EagorError(f"{name} is empty; wanted at least one value: leave out a table cell that has no cases")
@@ -112,7 +112,7 @@ def bootstrap_interval(
         resamples: how many samples are drawn.
 
     Raises:
-        EagorError: also where there are fewer than two groups: one alone says nothing about the spread.
+        EagorError: also for fewer than two groups: one alone says nothing about the spread.
     """
     values = _vector(values, "values")
     _check_level(level)

@@ -166,13 +166,13 @@ BROKEN_WORLDS = {
     "a colour of its own": (lambda seed: relabelled(colour="mauve"), "wanted None or one of black"),
     "nothing to ask for": (
         lambda seed: furnished(thing("table", (3, 1, 0), (4, 1.6, 0.7), None, "brown")),
-        "no category and colour that only one of them has",
+        "none with a unique category and colour",
     ),
     "a thing of no triangles": (
         lambda seed: replace(furnished(), instances=(*furnished().instances, thing("cup", (1, 1, 1), (2, 2, 2)))),
         "no triangle for instance 6",
     ),
-    "bounds in centimetres": (lambda seed: relabelled(high=np.array([200, 160, 70.0])), "wanted theirs, metres"),
+    "bounds in centimetres": (lambda seed: relabelled(high=np.array([200, 160, 70.0])), "metres, world frame"),
     "y up": (lambda seed: moved(lambda v: v[:, [0, 2, 1]] * [1, 1, -1] + [0, 0, 9]), r"not Y up|its floor at z"),
     "only walls": (lambda seed: scene_of([shell(5, 4)[1], thing("tv", (0, 0, 1), (1, 0.1, 2))]), "has no ground"),
     "a floor upstairs": (lambda seed: moved(lambda v: v + np.array([0, 0, 3.0])), "its floor at z = 3.00 m; wanted 0"),
@@ -188,7 +188,7 @@ BROKEN_WORLDS = {
     "whole metres": (changed(range=lambda f: f.range.astype(int)), "floating point"),
     "no range is 0": (changed(range=lambda f: np.where(f.range > 2, 0, f.range)), "ranges down to 0 m; wanted all"),
     "ids below -1": (changed(ids=lambda f: f.ids - 5), "ids down to -"),
-    "noise": (noisy(), "differently when it is looked at again"),
+    "noise": (noisy(), "differently in a second look"),
     "mirrored": (
         changed(ids=lambda f: f.ids[:, ::-1], range=lambda f: f.range[:, ::-1]),
         "it turns the wrong way: is the picture mirrored",
@@ -334,14 +334,14 @@ def forgetful():
 BROKEN_TASKS = {
     "no task": ("turntable", "is a str; wanted an eagor.tasks.task.Task"),
     "a name with a space": (replace(TURNTABLE, name="Turn table"), "wanted lower-case letters and digits"),
-    "no column": (replace(TURNTABLE, columns=()), "wanted one at least"),
+    "no column": (replace(TURNTABLE, columns=()), "wanted at least one"),
     "a column twice": (replace(TURNTABLE, columns=TURNTABLE.columns[:1] * 2), "each key once"),
     "no headline": (replace(TURNTABLE, headline="score"), "wanted one of its columns, error, last"),
     "better is less": (column(better="less"), "wanted 'low', 'high' or None"),
     "rules that change": (replace(TURNTABLE, rules=Soft), "wanted a frozen dataclass"),
     "rules without a default": (replace(TURNTABLE, rules=Unset), "Wanted a default for each"),
     "rules that are no JSON": (replace(TURNTABLE, rules=Boundless), "Wanted a default for each"),
-    "rules in lists": (replace(TURNTABLE, rules=Listed), "which come back from JSON as"),
+    "rules in lists": (replace(TURNTABLE, rules=Listed), "which JSON turns into"),
     "no episode": (replace(TURNTABLE, environment=env(plan=lambda self, slot: (slot, 1))), "plans a tuple"),
     "another episode each time": (forgetful(), "draw everything from slot.rng"),
     "of another slot": (planned(slot=lambda e: replace(e.slot, number=77)), "wanted slot=slot"),
@@ -353,10 +353,10 @@ BROKEN_TASKS = {
     "NumPy in an episode": (planned(stratum={"colour": "red", "size": np.float32(1)}), "float.x., not NumPy's"),
     "another scene": (planned(scene_hash="0" * 16), "wanted place.scene.hash"),
     "inside a wall": (planned(start=(-0.05, 1.0)), "wanted a point on which the body can stand"),
-    "unknown words": (planned(query="grand piano"), "asks for something that is not there"),
+    "unknown words": (planned(query="grand piano"), "asks for something that is not in the scene"),
     "targets that are not meant": (planned(targets=(0,)), "wanted the same: place.nameable"),
     "a way that is drawn anew": (wandering(), "draw from episode.slot.rng"),
-    "a way that answers bend": (obeying(), "wanted the same whatever is answered"),
+    "a way that answers bend": (obeying(), "wanted the same for all answers"),
     "a direction that is no unit vector": (told(direction=lambda t: 2 * t["direction"]), "wanted a unit vector"),
     "a distance of 0": (told(distance=lambda t: 0.0), "wanted metres above 0"),
     "the direction in the world": (
@@ -372,7 +372,7 @@ BROKEN_TASKS = {
         replace(measured(lambda m: m | {"error": m["error"] + 0.5}), columns=column(share=True).columns),
         "wanted 0 or 1 per episode",
     ),
-    "better the other way round": (column(better="high"), "wanted it the other way round"),
+    "better the other way round": (column(better="high"), "wanted the reverse"),
     "a stratum that is not told": (replace(TURNTABLE, strata={"size": "Size"}), "wanted that key in Episode.stratum"),
 }  # fmt: skip
 
@@ -419,7 +419,7 @@ def painting(panorama, query, *, stamp=None):
 _turns = itertools.count()
 BROKEN_PERCEPTIONS = {
     "an array": (lambda p, q, *, stamp=None: p, "returned ndarray; wanted eagor.Evidence"),
-    "paints": (painting, "changed the panorama; wanted it left"),
+    "paints": (painting, "changed the panorama; wanted it unchanged"),
     "no stamp": (lambda p, q, *, stamp=None: evidence(None), "carries None; wanted the same"),
     "another grid": (
         lambda p, q, *, stamp=None: evidence(stamp, grid=PatchGrid(4, 8)),
@@ -435,7 +435,7 @@ BROKEN_PERCEPTIONS = {
     ),
     "grids in turn": (
         lambda p, q, *, stamp=None: Evidence.from_response(*_sized(2 + next(_turns)), stamp=stamp),
-        "wanted the same grid: no state",
+        "wanted the same grid: a call must not change",
     ),
     "azimuth counts": (
         lambda p, q, *, stamp=None: Evidence.from_response(np.eye(32, 64), GRID, stamp=stamp),
@@ -480,13 +480,13 @@ def other(**members):
 _seen = itertools.count()
 CASES = [Case("a1", "a1", "a", "a1")]
 BROKEN_BENCHMARKS = {
-    "settings with a set": (other(settle=lambda self, s: {"some": {1, 2}}), "which JSON does not bring back"),
+    "settings with a set": (other(settle=lambda self, s: {"some": {1, 2}}), "which JSON does not preserve"),
     "settings that grow": (
         other(settle=lambda self, s: Good.settle(self, s) | {"more": s.get("more", 0) + 1}),
         "and that again to",
     ),
     "no cases": (other(cases=lambda self, data, s: []), "has no cases in"),
-    "an id twice": (other(cases=lambda self, data, s: CASES * 2), "calls several cases a1"),
+    "an id twice": (other(cases=lambda self, data, s: CASES * 2), "gives several cases the id a1"),
     "other cases each time": (
         other(cases=lambda self, data, s: [replace(CASES[0], id=f"a{next(_seen)}")]),
         "wanted the same in the same order",
@@ -500,7 +500,7 @@ BROKEN_BENCHMARKS = {
         "has 'share' as its first figure",
     ),
     "info in words": (other(info=lambda self, data: "three"), "tells info in a str"),
-    "a record with NaN": (faulty({"views": math.nan}), "which JSON does not bring back"),
+    "a record with NaN": (faulty({"views": math.nan}), "which JSON does not preserve"),
     "another case": (faulty({"case": "z9"}), r"wanted \('a1', 'a'\)"),
     "another cluster": (faulty({"cluster": "z"}), r"wanted \('a1', 'a'\)"),
     "a score of 100": (faulty({"score": 100}), r"wanted a number in \[0, 1\], 1 being success"),

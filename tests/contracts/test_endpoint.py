@@ -389,8 +389,8 @@ def test_passing_failures_are_tried_again(server):
         ("500 image llama.cpp", ServerError, "takes no images: .*--mmproj"),
         ("400 other", ServerError, r"refused the request \(tried once; HTTP 400\): temperature must be positive"),
         ("empty", AnswerError, "empty answer.*max_tokens"),
-        ("html", ServerError, "no chat completion.*OpenAI-compatible"),
-        ("cut", ServerError, "no chat completion"),
+        ("html", ServerError, "other than a chat completion.*OpenAI-compatible"),
+        ("cut", ServerError, "other than a chat completion"),
     ],
 )
 def test_lasting_failures_say_what_to_change(server, fault, kind, says):
@@ -406,7 +406,7 @@ def test_lasting_failures_say_what_to_change(server, fault, kind, says):
 NONSENSE = {  # what a completion may hold instead of what is documented, by where; None: it does not matter
     ("choices",): ({"a": 1}, "no list of choices"),
     ("error",): ({"message": "out of memory"}, None),
-    ("choices", 0, "message", "content"): ([{"text": "[]"}], "no chat completion"),
+    ("choices", 0, "message", "content"): ([{"text": "[]"}], "other than a chat completion"),
     ("choices", 0, "logprobs", "content", 0, "token"): (None, None),
     ("choices", 0, "logprobs", "content", 1, "logprob"): ("likely", None),
     ("choices", 0, "logprobs", "content", 0, "logprob"): (math.nan, None),
@@ -438,7 +438,7 @@ def test_a_server_may_answer_with_other_types(server, place, extractor, monkeypa
     else:
         with pytest.raises(ServerError, match=says):
             perception(ball(60, 0), "red ball")
-        with pytest.raises(ServerError, match="no chat completion"):
+        with pytest.raises(ServerError, match="other than a chat completion"):
             ServedChat(QWEN, (server.url,))([Message("user", f"{IMAGE}Is it red? yes or no", (ball(0, 0),))])
 
 
@@ -447,7 +447,7 @@ def test_a_server_may_answer_with_other_types(server, place, extractor, monkeypa
     [
         (b"[" * 100_000 + b"]" * 100_000, "RecursionError"),
         (b"", "JSONDecodeError"),
-        (b"null", "no chat completion"),
+        (b"null", "other than a chat completion"),
         (b'{"error": {"message": "out of memory"}}', "no list of choices.*out of memory"),
     ],
     ids=["deep", "empty", "null", "error"],
@@ -457,7 +457,7 @@ def test_a_body_that_is_no_completion(server, body, says, monkeypatch):
     monkeypatch.setattr(server, "_write", lambda handler, status, _, kind: write(handler, status, body, kind))
     with pytest.raises(ServerError, match=says):
         asking(server)(ball(0, 0), "red ball")
-    with pytest.raises(ServerError, match="no chat completion"):
+    with pytest.raises(ServerError, match="other than a chat completion"):
         asking(server, model="")(ball(0, 0), "red ball")  # the list of its models is no better
 
 
@@ -654,9 +654,9 @@ def test_names_of_all_kinds(text, model, servers):
         ("m@http://a?retries=-1", {}, "retries = -1"),
         ("m@http://a", {"max_tokens": 0.5}, "max_tokens = 0.5; wanted a whole number"),
         ("m", {"servers": ()}, r"servers = \(\); wanted a tuple of one address, such as \('http://localhost:8000/v1',"),
-        ("m@ftp://a", {}, "no address of a server"),
-        ("m@http://a:99999", {}, "no address of a server"),
-        ("m@nowhere", {}, "no address of a server"),
+        ("m@ftp://a", {}, "not the address of a server"),
+        ("m@http://a:99999", {}, "not the address of a server"),
+        ("m@nowhere", {}, "not the address of a server"),
     ],
 )
 def test_wrong_names_and_options(text, options, says):

@@ -95,8 +95,8 @@ def test_what_cannot_be_read_is_refused_with_its_name(tmp_path):
     folder = hstar_data.write(tmp_path)
     annotation = folder / "hos_bench" / "hall" / "annotation.json"
     for text, words in (
-        ("{", "no JSON"),
-        ("{}", "no list"),
+        ("{", "is not JSON"),
+        ("{}", "is not a list"),
         ('[{"task": "Find it", "yaw": [1]}]', "entry 0.*two angles"),
         ('[{"yaw": [1, 2], "pitch": [1, 2]}]', "entry 0.*task"),
     ):
@@ -147,7 +147,7 @@ def test_what_cannot_be_played_is_refused_before_anything_is_played(tmp_path):
     folder = hstar_data.write(tmp_path)
     for more, words in (
         ({"agent": "nobody"}, "no agent 'nobody'"),
-        ({"agent": "eagor"}, "needs eyes"),
+        ({"agent": "eagor"}, "needs a perception"),
         ({"agent": "eagor", "perception": "nothing"}, "nothing"),
         ({"agent": "vlm"}, "--model"),
         ({"agent": "vlm", "model": "hstar_data:missing"}, "missing"),
@@ -376,7 +376,11 @@ def test_models_are_named_in_one_line():
     assert (chat.model, chat.servers) == ("Qwen/Qwen2.5-VL-7B-Instruct", ("http://a:8000/v1",))
     assert chat.temperature == 0.5
     assert callable(load_chat("hstar_data:patient"))
-    for spec, words in (("m@nowhere", "no address"), ("m@http://a?colour=red", "options"), ("no_such:thing", "import")):
+    for spec, words in (
+        ("m@nowhere", "not the address"),
+        ("m@http://a?colour=red", "options"),
+        ("no_such:thing", "import"),
+    ):
         with pytest.raises(EagorError, match=words):
             load_chat(spec)
     assert Message("user", "x").images == ()
@@ -396,7 +400,7 @@ def test_models_are_named_in_one_line():
         ({"backoff": -0.5}, "backoff = -0.5; wanted seconds, 0 or more"),
         ({"servers": ()}, "wanted a tuple of one address"),
         ({"servers": ("http://a", "http://b")}, "2 addresses of servers came; wanted one"),
-        ({"servers": ("ftp://a",)}, "no address of a server"),
+        ({"servers": ("ftp://a",)}, "not the address of a server"),
     ],
 )
 def test_a_served_model_refuses_what_makes_no_sense(options, says):

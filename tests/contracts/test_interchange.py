@@ -423,7 +423,7 @@ def test_what_cannot_be_written_is_refused(tmp_path):
     for wrong, reason in (
         ([SceneEpisodes((lost,), made.goals)], "not finite"),
         ([SceneEpisodes((Episode("room.glb", "bed", np.zeros(3), np.eye(3)),), made.goals)], "no such goal"),
-        ([SceneEpisodes((), made.goals)], "wanted one"),
+        ([SceneEpisodes((), made.goals)], "wanted exactly one"),
         ([made, made], "two scenes"),
     ):
         with pytest.raises(WorldError, match=reason):

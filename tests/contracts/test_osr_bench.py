@@ -242,7 +242,7 @@ def test_majority_does_not_look_at_the_scene_it_answers(data: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"agent": "eagor"}, "needs eyes"),
+        ({"agent": "eagor"}, "needs a perception"),
         ({"agent": "vlm"}, "asks a model"),
         ({"agent": "nobody"}, "it has eagor"),
         ({"agent": "constant", "labels": "mine"}, "wanted official, corrected, both"),

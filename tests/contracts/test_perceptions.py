@@ -640,7 +640,7 @@ def test_a_bad_line_is_named_with_its_number(tmp_path, bad, says):
 def test_a_torn_last_line_is_told_apart(tmp_path):
     path = tmp_path / "looks.jsonl"
     path.write_text(line() + "\n" + line()[:-20])
-    with pytest.raises(FormatError, match=r"line 2: is not JSON.*writer was probably cut off"):
+    with pytest.raises(FormatError, match=r"line 2: is not JSON.*writer was probably interrupted"):
         read_records(path)
     path.write_text(line() + "\n" + line())  # a last line without its newline is whole
     assert len(read_records(path)) == 2

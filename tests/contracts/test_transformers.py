@@ -912,7 +912,7 @@ def test_what_cannot_be_loaded_says_why(folders, tmp_path, monkeypatch):
         load(f"{folder}?dtype=int8")
     with pytest.raises(EagorError, match="threshold"):
         load(f"{folder}?threshold=0.3")
-    with pytest.raises(EagorError, match="heads came for CLIPSeg"):
+    with pytest.raises(EagorError, match="heads cannot be used with CLIPSeg"):
         load(f"{folders('clipseg')}?heads=x.json")
     with pytest.raises(EagorError, match=r"no config\.json"):
         load(str(tmp_path) + "/")

@@ -198,7 +198,7 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
     assert sum(failed["causes"].values()) == round(16 * (1 - ours["overall"] / 100))
     assert "No case failed" in bench("failures", place / "oracle").stdout
     for words in (("report", place / "ours"), ("export", place / "ours")):
-        assert "tables.md is no folder" in refused(*words, "--out", tmp_path / "tables.md")
+        assert "tables.md is not a folder" in refused(*words, "--out", tmp_path / "tables.md")
 
 
 def test_a_benchmark_that_names_no_causes_has_failures_all_the_same():
@@ -222,7 +222,7 @@ def test_the_list_and_what_a_folder_holds(folder, tmp_path):
     at = lines.index("episodes")
     assert [line.split() for line in lines[at + 1 : at + 3]] == [["hos", "16"], ["hps", "0"]]
     assert not any("{" in line for line in lines), "parts are lines, not JSON"
-    assert "no benchmark's data" in refused("info", tmp_path)
+    assert "holds the data of no known benchmark" in refused("info", tmp_path)
 
 
 @pytest.mark.parametrize(

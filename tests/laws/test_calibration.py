@@ -256,18 +256,18 @@ GOOD = {"perception": "scout", "calibration": READ, "forgetting": {}}
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"calibration": {"floor": 0.1}}, "no calibration"),
+        ({"calibration": {"floor": 0.1}}, "is not a calibration"),
         ({"calibration": READ | {"floor": -1}}, "floor"),
-        ({"calibration": READ | {"floor": "much"}}, "no calibration"),
+        ({"calibration": READ | {"floor": "much"}}, "is not a calibration"),
         ({"forgetting": {"keep_per_second": 0.9}}, "sets 'keep_per_second'; known are wander, start"),
         ({"forgetting": {"jump": -7}}, "jump"),
-        ({"forgetting": {"wander": [0.1, "x"]}}, "no calibration"),
+        ({"forgetting": {"wander": [0.1, "x"]}}, "is not a calibration"),
         ({"detector": {"spread": 9}}, "spread"),
         ({"detector": {"repeats_for": 0}}, "repeats_for = 0.0; wanted seconds above 0"),
         ({"calibration": READ | {"persists_for": -1}}, "persists_for"),
         ({"detector": {"recall": 0.9}}, "recall"),
         ({"calibration": None}, "neither"),
-        ({"forgetting": None}, "no calibration"),
+        ({"forgetting": None}, "is not a calibration"),
     ],
 )
 def test_files_that_are_no_calibration_are_refused(changes, says):
@@ -280,8 +280,8 @@ def test_files_that_cannot_be_read_are_told(tmp_path):
     with pytest.raises(EagorError, match="eagor calibrate"):
         read_calibrated(tmp_path / "none.json")
     (tmp_path / "bad.json").write_text("{")
-    with pytest.raises(EagorError, match="no JSON"):
+    with pytest.raises(EagorError, match="is not JSON"):
         read_calibrated(tmp_path / "bad.json")
     (tmp_path / "list.json").write_text(json.dumps([1]))
-    with pytest.raises(EagorError, match="no calibration"):
+    with pytest.raises(EagorError, match="is not a calibration"):
         read_calibrated(tmp_path / "list.json")

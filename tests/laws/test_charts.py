@@ -47,5 +47,5 @@ def test_without_stamps_there_is_nothing_to_draw(stamps):
 
 
 def test_every_error_needs_its_stamp():
-    with pytest.raises(EagorError, match="ours has 3 errors, and there are 2 stamps"):
+    with pytest.raises(EagorError, match="ours has 3 errors, but there are 2 stamps"):
         charts.draw_errors([0.0, 0.5], {"ours": [1.0, 2.0, 3.0]})

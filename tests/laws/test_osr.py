@@ -355,7 +355,7 @@ def test_a_room_survives_its_file(tmp_path) -> None:
     assert found.walls is not None
     assert found.walls.points == pytest.approx(BOX.points)
     (tmp_path / "physical_truth.json").write_text('{"objects": [{"name": "x"}]}')
-    with pytest.raises(FormatError, match="is no room"):
+    with pytest.raises(FormatError, match="is not a room"):
         read_room(tmp_path)
 
 

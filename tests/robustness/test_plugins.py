@@ -20,7 +20,7 @@ NAMED = {
     "raises": "RuntimeError: no such luck",
     "exits": "SystemExit: 3",
     "vanishes": "ends the process",
-    "hangs": "not come to an end",
+    "hangs": "took longer than",
 }
 IMPATIENT = "import sys; from eagor import cli, plugins; plugins.PATIENCE = 8.0; sys.exit(cli.main())"
 

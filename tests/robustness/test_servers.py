@@ -281,7 +281,7 @@ def test_a_redirect_is_told_and_not_followed(status, monkeypatch):
         head = b"HTTP/1.1 " + status + b"\r\n" + place
         with (
             HostileServer(lambda connection, *_: connection.sendall(whole(b"", head))) as server,
-            pytest.raises(ServerError, match=f"sends us on to {elsewhere.url}") as caught,
+            pytest.raises(ServerError, match=f"redirects to {elsewhere.url}") as caught,
         ):
             look(server.url, key="HOUSE_KEY")
         assert elsewhere.requests == []

@@ -1,4 +1,4 @@
-"""Rivals that remember: the published ones, and Bayes filters of other kinds."""
+"""Baselines with memory: the published ones, and Bayes filters of other kinds."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from eagor.sphere import FORWARD, check_rotation, unit
 class GridFilter:
     """The published Grid: a panorama of summed log(l + 1e-3), resampled bilinearly at each turn, read at its maximum.
 
-    Every resampling blurs; rotating coefficients does not.
+    Every resampling blurs it; rotating coefficients does not.
     """
 
     values: np.ndarray = field(default_factory=lambda: np.zeros(GRID.shape))
@@ -78,8 +78,8 @@ class Published:
 class VonMisesFisherFilter:
     """A von Mises-Fisher distribution, as its natural parameter `eta` = concentration times mean direction, ``(3,)``.
 
-    Bayes' rule, then the distribution of the same mean resultant (assumed density filter). It holds one mode, and what
-    lies far from that hardly counts. `noise`: radians per axis by which the target may wander between two looks; the
+    Bayes' rule, then the distribution of the same mean resultant (assumed density filter). It holds a single mode, and
+    evidence far from it hardly counts. `noise`: radians per axis by which the target may move between two looks; the
     noise convolves, A(kappa) <- A(kappa) A(1 / noise^2) with A(k) = coth k - 1 / k.
 
     Sources: Kurz, Gilitschenski and Hanebeck, IEEE Signal Processing Letters 23(4), 2016; Mardia and Jupp, Directional
@@ -120,10 +120,10 @@ class VonMisesFisherFilter:
 class HistogramFilter:
     """A Bayes filter on a grid of probabilities.
 
-    The grid stays fixed in the world; turns are composed and the evidence is looked up through them, so that nothing is
-    resampled. Before each look a share `mixing` of the density is spread evenly, so that a lost target can be found
-    again, and the rest is convolved with a kernel of `diffusion` (radians per axis: how far the target may wander
-    between two looks; the grid carries none below half a cell, 0.025). With the mixing, no diffusion did best in
+    The grid is fixed in the world; turns are composed and the evidence is looked up through them, so nothing is
+    resampled. Before each look a share `mixing` of the density becomes uniform, so that a lost target can be found
+    again, and the rest is convolved with a kernel of `diffusion` (radians per axis: the target's motion between two
+    looks; below half a cell, 0.025, the grid cannot represent it). With the mixing, no diffusion did best in
     development, even with drifting targets.
     """
 
@@ -163,11 +163,11 @@ class HistogramFilter:
 
 @dataclass(frozen=True, eq=False)
 class ParticleFilter:
-    """Directions of equal weight: turned exactly, roughened, weighed by the evidence, resampled systematically.
+    """Particles of equal weight on the sphere: rotated exactly, roughened, weighted by the evidence, resampled.
 
-    `roughening`: radians per axis of noise at each prediction. `reborn`: share of the particles drawn afresh at each
-    look, from the response, or from anywhere while that is silent. `kernel`: radians, the width with which the
-    particles are smoothed into a density; the answer is their mean within two of it from where they are densest.
+    `roughening`: radians per axis of noise at each prediction. `reborn`: share of the particles redrawn at each look,
+    from the response, or uniformly if that is zero. `kernel`: radians, the width of the kernel that turns particles
+    into a density; the answer is their mean within two widths of the density's maximum. Resampling is systematic.
 
     Each step draws from a copy of `rng`, which the new filter keeps: a filter never changes, and the same steps give
     the same particles. Sources: Gordon, Salmond and Smith, IEE Proceedings F 140(2), 1993 (bootstrap filter,
@@ -193,7 +193,7 @@ class ParticleFilter:
 
     @classmethod
     def uniform(cls, count: int, rng: np.random.Generator, **settings: Any) -> ParticleFilter:
-        """`count` particles all over the sphere; `settings` are the fields beside `particles` and `rng`."""
+        """`count` particles, uniform on the sphere; `settings` are the fields except `particles` and `rng`."""
         rng = copy.deepcopy(rng)
         return cls(unit(rng.normal(size=(count, 3))), rng, **settings)
 
@@ -222,7 +222,7 @@ class ParticleFilter:
 
     @lazy
     def _log_map(self) -> np.ndarray:
-        """Log density of the smoothed particles on `GRID`; a share as large as the reborn lies anywhere."""
+        """Log density of the smoothed particles on `GRID`; a share as large as `reborn` is uniform."""
         x, y, _ = GRID.project(self.particles)
         cell = np.clip(y.astype(np.intp), 0, GRID.height - 1) * GRID.width + x.astype(np.intp) % GRID.width
         counts = np.bincount(cell, minlength=GRID.height * GRID.width).reshape(GRID.shape)
@@ -248,7 +248,7 @@ def concentration(length: float) -> float:
 
 
 def _drawn(evidence: Evidence, count: int, rng: np.random.Generator) -> np.ndarray:
-    """`count` directions drawn from the response as a density, or from the whole sphere while it is silent."""
+    """`count` directions drawn from the response as a density, or uniformly on the sphere if it is zero."""
     response = maps.seen_response(evidence)
     if response.max() < SILENT:
         return unit(rng.normal(size=(count, 3)))

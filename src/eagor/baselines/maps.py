@@ -1,4 +1,4 @@
-"""What the rivals share: how they read evidence, and maps of a density on one grid."""
+"""Shared by the baselines: reading evidence, and maps of a density on one grid."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from eagor.evidence.coverage import looked_at
 from eagor.grids import ErpGrid, Grid
 
 GRID = ErpGrid(64, 128)
-"""The cells (2.8 degrees) of the rivals that keep a map."""
+"""The cells (2.8 degrees) of the baselines with a map."""
 NOTHING_KNOWN = -math.log(4 * math.pi)
 
 
@@ -52,7 +52,7 @@ def log_ratio(evidence: Evidence, calibration: Calibration, directions: np.ndarr
 def sample(values: np.ndarray, grid: Grid, directions: np.ndarray) -> np.ndarray:
     """`values` ``(H, W)`` at directions ``(..., 3)``: bilinear between cell centres, zero outside the grid.
 
-    A panorama goes on across the seam and over the poles; a view keeps the value of its outermost cells up to its
+    A panorama continues across the seam and over the poles; a view keeps the value of its outermost cells up to its
     border.
     """
     height, width = grid.shape
@@ -71,7 +71,7 @@ def sample(values: np.ndarray, grid: Grid, directions: np.ndarray) -> np.ndarray
 
 
 def log_density(log_map: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """log of the density that `log_map` holds on `GRID`: the density is interpolated, so that it keeps its mass."""
+    """log of the density of `log_map` on `GRID`; the density is interpolated, which keeps its mass."""
     return np.log(np.maximum(sample(np.exp(log_map), GRID, directions), 1e-300))
 
 
@@ -81,7 +81,7 @@ def normalised(log_values: np.ndarray) -> np.ndarray:
 
 
 def log_mixed(density: np.ndarray, share: float) -> np.ndarray:
-    """log of `density` on `GRID` with `share` of it spread evenly."""
+    """log of `density` on `GRID` with `share` of it made uniform."""
     return np.log(np.maximum((1 - share) * density + share / (4 * math.pi), 1e-300))
 
 
@@ -93,9 +93,7 @@ def spread(density: np.ndarray, sigma: float) -> np.ndarray:
 
 @lru_cache(maxsize=32)
 def _kernel(sigma: float) -> np.ndarray:
-    """The kernel of `spread`, ``(W / 2 + 1, H, H)``: it depends on the difference in azimuth alone, so that a Fourier
-    transform over the columns leaves one small matrix per frequency.
-    """  # noqa: D205
+    """The kernel of `spread` ``(W / 2 + 1, H, H)``: the Fourier transform over azimuth differences."""
     cosine = GRID.directions @ GRID.directions[:, 0].T  # row, column; row of the source, which is in column 0
     kernel = np.exp((cosine - 1) / sigma**2)
     mass = np.einsum("ijk,i->k", kernel, GRID.weights[:, 0])

@@ -1,4 +1,4 @@
-"""Rivals that read each look by itself: a mean of its response, or where that is strongest."""
+"""Baselines that read each look by itself: a mean of its response, or its maximum."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from eagor.sphere import FORWARD, azimuth_elevation, check_rotation, direction, 
 
 @dataclass(frozen=True, eq=False)
 class _PerFrame:
-    """No memory but the last answer, which stands where it was in the image while the response is zero everywhere.
+    """Keeps only the last answer, at the same place in the image, while the response is zero everywhere.
 
-    Carrying it along with the camera is no part of the published methods: `predict` changes nothing.
+    `predict` changes nothing: the published methods do not move the answer with the camera.
     """
 
     last: np.ndarray = field(default_factory=lambda: np.array(FORWARD))
@@ -45,7 +45,7 @@ class _PerFrame:
 
 
 class Centroid(_PerFrame):
-    """Response-weighted mean of the pixel coordinates, per frame: linear in u, so that it breaks at the seam."""
+    """Response-weighted mean of the pixel coordinates, per frame: linear in u, so it fails at the seam."""
 
     def _read(self, share: np.ndarray, grid: Grid) -> np.ndarray:
         height, width = share.shape
@@ -64,12 +64,12 @@ class CircularCentroid(_PerFrame):
 
 
 class Plain(_PerFrame):
-    """The direction of the strongest response, per frame: what a model that is simply asked would answer."""
+    """The direction of the strongest response, per frame: the answer of a model without a filter."""
 
     def _read(self, share: np.ndarray, grid: Grid) -> np.ndarray:
         best = share >= 0.999 * share.max()
-        # Several cells that are equally strong (a whole view in which the thing is said to be): their middle.
+        # The middle of equally strong cells (such as a whole view in which the thing is reported).
         middle = np.sum((grid.weights * best)[..., None] * grid.directions, axis=(0, 1)) / np.sum(grid.weights * best)
-        if np.linalg.norm(middle) < 0.5:  # they are scattered: no middle
+        if np.linalg.norm(middle) < 0.5:  # they are scattered and have no middle
             return grid.directions[np.unravel_index(np.argmax(share), share.shape)]
         return unit(middle)

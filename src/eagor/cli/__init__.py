@@ -1,19 +1,17 @@
-"""The command line: thin.
-
-Each command is a frozen dataclass in `eagor.cli.options` and a function in a module of its own.
+"""The command line. Each command is a frozen dataclass in `eagor.cli.options` and a function in its own module.
 
 Exit codes:
 
-- 0: fine.
-- 1: the run failed, after the input had been found good (nothing could be looked at, a server did not answer, a model
-  answered what cannot be read, a result could not be written, a bug).
-- 2: usage: an option, a query or an input file is not what was wanted. Nothing was computed.
-- 3: finished, but some frames or episodes could not be run; what could be is in the output.
-- 130: interrupted (Ctrl-C). 143: terminated (SIGTERM). What was recorded is kept, and nothing is left running.
-- 141: the reader of the output went away (``eagor track ... | head``).
+- 0: success.
+- 1: the input was valid, but the run failed (nothing could be looked at, a server did not answer, a model's answer
+  could not be read, a result could not be written, a bug).
+- 2: usage: an option, a query or an input file is wrong. Nothing was computed.
+- 3: finished, but some frames or episodes could not be run; the output has the others.
+- 130: interrupted (Ctrl-C). 143: terminated (SIGTERM). Records are kept, and no process is left running.
+- 141: the reader of the output closed it (``eagor track ... | head``).
 
-Results go to stdout (with ``--json`` exactly one object), everything else to stderr. An error is one line there; with
-``--debug``, or EAGOR_DEBUG set, its traceback as well.
+Results go to stdout (with ``--json`` exactly one object), everything else to stderr. An error is one line; ``--debug``
+or EAGOR_DEBUG adds its traceback.
 """
 
 from __future__ import annotations
@@ -24,11 +22,11 @@ from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 
-# Our matrices are small: threads inside the matrix library cost far more than they bring (the demo takes several times
-# as long where cores are shared). It reads this when NumPy is first imported; who sets it, decides.
+# Our matrices are small: threads in the matrix library cost far more than they gain (several times the time of the demo
+# on shared cores). The library reads this when NumPy is first imported; a value that is set already counts.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-if not sys.stderr.isatty():  # read by transformers: where nobody watches, no bars of what is being loaded
+if not sys.stderr.isatty():  # read by transformers: no progress bars without a terminal
     os.environ.setdefault("HF_HUB_DISABLE_PROGRESS_BARS", "1")
 
 from eagor._secrets import redacted
@@ -39,13 +37,13 @@ from eagor.plugins import readable_lists
 
 __all__ = ["main"]
 
-DESCRIPTION = """In which direction is the thing I asked for, and how sure are we, while the camera turns and moves?
+DESCRIPTION = """Track the direction of an object with a 360-degree camera, with its uncertainty.
 
-Azimuth is positive to the LEFT, elevation positive up, both in degrees; the middle of a panorama is forward.
+Azimuth is positive to the LEFT, elevation positive up, both in degrees. The centre of a panorama is forward.
 
-Exit codes: 0 fine, 1 the run failed, 2 usage or input, 3 finished but some could not be run,
+Exit codes: 0 success, 1 the run failed, 2 usage or input, 3 finished but some could not be run,
 130 interrupted (Ctrl-C), 143 terminated (SIGTERM).
-`eagor --version` says which version this is."""
+`eagor --version` prints the version."""
 
 _NO_FAULT_OF_THE_INPUT = (terminal.RunError, ServerError, AnswerError, StorageError, WorkError)
 
@@ -54,7 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command in `argv` (default: the process's own) and return its exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments or bool(os.environ.get("EAGOR_DEBUG"))
-    with suppress(AttributeError):  # names of files, and queries, may hold bytes that are no text
+    with suppress(AttributeError):  # file names and queries may contain bytes that are not text
         sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     ended: list[int] = []
     try:
@@ -66,7 +64,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         terminal.log("terminated" if ended else "interrupted")
         return 143 if ended else 130
     except BrokenPipeError:
-        # Nobody reads on: that is no fault of the run. What is still in the buffer must not be tried again at exit.
+        # The reader is gone, which is no failure of the run. The rest of the buffer must not be written at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except Exception as error:
@@ -85,7 +83,7 @@ def _run(arguments: list[str]) -> int:
         return 0
     try:
         command = _parse(arguments)
-    except SystemExit as stop:  # --help, or usage: tyro has said what it had to say
+    except SystemExit as stop:  # --help or wrong usage: tyro has printed the text
         return stop.code if isinstance(stop.code, int) else 2
     module, _, function = command.runs.partition(":")
     return getattr(import_module(module), function)(command)

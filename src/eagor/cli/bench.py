@@ -1,4 +1,4 @@
-"""``eagor bench``: what there is to run, runs, and scores; what came of runs is in `eagor.cli.results`."""
+"""``eagor bench list``, ``info``, ``run`` and ``score``; `eagor.cli.results` has the other commands."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def info(options: BenchInfo) -> int:
             found[name] = told
     if not found:
         reasons = "; ".join(f"as {', '.join(names)}: {why}" for why, names in refused.items())
-        raise FormatError(f"{options.data} is no benchmark's data that is known here; " + reasons)
+        raise FormatError(f"{options.data} holds the data of no known benchmark; " + reasons)
     if options.json:
         terminal.emit(found)
     else:
@@ -109,9 +109,9 @@ def run(options: BenchRun) -> int:
     if options.workers < 1:
         raise terminal.UsageError(f"--workers {options.workers}; wanted 1 or more")
     if options.address is not None and options.engine != "ray":
-        raise terminal.UsageError(f"--address {options.address} is of a Ray cluster; add --engine ray")
+        raise terminal.UsageError(f"--address {options.address} needs a Ray cluster; add --engine ray")
     planned = (_simulated if simulated else _published)(options)
-    config = planned.config()  # what cannot be is told before anything is said to go on
+    config = planned.config()  # wrong settings are reported before the run is announced
     units, study = planned.units(config), studies.load(options.task)
     out = options.out or Path("runs") / _folder(config)
     terminal.log(f"{options.task}: {len(units)} units of work; records go to {out}")
@@ -131,7 +131,7 @@ def run(options: BenchRun) -> int:
 
 
 def _folder(config: dict[str, Any]) -> str:
-    """What the folder of a run is called where nobody says."""
+    """The default name of a run's folder."""
     from eagor.perception import short_name
 
     who = config.get("perception") or (config.get("model") or "").partition("@")[0]
@@ -151,7 +151,7 @@ def score(options: BenchScore) -> int:
         predictions.keep(bare.settings, records, options.out)
     summary = bare.study.told(bare.settings, records).summary | {"missing": missing}
     if missing:
-        terminal.warning(f"{missing} of {len(cases)} cases have no prediction; the figures are about the others")
+        terminal.warning(f"{missing} of {len(cases)} cases have no prediction; the figures cover the others")
     code = _said(bare.study, summary, options.out, options.json)
     return terminal.INCOMPLETE if missing and code == terminal.OK else code
 
@@ -164,7 +164,7 @@ def _simulated(options: BenchRun) -> Planned:
 
     checked_rows(options.rows)
     if options.engine == "threads":
-        raise terminal.UsageError("--engine threads is for work that waits for servers; simulated tasks compute")
+        raise terminal.UsageError("--engine threads is for models on servers; use processes or ray for simulated tasks")
     perception = options.perception or PERCEPTION
     check_looks(perception)
     methods = bench.named(options.methods) or default_methods(perception)
@@ -189,7 +189,7 @@ def _published(options: BenchRun) -> Planned:
     from eagor.evaluation.benchmarks import BenchmarkRun
 
     if options.data is None:
-        raise terminal.UsageError(f"{options.task} needs its published files; name their folder with --data")
+        raise terminal.UsageError(f"{options.task} needs its published files; give their folder with --data")
     wanted = BenchmarkRun(
         task=options.task,
         data=options.data,
@@ -225,7 +225,7 @@ def _shard(text: str | None) -> tuple[int, int]:
 
 
 def _said(study: Study, summary: dict[str, Any], out: Path | None, as_json: bool) -> int:
-    """Show what came of a run or of scores; returns the exit code."""
+    """Print the summary of a run or of scores; returns the exit code."""
     if as_json:
         terminal.emit(study.as_json(summary) | ({"out": str(out)} if out else {}))
     else:

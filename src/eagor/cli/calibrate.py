@@ -1,4 +1,4 @@
-"""``eagor calibrate``: record development episodes, fit, and write the calibration; or find localisation heads."""
+"""``eagor calibrate``: fit a calibration on development episodes, or find a model's localisation heads."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def responses(options: Calibrate) -> int:
     if len({slot.seed for slot in development_slots(options.episodes, options.seed)}) < 2:
         raise terminal.UsageError(
             f"--episodes {options.episodes} are all in one apartment; wanted {1 + PER_PLACE * len(TASKS)} or more: one "
-            "half of the apartments is fitted to, the other judges"
+            "half of the apartments fits, the other half judges"
         )
     out = checked_out(options.out or Path(f"calibration-{short_name(options.perception)}.json"))
     with terminal.progress("looking", options.episodes) as advance:
@@ -52,7 +52,7 @@ def responses(options: Calibrate) -> int:
         )
     terminal.log(f"{len(recordings)} episodes; trying {options.trials} settings, {DRAWS} at a time")
     with terminal.progress("fitting", options.trials) as advance:
-        # Each round's best is kept, so that a fit that is stopped early is not lost.
+        # Each round writes its best result, so that a fit that is stopped early is not lost.
         best = fit(options.perception, recordings, options.trials, options.workers, advance, lambda at: at.write(out))
     best.write(out)
     if options.json:
@@ -72,13 +72,13 @@ def heads(options: Calibrate) -> int:
         raise terminal.UsageError(f"--episodes {options.episodes} --take {options.take}; wanted 1 or more")
     if not is_model(options.perception) or options.perception.startswith("endpoint"):
         raise terminal.UsageError(
-            f"--perception {options.perception} has no attention heads to read; wanted a model on this machine: a "
-            "folder, or a hub name such as Qwen/Qwen2.5-VL-7B-Instruct"
+            f"--perception {options.perception} has no attention heads; wanted a model on this machine: a folder, "
+            "or a hub name such as Qwen/Qwen2.5-VL-7B-Instruct"
         )
     count = options.episodes if options.labels is None else len(labelled_lines(options.labels))
     perception: Any = load(options.perception)
     if "attention" not in perception.family.extractors:
-        raise terminal.UsageError(f"{perception.family.title} has no attention heads to read; wanted a language model")
+        raise terminal.UsageError(f"{perception.family.title} has no attention heads; wanted a language model")
     if options.labels is None:
         from eagor.evaluation.labelled import apartment_labels
         from eagor.perception import rows_of
@@ -91,7 +91,7 @@ def heads(options: Calibrate) -> int:
         try:
             found = perception.find_heads(_counted(examples, advance), options.take)
         except EagorError as error:
-            if type(error) is EagorError:  # the labels are fine, but no head is: no fault of the input
+            if type(error) is EagorError:  # the labels are valid, but no head is good enough: not an input error
                 raise terminal.RunError(str(error)) from error
             raise
     found.write(out)

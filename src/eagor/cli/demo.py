@@ -1,7 +1,4 @@
-"""``eagor demo``: one search in a furnished apartment, every method on its own way, and a report of it.
-
-The report is one HTML file that needs nothing else, with its pictures as files beside it.
-"""
+"""``eagor demo``: every method searches a furnished apartment; the report is one HTML file, with pictures."""
 
 from __future__ import annotations
 
@@ -32,7 +29,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 PICTURE_ROWS = 320  # of a panorama
-# In this order the methods have their colours, the same in both pictures.
+# The order gives the methods their colours, the same in both pictures.
 SHOWN = (OURS, PAPERS, *(name for name in NAMES if name not in (OURS, PAPERS)))
 
 
@@ -95,7 +92,7 @@ def write_report(search: Search, folder: Path) -> Path:
 
 
 def _strip(search: Search, place: Place) -> Image:
-    """What our camera saw at six moments, and what we believed."""
+    """Our camera's panoramas and beliefs at six moments."""
     trace, panels = search.methods[OURS]["trace"], []
     for index, what in _highlights(trace):
         pose = trace["pose"][index]
@@ -117,7 +114,7 @@ def _strip(search: Search, place: Place) -> Image:
 
 
 def _highlights(trace: dict[str, list[Any]]) -> list[tuple[int, str]]:
-    """At most six moments worth a picture, in time."""
+    """At most six moments for pictures, in order of time."""
     last = len(trace["error_deg"]) - 1
     chosen = {0: "first look", min(3, last): "a few looks later", min(last, max(1, last // 3)): "on the way"}
     hidden = [i for i, seen in enumerate(trace["visible"]) if not seen]
@@ -145,7 +142,7 @@ def _map(search: Search, place: Place) -> Image:
 
 
 def _as_address(picture: Image) -> str:
-    """A picture as a data address of a PNG."""
+    """A picture as a data URL of a PNG."""
     buffer = io.BytesIO()
     picture.save(buffer, format="PNG", optimize=True)
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"

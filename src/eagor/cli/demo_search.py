@@ -1,4 +1,4 @@
-"""The demo's search: every method's way through one episode, and what came of it in plain words."""
+"""The demo's search: every method plays one episode; a summary in words."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SPOKEN = {
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What came of the episode: its record, each method's part of it, and our estimates step by step."""
+    """The episode's record, each method's part of it, and our estimates step by step."""
 
     slot: Slot
     rules: NavigationRules
@@ -39,12 +39,12 @@ class Search:
 
     @property
     def thing(self) -> str:
-        """What was looked for."""
+        """The query."""
         return self.episode["query"]
 
 
 def play(seed: int, index: int, perception: str, say: bool = False) -> Search:
-    """Every method through one episode of navigation."""
+    """Play one episode of navigation with every method."""
     rules, seeing = NavigationRules(), load(perception)
     config = {
         "task": "navigation",
@@ -83,7 +83,7 @@ def play(seed: int, index: int, perception: str, say: bool = False) -> Search:
 
 
 def summary(search: Search) -> list[str]:
-    """The result in plain words, from the numbers, whoever they favour."""
+    """The result in sentences, generated from the numbers."""
     metrics = {name: part["metrics"] for name, part in search.methods.items()}
     lines = [f"{_told(OURS, metrics, search)}; {_told('centroid', metrics, search, short=True)}."]
     lines[0] = lines[0][0].upper() + lines[0][1:]

@@ -1,4 +1,4 @@
-"""``eagor doctor``: what is installed here, what is not, and which models could run."""
+"""``eagor doctor``: what is installed, what is missing, and which models can run."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ WANTS = {
     "scout": "sim",
 }  # perceptions, and the extra that they want beyond what they import
 READY = "ready"
-PARTS = (perception, worlds, task, benchmark)  # what packages can add to
+PARTS = (perception, worlds, task, benchmark)  # what plugins can extend
 
 
 def doctor(options: Doctor) -> int:
-    """Run the command; exit code 1 if something that the package needs is missing."""
+    """Run the command; exit code 1 if a required package is missing."""
     found = {name: machine.version_of(name) for name in PACKAGES}
     optional = {name: machine.version_of(name) for name in OPTIONAL}
     here = machine.machine()
@@ -78,14 +78,14 @@ def doctor(options: Doctor) -> int:
 
 
 def _state(point: EntryPoint, faults: dict[EntryPoint, str], theirs: bool) -> str:
-    """Whether what `point` names can be imported ("ready"), or why not; what is `theirs` was tried elsewhere."""
+    """Whether `point` can be imported ("ready"), or why not; `theirs` (plugins) were tried in another process."""
     why = faults.get(point)
     if not theirs:
         try:
             point.load()
         except MissingExtraError as error:
             return str(error)
-        except Exception as error:  # a broken installation of what it needs may raise anything
+        except Exception as error:  # a broken installation may raise anything
             why = f"{type(error).__name__}: {error}"
     return f"cannot be imported ({why})" if why else READY
 

@@ -1,4 +1,4 @@
-"""Following a target through frames: poses and looks into the tracker (and its rivals), one result per frame."""
+"""Feeds poses and looks to the tracker (and other methods); one result per frame."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ RIVALS = tuple(name for name in NAMES if name != "eagor")  # in the order of the
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What one frame came to.
+    """The result of one frame.
 
-    `problem` says why it could not be looked at, if so; `evidence` is what it gave, several where there are views;
-    `others` are the rivals' directions ``(3,)`` by name, None for one that has none yet.
+    `problem` says why the frame could not be used, if so; `evidence` has several items for several views; `others` are
+    the other methods' directions ``(3,)`` by name, None before their first.
     """
 
     image: Path
@@ -41,12 +41,12 @@ class Result:
 
     @property
     def distance(self) -> float | None:
-        """Metres; None where it is unknown: no positions, or no target yet."""
+        """Metres; None without positions or while searching."""
         return None if self.estimate.status == "searching" else self.estimate.distance
 
     @property
     def distance_spread(self) -> float | None:
-        """Standard deviation of the distance's logarithm: large until the camera has moved. None as `distance` is."""
+        """Standard deviation of the logarithm of the distance: large until the camera has moved; None as `distance`."""
         return None if self.distance is None else self.estimate.distance_spread
 
     def as_json(self) -> dict[str, Any]:
@@ -81,17 +81,16 @@ def follow(
     rivals: Mapping[str, Method],
     force: bool = False,
 ) -> Iterator[Result]:
-    """One result per image, in time, with what the `rivals` say by name (`make_rivals`).
+    """One result per image, in order of time, with the directions of the `rivals` (`make_rivals`).
 
-    An image that cannot be read or judged gives a result with a problem; the poses carry the belief on. Raises
-    `EagorError` where no other frame could do better: a query that means nothing, or a first image that is not 2:1
-    (with `force`, images of any shape are taken as they are).
+    An image that cannot be used gives a result with a problem; the poses carry the belief over it. Raises `EagorError`
+    if no other frame could do better: a query without meaning, or a first image that is not 2:1 (unless `force`).
     """
     tracker = DirectionTracker(config)
     poses, fed, warned = [step.pose for step in steps], 0, False
     frames = [step.pose.stamp for step in steps if step.image is not None]
     for index, step in enumerate(steps):
-        # One pose ahead: what a replay recorded a little after this frame then finds the pose of its own moment.
+        # One pose ahead, so that a replay record from shortly after this frame gets the pose of its own time.
         while fed < min(index + 2, len(poses)):
             tracker.add_pose(poses[fed].stamp, poses[fed].world_R_body, poses[fed].position)
             fed += 1
@@ -128,14 +127,14 @@ def follow(
 
 
 def make_rivals(perception: str) -> dict[str, Method]:
-    """Every other method by name, set as it does best with `perception` (as `eagor.perception.load` reads it)."""
+    """Every other method by name, with its settings for `perception`."""
     return {name: make_method(name, np.random.default_rng(0), perception) for name in RIVALS}
 
 
 def _own(looks: Sequence[Evidence], stamp: float, frames: Sequence[float]) -> tuple[Evidence, ...]:
-    """Those of `looks` to which no other of the `frames` (their times, rising) is nearer than the one at `stamp`.
+    """Those of `looks` for which the frame at `stamp` is the nearest of the `frames` (sorted times).
 
-    Frames that are closer together than a replay's tolerance find the same line: it is evidence once.
+    Frames closer together than a replay's tolerance find the same line, which is evidence only once.
     """
 
     def nearest(look: Evidence) -> float:
@@ -147,6 +146,6 @@ def _own(looks: Sequence[Evidence], stamp: float, frames: Sequence[float]) -> tu
 
 
 def _within(evidence: Evidence, first: float, last: float) -> Evidence:
-    """The evidence, captured no earlier and no later than poses are known (a replay may be off by its tolerance)."""
+    """The evidence with its stamp clipped to the known poses (a replay may be off by its tolerance)."""
     stamp = evidence.stamp
     return evidence if stamp is None else replace(evidence, stamp=min(max(stamp, first), last))

@@ -30,7 +30,7 @@ from eagor.sphere import azimuth_elevation
 from eagor.tracking.estimate import Estimate, Mode
 from eagor.tracking.tracker import DirectionTracker
 
-NEAR = 15  # degrees: how far beside it the answer may lie for somebody who is to find the thing
+NEAR = 15  # degrees: the error that still leads a person to the object
 
 
 def locate(options: Locate) -> int:
@@ -78,7 +78,7 @@ def _as_json(options: Locate, estimate: Estimate) -> dict[str, Any]:
 
 
 def _sources(looks: Sequence[Evidence]) -> dict[str, Any]:
-    """What the looks say about what produced them (model, pixels, tokens, milliseconds), where they do."""
+    """The source that the looks name (model, pixels, tokens, milliseconds), if any."""
     source = next((look.source for look in looks if look.source is not None), None)
     return {} if source is None else {"source": dict(source)}
 
@@ -89,7 +89,7 @@ def mode_as_json(mode: Mode) -> dict[str, float | None]:
 
 
 def as_angles(direction: np.ndarray | None) -> dict[str, float | None]:
-    """A direction ``(3,)`` for ``--json``; null where there is none."""
+    """A direction ``(3,)`` for ``--json``; null for None."""
     azimuth, elevation = (None, None) if direction is None else map(float, azimuth_elevation(direction))
     return {"azimuth_deg": degrees(azimuth), "elevation_deg": degrees(elevation)}
 
@@ -122,7 +122,7 @@ def _print_answer(estimate: Estimate) -> None:
 
 
 def _print_modes(estimate: Estimate, count: int) -> None:
-    """The candidates, and what is left to everything else."""
+    """Print the candidates and the remaining probability."""
     shown = estimate.modes[:count]
     print("  candidates      azimuth elevation  weight (probability that it is thereabouts, if it is here)")
     for mode in shown:

@@ -1,4 +1,4 @@
-"""From file names and words on the command line to panoramas and evidence."""
+"""From command line arguments to panoramas and evidence."""
 
 from __future__ import annotations
 
@@ -32,38 +32,37 @@ ROUNDING = 2  # columns by which a panorama may fail to be 2:1
 
 
 def checked_degree(degree: int) -> int:
-    """`degree`, once it is one that this command line offers."""
+    """`degree`, if it is valid; else raises `UsageError`, as do the other checks here."""
     if not 1 <= degree <= MAX_DEGREE:
         raise UsageError(f"--degree {degree}; wanted 1 to {MAX_DEGREE} (15 resolves about 12 degrees)")
     return degree
 
 
 def checked_rows(rows: int | None) -> int | None:
-    """`rows` of rendered panoramas, once they are enough to see something in; None is what the perception works at."""
+    """`rows` of rendered panoramas, if they are enough; None is the perception's own number."""
     if rows is not None and rows < LEAST_ROWS:
         raise UsageError(f"--rows {rows}; wanted {LEAST_ROWS} or more")
     return rows
 
 
 def check_looks(perception: str) -> None:
-    """Raise `UsageError` if `perception` cannot look at what is rendered: a replay knows its own frames alone."""
+    """Raise `UsageError` if `perception` is a replay, which knows only its own frames."""
     if short_name(perception) == "replay":
         raise UsageError(
-            f"--perception {perception} was written for other frames than those that are rendered here; a detector of "
-            "your own plays as a perception, and the calibration of a replay is written by hand "
-            "(docs/how-to/detector.md)"
+            f"--perception {perception} belongs to other frames than the ones rendered here; run your detector as a "
+            "perception, or write the calibration of a replay by hand (docs/how-to/detector.md)"
         )
 
 
 def checked_query(query: str) -> str:
-    """`query`, once there is a word in it."""
+    """`query`, if it contains a word; else raises `QueryError`."""
     if not re.search(r"\w", query):
         raise QueryError(f"the query {query!r} has no words; say what to look for, such as 'red chair'")
     return query
 
 
 def checked_picture(path: Path) -> Path:
-    """`path`, once it names a kind of picture and a folder that is there and can be written to."""
+    """`path`, if it has a picture's suffix and its folder can be written to."""
     if path.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
         raise UsageError(f"--picture {path}: wanted a file name that ends in .png, .jpg or .webp")
     if not path.absolute().parent.is_dir():
@@ -72,7 +71,7 @@ def checked_picture(path: Path) -> Path:
 
 
 def checked_out(path: Path, option: str = "--out") -> Path:
-    """`path` of a file to be written after long work, once it is likely that it can be."""
+    """`path` of an output file, if it can probably be written; checked before long work."""
     there = _nearest(path)
     if path.is_dir() or not (there.is_dir() or there == path.absolute()) or not os.access(there, os.W_OK):
         raise UsageError(f"{option} {path} cannot be written; name a file in a folder that can be written to")
@@ -80,28 +79,28 @@ def checked_out(path: Path, option: str = "--out") -> Path:
 
 
 def checked_folder(path: Path, option: str = "--out") -> Path:
-    """`path` of a folder to be written into after long work, once it is likely that it can be; nothing is made yet."""
+    """`path` of an output folder, if it can probably be written to; checked before long work, creates nothing."""
     there = _nearest(path)
     if not there.is_dir() or not os.access(there, os.W_OK):
-        why = "cannot be written to" if there.is_dir() else "is no folder"
-        raise UsageError(f"{option} {path}: cannot be made a folder to write into ({there} {why}); name another")
+        why = "cannot be written to" if there.is_dir() else "is not a folder"
+        raise UsageError(f"{option} {path}: cannot be made a folder to write to ({there} {why}); name another")
     return path
 
 
 def check_not_read(path: Path | None, option: str, inputs: Sequence[Path]) -> None:
-    """Raise `UsageError` if `path`, which is to be written, is among the `inputs`: they would be lost, or mixed up."""
+    """Raise `UsageError` if the output `path` is one of the `inputs`, which would be overwritten."""
     if path is not None and os.path.realpath(path) in map(os.path.realpath, inputs):
-        raise UsageError(f"{option} {path} is what is read; name another place to write to")
+        raise UsageError(f"{option} {path} is an input; name another place to write to")
 
 
 def _nearest(path: Path) -> Path:
-    """`path` itself, or the nearest place above it that is there."""
+    """`path` itself, or its nearest parent that exists."""
     place = path.absolute()
     return next(place for place in (place, *place.parents) if os.path.exists(place))
 
 
 def keep_picture(picture: Image.Image, path: Path) -> None:
-    """Write a picture in the format of its name, whole or not at all. Raises `StorageError`."""
+    """Write a picture atomically, in the format of its name. Raises `StorageError`."""
     buffer = io.BytesIO()
     picture.save(buffer, Image.registered_extensions()[path.suffix.lower()])
     written(path, buffer.getvalue())
@@ -117,23 +116,23 @@ def make_perception(spec: str) -> Perception:
 def tracker_config(
     degree: int, perception: str, calibration: Path | None = None, detector: str | None = None, force: bool = False
 ) -> TrackerConfig:
-    """The tracker's configuration for ``--degree``, and for `calibrated`."""
+    """The tracker's configuration for ``--degree`` and the result of `calibrated`."""
     config = TrackerConfig(degree=checked_degree(degree))
     found = calibrated(perception, calibration, detector, force)
     return config if found is None else config.fitted(found.calibration, found.detector, found.forgetting)
 
 
 def calibrated(perception: str, calibration: Path | None, detector: str | None, force: bool) -> Calibrated | None:
-    """What ``--calibration`` and ``--detector`` say of `perception`; None where neither is given.
+    """The content of ``--calibration`` and ``--detector``, or None if neither is given.
 
-    Raises `UsageError` for a calibration of another perception, unless `force`d.
+    Raises `UsageError` for a calibration of another perception, unless `force`.
     """
     found = None if calibration is None else read_calibrated(calibration)
     if found is not None and not found.fits(perception):
         if not force:
             raise UsageError(
-                f"--calibration {calibration} was fitted for the perception {found.perception!r}, and {perception!r} "
-                "looks; wanted one that was fitted for it (eagor calibrate), none, or --force"
+                f"--calibration {calibration} was fitted for the perception {found.perception!r}, not for "
+                f"{perception!r}; wanted one for this perception (eagor calibrate), none, or --force"
             )
         warning(f"{calibration} was fitted for {found.perception!r}, not for {perception!r}")
     if detector is None:
@@ -146,26 +145,26 @@ def calibrated(perception: str, calibration: Path | None, detector: str | None, 
 
 
 def warn_of_detector(detector: str | None, looks: Sequence[Evidence]) -> None:
-    """Say so where ``--detector`` has nothing to tell, since these looks are response maps."""
+    """Warn if ``--detector`` has no effect because all looks are response maps."""
     if detector is not None and looks and all(evidence.detections is None for evidence in looks):
         warning(f"--detector {detector} is for detections, and this perception gives response maps: it has no effect")
 
 
 def find_frames(places: Sequence[Path]) -> tuple[Path, ...]:
-    """The images that `places` name (one folder, or image files), by name; numbers in names count by value."""
+    """The images in `places` (one folder, or image files), sorted by name; numbers in names sort by value."""
     if len(places) == 1 and os.path.isdir(places[0]):
         try:
             inside = sorted(places[0].iterdir())
         except OSError as error:
             raise ImageError(
-                f"{places[0]} cannot be read ({error.strerror}); let it be read, or name another"
+                f"{places[0]} cannot be read ({error.strerror}); make it readable, or name another"
             ) from error
         found = [p for p in inside if p.suffix.lower() in IMAGES and not p.name.startswith(".")]
         if not found:
             raise ImageError(f"{places[0]} holds no images; wanted files that end in {', '.join(IMAGES)}")
     else:
         found = list(places)
-        for place in found:  # os.path says no where Path would raise: a name too long, a folder that is closed
+        for place in found:  # os.path returns False where Path would raise: a name too long, a closed folder
             if os.path.isdir(place):
                 raise UsageError(f"{place} is a folder; give one folder, or only image files")
             if not os.path.exists(place):
@@ -174,11 +173,11 @@ def find_frames(places: Sequence[Path]) -> tuple[Path, ...]:
 
 
 class ShapeError(ImageError):
-    """A picture is no whole panorama: its sides are not 2:1."""
+    """A picture is not a whole panorama: its aspect ratio is not 2:1."""
 
 
 def read_frame(path: Path, force: bool = False, warn: bool = True) -> np.ndarray:
-    """The panorama in a file. Raises `ShapeError` if it is not 2:1, or with `force` says so (once: `warn`)."""
+    """The panorama in a file. Raises `ShapeError` if it is not 2:1; with `force` it warns instead (if `warn`)."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         panorama = read_panorama(path)
@@ -188,22 +187,22 @@ def read_frame(path: Path, force: bool = False, warn: bool = True) -> np.ndarray
     what = f"{path} is {width} x {height}, not 2:1"
     if not force:
         raise ShapeError(
-            f"{what}; wanted a whole panorama, twice as wide as high ({2 * height} x {height}). Pad what covers less "
-            "than the whole sphere; --force takes it as it is (all columns for 360 degrees, all rows for 180)"
+            f"{what}; wanted a whole panorama, twice as wide as high ({2 * height} x {height}). Pad an image that "
+            "covers less than the sphere, or accept it with --force (all columns for 360 degrees, all rows for 180)"
         )
     if warn:
-        warning(f"{what}: taken as it is, all columns for 360 degrees, all rows for 180")
+        warning(f"{what}; accepted, with all columns for 360 degrees and all rows for 180")
     return panorama
 
 
 def is_whole(panorama: np.ndarray) -> bool:
-    """Whether its sides are 2:1, to the rounding of a resized picture."""
+    """Whether its aspect ratio is 2:1, up to the rounding of a resized picture."""
     height, width = panorama.shape[:2]
     return abs(width - 2 * height) <= ROUNDING
 
 
 def first_stamp(perception: Perception, query: str) -> float:
-    """The time of a replay's first record for `query`; 0 for perceptions that look at the image."""
+    """The time of a replay's first record for `query`; 0 for other perceptions."""
     if isinstance(perception, ReplayPerception):
         return next((record.stamp for record in perception.records if record.answers(query)), 0.0)
     return 0.0
@@ -212,7 +211,7 @@ def first_stamp(perception: Perception, query: str) -> float:
 def look(
     perception: Perception, panorama: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray | None = None
 ) -> tuple[Evidence, ...]:
-    """What `perception` sees: one evidence, or one per view where a replay has several views of one moment."""
+    """The evidence of `perception`: one, or one per view if a replay has several views of one moment."""
     if isinstance(perception, ReplayPerception):
         return tuple(
             r.evidence(query, perception.calibration, perception.detector) for r in perception.near(query, stamp)
@@ -223,7 +222,7 @@ def look(
 def look_if_recorded(
     perception: Perception, panorama: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray | None = None
 ) -> tuple[Evidence, ...]:
-    """As `look`, but a time for which a replay has no line says nothing, as its format has it."""
+    """As `look`, but empty if a replay has no line for this time."""
     try:
         return look(perception, panorama, query, stamp, world_R_body)
     except TimeError:

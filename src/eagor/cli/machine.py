@@ -1,4 +1,4 @@
-"""What models could run on this machine: its memory, its GPUs, what is installed, and what to install."""
+"""Which models can run on this machine: memory, GPUs, installed packages, and what to install."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_b
 
 @dataclass(frozen=True)
 class Machine:
-    """Memory in units of 1e9 bytes; None where it is not known. `gpus`: name and memory of each."""
+    """Memory in units of 1e9 bytes, None if unknown. `gpus`: name and memory of each."""
 
     memory: float | None
     gpus: tuple[tuple[str, float], ...]
 
     def place(self, checkpoint: Checkpoint) -> str:
-        """Where a checkpoint can run, or what it lacks."""
+        """Where a checkpoint can run, or why it cannot."""
         largest = max((memory for _, memory in self.gpus), default=0.0)
         together = sum(memory for _, memory in self.gpus)
         if checkpoint.gigabytes <= largest:
@@ -37,7 +37,7 @@ class Machine:
         if checkpoint.gigabytes <= together:
             return "all GPUs (device=auto)"
         if self.memory is None:
-            return "unknown: the size of the memory is"
+            return "unknown memory size"
         if 2 * checkpoint.gigabytes <= self.memory:  # 32 bits
             return "CPU"
         if checkpoint.gigabytes <= self.memory:
@@ -46,12 +46,12 @@ class Machine:
 
 
 def machine() -> Machine:
-    """This one. GPUs are asked for through torch, where it is installed."""
+    """This machine; torch lists the GPUs, if it is installed."""
     return Machine(_memory(), _gpus())
 
 
 def report(here: Machine) -> dict[str, Any]:
-    """For ``--json``: the machine, each family with its checkpoints and where they can run, and what to install."""
+    """For ``--json``: the machine, the families with their checkpoints and where they run, and what to install."""
     families = [
         {
             "name": family.name,
@@ -70,7 +70,7 @@ def report(here: Machine) -> dict[str, Any]:
 
 
 def lines(here: Machine) -> list[tuple[str, str]]:
-    """For people: label and text."""
+    """For the terminal: labels and texts."""
     gpus = ", ".join(f"{name} with {memory:.0f} GB" for name, memory in here.gpus) or "no GPU"
     memory = "memory unknown" if here.memory is None else f"{here.memory:.0f} GB"
     found = [("memory", f"{memory}; {gpus}")]
@@ -83,7 +83,7 @@ def lines(here: Machine) -> list[tuple[str, str]]:
 
 
 def missing() -> list[str]:
-    """What to install, change or remove, so that all runs here; empty where nothing is."""
+    """What to install, change or remove so that everything runs; empty if nothing."""
     steps = []
     for extra, use in USES.items():
         if short := lacking(extra):
@@ -94,7 +94,7 @@ def missing() -> list[str]:
             import torchvision  # noqa: F401  # pyright: ignore[reportMissingImports]
         except Exception as error:  # a build for another torch may raise anything
             steps.append(
-                f"torchvision does not fit this torch ({type(error).__name__}), and without it nothing here is lost: "
+                f"torchvision does not fit this torch ({type(error).__name__}) and is not needed: "
                 "pip uninstall torchvision"
             )
     return steps
@@ -117,7 +117,7 @@ def _parts(number: str) -> tuple[int, ...]:
 
 
 def version_of(name: str) -> str | None:
-    """Of an installed package; None where there is none."""
+    """The version of a package, or None if it is not installed."""
     try:
         return version(name)
     except PackageNotFoundError:
@@ -125,7 +125,7 @@ def version_of(name: str) -> str | None:
 
 
 def _memory() -> float | None:
-    """Of the machine, or what its container may use."""
+    """The memory of the machine, or the limit of its container."""
     try:
         found = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     except (ValueError, OSError, AttributeError):
@@ -148,7 +148,7 @@ def _gpus() -> tuple[tuple[str, float], ...]:
 
         count = torch.cuda.device_count()
         found = [torch.cuda.get_device_properties(index) for index in range(count)]
-    except Exception:  # a broken driver or installation is no reason to say nothing else
+    except Exception:  # a broken driver or installation must not hide the rest
         return ()
     return tuple((str(one.name), round(one.total_memory / 1e9, 1)) for one in found)
 

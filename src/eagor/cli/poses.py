@@ -1,13 +1,13 @@
-"""Poses from a CSV file, and which frame each of them belongs to.
+"""Poses from a CSV file, and their frames.
 
-The first line names the columns; their order is free, and columns that are not named here are ignored:
+The first line names the columns, in any order; other columns are ignored:
 
-- ``stamp``: seconds, on the clock of the frames; must grow from line to line.
+- ``stamp``: seconds, on the clock of the frames, increasing.
 - the orientation ``world_R_body`` (REP-103: x forward, y left, z up), either as the unit quaternion ``qw,qx,qy,qz`` or
   as ``yaw_deg,pitch_deg,roll_deg``: yaw to the left, then pitch (positive: nose DOWN), then roll.
-- ``x,y,z`` (optional): position in metres of the world frame.
-- ``frame`` (optional): the file name of the image that was captured in this pose. Lines that leave it empty are
-  odometry between the frames. Without this column, lines and frames pair in order, and there must be as many of each.
+- ``x,y,z`` (optional): position in metres in the world frame.
+- ``frame`` (optional): the image captured in this pose; empty for odometry between the frames. Without this column,
+  lines and frames are paired in order, one each.
 
 Blank lines, and lines that begin with ``#``, are skipped.
 """
@@ -36,7 +36,7 @@ _NORM_TOLERANCE = 0.01  # a quaternion printed with three digits is still one
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """One line: when (seconds), `world_R_body` ``(3, 3)``, `position` ``(3,)`` in metres or None, its frame's name."""
+    """One line: stamp in seconds, `world_R_body` ``(3, 3)``, `position` ``(3,)`` in metres or None, frame's name."""
 
     stamp: float
     world_R_body: np.ndarray
@@ -46,17 +46,17 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A pose and the image that was captured in it; None for odometry between frames."""
+    """A pose and its image; None for odometry between frames."""
 
     pose: Pose
     image: Path | None
 
 
 def read_poses(path: str | Path) -> tuple[Pose, ...]:
-    """The poses in the file, by time (format: this module's text).
+    """The poses in the file, sorted by time (format: this module's text).
 
-    Raises `FormatError` for a file that does not follow the format, `RotationError` for a quaternion that is no
-    rotation, `TimeError` where time does not grow; each text names the file and the line.
+    Raises `FormatError` for a violation of the format, `RotationError` for a quaternion that is not of unit length,
+    `TimeError` if the stamps do not increase; each error names the file and the line.
     """
     try:
         text = Path(path).read_bytes().decode("utf-8-sig")
@@ -78,34 +78,34 @@ def read_poses(path: str | Path) -> tuple[Pose, ...]:
             pose = _pose(names, [field.strip() for field in fields])
             if poses and pose.stamp <= poses[-1].stamp:
                 raise TimeError(
-                    f"stamp {pose.stamp:.6f} comes after {poses[-1].stamp:.6f}: time stands still or runs backwards; "
-                    "sort the lines by stamp, and split the file where the clock was reset"
+                    f"stamp {pose.stamp:.6f} comes after {poses[-1].stamp:.6f}; wanted increasing stamps. "
+                    "Sort the lines by stamp, and split the file where the clock was reset"
                 )
         except EagorError as error:
             raise type(error)(f"{path}, line {number}: {error}") from error
         poses.append(pose)
     if not poses:
-        raise FormatError(f"{path} has a header and no poses; wanted one line per frame: {HEADERS}")
+        raise FormatError(f"{path} has a header but no poses; wanted one line per frame: {HEADERS}")
     return tuple(poses)
 
 
 def pair(poses: Sequence[Pose], images: Sequence[Path], name: str | Path = "the pose file") -> tuple[Step, ...]:
-    """Each pose with its image, by time; images by file name where the file gives names, in order otherwise.
+    """Each pose with its image, sorted by time: by file name if the file has names, else in order.
 
-    Poses of images that were not asked for are kept as odometry. Raises `PoseError` for an image without a pose or with
-    two, and where there are no names and the numbers differ.
+    Poses of other images are kept as odometry. Raises `PoseError` for an image with no pose or with two, and for
+    different numbers of poses and images without names.
     """
     if all(pose.frame is None for pose in poses):
         if len(poses) != len(images):
             raise PoseError(
-                f"{name} has {len(poses)} poses for {len(images)} frames; without a column 'frame' they pair in order, "
-                "one each. Add that column with the file names, or give as many of each"
+                f"{name} has {len(poses)} poses for {len(images)} frames; without a column 'frame' they are paired in "
+                "order. Add that column with the file names, or give as many poses as frames"
             )
         return tuple(Step(pose, image) for pose, image in zip(poses, images, strict=True))
     by_name = {image.name: image for image in images}
     if len(by_name) < len(images):
         twice = sorted(n for n in by_name if sum(image.name == n for image in images) > 1)
-        raise PoseError(f"two frames are called {twice[0]}, so that names cannot tell them apart; rename one")
+        raise PoseError(f"two frames are called {twice[0]}; rename one, because poses refer to frames by name")
     steps = tuple(Step(pose, by_name.get(PurePath(pose.frame).name) if pose.frame else None) for pose in poses)
     used = [step.image.name for step in steps if step.image is not None]
     missing = [n for n in by_name if n not in used]
@@ -132,11 +132,11 @@ def _lines(path: str | Path, text: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _check_header(names: Sequence[str]) -> None:
-    """Raise `FormatError` unless the columns say when, and in one way only how the body stood."""
+    """Raise `FormatError` unless there is a stamp and exactly one form of orientation, each column once."""
     known = ("stamp", *QUATERNION, *ANGLES, *POSITION, "frame")
     twice = sorted({n for n in names if n in known and names.count(n) > 1})
     if twice:
-        raise FormatError(f"the column {twice[0]!r} is there twice")
+        raise FormatError(f"the column {twice[0]!r} appears twice")
     groups = {group: [n for n in group if n in names] for group in (QUATERNION, ANGLES, POSITION)}
     for group, found in groups.items():
         if found and len(found) < len(group):
@@ -162,8 +162,8 @@ def _from_quaternion(wxyz: Sequence[float]) -> np.ndarray:
     norm = math.hypot(*wxyz)
     if abs(norm - 1) > _NORM_TOLERANCE:
         raise RotationError(
-            f"qw,qx,qy,qz = {', '.join(f'{v:g}' for v in wxyz)} is no rotation: its length is {norm:.3g}, wanted 1. "
-            "Normalise it; the real part comes first"
+            f"qw,qx,qy,qz = {', '.join(f'{v:g}' for v in wxyz)} is not a rotation: its length is {norm:.3g}, wanted 1. "
+            "Normalise it; the scalar part comes first"
         )
     return rotation_from_wxyz(np.asarray(wxyz) / norm)
 

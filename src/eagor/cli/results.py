@@ -1,4 +1,4 @@
-"""``eagor bench``: what came of runs. Report, compare, failures, export."""
+"""``eagor bench report``, ``compare``, ``failures`` and ``export``."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from eagor.cli.options import BenchCompare, BenchExport, BenchFailures, BenchRep
 
 
 def report(options: BenchReport) -> int:
-    """``eagor bench report``. Raises `StorageError` where the disk does not take it."""
+    """``eagor bench report``. Raises `StorageError` if it cannot be written."""
     from eagor.cli.looking import checked_folder
     from eagor.evaluation.report import write_report
 
     need("a report page", "sim", "jinja2")
     if not options.folders:
-        raise terminal.UsageError("no run is named; wanted the folder of one")
+        raise terminal.UsageError("no run was given; wanted the folder of a run")
     if options.out is not None:
         checked_folder(options.out)
     page = write_report(options.folders, out=options.out)
@@ -75,17 +75,17 @@ def export(options: BenchExport) -> int:
 
     if options.run is not None:
         if options.task or options.set:
-            raise terminal.UsageError(f"{options.run} says what it is a run of; leave out --task and --set")
+            raise terminal.UsageError(f"{options.run} names its task and options; leave out --task and --set")
         run = studies.read(options.run)
         if options.data:
             run = replace(run, settings={**run.settings, "data": str(options.data.resolve())})
     elif options.task and options.data:
         run = predictions.bare(options.task, options.data, pairs_of(options.set))
     else:
-        raise terminal.UsageError("name a run, or --task and --data")
+        raise terminal.UsageError("give a run, or --task and --data")
     out = options.out or options.run
     if out is None:
-        raise terminal.UsageError("without a run, name the folder to write into with --out")
+        raise terminal.UsageError("without a run, give the folder to write to with --out")
     checked_folder(out)
     offers = run.study.exports
     if options.to not in offers:

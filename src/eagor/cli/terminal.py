@@ -1,4 +1,4 @@
-"""What commands say, and where: results to stdout, everything else to stderr, progress only where somebody watches."""
+"""Output of commands: results to stdout, everything else to stderr, progress only on a terminal."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ OK, FAILED, USAGE, INCOMPLETE = 0, 1, 2, 3
 
 
 class UsageError(EagorError):
-    """The command line asks for something that cannot be done (exit code 2, as for every `EagorError` about input)."""
+    """Wrong usage (exit code 2, as for every `EagorError` about input)."""
 
 
 class RunError(EagorError):
-    """The input was fine, but the run failed (exit code 1)."""
+    """The input was valid, but the run failed (exit code 1)."""
 
 
 def log(text: str) -> None:
-    """One line for people, on stderr."""
+    """Print one line on stderr."""
     print(redacted(f"eagor: {text}"), file=sys.stderr, flush=True)
 
 
 def warning(text: str) -> None:
-    """Something that people should know, on stderr; the run goes on."""
+    """Print a warning on stderr; the run continues."""
     log(f"warning: {text}")
 
 
 def error(text: str) -> None:
-    """What went wrong, on stderr, on one line whatever it contains."""
+    """Print an error on stderr, on one line."""
     log(f"error: {' '.join(text.split())}")
 
 
 def emit(result: dict[str, Any]) -> None:
-    """The one JSON object on stdout."""
+    """Print the one JSON object on stdout."""
     print(redacted(json.dumps(result, allow_nan=False, ensure_ascii=False)), flush=True)
 
 
@@ -74,9 +74,9 @@ def _words(value: Any) -> str:
 
 @contextmanager
 def heeding_sigterm() -> Iterator[list[int]]:
-    """SIGTERM inside is KeyboardInterrupt, so that it is tidied up after as after Ctrl-C, and put into what is yielded.
+    """Turn SIGTERM into KeyboardInterrupt, so that it is handled like Ctrl-C; the yielded list gets its number.
 
-    Only the first one counts: what follows must not stop the tidying up.
+    Only the first one counts: later ones must not stop the cleanup.
     """
     told: list[int] = []
 
@@ -87,7 +87,7 @@ def heeding_sigterm() -> Iterator[list[int]]:
 
     try:
         before = signal.signal(signal.SIGTERM, stop)
-    except ValueError:  # not in the main thread: signals are not ours
+    except ValueError:  # not in the main thread, which alone may handle signals
         yield told
         return
     try:
@@ -98,7 +98,7 @@ def heeding_sigterm() -> Iterator[list[int]]:
 
 @contextmanager
 def warnings_as_lines() -> Iterator[None]:
-    """The package's own warnings (an image that is not 2:1, ...) become lines on stderr, each kind of text once."""
+    """Print the package's own warnings (an image that is not 2:1, ...) as lines on stderr, each text once."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         warnings.filterwarnings("once", category=UserWarning, module=r"eagor(\.|$)")
@@ -112,7 +112,7 @@ def warnings_as_lines() -> Iterator[None]:
 
 @contextmanager
 def progress(what: str, total: int, shown: bool = True) -> Iterator[Callable[[], None]]:
-    """A bar on stderr, moved on by calling what this yields; silent unless `shown` and stderr is a terminal."""
+    """A progress bar on stderr; call the yielded function to advance it. Silent unless `shown` and on a terminal."""
     if not (shown and sys.stderr.isatty()):
         yield lambda: None
         return

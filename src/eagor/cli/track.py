@@ -1,8 +1,7 @@
-"""``eagor track``: a series of panoramas and the camera's poses, one line per frame.
+"""``eagor track``: a sequence of panoramas and the camera's poses, one line per frame.
 
-A frame that cannot be read does not end the run: it is reported on stderr, the poses carry the belief over it, and the
-exit code is 3. A first frame that is no whole panorama does: the others will hardly be any. The file of ``--out`` is
-flushed after every line, so that nothing that was computed is lost.
+A frame that cannot be read is reported on stderr; the poses carry the belief over it, and the exit code is 3. A first
+frame that is not 2:1 ends the run, because the others will hardly be. ``--out`` is flushed after every line.
 """
 
 from __future__ import annotations
@@ -87,11 +86,11 @@ def track(options: Track) -> int:
         summary = {"query": query, "perception": options.perception, "frames": entries, "left_out": bad}
         terminal.emit(summary)
     if bad == len(images):
-        raise terminal.RunError(f"none of the {bad} frames could be looked at; the reasons are above")
+        raise terminal.RunError(f"none of the {bad} frames could be used; the reasons are above")
     if looked == 0:
         raise terminal.RunError(
-            f"{options.perception} has nothing for any of the {len(images)} frames; are its stamps on the clock of "
-            f"{options.poses} ({steps[0].pose.stamp:g} to {steps[-1].pose.stamp:g} s)?"
+            f"{options.perception} has no record for any of the {len(images)} frames; its stamps must use the clock of "
+            f"{options.poses} ({steps[0].pose.stamp:g} to {steps[-1].pose.stamp:g} s)"
         )
     if bad:
         terminal.log(f"{bad} of {len(images)} frames were left out")
@@ -119,7 +118,7 @@ def _line(result: Result) -> str:
 
 
 def _pair(direction: np.ndarray | None) -> str:
-    """A rival's direction ``(3,)``: azimuth/elevation."""
+    """A direction ``(3,)`` as azimuth/elevation."""
     if direction is None:
         return "-"
     azimuth, elevation = azimuth_elevation(direction)
@@ -127,27 +126,27 @@ def _pair(direction: np.ndarray | None) -> str:
 
 
 def _checked_drift(drift: float) -> float:
-    """The drift of ``--drift`` in radians."""
+    """``--drift`` in radians."""
     if not 0 <= drift <= MOST_DRIFT:
         raise terminal.UsageError(f"--drift {drift:g}; wanted degrees from 0 to {MOST_DRIFT}")
     return math.radians(drift)
 
 
 def _checked_floor(floor: float | None, steps: Sequence[Step]) -> float | None:
-    """The floor's height, once every pose that has a position is above it."""
+    """The floor's height, if every pose with a position is above it; else raises `UsageError`."""
     heights = [float(step.pose.position[2]) for step in steps if step.pose.position is not None]
     if floor is not None and not math.isfinite(floor):
         raise terminal.UsageError(f"--floor {floor:g}; wanted a height in metres")
     if floor is not None and heights and min(heights) <= floor:
         raise terminal.UsageError(
-            f"--floor {floor:g}: the camera comes down to z = {min(heights):g} m; wanted below it"
+            f"--floor {floor:g}: the camera comes down to z = {min(heights):g} m; wanted a floor below that"
         )
     return floor
 
 
 @contextmanager
 def _table(path: Path, compare: bool) -> Iterator[Callable[[Result], None]]:
-    """The file of ``--out``; what this yields writes one line and flushes it. The first line makes the file."""
+    """The file of ``--out``; the yielded function writes and flushes one line. The first line creates the file."""
     if path.suffix.lower() not in (".csv", ".jsonl"):
         raise terminal.UsageError(f"--out {path}: wanted a file name that ends in .csv or .jsonl")
     if not path.absolute().parent.is_dir():
@@ -171,7 +170,7 @@ def _table(path: Path, compare: bool) -> Iterator[Callable[[Result], None]]:
 
 
 def _painter(folder: Path, query: str) -> Callable[[int, Result], None]:
-    """Draws a frame with its belief into `folder`; frames that could not be read are left out."""
+    """A function that draws a frame with its belief into `folder`; unreadable frames are skipped."""
     from eagor.drawing import draw_belief
 
     checked_folder(folder, "--picture")

@@ -1,4 +1,4 @@
-"""Directions in words, for people."""
+"""Directions in words."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STATUS = {
 def in_words(azimuth: float, elevation: float) -> str:
     """A direction (radians, azimuth positive left) such as "64 degrees to the left, 33 degrees down".
 
-    What lies within 4 degrees of an axis is on it; within 5 degrees of a pole only up or down is left to say.
+    Within 4 degrees of an axis it counts as on the axis; within 5 degrees of a pole it is only up or down.
     """
     side, height = round(math.degrees(math.remainder(azimuth, math.tau))), round(math.degrees(elevation))
     if abs(height) >= 85:
@@ -41,12 +41,12 @@ def in_words(azimuth: float, elevation: float) -> str:
 
 
 def answer_in_words(estimate: Estimate) -> str:
-    """Where the answer of an estimate lies, as `in_words`; "not known" while nothing is."""
+    """The answer of an estimate as `in_words`, or "not known"."""
     if estimate.azimuth is None or estimate.elevation is None:
         return "not known"
     return in_words(estimate.azimuth, estimate.elevation)
 
 
 def signed(angle: float | None) -> str:
-    """An angle (radians) in degrees with its sign and one decimal: "+62.9"; "-" for one that is not known."""
+    """An angle (radians) in degrees with sign and one decimal: "+62.9"; "-" for None."""
     return "-" if angle is None else f"{math.degrees(angle):+.1f}"

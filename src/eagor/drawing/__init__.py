@@ -1,8 +1,8 @@
-"""Pictures: a belief over a panorama, curves of error over time, a walk from above.
+"""Pictures: a belief over a panorama, curves of error over time, paths on a map.
 
-Every function `draw_...` returns a `PIL.Image.Image`. Panoramas are in the layout of `eagor.sphere` (centre forward,
-azimuth grows to the LEFT), and so are the axes. matplotlib is imported when the first picture is drawn, with the Agg
-canvas and without pyplot: nothing global is touched, no window is opened.
+Every function `draw_...` returns a `PIL.Image.Image`. Panoramas and their axes are in the layout of `eagor.sphere`
+(centre forward, azimuth grows to the LEFT). matplotlib is imported for the first picture, with the Agg canvas and
+without pyplot: it changes no global state and opens no window.
 """
 
 from eagor.drawing.charts import draw_errors, draw_map

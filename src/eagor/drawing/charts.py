@@ -1,4 +1,4 @@
-"""Errors over time, and a walk from above."""
+"""Errors over time, and paths on a map."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ def draw_errors(
 ) -> Image:
     """Direction errors (degrees) of several methods over time (seconds); the first method is drawn on top, and thick.
 
-    A method with fewer values than stamps ended earlier; one with none is listed with a dash. Where a value is None or
-    NaN the curve has a gap. `shaded` marks stretches: begin, end, and what happened.
+    A method with fewer values than stamps ended earlier; one without values is listed with a dash. None and NaN leave a
+    gap in the curve. `shaded` marks intervals: begin, end, and label.
 
     Raises `EagorError` without stamps, and for a method with more values than there are stamps.
     """
     if not len(stamps):
-        raise EagorError("there are no stamps; wanted the time of one step at least, and the errors of each method")
+        raise EagorError("there are no stamps; wanted the time of at least one step, and the errors of each method")
     curves = {name: np.array(values, dtype=np.float64) for name, values in errors.items()}
     for name, values in curves.items():
         if len(values) > len(stamps):
             raise EagorError(
-                f"{name} has {len(values)} errors, and there are {len(stamps)} stamps; wanted a stamp for each error"
+                f"{name} has {len(values)} errors, but there are {len(stamps)} stamps; wanted a stamp for each error"
             )
     known = {name: values[np.isfinite(values)] for name, values in curves.items()}
     sheet = figure(width, round(width * 0.42))
@@ -89,14 +89,14 @@ def draw_map(
     target: np.ndarray,
     width: int = 1200,
 ) -> Image:
-    """Ways through a floor plan from above: x to the right, y up; the first path is drawn on top, and thick.
+    """Paths on a floor plan from above: x to the right, y up; the first path is drawn on top, and thick.
 
     Args:
-        walls: ``(rows, cols)`` bool, row 0 at the lowest y: where the building stands.
-        free: ``(rows, cols)`` bool: where one can walk; what is neither is furniture, or out of reach.
+        walls: ``(rows, cols)`` bool, row 0 at the lowest y: cells of the building.
+        free: ``(rows, cols)`` bool: walkable cells; cells that are neither are furniture, or out of reach.
         extent: x0, x1, y0, y1 of the two rasters, metres.
         paths: positions ``(n, 2)`` by name, all from the same start.
-        target: where the target is ``(2,)`` or ``(3,)``.
+        target: position of the target ``(2,)`` or ``(3,)``.
         width: of the picture in pixels.
     """
     x0, x1, y0, _ = extent

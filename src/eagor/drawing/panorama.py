@@ -1,6 +1,6 @@
-"""A belief over a panorama: heat, the border of its 90 % region, and where everybody points.
+"""A belief over a panorama: its density as heat, the border of its 90 % region, and the directions of all methods.
 
-What is drawn of an `Estimate` is the estimate: its density, its region, its answer and its candidates.
+An `Estimate` is drawn as it is: its density, region, answer and candidates.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 OURS, TRUTH = "#00e5ff", "#39ff6a"
-# Markers and colours that stay apart in grey and for the colour-blind; the first ones go to the methods named first.
+# Markers and colours that can be told apart in grey and by the colour-blind; the first methods get the first ones.
 OTHERS = (("s", "#ffb000"), ("D", "#ff5fa8"), ("^", "#b197ff"), ("v", "#ff7043"), ("P", "#9ccc65"), ("X", "#90a4ae"))
-ROWS, MOST_ROWS = 360, 720  # of the heat: as many as a small region needs
-CELLS = 40  # that a region should consist of, or its border would be a few straight lines
+ROWS, MOST_ROWS = 360, 720  # of the heat map: more for a small region
+CELLS = 40  # least number of cells in a region, so that its border is not just a few straight lines
 MASS = 0.9
-FLAT = 1e-6  # a density that varies by less than this share of its mean knows nothing
+FLAT = 1e-6  # a density that varies by less than this share of its mean is uniform
 
 
 def draw_belief(
@@ -43,15 +43,15 @@ def draw_belief(
 ) -> Image:
     """`belief` as heat over `panorama` ``(H, W, 3)``, with the border of its 90 % region.
 
-    Where that region is larger than half of the sphere, or ripples alone would decide where its border runs, it is not
-    drawn, and the legend says so. Where nothing is known, nothing is drawn.
+    The region is not drawn, and the legend says so, if it is larger than half of the sphere or if its border depends on
+    ripples alone. Nothing is drawn for a uniform belief.
 
     Args:
-        panorama: what the camera saw, uint8, in the body frame of the belief.
-        belief: an `Estimate`, drawn with its answer, an arrow from forward to it, and its candidates; or a belief (one,
-            no batch), of which there is no answer.
-        truth: the true direction ``(3,)``, where known.
-        others: other methods' directions by name; None for one that has none.
+        panorama: the image, uint8, in the body frame of the belief.
+        belief: an `Estimate`, drawn with its answer, an arrow from forward to it, and its candidates; or a single
+            belief, which has no answer.
+        truth: the true direction ``(3,)``, if known.
+        others: other methods' directions by name; None for a method without one.
         modes: directions of candidates; default: those of the estimate.
         title: a line above the picture.
         width: of the picture in pixels.
@@ -97,7 +97,7 @@ def paint_belief(
     others: Mapping[str, np.ndarray | None] | None = None,
     modes: Sequence[np.ndarray] | None = None,
 ) -> None:
-    """What `draw_belief` draws, into `axes`."""
+    """The contents of `draw_belief`, drawn into `axes`."""
     axes.set_xlim(180, -180)
     axes.set_ylim(-90, 90)
     axes.set_xticks(range(180, -181, -45), _degrees(range(180, -181, -45)))
@@ -130,13 +130,13 @@ def paint_belief(
 
 
 def _heat(axes: Axes, belief: Estimate | Readable) -> None:
-    """The density as heat, and the border of its 90 % region; nothing where the belief knows nothing."""
+    """The density as heat, and the border of its 90 % region; nothing for a uniform belief."""
     from matplotlib import colormaps
 
     border, area = _region(belief)
     grid = _cells(area)
     log_density = np.asarray(belief.log_density(grid.directions))
-    times = 4 * math.pi * np.exp(log_density)  # how many times likelier than by chance
+    times = 4 * math.pi * np.exp(log_density)  # relative to the uniform density
     most = float(times.max())
     if most - float(times.min()) < FLAT:
         return
@@ -148,7 +148,7 @@ def _heat(axes: Axes, belief: Estimate | Readable) -> None:
     if why := undrawn(log_density, grid.weights, border, area):
         axes.plot([], [], linestyle="none", label=f"{100 * MASS:.0f} % region: {why}, not drawn")
         return
-    # A few columns more on either side, so that a border that crosses the seam runs on into the frame.
+    # A few more columns on either side, so that a border that crosses the seam continues into the frame.
     more = 8
     azimuth = np.degrees(math.pi - 2 * math.pi * (np.arange(-more, grid.width + more) + 0.5) / grid.width)
     elevation = np.degrees(grid.latitudes)
@@ -176,7 +176,7 @@ def _cells(area: float) -> PatchGrid:
 
 
 def _arrow(axes: Axes, where: np.ndarray) -> None:
-    """The shortest way from forward to `where`, as an arrow along the great circle."""
+    """An arrow along the great circle from forward to `where`."""
     end = np.asarray(where, dtype=float)
     angle = math.acos(max(-1.0, min(1.0, float(end[0]))))
     side = np.array([0.0, end[1], end[2]])
@@ -186,7 +186,7 @@ def _arrow(axes: Axes, where: np.ndarray) -> None:
     azimuth, elevation = azimuth_elevation(np.cos(along) * np.array([1.0, 0, 0]) + np.sin(along) * unit(side))
     x, y = np.degrees(azimuth), np.degrees(elevation)
     pixels = axes.get_window_extent().width / 360
-    clear = pixels * np.hypot(x - x[-1], y - y[-1]) > 18  # the head stays clear of the rings about the estimate
+    clear = pixels * np.hypot(x - x[-1], y - y[-1]) > 18  # the head ends before the rings around the estimate
     x, y = x[clear], y[clear]
     if len(x) < 8:
         return
@@ -226,7 +226,7 @@ def _mark(
 
 
 def _legend(sheet: Figure, drawn: Sequence[Axes]) -> None:
-    """What is drawn in any of these axes, once."""
+    """One legend for everything drawn in these axes."""
     found: dict[str, Any] = {}
     for axes in drawn:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -254,7 +254,7 @@ def _legend(sheet: Figure, drawn: Sequence[Axes]) -> None:
 
 
 def _muted(panorama: np.ndarray) -> np.ndarray:
-    """The panorama darker and half as colourful, so that what is drawn over it stands out; at most 1600 columns."""
+    """The panorama darker and half as colourful, as a background; at most 1600 columns."""
     image = np.asarray(panorama)
     step = max(1, image.shape[1] // 1600)
     image = image[::step, ::step].astype(np.float32) / (255 if image.dtype == np.uint8 else 1)

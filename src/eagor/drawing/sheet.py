@@ -1,4 +1,4 @@
-"""What all pictures share: colours, figures without pyplot, and how they become images."""
+"""Shared by all pictures: colours, figures without pyplot, and their conversion to images."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ INK, PAPER, GRID_LINE, QUIET = "#1f2430", "#ffffff", "#d8dbe2", "#5b6472"
 
 
 def figure(width: int, height: int) -> Figure:
-    """An empty figure of so many pixels."""
+    """An empty figure of this size in pixels."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=PAPER)
@@ -28,14 +28,14 @@ def image(drawn: Figure) -> Image:
     from PIL import Image
 
     for text in drawn.findobj(Text):
-        text.set_parse_math(False)  # type: ignore[attr-defined]  # queries and names may hold dollars: they are no formulas
+        text.set_parse_math(False)  # type: ignore[attr-defined]  # dollars in queries and names are not formulas
     canvas = FigureCanvasAgg(drawn)
     canvas.draw()
     return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
 
 
 def plain(axes: Axes) -> None:
-    """Quiet ticks and frame."""
+    """Unobtrusive ticks and frame."""
     axes.tick_params(colors=INK, labelsize=9.5, length=3)
     for spine in axes.spines.values():
         spine.set_color("#9aa1ad")

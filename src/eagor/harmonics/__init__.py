@@ -1,7 +1,7 @@
 """Real spherical harmonics: analyse, synthesise, rotate, smooth and translate fields on the sphere.
 
-`RealHarmonics` is the face; `legendre` holds the basis, `projection` the grids, `rotation` Wigner's D and `shells` the
-warp of a field over direction and distance under a displacement.
+`RealHarmonics` is the public interface; `legendre` holds the basis, `projection` the grids, `rotation` Wigner's D and
+`shells` the warp of a field over direction and distance under a displacement.
 """
 
 from __future__ import annotations
@@ -49,18 +49,17 @@ class RealHarmonics:
     def evaluate(self, directions: Array) -> Array:
         """Y ``(..., size)`` at unit vectors ``(..., 3)``, body frame.
 
-        Lengths within 1 % of 1 are taken for rounding. Raises `DirectionError` on other lengths and shapes.
+        Lengths within 1 % of 1 count as rounding. Raises `DirectionError` for other lengths and shapes.
         """
         return legendre.evaluate(self.degree, check_unit(directions))
 
     def analyse(self, values: Array, grid: Grid) -> Array:
         """Coefficients ``(..., size)`` of `values` ``(..., H, W)`` on `grid`: integral of values times Y_lm.
 
-        On an `ErpGrid` the values are samples, and the result is exact for fields band-limited to the degree if the
-        grid has more than twice as many rows, and more than twice as many columns. On the other grids each cell
-        is a region of constant value: exact for a `PatchGrid`, to about 1e-3 of the field for a view finer than the
-        blocks it is gathered into. Beyond a view's border the field counts as zero. Raises `GridError` on another
-        shape.
+        On an `ErpGrid` the values are samples; the result is exact for fields band-limited to the degree if the grid
+        has more than twice as many rows, and more than twice as many columns. On the other grids each cell is a region
+        of constant value: exact for a `PatchGrid`, to about 1e-3 of the field for a view finer than its blocks. Beyond
+        a view's border the field counts as zero. Raises `GridError` for another shape.
         """
         values = as_float(values)
         if tuple(values.shape[-2:]) != tuple(grid.shape):
@@ -72,8 +71,8 @@ class RealHarmonics:
     def synthesise(self, coefficients: Array, where: Grid | ErpWindow | Array) -> Array:
         """Values of the field: ``(..., H, W)`` on a grid, ``(..., n...)`` at an array of unit vectors ``(n..., 3)``.
 
-        Raises `GridError` for coefficients of another shape and `DirectionError` for what are no unit vectors (lengths
-        within 1 % of 1 are taken for rounding).
+        Raises `GridError` for coefficients of another shape and `DirectionError` for anything but unit vectors (lengths
+        within 1 % of 1 count as rounding).
         """
         if not isinstance(where, Grid | ErpWindow):
             where = check_unit(where)
@@ -82,7 +81,7 @@ class RealHarmonics:
     def rotate(self, coefficients: Array, new_R_old: Array) -> Array:
         """The field as seen from the new frame: f_new(new_R_old @ direction_old) = f_old(direction_old).
 
-        `coefficients` ``(..., size)`` and `new_R_old` ``(..., 3, 3)`` broadcast; the rotations may be NumPy beside
+        `coefficients` ``(..., size)`` and `new_R_old` ``(..., 3, 3)`` broadcast; NumPy rotations may be combined with
         tensors. Raises `RotationError`.
         """
         return rotation.rotate(self.degree, self._checked(coefficients), check_rotation(new_R_old))
@@ -90,8 +89,8 @@ class RealHarmonics:
     def smooth(self, coefficients: Array, sigma: Any) -> Array:
         """Convolution with the heat kernel of standard deviation `sigma` (radians per axis): exp(-l(l+1) sigma^2 / 2).
 
-        One number, or ``(..., 1)`` for a batch.
-        For a density this is diffusion. For a log-density it is not: see `eagor.belief.Belief.diffuse`.
+        One number, or ``(..., 1)`` for a batch. For a density this is diffusion, for a log-density it is not: see
+        `eagor.belief.Belief.diffuse`.
         """
         coefficients = self._checked(coefficients)
         xp = namespace(coefficients)
@@ -102,7 +101,7 @@ class RealHarmonics:
     ) -> Array:
         """Fields over direction and distance after the body has moved: the shell warp.
 
-        `shells` ``(..., K, size)`` are fields at growing `ranges` ``(K,)`` in metres; the body turns by `new_R_old` (by
+        `shells` ``(..., K, size)`` are fields at growing `ranges` ``(K,)`` in metres. The body turns by `new_R_old` (by
         default not at all) and moves by `displacement` ``(3,)`` metres, in the NEW body frame. See
         `eagor.harmonics.shells`. Raises `GridError` for shells and ranges that do not fit, `RotationError`, and
         `PoseError` for a displacement that is not three finite numbers.

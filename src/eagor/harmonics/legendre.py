@@ -4,8 +4,8 @@ Real, orthonormal, without the Condon-Shortley phase: index l*l + l + m, with m 
 that Y_00 = 1 / sqrt(4 pi) and (Y_1-1, Y_10, Y_11) = sqrt(3 / 4 pi) (y, z, x).
 
 Each one is Y_lm = Q_l|m|(z) C_m(x, y), where C_m and C_-m are the real and imaginary part of (x + i y)^m, which
-carries the factor cos(elevation)^m of the associated Legendre function. No angle is ever formed, so the poles are
-points like any other.
+carries the factor cos(elevation)^m of the associated Legendre function. No angle is computed, so the poles need no
+special case.
 """
 
 from __future__ import annotations
@@ -83,9 +83,9 @@ def evaluate(degree: int, directions: Array) -> Array:
 
 
 def _evaluate(degree: int, directions: np.ndarray) -> np.ndarray:
-    """The same in as few NumPy calls as possible: at a hundred directions the calls take most of the time.
+    """The same in as few NumPy calls as possible, which take most of the time at a hundred directions.
 
-    The recursion runs over polynomials whose leading coefficient is 1, which leaves one factor in it.
+    The recursion runs over polynomials with leading coefficient 1, which leaves one factor in it.
     """
     flat = directions.reshape(-1, 3)
     z, below = np.ascontiguousarray(flat[:, 2]), _monic(degree)[0]
@@ -105,10 +105,7 @@ def _evaluate(degree: int, directions: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _monic(degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """For Q_lm with leading coefficients 1: the factors ``(l, m, 1)`` of Q_l-2,m, and the leading coefficients.
-
-    The latter ``((degree + 1)^2, 1)``, by index.
-    """
+    """For monic Q_lm: the factors ``(l, m, 1)`` of Q_l-2,m, and leading coefficients ``((degree + 1)^2, 1)``."""
     start, a, b = _recursion(degree)
     leading, below = np.diag(start), np.zeros((degree + 1, degree + 1, 1))
     for l in range(1, degree + 1):
@@ -148,7 +145,7 @@ def latitude_functions(degree: int, sines: Array) -> Array:
 
 
 def latitude_functions_of(degree: int, sines: np.ndarray, first: int, last: int) -> np.ndarray:
-    """The same of the orders from `first` to before `last` alone, ``(orders, degree + 1 (l), n)``."""
+    """The same for the orders `first` to `last` - 1, ``(orders, degree + 1 (l), n)``."""
     start, a, b = _recursion(degree)
     cosines = np.sqrt(np.clip(1 - sines * sines, 0.0, 1.0))
     table = np.zeros((degree + 1, last - first, sines.size))
@@ -166,7 +163,7 @@ def latitude_functions_of(degree: int, sines: np.ndarray, first: int, last: int)
 
 
 def latitude_table(degree: int, sines: np.ndarray) -> np.ndarray:
-    """The latitude part again, ``(2 degree + 1, degree + 1, n)``: signed order m by degree l, zero where l < |m|."""
+    """The latitude part as table ``(2 degree + 1, degree + 1, n)``: signed order m by degree l, zero where l < |m|."""
     found = latitude_functions(degree, np.asarray(sines, dtype=np.float64)).transpose(1, 0, 2)
     return np.concatenate([found[:0:-1], found])
 

@@ -15,7 +15,7 @@ from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import FORWARD
 
-FLAT = 1e-5  # a field that varies by less, relative to its size, is constant up to the rounding of float32 evidence
+FLAT = 1e-5  # relative variation below which a field is constant, given the rounding of float32 evidence
 
 
 @lru_cache(maxsize=64)
@@ -26,10 +26,7 @@ def decoding_grid(degree: int) -> ErpGrid:
 
 
 def peak(degree: int, coefficients: Array) -> Array:
-    """Directions ``(..., 3)`` of the maxima of fields ``(..., size)``: on a grid, then to a fraction of its spacing.
-
-    For a constant field, returns forward (1, 0, 0).
-    """
+    """Directions ``(..., 3)`` of the maxima of fields ``(..., size)``; forward (1, 0, 0) for a constant field."""
     grid = decoding_grid(degree)
     values = RealHarmonics(degree).synthesise(coefficients, grid)
     return peak_on_grid(grid, values)

@@ -3,8 +3,8 @@
 - Equirectangular pixels: samples at their centres, Fejer weights, exact for band-limited fields.
 - Patches: a constant value per cell, each basis function integrated exactly over the cell.
 - Views (perspective, fisheye): the cells are gathered into blocks much smaller than the finest harmonic, and the basis
-  is integrated over each block by Gauss points. The plan belongs to the lens, not to the pose: coefficients are found
-  in the view's frame and rotated into the body's.
+  is integrated over each block by Gauss points. The plan depends on the lens, not on the pose: coefficients are
+  computed in the view's frame and rotated into the body's.
 
 The first two are separable: one matrix product over longitude, one small one per order over latitude.
 """
@@ -36,10 +36,10 @@ from eagor.harmonics.streamed import analysed, synthesised
 from eagor.sphere import check_directions
 
 BLOCK = 0.25  # side of a view's block, in units of the angular scale 1 / (degree + 1) ...
-WIDEST = 2 * BLOCK  # ... and up to this, where the plan would take too much memory else
-SMALL = 1_000_000  # OpenBLAS has kernels of their own for products up to 100^3
-TABLE_BYTES = 64e6  # a latitude table that is larger is made anew, a few orders at a time, at every call
-PLAN_BYTES = 256e6  # a view plan that is larger even so is computed block row by block row instead of kept
+WIDEST = 2 * BLOCK  # ... and up to this, if the plan would take too much memory otherwise
+SMALL = 1_000_000  # OpenBLAS has special kernels for products up to 100^3
+TABLE_BYTES = 64e6  # a larger latitude table is recomputed at every call, a few orders at a time
+PLAN_BYTES = 256e6  # a view plan that is larger even so is computed block row by block row and not cached
 
 
 def analyse(degree: int, values: Array, grid: Grid) -> Array:
@@ -118,7 +118,7 @@ def _longitude_plan(degree: int, grid: ErpGrid | PatchGrid) -> np.ndarray:
 
 
 def _is_large(degree: int, height: int) -> bool:
-    """Whether the latitude table of a grid with so many rows is made bit by bit instead of kept."""
+    """Whether the latitude table of a grid with this many rows is computed in pieces and not cached."""
     return 8 * (2 * degree + 1) * (degree + 1) * height > TABLE_BYTES
 
 
@@ -129,7 +129,7 @@ def _latitude_plan(degree: int, grid: ErpGrid | PatchGrid) -> np.ndarray:
 
 
 def _rows(degree: int, grid: ErpGrid | PatchGrid) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-    """Sines ``(n,)`` of latitudes, and what makes integrals over the rows ``(..., H)`` of functions there."""
+    """Sines ``(n,)`` of latitudes, and a function from values there to integrals over the rows ``(..., H)``."""
     if isinstance(grid, ErpGrid):
         return np.sin(grid.latitudes), lambda table: table * fejer_weights(grid.height)
     # The integrand is a trigonometric polynomial of degree + 1 in latitude: Gauss points converge to rounding.
@@ -155,20 +155,20 @@ def _longitude_values(degree: int, width: int) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _unpack(degree: int) -> np.ndarray:
-    """Where coefficient i stands in the flattened (order, degree) table."""
+    """The index of coefficient i in the flattened (order, degree) table."""
     return (orders(degree) + degree) * (degree + 1) + degrees(degree)
 
 
 @lru_cache(maxsize=64)
 def _pack(degree: int) -> np.ndarray:
-    """For each place of the (order, degree) table, its coefficient; any (here the first) where l < |m|."""
+    """For each entry of the (order, degree) table, its coefficient; an arbitrary one (the first) where l < |m|."""
     packed = np.zeros((2 * degree + 1) * (degree + 1), dtype=np.intp)
     packed[_unpack(degree)] = np.arange((degree + 1) ** 2)
     return packed
 
 
 def _analyse_view(degree: int, values: Array, grid: Grid) -> Array:
-    """The route for views: block means against block integrals, in the view's own frame, then one rotation."""
+    """For views: block means times block integrals, in the view's own frame, then one rotation."""
     if not isinstance(grid, PerspectiveGrid | FisheyeGrid):
         raise TypeError(f"cannot analyse values on a {type(grid).__name__}; wanted one of the grids of eagor.grids")
     xp = namespace(values)
@@ -195,7 +195,7 @@ def _lens_weights(lens: Lens) -> np.ndarray:
 def _block_edges(lens: Lens, degree: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """First row and column of each block, and one past the last: whole cells, at most BLOCK / (degree + 1) wide.
 
-    If the plan is too large to keep, at most WIDEST.
+    At most WIDEST / (degree + 1) if the plan is too large to cache.
     """
     finest, widest = (max(1, int(side / (degree + 1) / largest_cell(lens))) for side in (BLOCK, WIDEST))
     rows: tuple[int, ...] = ()

@@ -7,8 +7,8 @@ Any rotation is R = Rz(alpha) Ry(beta) Rz(gamma), and Ry(beta) = Rx(-90) Rz(beta
 where Z(a) mixes only the sine and cosine of the same order (a multiplication by exp(i m a)) and J is one constant
 matrix, computed once (Pinchon & Hoggan, J. Phys. A 40, 2007, use the same factoring).
 
-The gimbal trap: the cosines and sines of the three angles are read off R directly, gamma from what is left of R once
-alpha is taken out, so that identity, pure yaw, half turns and tilts of 1e-8 are all exact to rounding.
+The gimbal trap: the cosines and sines of the three angles are read off R directly, gamma from the rest of R after alpha
+is removed. So identity, pure yaw, half turns and tilts of 1e-8 are all exact to rounding.
 """
 
 from __future__ import annotations
@@ -22,16 +22,15 @@ import numpy as np
 from eagor._arrays import Array, constant, namespace, table_like, to_numpy
 from eagor.harmonics.legendre import evaluate, orders
 
-DENSE_UP_TO = 15  # a 256 x 256 matrix still beats 16 small ones
-DENSE_COLUMNS = 8  # ... for so many fields at once
-CHUNK = 256  # beliefs at a time: the working set stays in the second-level cache
+DENSE_UP_TO = 15  # up to this degree one 256 x 256 matrix is faster than 16 small ones
+DENSE_COLUMNS = 8  # ... for this many fields at once
+CHUNK = 256  # beliefs at a time, so that the working set fits in the second-level cache
 
 
 def rotate(degree: int, coefficients: Array, new_R_old: Array) -> Array:
     """Coefficients ``(..., (degree + 1)^2)`` in the new frame; `new_R_old` ``(..., 3, 3)`` broadcasts with them.
 
-    The caller has checked that `new_R_old` is a rotation. It may be another kind of array; the result is of the kind of
-    the coefficients.
+    The caller has checked `new_R_old`. It may be another kind of array; the result is of the kind of the coefficients.
     """
     if type(new_R_old) is not type(coefficients):
         new_R_old = table_like(to_numpy(new_R_old), coefficients)
@@ -61,10 +60,7 @@ def rotate(degree: int, coefficients: Array, new_R_old: Array) -> Array:
 
 
 def _rotate_alike(degree: int, coefficients: np.ndarray, new_R_old: np.ndarray) -> np.ndarray:
-    """One rotation of one belief ``(size,)`` or of several ``(size, n)``, in as few NumPy calls as possible.
-
-    This is the step that a robot repeats.
-    """
+    """One rotation of one belief ``(size,)`` or of several ``(size, n)``, in as few NumPy calls as possible."""
     (r00, r01, r02), (r10, r11, r12), (_, _, r22) = new_R_old.tolist()
     tilt = math.hypot(r02, r12)
     if tilt < 1e-15 and r22 > 0:  # a pure yaw
@@ -94,7 +90,7 @@ def _turn_alike(degree: int, coefficients: np.ndarray, phase: complex) -> np.nda
 
 
 def _rotate_columns(degree: int, columns: Array, turns: Array) -> Array:
-    """`columns` ``(size, n)`` rotated by `turns` ``(n or 1, 3, 3)``, any array kind."""
+    """`columns` ``(size, n)`` rotated by `turns` ``(n or 1, 3, 3)``, for any kind of array."""
     xp = namespace(columns)
     r = [[turns[:, i, j] for j in range(3)] for i in range(3)]
     tilt = xp.hypot(r[0][2], r[1][2])
@@ -139,7 +135,7 @@ def _quarter(degree: int, columns: Array, transposed: bool) -> Array:
 
 @lru_cache(maxsize=64)
 def _order_index(degree: int) -> np.ndarray:
-    """Where the order of each coefficient stands in a table over m = -degree .. degree."""
+    """The index of each coefficient's order in a table over m = -degree .. degree."""
     return orders(degree) + degree
 
 
@@ -155,7 +151,7 @@ def _quarter_blocks(degree: int) -> tuple[np.ndarray, ...]:
     sines, weights = np.polynomial.legendre.leggauss(degree + 1)
     azimuths = np.arange(2 * degree + 2) * (math.pi / (degree + 1))
     blocks = [np.zeros((2 * l + 1, 2 * l + 1)) for l in range(degree + 1)]
-    for z, weight in zip(sines, weights, strict=True):  # a ring at a time: at degree 63 all at once is 0.5 GB
+    for z, weight in zip(sines, weights, strict=True):  # one ring at a time: at degree 63 all at once take 0.5 GB
         radius = math.sqrt(1 - z * z)
         ring = np.stack([radius * np.cos(azimuths), radius * np.sin(azimuths), np.full(azimuths.size, z)], axis=-1)
         here = evaluate(degree, ring) * (weight * math.pi / (degree + 1))

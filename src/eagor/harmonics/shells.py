@@ -1,14 +1,14 @@
 """Moving a field over direction and distance: the shell warp.
 
-K fields on spheres of radii r_k describe a quantity around the body. When the body moves by t (given in the axes of
-the fields), what stood at direction omega and range r_k is read from where it stood before: direction
-(r_k omega + t) / |r_k omega + t| and range |r_k omega + t|, between the neighbouring shells, cubic in log range
-(Catmull-Rom), clamped at the first and the last. Linear interpolation would smear a little at every step, which over
-a walk adds up.
+K fields on spheres of radii r_k describe a quantity around the body. When the body moves by t (in the axes of the
+fields), the value at direction omega and range r_k comes from its previous place: direction
+(r_k omega + t) / |r_k omega + t| and range |r_k omega + t|, interpolated between the neighbouring shells, cubic in log
+range (Catmull-Rom), clamped at the first and the last. Linear interpolation would smear a little at every step, which
+adds up over a walk.
 
-With t turned onto the polar axis the azimuth does not change, so every order m moves by itself: the warp is a product
-of small matrices per order (Legendre functions at the warped latitudes, then Gauss quadrature back), and no basis
-function is evaluated at scattered points of the sphere.
+With t turned onto the polar axis the azimuth does not change, so the orders m are independent: the warp is a product
+of small matrices per order (Legendre functions at the warped latitudes, then Gauss quadrature back). No basis function
+is evaluated at scattered points of the sphere.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from eagor._arrays import Array, constant, namespace, table_like
 from eagor.harmonics.legendre import latitude_functions, latitude_table
 from eagor.harmonics.rotation import rotate
 
-_DIGITS = 9  # of a step in metres, so that steps of one length share their tables whatever their rounding
+_DIGITS = 9  # of a step in metres, so that steps of equal length share their tables despite rounding
 
 
 def translate(degree: int, shells: Array, ranges: np.ndarray, new_R_old: np.ndarray, displacement: np.ndarray) -> Array:
@@ -50,7 +50,7 @@ def _along_pole(degree: int, shells: Array, ranges: np.ndarray, distance: float)
     packed = xp.permute_dims(
         packed, (*range(len(batch)), -3 + packed.ndim, -1 + packed.ndim, -4 + packed.ndim, -2 + packed.ndim)
     )
-    # Every order: the field of every source shell at every point, in one product; then keep the four that matter.
+    # Every order: the field of every source shell at every point, in one product; then keep the four needed.
     seen = table @ xp.reshape(packed, (*batch, degree + 1, degree + 1, 2 * count))
     seen = xp.reshape(seen, (*batch, degree + 1, points * count, 2))
     picked = xp.reshape(xp.take(seen, where, axis=-2), (*batch, degree + 1, 4, 2 * points))
@@ -64,12 +64,12 @@ def _along_pole(degree: int, shells: Array, ranges: np.ndarray, distance: float)
     return xp.take(found, constant(_from_order, degree, like=shells), axis=-1)
 
 
-@lru_cache(maxsize=8)  # a robot's steps tend to be of one length
+@lru_cache(maxsize=8)  # a robot's steps are often of equal length
 def _warp(degree: int, ranges: tuple[float, ...], distance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the warp by `distance` needs at each quadrature node of each target shell ("points").
+    """Tables of the warp by `distance` at each quadrature node of each target shell ("points").
 
-    Latitude functions where the point was seen from before the step ``(degree + 1 (m), points, degree + 1 (l))``; which
-    of all shells at all points to take ``(4 points,)``, and their weights ``(4, 2 points)``, cosine and sine alike.
+    Latitude functions at the point as seen before the step ``(degree + 1 (m), points, degree + 1 (l))``; the indices of
+    the four source shells ``(4 points,)``, and their weights ``(4, 2 points)``, cosine and sine alike.
     """
     radius, z, count = np.array(ranges)[:, None], _nodes(degree)[0][None, :], len(ranges)
     before = np.sqrt(radius**2 + distance**2 + 2 * radius * distance * z)
@@ -116,7 +116,7 @@ def _gauss_plan(degree: int) -> np.ndarray:
 
 
 def _by_order(degree: int) -> np.ndarray:
-    """Coefficient behind each (m, cosine or sine, l); a harmless one where l < m, since the tables are zero there."""
+    """Coefficient of each (m, cosine or sine, l); an arbitrary one where l < m, since the tables are zero there."""
     l, m = np.arange(degree + 1), np.arange(degree + 1)[:, None]
     cosine = np.where(l >= m, l * l + l + m, 0)
     sine = np.where((l >= m) & (m > 0), l * l + l - m, 0)
@@ -124,7 +124,7 @@ def _by_order(degree: int) -> np.ndarray:
 
 
 def _from_order(degree: int) -> np.ndarray:
-    """Place in the (m, cosine or sine, l) table of each coefficient."""
+    """Index of each coefficient in the (m, cosine or sine, l) table."""
     place = np.zeros((degree + 1) ** 2, dtype=np.intp)
     for l in range(degree + 1):
         for m in range(-l, l + 1):

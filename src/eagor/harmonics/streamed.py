@@ -1,7 +1,7 @@
-"""The projections of high degree: order by order, so that their tables take no more room than a small one's.
+"""Projections of high degree, order by order, to bound the memory of their tables.
 
 The latitude part of all orders together has (2 degree + 1) (degree + 1) rows numbers: gigabytes from degree 200 on.
-Here it is made for a few orders at a time, used, and forgotten.
+Here it is computed for a few orders at a time, used, and dropped.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def synthesised(degree: int, packed: Array, sines: np.ndarray) -> Array:
 
 
 def _blocks(degree: int, sines: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
-    """Orders from, and before, with their latitude functions ``(orders, degree + 1, n)``."""
+    """First and last order (exclusive) of each block, with its latitude functions ``(orders, degree + 1, n)``."""
     most = max(1, math.floor(_BLOCK_BYTES / (8 * (degree + 1) * sines.size)))
     for first in range(0, degree + 1, most):
         last = min(first + most, degree + 1)

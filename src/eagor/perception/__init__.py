@@ -1,8 +1,8 @@
 """Perceptions: a panorama and a query in, evidence about directions out.
 
-A perception is anything that can be called like `Perception`. `load` makes one from a line of text, and packages add
+A perception is any callable with the signature of `Perception`. `load` makes one from a line of text. Packages add
 their own under the entry-point group ``eagor.perceptions`` (a name, and a class or function that makes the perception).
-`check_perception` is the test that every one of them has to pass.
+Every perception has to pass `check_perception`.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def __getattr__(name: str) -> Any:
 
 
 GROUP = "eagor.perceptions"
-# Known even where the package runs from a folder, without installed metadata.
+# Listed here so that they are known even where the package runs from a folder, without installed metadata.
 BUILT_IN = {
     "coco": "eagor.perception.coco:from_text",
     "colour": "eagor.perception.colour:ColourPerception",
@@ -55,25 +55,25 @@ BUILT_IN = {
     "truth": "eagor.perception.truth:TruthPerception",
 }
 
-ROWS = 256  # of the panoramas, for perceptions that do not say
+ROWS = 256  # of panoramas, for a perception without the attribute `rows`
 
-_TEXTS = ("revision", "heads")  # options that are text, whatever they look like
+_TEXTS = ("revision", "heads")  # options that stay text even if they look like numbers
 
 
 @runtime_checkable
 class Perception(Protocol):
-    """What looks for things in a panorama."""
+    """A detector: finds things in a panorama."""
 
     def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for where in `panorama` the thing is that `query` names, in the body frame of the panorama.
 
         `panorama`: equirectangular image ``(H, W, 3)``, uint8 sRGB, in the layout of `eagor.sphere`; it is not changed.
-        `stamp`: when it was captured, seconds; the evidence carries it. Raises `QueryError` if the words mean nothing
-        to this perception, `ImageError` if the image is unusable. Not finding the thing is no error: the evidence then
-        says that we looked and saw nothing.
+        `stamp`: time of capture in seconds; the evidence carries it. Raises `QueryError` if this perception does not
+        understand the query, `ImageError` if the image is unusable. Not finding the thing is no error: the evidence
+        then says that it was not seen.
 
-        A perception that sees better in level pictures has an attribute ``takes_pose`` that is true, and takes the pose
-        at capture by name: ``world_R_body`` ``(3, 3)``, None where it is not known. Call perceptions by `look`.
+        A perception that sees better in level pictures has a true attribute ``takes_pose`` and takes the pose at
+        capture as ``world_R_body`` ``(3, 3)``, None if it is unknown. `look` calls any perception.
         """
         ...
 
@@ -94,17 +94,17 @@ def look(
 
 
 def known() -> dict[str, EntryPoint]:
-    """The perceptions that `load` can make, by name; nothing is imported yet."""
+    """The perceptions that `load` can make, by name. Imports none of them."""
     return plugins.known(GROUP, BUILT_IN)
 
 
 def load(spec: str, **options: Any) -> Perception:
     """The perception that `spec` names: ``"colour"``, ``"replay:detections.jsonl"``, an installed one, or a model.
 
-    Text after the first colon is the first argument of what makes the perception; `options` are passed on by name. A
-    folder with ``config.json``, or anything else with a slash in it, is a model that `eagor.perception.transformers`
-    loads; options can follow in the text, as in ``folder?extractor=boxes&pixels=401408``. Raises `QueryError` for an
-    unknown name, `EagorError` if it cannot be imported or does not take the arguments.
+    The text after the first colon is the first argument of the class or function; `options` are passed on by name. A
+    folder with ``config.json``, or any other text with a slash, is a model for `eagor.perception.transformers`; options
+    can follow it, as in ``folder?extractor=boxes&pixels=401408``. Raises `QueryError` for an unknown name,
+    `EagorError` if the perception cannot be imported or does not take the arguments.
     """
     name, colon, text = str(spec).partition(":")
     choices = known()
@@ -131,21 +131,18 @@ def load(spec: str, **options: Any) -> Perception:
 
 
 def rows_of(perception: Any) -> int:
-    """Rows of the panoramas that `perception` works at: its attribute `rows`, `ROWS` where it does not say."""
+    """Rows of the panoramas that `perception` works on: its attribute `rows`, or `ROWS` if it has none."""
     return int(getattr(perception, "rows", ROWS))
 
 
 def is_model(spec: str) -> bool:
-    """Whether `spec` names a model, on this machine or on a server, as `load` would read it."""
+    """Whether `load` would read `spec` as a model, on this machine or on a server."""
     name = str(spec).partition(":")[0]
     return name == "endpoint" if name in known() else _names_a_model(str(spec).partition("?")[0])
 
 
 def short_name(spec: str) -> str:
-    """`spec` in few letters that file names can have: ``scout``, ``Qwen2.5-VL-7B-Instruct``, ``endpoint-qwen2.5vl-7b``.
-
-    Different specs can have the same.
-    """
+    """A short form of `spec` for file names, not unique: ``scout``, ``endpoint-qwen2.5vl-7b``."""
     name, _, text = str(spec).partition(":")
     if name == "endpoint":
         from eagor.perception.endpoint.addresses import place_of
@@ -160,10 +157,10 @@ def short_name(spec: str) -> str:
 
 
 def parse_options(text: str) -> dict[str, Any]:
-    """Options written as ``extractor=boxes&pixels=401408``: true, false and numbers become what they say.
+    """Options from text such as ``extractor=boxes&pixels=401408``; true, false and numbers are converted.
 
-    A revision and the file of the heads stay text: a commit may consist of digits, ``1234567`` or ``12e4567``.
-    Raises `EagorError` for a part without a name or a value, or a name that comes twice.
+    `revision` and `heads` stay text: a commit may look like a number (``1234567``, ``12e4567``).
+    Raises `EagorError` for a part without a name or a value, and for a name that comes twice.
     """
     found: dict[str, Any] = {}
     for part in filter(None, text.split("&")):
@@ -186,16 +183,16 @@ def _value(text: str) -> Any:
 
 
 def _names_a_model(text: str) -> bool:
-    """Whether `text` is a folder with a model in it, or looks like a path or a hub name."""
+    """Whether `text` is a folder with a model, or looks like a path or a hub name."""
     return os.path.isfile(os.path.join(text, "config.json")) or ("/" in text.replace(os.sep, "/") and "://" not in text)
 
 
 def local_model(make: Callable[..., Any], name: str, options: dict[str, Any]) -> Any:
-    """What `make` makes of the model with this hub name or in this folder, with options by name.
+    """The result of `make` for the model with this hub name or in this folder, with options by name.
 
-    Raises `EagorError` for a folder without a model in it, or options that `make` does not take.
+    Raises `EagorError` for a folder without a model, or options that `make` does not take.
     """
-    folder = os.path.expanduser(name)  # of a user who does not exist: the name as it is
+    folder = os.path.expanduser(name)  # leaves the name as it is if there is no such user
     if os.path.isdir(folder) and not os.path.isfile(os.path.join(folder, "config.json")):
         raise EagorError(f"the folder {name!r} has no config.json; wanted one that holds a model")
     if not os.path.isdir(folder) and name.startswith((".", "~", "/")):
@@ -222,9 +219,9 @@ def check_perception(
     """Raise `AssertionError` unless `perception` keeps the contract on this panorama and query.
 
     It must return `Evidence` that carries `stamp`, with a response in [0, 1] that fits its grid and finite
-    coefficients; leave the panorama as it was; and answer a second call on the same grid.
-    With `roll`, the panorama rolled by so many columns must roll the response by the same angle, to `tolerance`
-    (largest difference): for perceptions that treat all azimuths alike.
+    coefficients. It must not change the panorama, and must answer a second call on the same grid.
+    With `roll`, a panorama rolled by that many columns must give the response rolled by the same angle, within
+    `tolerance` (largest difference). Use this for perceptions that treat all azimuths alike.
     """
     for fault in _faults(perception, panorama, query, stamp, roll, tolerance):
         raise AssertionError(f"the perception {fault}")
@@ -233,13 +230,13 @@ def check_perception(
 def _faults(
     perception: Perception, panorama: np.ndarray, query: str, stamp: float, roll: int | None, tolerance: float
 ) -> Iterator[str]:
-    """What breaks the contract; to be asked no further after the first."""
+    """Violations of the contract. Take only the first: each check assumes that the ones before it passed."""
     before = panorama.copy()
     evidence = perception(panorama, query, stamp=stamp)
     if not isinstance(evidence, Evidence):
         yield f"returned {type(evidence).__name__}; wanted eagor.Evidence"
     if not np.array_equal(before, panorama):
-        yield "changed the panorama; wanted it left as it was: work on a copy"
+        yield "changed the panorama; wanted it unchanged: work on a copy"
     if evidence.stamp != stamp:
         yield (
             f"was given stamp={stamp}, and its evidence carries {evidence.stamp}; wanted the same: pass stamp=stamp on "
@@ -260,16 +257,16 @@ def _faults(
     first, second = (f"a {type(each.grid).__name__} of {tuple(each.grid.shape)}" for each in (evidence, again))
     if first != second:
         yield (
-            f"answers on {first}, then for the same panorama on {second}; wanted the same grid: no state that a call "
-            "changes"
+            f"answers on {first}, then for the same panorama on {second}; wanted the same grid: a call must not change "
+            "the perception"
         )
     if roll is None:
         return
     columns, rest = divmod(roll * response.shape[1], panorama.shape[1])
     if rest:
         yield (
-            f"answers with {response.shape[1]} columns, and roll={roll} is no whole number of those; choose another "
-            "roll"
+            f"answers with {response.shape[1]} columns, and roll={roll} does not shift them by a whole number; choose "
+            "another roll"
         )
     rolled = np.asarray(perception(np.roll(panorama, roll, axis=1), query, stamp=stamp).response)
     if rolled.shape != response.shape:
@@ -280,6 +277,6 @@ def _faults(
     worst = float(np.abs(rolled - np.roll(response, columns, axis=1)).max())
     if not worst <= tolerance:
         yield (
-            f"answers a panorama rolled by {roll} columns with a response that is {worst:.3g} off the rolled one; "
-            f"wanted at most {tolerance:g}: treat all azimuths alike, the seam too, or leave roll out"
+            f"answers a panorama rolled by {roll} columns with a response that differs from the rolled one by "
+            f"{worst:.3g}; wanted at most {tolerance:g}: treat all azimuths alike, the seam too, or leave roll out"
         )

@@ -1,4 +1,4 @@
-"""Things of some size: what stands out in a response map, and the evidence of a set of such things."""
+"""Extended things: the connected regions of a response map, and the evidence of a set of such regions."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from eagor.grids import ErpGrid, Grid, PatchGrid
 
 
 def blobs(response: np.ndarray, grid: Grid, level: float, least: float) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """The connected parts of a map ``(H, W)`` that reach `level`: mean direction, covariance and mean response of each.
+    """Mean direction, covariance and mean response of each connected region of a map ``(H, W)`` that reaches `level`.
 
-    A panorama goes on across its seam, and its first and last rows each meet in a pole. Parts of less than `least`
-    steradians, times the response, are left out. The covariance ``(2, 2)`` (radians^2) is that of the part's solid
-    angle about its mean direction; a part all around is as wide as can be.
+    Regions cross the seam of a panorama and its poles (the cells of the first row touch, and those of the last). Those
+    whose integral of the response is below `least` (steradians) are left out. The covariance ``(2, 2)`` (radians^2) is
+    about the mean direction; a region all around the sphere gets the widest possible.
     """
     around = isinstance(grid, ErpGrid | PatchGrid)
     labels = connected(response >= level, around, poles=around).reshape(-1)
@@ -42,7 +42,7 @@ def spread_evidence(
     view: View,
     stamp: float | None = None,
 ) -> Evidence:
-    """The evidence of detections (mean direction, covariance, score) in what `view` covers, as `model` spreads them."""
+    """The evidence of detections (mean direction, covariance, score) in `view`, widened by the spread of `model`."""
     model = model or DetectorModel()
     points = np.array([centre for centre, _, _ in found]).reshape(-1, 3)
     spreads = np.array([spread for _, spread, _ in found]).reshape(-1, 2, 2) + model.spread**2 * np.eye(2)
@@ -52,9 +52,9 @@ def spread_evidence(
 
 
 def connected(inside: np.ndarray, seam: bool, poles: bool = False) -> np.ndarray:
-    """The number of the part that each cell ``(H, W)`` is in, 0 for none; cells that touch at a corner are connected.
+    """A label for each cell ``(H, W)``: the number of its connected region, 0 outside. Diagonal neighbours connect.
 
-    With `seam` the last column touches the first, with `poles` the cells of the first row, and of the last, each other.
+    With `seam` the last column touches the first; with `poles` all cells of the first row touch, and all of the last.
     """
     from scipy.ndimage import label
     from scipy.sparse import coo_array
@@ -73,5 +73,5 @@ def connected(inside: np.ndarray, seam: bool, poles: bool = False) -> np.ndarray
     touching = (one > 0) & (other > 0)
     graph = coo_array((np.ones(int(touching.sum())), (one[touching], other[touching])), shape=(count + 1, count + 1))
     parts = connected_components(graph, directed=False)[1]
-    # The background is a part of its own, and has to stay 0.
+    # The background is a component of its own and has to keep label 0.
     return np.where(labels > 0, ((parts - parts[0]) % (int(parts.max()) + 1))[labels], 0)

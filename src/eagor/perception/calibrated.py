@@ -1,4 +1,4 @@
-"""How to read a perception and how its targets come and go: what ``eagor calibrate`` writes and others take."""
+"""The calibration of one perception, and the rates at which its targets change: what ``eagor calibrate`` writes."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from eagor.perception import short_name
 from eagor.tracking.motion import MotionModel
 
 READING = ("floor", "neutral", "temperature", "persistence", "spread")  # fields of `Calibration`
-LASTING = ("persists_for", "persists_within")  # fields that need not be in a file
+LASTING = ("persists_for", "persists_within")  # fields that a file may omit
 FORGETTING = ("wander", "start", "stop", "jump", "birth", "death")  # fields of `MotionModel`: radians, rates per second
 
 
 @dataclass(frozen=True)
 class Calibrated:
-    """How one perception is read, and what was fitted with it.
+    """The calibration of one perception.
 
-    `perception`: whose it is, as `eagor.perception.load` reads it. `calibration`: of its response maps, `detector`: of
-    its detections; None: as the perception reads them itself. `forgetting`: fields of `MotionModel`. `found_by`:
-    apartments, trials and scores, for people.
+    `perception`: its name, as `eagor.perception.load` reads it. `calibration`: of its response maps, `detector`: of
+    its detections; None keeps the perception's own. `forgetting`: fields of `MotionModel`. `found_by`: the apartments,
+    trials and scores of the fit, for information.
     """
 
     perception: str
@@ -38,17 +38,17 @@ class Calibrated:
     detector: DetectorModel | None = None
 
     def reread(self, evidence: Evidence) -> Evidence:
-        """A look read as this says, for who reads evidence without a tracker."""
+        """`evidence` with this calibration, for callers that use no tracker."""
         if evidence.detections is not None and self.detector is not None:
             return evidence.with_detector(self.detector)
         return evidence if self.calibration is None else evidence.with_calibration(self.calibration)
 
     def fits(self, perception: str) -> bool:
-        """Whether it is of this perception; options and files of records aside."""
+        """Whether it belongs to this perception; options and record files are ignored."""
         return short_name(self.perception) == short_name(perception)
 
     def as_json(self) -> dict[str, Any]:
-        """As it is stored."""
+        """The JSON object that `from_json` reads."""
         parts: dict[str, Any] = {"perception": self.perception}
         if self.calibration is not None:
             told = asdict(self.calibration)
@@ -59,19 +59,19 @@ class Calibrated:
         return parts | {"forgetting": self.forgetting, "found_by": self.found_by}
 
     def write(self, file: Path) -> None:
-        """Store it as JSON. Raises `StorageError` if the disk does not take it."""
+        """Store it as JSON. Raises `StorageError` if it cannot be written."""
         written(file, json.dumps(self.as_json(), indent=1) + "\n")
 
 
 def calibration_of(values: Mapping[str, float]) -> Calibration:
-    """The calibration with these numbers. Raises `KeyError` if one of `READING` is missing."""
+    """The calibration with these values. Raises `KeyError` if one of `READING` is missing."""
     floor, neutral, temperature, persistence, spread = (values[name] for name in READING)
     seconds, metres = (values.get(name) for name in LASTING)
     return Calibration(floor, neutral, temperature, persistence, spread, persists_for=seconds, persists_within=metres)
 
 
 def detector_of(values: Mapping[str, Any]) -> DetectorModel:
-    """The detector's model that `model_as_json` gave. Raises `EagorError` for anything else."""
+    """The detector model from the output of `model_as_json`. Raises `EagorError` for anything else."""
     known = model_as_json(DetectorModel())
     _only(values, known)
     found: dict[str, Any] = {}
@@ -84,7 +84,7 @@ def detector_of(values: Mapping[str, Any]) -> DetectorModel:
 
 
 def from_json(stored: Any, source: str) -> Calibrated:
-    """The calibration in what `as_json` gave; `source` is for errors. Raises `EagorError` for anything else."""
+    """The calibration from the output of `as_json`; errors name `source`. Raises `EagorError` for anything else."""
     try:
         _only(stored["forgetting"], FORGETTING)
         forgetting: dict[str, Any] = {
@@ -99,34 +99,34 @@ def from_json(stored: Any, source: str) -> Calibrated:
             calibration = calibration_of({key: number(value) for key, value in reading.items() if value is not None})
         detector = None if model is None else detector_of(model)
         found = Calibrated(str(stored["perception"]), calibration, forgetting, {**stored.get("found_by", {})}, detector)
-        MotionModel(**forgetting)  # complains about rates that are out of range
+        MotionModel(**forgetting)  # raises for rates out of range
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, EagorError):
             raise EagorError(f"{source}: {error}") from error
         raise EagorError(
-            f"{source} is no calibration ({type(error).__name__}: {error}); wanted what `eagor calibrate` writes"
+            f"{source} is not a calibration ({type(error).__name__}: {error}); wanted what `eagor calibrate` writes"
         ) from error
     return found
 
 
 def _rates(value: Any) -> tuple[float, ...]:
-    """Numbers above 0 from a list of them, or from one; 0 stands for none."""
+    """Positive numbers from a list or a single number; 0 gives an empty tuple."""
     values = tuple(number(entry) for entry in (value if isinstance(value, list | tuple) else [value]))
     return () if values == (0,) else values
 
 
 def _only(values: Mapping[str, Any], known: Any) -> None:
-    """Raise `EagorError` if there is a name that is not `known`."""
+    """Raise `EagorError` for a name that is not in `known`."""
     if unknown := sorted(values.keys() - {*known}):
         raise EagorError(f"sets {shown(', '.join(unknown))}; known are {', '.join(known)}")
 
 
 def read_calibrated(file: Path) -> Calibrated:
-    """The calibration in a file. Raises `EagorError` if it cannot be read or is something else."""
+    """The calibration in a file. Raises `EagorError` if it cannot be read or holds something else."""
     try:
         stored = parsed(Path(file).read_bytes())
     except OSError as error:
         raise EagorError(f"the calibration {file} cannot be read ({error}); `eagor calibrate` makes one") from error
     except ValueError as error:
-        raise EagorError(f"{file} is no JSON ({error}); wanted what `eagor calibrate` writes") from error
+        raise EagorError(f"{file} is not JSON ({error}); wanted what `eagor calibrate` writes") from error
     return from_json(stored, str(file))

@@ -1,8 +1,8 @@
 """A perception without a model: it finds the colour that the query names.
 
-People use it for coloured markers, and to try the system. Pixels are judged in CIELAB by what shading leaves alone:
-hue, and chroma in proportion to lightness, so that the lit and the shaded side of a red footstool are both red. A
-plain colour difference (Delta E) would call the shaded side black and a pink wall half red.
+It serves for coloured markers and first trials. It judges pixels in CIELAB by what shading leaves unchanged: hue, and
+chroma in proportion to lightness. The lit and the shaded side of a red footstool are then both red; a plain colour
+difference (Delta E) would call the shaded side black and a pink wall half red.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from eagor.evidence.detector import DetectorModel
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
 from eagor.perception.blobs import blobs, spread_evidence
 
-# A fuzzy interval: 0 up to the first number, 1 from the second to the third, 0 from the fourth on.
+# A fuzzy interval: 0 up to the first number, 1 between the second and the third, 0 from the fourth on.
 Interval = tuple[float, float, float, float]
 _INF = math.inf
 
 
 @dataclass(frozen=True)
 class Colour:
-    """What counts as a colour: fuzzy intervals of CIELAB hue (degrees), saturation and lightness (0 to 100).
+    """A colour as fuzzy intervals of CIELAB hue (degrees), saturation and lightness (0 to 100).
 
-    Saturation here is chroma / (lightness + 12): nearly constant under shading, and calm in the dark, where chroma
-    is noise. Achromatic colours have no hue.
+    Saturation is chroma / (lightness + 12): nearly constant under shading, and stable in the dark, where chroma is
+    noise. Achromatic colours have no hue.
     """
 
     hue: Interval | None
@@ -43,8 +43,8 @@ class Colour:
     lightness: Interval
 
 
-LEVEL = 0.5  # likeness from which on a cell belongs to a patch
-LEAST = 1.5  # cells of the largest kind that a patch weighs: two cells in a row weigh 1, which may be noise, a thing 4
+LEVEL = 0.5  # likeness from which on a cell belongs to a region
+LEAST = 1.5  # least weight of a region, in the largest cells: two cells in a row weigh 1 and may be noise, a thing 4
 
 
 def _above(low: float, high: float) -> Interval:
@@ -85,14 +85,14 @@ _SHADES = {"dark": "dark", "deep": "dark", "light": "light", "pale": "light"}
 class ColourPerception:
     """Finds the first colour that the query names: "red", "the dark green chair", "a light blue ball".
 
-    Each connected patch of the colour is a detection: in the mean direction of its solid angle, as wide as the patch is
-    (so that a wall points nowhere in particular), its score the mean likeness.
+    Each connected region of the colour is a detection. It has the region's mean direction and extent (so that a wall
+    points nowhere in particular); its score is the mean likeness.
 
     Attributes:
         calibration: None for detections. With one, the map of likeness is read as a response map instead.
         rows: the panorama is averaged (in linear light) down to at most this many rows and twice as many columns. A
-            thing needs two cells each way to count in full; single cells do not count.
-        detector: how the patches err (default: half of the mistakes repeat: what has the colour goes on having it).
+            thing has to cover two cells each way to count in full; single cells do not count.
+        detector: error model of the detections (default: half of the mistakes repeat, since colours do not change).
 
     Raises `EagorError` for less than one row.
     """
@@ -114,12 +114,9 @@ class ColourPerception:
         return self._evidence(response, grid, grid, stamp)
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
-        """Evidence for what `query` names in one ordinary picture ``(h, w, 3)``, whose pixels `grid` describes.
-
-        Errors as for a call.
-        """
+        """Evidence from one perspective picture ``(h, w, 3)``, whose pixels `grid` describes. Errors as for a call."""
         colour = parse_colour(query)
-        times = max(grid.height / self.rows, grid.width / (2 * self.rows), 1.0)  # finer in both directions alike
+        times = max(grid.height / self.rows, grid.width / (2 * self.rows), 1.0)  # the same factor in both directions
         linear = _reduced(image, max(1, round(grid.height / times)), max(1, round(grid.width / times)))
         response = _likeness(linear, colour, around=False)
         return self._evidence(response, replace(grid, height=response.shape[0], width=response.shape[1]), grid, stamp)
@@ -133,7 +130,7 @@ class ColourPerception:
         return spread_evidence(blobs(response, cells, LEVEL, least), self.detector, View(seen), stamp)
 
     def respond(self, panorama: np.ndarray, query: str) -> np.ndarray:
-        """How much each cell has the colour of `query`, in [0, 1], at most ``(rows, 2 * rows)``."""
+        """The likeness of each cell to the colour of `query`, in [0, 1]; at most ``(rows, 2 * rows)``."""
         colour = parse_colour(query)
         return _likeness(_reduced(panorama, self.rows, 2 * self.rows), colour)
 
@@ -147,25 +144,25 @@ def parse_colour(query: str) -> Colour:
             return _shaded(COLOURS[name], _SHADES.get(previous, shade))
     known = ", ".join([*COLOURS, *SYNONYMS])
     raise QueryError(
-        f"the query {query!r} names no colour, and colour is all that this perception sees. Put one in, such as "
+        f"the query {query!r} names no colour, and this perception sees only colours. Add one, such as "
         f"'the red chair' or 'dark green'; known are {known}"
     )
 
 
 def _shaded(colour: Colour, shade: str) -> Colour:
-    """`colour` with "dark" or "light" said before it ("" for neither)."""
+    """`colour` made "dark" or "light"; unchanged for ""."""
     zero_low, full_low, full_high, zero_high = colour.lightness
     if shade == "dark":
         return replace(colour, lightness=(zero_low - 20, full_low - 20, min(full_high, 40), min(zero_high, 54)))
     if shade == "light":
-        low, high = colour.saturation[:2]  # light colours are pale: half of the saturation does
+        low, high = colour.saturation[:2]  # light colours are pale: half of the saturation suffices
         lightness = (max(zero_low, 46), max(full_low, 60), full_high + 20, zero_high + 20)
         return replace(colour, lightness=lightness, saturation=(low / 2, high / 2, *colour.saturation[2:]))
     return colour
 
 
 def _reduced(panorama: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """The picture in linear light, averaged over blocks to at most ``(rows, columns, 3)``, float32."""
+    """The picture in linear light, averaged over blocks down to at most ``(rows, columns, 3)``, float32."""
     image = np.asarray(panorama)
     if image.ndim != 3 or image.shape[-1] != 3 or image.size == 0:
         raise ImageError(
@@ -179,7 +176,7 @@ def _reduced(panorama: np.ndarray, rows: int, columns: int) -> np.ndarray:
     else:
         raise ImageError(f"the panorama holds {image.dtype}; wanted uint8, or floating numbers in [0, 1]")
     height, width = image.shape[:2]
-    # Cells end at the pixel border that is nearest: at the one before, all would look half a pixel up and to the left.
+    # Cells end at the nearest pixel border; rounding down would shift everything by half a pixel, up and to the left.
     tops = np.rint(np.linspace(0, height, min(height, rows) + 1)).astype(int)
     lefts = np.rint(np.linspace(0, width, min(width, columns) + 1)).astype(int)
     strips = [decode(image[top:end]).mean(axis=0) for top, end in pairwise(tops)]
@@ -208,15 +205,15 @@ def _lightness_chroma_hue(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
 
 
 def _likeness(linear: np.ndarray, colour: Colour, around: bool = True) -> np.ndarray:
-    """How much a pixel is of `colour`, in [0, 1]: the product of its fuzzy memberships, less what stands alone.
+    """Likeness of each pixel to `colour`, in [0, 1]: the product of its fuzzy memberships, with lone pixels suppressed.
 
-    Each cell counts as far as its 3 x 3 neighbourhood agrees; `around`: the last column is next to the first.
+    Each value is weighted by the agreement of its 3 x 3 neighbourhood; `around`: the last column touches the first.
     """
     lightness, chroma, hue = _lightness_chroma_hue(linear)
     likeness = _member(chroma / (lightness + 12), colour.saturation) * _member(lightness, colour.lightness)
     if colour.hue is not None:
         start, full_low, full_high, end = colour.hue
-        turned = (hue - start) % 360  # the interval now starts at zero, clear of the wrap
+        turned = (hue - start) % 360  # the interval now starts at zero and does not wrap
         likeness = likeness * _member(turned, (0.0, full_low - start, full_high - start, end - start))
     wide = np.pad(likeness, ((0, 0), (1, 1)), mode="wrap" if around else "edge")
     across = (wide[:, :-2] + 2 * likeness + wide[:, 2:]) / 4

@@ -1,4 +1,4 @@
-"""How good a simulated detector is, in numbers: what `eagor.perception.truth` draws its mistakes from."""
+"""The error rates of a simulated detector, from which `eagor.perception.truth` draws its mistakes."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass, fields, replace
 from eagor._checks import within
 from eagor.errors import EagorError
 
-WIDEST = 0.7  # radians: root of the sum of the variances over both axes
+WIDEST = 0.7  # radians: square root of the sum of the variances along both axes
 
 
 @dataclass(frozen=True)
 class Noise:
-    """How good a detector is; docs/simulation.md explains each setting. The defaults are those of an ideal one.
+    """Error rates of a detector; docs/simulation.md explains each. The defaults are those of an ideal detector.
 
-    Rates are of a single frame, for a thing of at least the size `smallest`, whatever the `persistence`. What is wider
-    than `WIDEST`, such as a floor, is never mistaken for another thing. `spread` is in radians.
+    Rates are per frame, for a thing of at least the size `smallest`, and independent of `persistence`. Things wider
+    than `WIDEST`, such as a floor, are never confused with the target. `spread` is in radians.
 
     Raises `EagorError` for numbers out of range.
     """
@@ -46,7 +46,7 @@ class Noise:
 
     @classmethod
     def moderate(cls) -> Noise:
-        """A usable detector: 30 % missed, a false alarm in every fifth frame, 8 degrees of error, some confusion."""
+        """A usable detector: 30 % missed, a false alarm in every fifth frame, 8 degrees of error, some confusions."""
         return cls(
             miss=0.3,
             false_alarm=0.2,
@@ -61,9 +61,9 @@ class Noise:
 
     @classmethod
     def parse(cls, text: str) -> Noise:
-        """The noise that `text` means: "ideal", "moderate" (also ""), "miss=0.1,spread=4", "ideal,miss=0.3".
+        """The noise from text: "ideal", "moderate" (also ""), "miss=0.1,spread=4", "ideal,miss=0.3".
 
-        Pairs change the profile named first, or "moderate"; `spread` is in degrees here. Raises `EagorError`, which
+        Pairs change the profile named first, or "moderate"; here `spread` is in degrees. Raises `EagorError`, which
         lists the keys, for other text.
         """
         profiles = {"ideal": cls.ideal, "moderate": cls.moderate}
@@ -79,9 +79,9 @@ class Noise:
                 changes[key] = float(value)
             except ValueError:
                 raise EagorError(
-                    f"truth settings {text!r}: cannot read {pair!r}. Wanted 'ideal', 'moderate' or key=number pairs "
-                    f"parted by commas, each key once, such as 'miss=0.1,spread=4'; keys: {', '.join(names)} (spread "
-                    "in degrees)"
+                    f"truth settings {text!r}: cannot read {pair!r}. Wanted 'ideal', 'moderate' or key=number pairs, "
+                    f"separated by commas, each key once, such as 'miss=0.1,spread=4'; keys: {', '.join(names)} "
+                    "(spread in degrees)"
                 ) from None
         if "spread" in changes:
             changes["spread"] = math.radians(changes["spread"])

@@ -1,7 +1,7 @@
-"""Looking at part of the sphere: any perception made ready for a camera that sees one perspective picture at a time.
+"""Any perception on single perspective pictures, for a camera that sees only part of the sphere.
 
-A perception that has a method ``view`` (`ViewPerception`) is shown the picture itself. Any other is shown a panorama in
-which only the picture's part is filled, and what it says about the rest counts as never looked at.
+A perception with the method ``view`` (`ViewPerception`) gets the picture itself. Any other gets a panorama in which
+only the picture's part is filled; the rest counts as never looked at.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from eagor.perception.vlm.sizes import checked_picture
 from eagor.perception.vlm.views import bilinear
 from eagor.sphere import world_R_body
 
-BORDER = 0.5  # share of a response's cell that the picture has to fill for the cell to count as looked at
+BORDER = 0.5  # share of a cell that the picture has to fill for the cell to count as looked at
 
 
 @runtime_checkable
 class ViewPerception(Protocol):
-    """A perception that takes ordinary pictures."""
+    """A perception that takes perspective pictures."""
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for what `query` names in `image` ``(h, w, 3)`` uint8, in the frame that `grid` is posed in.
 
-        `grid` describes the picture's pixels. The evidence is on a `PerspectiveGrid` with the same pose and field of
-        view, of any size. Errors as for a panorama.
+        `grid` describes the pixels. The evidence is on a `PerspectiveGrid` with the same pose and field of view, of
+        any size. Errors as for a panorama.
         """
         ...
 
@@ -42,11 +42,11 @@ class ViewPerception(Protocol):
 def look_at_view(
     perception: Perception, image: np.ndarray, pitch: float, hfov: float, query: str, *, stamp: float | None = None
 ) -> Evidence:
-    """Evidence from one perspective picture, in the frame of a body that stands upright and faces where it was taken.
+    """Evidence from one perspective picture, in the frame of an upright body that faces where the picture was taken.
 
     `image` is ``(h, w, 3)`` uint8 with square pixels and the horizontal field of view `hfov` (radians); the camera
-    looks `pitch` radians UP from the horizon. Raises `ImageError` if the image is no picture, or the perception answers
-    on no panorama; else what the perception raises.
+    looks `pitch` radians UP from the horizon. Raises `ImageError` if the image is not a picture or the perception does
+    not answer on a panorama grid; otherwise what the perception raises.
     """
     picture = checked_picture(image, "the picture")
     height, width = picture.shape[:2]
@@ -65,12 +65,12 @@ def look_at_view(
     cells = _kept(found.grid)
     covered = coverage(*cells.shape, height, width, hfov, pitch)
     seen = Evidence.from_response(found.response, cells, found.calibration, stamp, coverage=covered >= BORDER)
-    source: dict[str, Any] = {"source": getattr(found, "source", None)}  # what the perception tells of itself
+    source: dict[str, Any] = {"source": getattr(found, "source", None)}  # metadata of the perception
     return replace(seen, **source) if source["source"] else seen
 
 
 def _in_view(found: Evidence, grid: PerspectiveGrid) -> Evidence:
-    """Those of the detections that lie in the picture that `grid` describes, which is all that was looked at."""
+    """The detections that lie in the picture that `grid` describes; only this picture counts as looked at."""
     detections = found.detections
     assert detections is not None
     inside = grid.project(detections.directions)[2]
@@ -80,14 +80,11 @@ def _in_view(found: Evidence, grid: PerspectiveGrid) -> Evidence:
 
 
 def pasted(picture: np.ndarray, grid: PerspectiveGrid, rows: int) -> np.ndarray:
-    """A panorama ``(rows, 2 rows, 3)`` uint8 with `picture` where `grid` looks, and its mean colour elsewhere.
-
-    A picture that is finer than the panorama is shrunk first, so that nothing is left out between the pixels.
-    """
+    """A panorama ``(rows, 2 rows, 3)`` uint8 with `picture` where `grid` looks, and its mean colour elsewhere."""
     from PIL import Image
 
     target = ErpGrid(rows, 2 * rows)
-    wide = 2 * rows / math.pi * math.tan(grid.hfov / 2)  # columns at which both are equally fine in the middle
+    wide = 2 * rows / math.pi * math.tan(grid.hfov / 2)  # width at which both have the same resolution in the middle
     if grid.width > 1.2 * wide:
         size = max(1, round(wide)), max(1, round(wide * grid.height / grid.width))
         picture = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BOX))
@@ -101,15 +98,16 @@ def pasted(picture: np.ndarray, grid: PerspectiveGrid, rows: int) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def _kept(grid: ErpGrid | PatchGrid) -> ErpGrid | PatchGrid:
-    """The first grid that was like this one: it has worked out its directions already."""
+    """The first grid that was equal to this one: it has its directions computed already."""
     return grid
 
 
 @lru_cache(maxsize=32)
 def coverage(rows: int, columns: int, height: int, width: int, hfov: float, pitch: float) -> np.ndarray:
-    """How much of each of `rows` x `columns` cells of a panorama a view shows, 0 to 1 (by points in each).
+    """The fraction of each of `rows` x `columns` cells of a panorama that a view shows (by sample points in each).
 
-    The view has `height` x `width` pixels and the field `hfov`, and looks `pitch` radians up from azimuth 0.
+    The view has `height` x `width` pixels and the horizontal field of view `hfov`, and looks `pitch` radians up from
+    azimuth 0.
     """
     grid = PerspectiveGrid(height, width, hfov, world_R_body(0.0, -pitch))
     fine = 5 if rows <= 100 else 3

@@ -23,16 +23,16 @@ from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
 from eagor.sphere import direction, world_R_body
 
 KINDS = ("boxes", "points", "response")
-_LARGEST = 65536  # pixels along one side; more is a mistake
-_LONGEST = 32  # a view this many times longer than wide is a mistake too
+_LARGEST = 65536  # pixels along one side; more is taken for a mistake
+_LONGEST = 32  # a view this many times longer than wide is taken for a mistake, too
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
     """One line of the file, checked: `kind` is "boxes", "points" or "response".
 
-    `query`: None for any query. `grid`: of the image, or of the response; None for points anywhere. `values`: boxes
-    ``(n, 4)`` in pixels; points ``(n, 3)``: azimuth, elevation, spread in radians (NaN where the line has none); or the
+    `query`: None for any query. `grid`: of the image or of the response; None for points anywhere. `values`: boxes
+    ``(n, 4)`` in pixels; points ``(n, 3)`` as azimuth, elevation, spread in radians (NaN if not given); or the
     response. `scores` ``(n,)`` in [0, 1] and `labels` are empty for a response.
     """
 
@@ -45,16 +45,16 @@ class Record:
     labels: Sequence[str | None]
 
     def answers(self, query: str) -> bool:
-        """Whether this line holds for `query` (letter case and spaces aside)."""
+        """Whether this line is for `query`; letter case and spaces do not matter."""
         return self.query is None or _words(self.query) == _words(query)
 
     def evidence(
         self, query: str, calibration: Calibration | None = None, detector: DetectorModel | None = None
     ) -> Evidence:
-        """The evidence for `query`: on a line without a query of its own, what has an unfitting label is left out.
+        """The evidence for `query`. On a line without a query of its own, items with another label are left out.
 
         Boxes and points are detections of `detector` (default: `DetectorModel()`); with a `calibration` they are read
-        as a response map instead. A point that has a spread of its own is spread so.
+        as a response map instead. A point with a spread of its own keeps it.
         """
         if self.kind == "response" and self.grid is not None:
             return Evidence.from_response(self.values, self.grid, calibration=calibration, stamp=self.stamp)
@@ -70,7 +70,7 @@ class Record:
 
 
 def read_records(path: str | os.PathLike[str]) -> tuple[Record, ...]:
-    """The records of a JSONL file by rising stamp; `FormatError` names the file and the line of what is wrong."""
+    """The records of a JSONL file in order of time; `FormatError` names the file and the line of a fault."""
     name = os.fspath(path)
     try:
         content = Path(path).read_bytes()
@@ -85,7 +85,7 @@ def read_records(path: str | os.PathLike[str]) -> tuple[Record, ...]:
             records.append(parse_record(line))
         except EagorError as error:
             cut = isinstance(error.__cause__, json.JSONDecodeError | UnicodeDecodeError)
-            hint = ". The last line has no end: the writer was probably cut off; remove the line"
+            hint = ". The last line is incomplete: the writer was probably interrupted; remove the line"
             hint = hint if cut and number == len(lines) else ""
             raise FormatError(f"{name}, line {number}: {error}{hint}") from error
     if not records:
@@ -94,7 +94,7 @@ def read_records(path: str | os.PathLike[str]) -> tuple[Record, ...]:
 
 
 def parse_record(line: str | bytes) -> Record:
-    """One line as a `Record`. Raises `FormatError` that says what is wrong and what is wanted."""
+    """One line as a `Record`. Raises `FormatError`, which says what is wrong and what is wanted."""
     try:
         entry = parsed(line.decode("utf-8") if isinstance(line, bytes) else line, strict=True)
     except ValueError as error:  # UnicodeDecodeError and JSONDecodeError are ValueErrors
@@ -137,7 +137,7 @@ def write_record(
     points: Sequence[Mapping[str, Any]] | None = None,
     response: np.ndarray | None = None,
 ) -> None:
-    """Append one line to an open text file, checked before anything is written, and flush it.
+    """Append one line to an open text file and flush it; the line is checked before anything is written.
 
     Give exactly one of `boxes`, `points` (entries as in the format) and `response` ``(rows, cols)``. Raises
     `FormatError`.
@@ -157,7 +157,7 @@ def write_record(
 
 
 def _view(image: dict, rows: int | None = None, cols: int | None = None) -> PerspectiveGrid | None:
-    """The perspective view that `image` describes, by pixels or in `rows` and `cols`; None if it is a panorama."""
+    """The perspective view that `image` describes, in pixels or in `rows` and `cols`; None for a panorama."""
     projection = image.get("projection", "equirectangular")
     if projection == "equirectangular":
         return None
@@ -171,7 +171,7 @@ def _view(image: dict, rows: int | None = None, cols: int | None = None) -> Pers
 
 
 def _box(box: Any, height: int, width: int, panorama: bool) -> list[float]:
-    """Four pixel coordinates of a box with some area in the image."""
+    """The four pixel coordinates of a box that overlaps the image."""
     wanted = f"[x0, y0, x1, y1] in pixels of the {width} x {height} image (not x, y, width, height, and not 0 to 1)"
     fine = isinstance(box, list) and len(box) == 4 and all(_is_number(v) and abs(v) <= 4 * _LARGEST for v in box)
     _need(fine, "box", box, wanted)
@@ -182,7 +182,7 @@ def _box(box: Any, height: int, width: int, panorama: bool) -> list[float]:
 
 
 def _point(item: dict) -> tuple[float, float, float]:
-    """Azimuth, elevation and spread (NaN for none), degrees."""
+    """Azimuth, elevation and spread (NaN if not given), degrees."""
     azimuth, elevation = _number(item, "azimuth_deg", -360, 360), _number(item, "elevation_deg", -90, 90)
     spread = math.nan if item.get("spread_deg") is None else _number(item, "spread_deg", 0.1, 180)
     return azimuth, elevation, spread
@@ -230,7 +230,7 @@ def _words(text: str) -> list[str]:
 
 
 def _plain(value: Any) -> Any:
-    """NumPy numbers and arrays as what JSON knows."""
+    """NumPy numbers and arrays as JSON types."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    raise TypeError(f"{type(value).__name__} is not for JSON")
+    raise TypeError(f"{type(value).__name__} has no JSON form")

@@ -1,4 +1,4 @@
-"""A perception that reads what some detector wrote: detections or responses by time stamp, one JSON object per line.
+"""A perception that reads recorded detections or responses by time stamp, one JSON object per line.
 
 Any detector can write the file; docs/replay-format.md describes it.
 """
@@ -25,11 +25,11 @@ __all__ = ["Record", "ReplayPerception", "parse_record", "read_records", "write_
 class ReplayPerception:
     """Answers from a file of records (docs/replay-format.md) instead of from the panorama; `records` by rising stamp.
 
-    `calibration`: how responses become evidence (default: `Calibration()`); where one is given, boxes and points are
-    read as a response map, too. `tolerance`: seconds by which a record may be away from the time that is asked for.
-    `detector`: how the detector errs that wrote boxes and points (default: `DetectorModel()`).
+    `calibration`: how responses become evidence (default: `Calibration()`); with one, boxes and points are read as a
+    response map, too. `tolerance`: largest time difference, seconds, between a record and the stamp asked for.
+    `detector`: error model of the recorded boxes and points (default: `DetectorModel()`).
 
-    Raises `FormatError` for a file that does not follow the format, `TimeError` for a tolerance that is none.
+    Raises `FormatError` for a file that does not follow the format, `TimeError` for an invalid tolerance.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class ReplayPerception:
         self._name = os.fspath(path)
 
     def near(self, query: str, stamp: float | None) -> tuple[Record, ...]:
-        """The records for `query` at the time nearest to `stamp`: several where views were taken at one moment.
+        """The records for `query` at the time nearest to `stamp`; several if that moment has several views.
 
         Raises `QueryError` if no record is for `query`, `TimeError` if none is within the tolerance.
         """
@@ -71,14 +71,14 @@ class ReplayPerception:
         nearest = min(stamps, key=lambda s: abs(s - stamp))
         return TimeError(
             f"{self._name} has no record for {query!r} within {self.tolerance:g} s of stamp {stamp:.6f}; the nearest "
-            f"is at {nearest:.6f} ({nearest - stamp:+.6f} s). Are both on one clock? Else raise the tolerance"
+            f"is at {nearest:.6f} ({nearest - stamp:+.6f} s). Do both use one clock? Otherwise raise the tolerance"
         )
 
     def __call__(self, panorama: np.ndarray | None, query: str, *, stamp: float | None = None) -> Evidence:
-        """The evidence recorded nearest to `stamp`, with the record's own stamp; `panorama` is not looked at.
+        """The evidence recorded nearest to `stamp`, with the record's own stamp; `panorama` is ignored.
 
-        Raises `QueryError` and `TimeError` as `near` does, and `FormatError` where several records are of that moment
-        (views): update the belief with each of ``near(query, stamp)`` instead.
+        Raises `QueryError` and `TimeError` as `near` does, and `FormatError` if several records (views) are of that
+        moment: then update the belief with each of ``near(query, stamp)``.
         """
         record, *others = self.near(query, stamp)
         if others:

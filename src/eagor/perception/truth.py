@@ -1,9 +1,9 @@
-"""What an ideal or a noisy detector would answer, computed from the instance ids that a simulator renders.
+"""The answers of an ideal or a noisy detector, computed from the instance ids that a simulator renders.
 
-It measures what is done with evidence apart from the quality of a model: `Noise` says in numbers how good the detector
-is. Every thing carries a state (found or missed, score, displacement) that is kept from one frame to the next with
-probability `persistence`, else drawn anew from the same distribution, so that each frame has the same rates at any.
-Each look draws the same amount of randomness: comparisons between methods on one seed are paired (docs/simulation.md).
+It separates the evaluation of the filter from the quality of a model: `Noise` sets the detector's error rates. Every
+thing has a state (found or missed, score, displacement). From frame to frame it is kept with probability `persistence`
+or drawn anew from the same distribution, so the rates per frame do not depend on `persistence`. Each look draws the
+same number of random values: comparisons between methods on one seed are paired (docs/simulation.md).
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from eagor.queries import Named, matching, parse_query
 from eagor.sphere import check_rotation
 
 CALIBRATION = Calibration(floor=0.2, neutral=0.1, temperature=2.0)  # fitted to moderate noise: benchmarks/fit.py
-_FARTHEST = 3.0  # radians: no displacement reaches the far side of the sphere, where it would have no direction
+_FARTHEST = 3.0  # radians: a displacement of pi would have no unique direction
 
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """One thing that the detector says it sees, in the body frame.
+    """One reported detection, in the body frame.
 
-    `kind`: "found", "category" or "colour" (what was confused was of that same category or colour), "false alarm".
-    `thing`: its id, None for a false alarm at no thing. `covariance` ``(3, 3)``, square radians: its width in the
-    tangent plane at `direction` ``(3,)``, so that covariance @ direction = 0. `score` in [0, 1].
+    `kind`: "found", "category" or "colour" (a confusion with a thing of the same category or colour), "false alarm".
+    `thing`: its id, None for a false alarm away from all things. `covariance` ``(3, 3)``, square radians: its extent
+    in the tangent plane at `direction` ``(3,)``, so that covariance @ direction = 0. `score` in [0, 1].
     """
 
     kind: str
@@ -47,8 +47,8 @@ class Report:
 class TruthPerception:
     """A detector of known quality. Make an `episode` of it for each walk through a simulated scene.
 
-    `noise`: as `Noise` or in words of `Noise.parse`. `rows`: of its patch map (default: that of a model with patches
-    of 28 pixels on a panorama of 504 x 1008).
+    `noise`: a `Noise` or text for `Noise.parse`. `rows`: of its patch map (default: that of a model with patches of
+    28 pixels on a panorama of 504 x 1008).
 
     Raises `EagorError` for settings that cannot be read, `GridError` for less than one row.
     """
@@ -65,14 +65,14 @@ class TruthPerception:
         return TruthEpisode(self, labels, seed)
 
     def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
-        """Raises `ImageError`: an image does not tell the truth."""
+        """Raises `ImageError`: the truth cannot be computed from an image."""
         raise ImageError(_WANTED_IDS)
 
 
 class TruthEpisode:
-    """The detector in one episode: it remembers its mistakes from look to look; each look is a new frame.
+    """The detector in one episode. It remembers its mistakes from look to look; each look is a new frame.
 
-    The same seed, labels and sequence of looks give the same evidence, bit by bit.
+    The same seed, labels and sequence of looks give identical evidence.
     """
 
     def __init__(self, perception: TruthPerception, labels: Sequence[Named], seed: int) -> None:
@@ -80,11 +80,11 @@ class TruthEpisode:
         self._labels = tuple(labels)
         self._rng = np.random.default_rng(seed)
         self._relations: dict[str, np.ndarray] = {}
-        # One row for every thing; then one for the false alarm, and one for its direction where it is at no thing.
+        # One row per thing, one for the false alarm, and one for its direction if it lies on no thing.
         self._luck = np.zeros((len(self._labels) + 2, 2))  # uniform in [0, 1): reported or not, and the score
         self._error = np.zeros((len(self._labels) + 2, 3))  # standard normal, world frame
         self._appeal = np.zeros(len(self._labels))  # the order in which things attract the false alarm
-        self._alarm: int | None = None  # the thing that the false alarm is at
+        self._alarm: int | None = None  # the thing that the false alarm lies on
         self._started = False
 
     def __call__(
@@ -92,20 +92,20 @@ class TruthEpisode:
     ) -> Evidence:
         """The next look: evidence on the perception's patch grid, body frame.
 
-        `panorama`: instance ids ``(H, 2 H)``, integers, in the layout of `eagor.sphere`; -1 where nothing was hit.
+        `panorama`: instance ids ``(H, 2 H)``, integers, in the layout of `eagor.sphere`; -1 where no ray hits.
         `query`: "[colour] category", over the categories of the labels (see `eagor.queries`). `world_R_body`: attitude
-        ``(3, 3)`` of the camera. A mistake that lasts keeps its place in the world while the camera turns; without the
-        attitude, its place in the image.
+        ``(3, 3)`` of the camera. Persistent mistakes stay at their place in the world while the camera turns; without
+        the attitude, at their place in the image.
 
-        Raises `QueryError` if the words name no category of the labels, `ImageError` if the panorama is no such
-        array, `RotationError` if the attitude is no rotation.
+        Raises `QueryError` if the query names no category of the labels, `ImageError` for any other array,
+        `RotationError` if the attitude is not a rotation.
         """
         reports = self.look(panorama, query, world_R_body)
         response = drawn(reports, self._grid, self._noise.floor)
         return Evidence.from_response(response, self._grid, self._calibration, stamp)
 
     def look(self, ids: np.ndarray, query: str, world_R_body: np.ndarray | None = None) -> list[Report]:
-        """The next look as the list of what is reported: what a call draws; arguments and errors as there."""
+        """The next look as a list of reports; arguments and errors as for a call."""
         relation = self._relation(query)
         turn = np.eye(3) if world_R_body is None else np.asarray(check_rotation(world_R_body, "world_R_body"))
         flat, areas = _areas(ids, len(self._labels))
@@ -124,7 +124,7 @@ class TruthEpisode:
         return reports
 
     def _relation(self, query: str) -> np.ndarray:
-        """What each thing is to the query: a place in `_KINDS`."""
+        """The relation of each thing to the query, as an index of `_KINDS`."""
         if not isinstance(query, str) or query not in self._relations:
             asked = parse_query(query, [thing.category for thing in self._labels])
             relation = np.zeros(len(self._labels), dtype=np.intp)
@@ -136,7 +136,7 @@ class TruthEpisode:
         return self._relations[query]
 
     def _advance(self) -> None:
-        """Go on by one frame: each row is kept or drawn anew."""
+        """Advance by one frame: each row is kept or drawn anew."""
         drawn = self._rng.random((len(self._luck), 4))
         error = self._rng.standard_normal(self._error.shape)
         anew = drawn[:, 0] >= self._noise.persistence if self._started else np.ones(len(drawn), dtype=bool)
@@ -148,7 +148,7 @@ class TruthEpisode:
         self._started = True
 
     def _false_alarm(self, candidates: np.ndarray, flat: np.ndarray, turn: np.ndarray) -> Report:
-        """The report that nothing deserves. `candidates` ``(n,)``: appeal of each thing, negative if it is none."""
+        """A report without a cause. `candidates` ``(n,)``: appeal of each thing, negative if it is no candidate."""
         order = np.argsort(-candidates)[: int((candidates >= 0).sum())].tolist()
         if self._alarm in order:  # it stays where it is
             order.insert(0, self._alarm)
@@ -164,7 +164,7 @@ class TruthEpisode:
     def _report(
         self, kind: str, thing: int | None, centre: np.ndarray, covariance: np.ndarray, turn: np.ndarray
     ) -> Report:
-        """A report of what is at `centre`: displaced by the error of its row, widened, with a score."""
+        """A report of a thing at `centre`: displaced by the error of its row, widened, with a score."""
         row = -2 if kind == "false alarm" else thing
         error = turn.T @ self._error[row] * self._noise.spread
         placed, carry = displaced(centre, error)
@@ -193,7 +193,7 @@ def _areas(ids: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """The ids in a row, checked, and the solid angle ``(count,)`` that each thing covers."""
     if not isinstance(ids, np.ndarray) or ids.ndim != 2 or ids.dtype.kind not in "iu" or ids.size == 0:
         what = f"shape {ids.shape}, {ids.dtype}" if isinstance(ids, np.ndarray) else type(ids).__name__
-        raise ImageError(f"the panorama is no map of ids ({what}): {_WANTED_IDS}")
+        raise ImageError(f"the panorama is not a map of ids ({what}): {_WANTED_IDS}")
     if ids.shape[1] != 2 * ids.shape[0]:
         raise ImageError(f"the ids have shape {ids.shape}; wanted (H, 2 H), a whole equirectangular panorama")
     flat = ids.reshape(-1)
@@ -206,7 +206,7 @@ def _areas(ids: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def ramp(areas: np.ndarray, smallest: float) -> np.ndarray:
-    """How well things of these solid angles are seen: 0 up to a quarter of `smallest`, 1 from it on, smooth between."""
+    """Visibility of things by solid angle: 0 up to a quarter of `smallest`, 1 from `smallest` on, smooth between."""
     if smallest == 0:
         return (areas > 0).astype(float)
     t = np.clip((areas / smallest - 0.25) / 0.75, 0.0, 1.0)
@@ -214,14 +214,14 @@ def ramp(areas: np.ndarray, smallest: float) -> np.ndarray:
 
 
 def _moments(flat: np.ndarray, thing: int) -> tuple[np.ndarray, np.ndarray]:
-    """Mean direction ``(3,)`` of what is visible of a thing, and its covariance ``(3, 3)`` in the tangent plane."""
+    """Mean direction ``(3,)`` of the visible part of a thing, and its covariance ``(3, 3)`` in the tangent plane."""
     where = np.flatnonzero(flat == thing)
     directions, weights = _pixels(math.isqrt(len(flat) // 2))
     points, share = directions[where], weights[where]
     share = share / share.sum()
     centre = share @ points
     length = math.sqrt(centre @ centre)
-    if length < 1e-9:  # it is all around: any direction is as good
+    if length < 1e-9:  # it surrounds the camera: any direction will do
         centre, length = points[0], 1.0
     centre = centre / length
     cosine = points @ centre
@@ -230,13 +230,13 @@ def _moments(flat: np.ndarray, thing: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _stretch(cosine: np.ndarray) -> np.ndarray:
-    """(angle / sin(angle))^2: from squared chords in the tangent plane to squared angles."""
+    """(angle / sin(angle))^2: converts squared chords in the tangent plane to squared angles."""
     cosine = np.clip(cosine, -1.0, 1.0)
     return np.arccos(cosine) ** 2 / np.maximum(1 - cosine * cosine, 1e-15)
 
 
 def displaced(centre: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`centre` moved by the part of `error` in its tangent plane, and the turn ``(3, 3)`` that carries it there.
+    """`centre` moved by the part of `error` in its tangent plane, and the rotation ``(3, 3)`` of that move.
 
     The part of an isotropic error in a plane is isotropic there, with the same standard deviation per axis.
     """
@@ -260,17 +260,17 @@ def _products(grid: PatchGrid | PerspectiveGrid) -> tuple[np.ndarray, np.ndarray
 
 
 def drawn(reports: list[Report], grid: PatchGrid | PerspectiveGrid, floor: float) -> np.ndarray:
-    """The response ``(rows, columns)``: a Gaussian for each report, the highest of them where they overlap."""
+    """The response ``(rows, columns)``: a Gaussian for each report, the highest where they overlap."""
     if not reports:
         return np.full(grid.shape, floor, dtype=np.float32)
     cells, products = _products(grid)
     centres = np.stack([report.direction for report in reports])
     along = centres[:, :, None] * centres[:, None, :]
-    # Inverse within the tangent plane: complete the covariance along the direction, and take that out again.
+    # Inverse within the tangent plane: complete the covariance along the direction, and subtract that again.
     precision = np.linalg.inv(np.stack([report.covariance for report in reports]) + along) - along
     cosine = cells @ centres.T
     squared = (products @ precision.reshape(-1, 9).T) * _stretch(cosine)
-    # At the opposite point every way leads there, and the quotient above is noise: take the mean of all ways.
+    # At the antipode the direction is undefined and the quotient above is noise: take the mean over all directions.
     opposite = 0.5 * math.pi**2 * np.trace(precision, axis1=1, axis2=2)
     squared = np.where(cosine > -0.999999, squared, opposite)
     scores = np.array([report.score for report in reports])

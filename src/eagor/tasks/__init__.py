@@ -1,6 +1,6 @@
 """The simulated tasks: Waypoint Following, Map-Free Navigation, Target Direction Estimation.
 
-``import eagor.tasks`` registers them with Gymnasium, so that ``gymnasium.make("Eagor/MapFreeNavigation-v0")`` works.
+``import eagor.tasks`` registers them with Gymnasium: ``gymnasium.make("Eagor/MapFreeNavigation-v0")`` then works.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ ENVIRONMENTS = {
 
 
 def register() -> None:
-    """Register the environments with Gymnasium, which the extra ``sim`` brings; twice does no harm."""
+    """Register the environments with Gymnasium, which the extra ``sim`` brings; calling it twice is harmless."""
     need("a simulated task", "sim", "gymnasium")
     import gymnasium
 
@@ -28,5 +28,5 @@ def register() -> None:
             gymnasium.register(name, entry_point=f"eagor.tasks.environments:{kind}")
 
 
-if find_spec("gymnasium"):  # published benchmarks are here, too, and do without
+if find_spec("gymnasium"):  # the published benchmarks in this package do not need it
     register()

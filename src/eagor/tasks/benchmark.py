@@ -1,7 +1,7 @@
-"""A benchmark with published data: it reads its data, says how a case is done and judged, and names its figures.
+"""The interface of a benchmark with published data: it reads the data, runs and scores cases, and names its figures.
 
-Packages add theirs under the entry-point group ``eagor.benchmarks`` (a benchmark, or what makes one without arguments);
-`check_benchmark` tests them. All else is the same for every benchmark (`eagor.evaluation`).
+Packages add theirs under the entry-point group ``eagor.benchmarks`` (a benchmark, or a function that makes one without
+arguments); `check_benchmark` tests them. Everything else is common to all benchmarks (`eagor.evaluation`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from eagor._version import __version__
 from eagor.errors import EagorError
 
 GROUP = "eagor.benchmarks"
-TALKING = "vlm"  # the agent that asks a model, by whichever benchmark
+TALKING = "vlm"  # the agent that asks a model, in every benchmark
 BUILT_IN = {
     "hstar-hos": "eagor.tasks.hstar.bench:HOS",
     "hstar-hps": "eagor.tasks.hstar.bench:HPS",
@@ -34,10 +34,11 @@ Record = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Case:
-    """One thing to be done: an episode of H*Bench, one question of OSR-Bench.
+    """One unit of work: an episode of H*Bench, one question of OSR-Bench.
 
-    `id` depends on the data alone, never on order, limit or shard. Cases of one `group` (its image) go to one process;
-    those of one `cluster` share luck (one target, one scene) and are resampled together. `payload`: JSON for the work.
+    `id` depends on the data alone, never on order, limit or shard. Cases of one `group` (its image) go to one process.
+    Cases of one `cluster` are correlated (one target, one scene) and are resampled together. `payload`: JSON for the
+    worker.
     """
 
     id: str
@@ -48,14 +49,14 @@ class Case:
 
 @dataclass(frozen=True)
 class Option:
-    """A setting that only some benchmarks have, such as ``scoring``: what is taken if nobody says, and what can be."""
+    """A setting that only some benchmarks have, such as ``scoring``: its default and its choices."""
 
     default: Any
     what: str
     choices: tuple[Any, ...] = ()
 
     def read(self, name: str, value: Any) -> Any:
-        """`value`, perhaps text, as this option's. Raises `EagorError` for one that is not among the choices."""
+        """`value`, possibly text, as this option's type. Raises `EagorError` if it is not among the choices."""
         if isinstance(self.default, bool):
             found: Any = {"true": True, "false": False, "1": True, "0": False}.get(str(value).lower(), value)
         elif isinstance(self.default, int | float):
@@ -72,10 +73,7 @@ class Option:
 
 
 def _number(kind: type[int] | type[float], value: Any) -> Any:
-    """`value`, perhaps text, as a finite number of this kind; None for what is none, such as True, or 2.7 as an int.
-
-    Other text is left as it is: an option may have choices that are words.
-    """
+    """`value` as a finite number of this kind, None for a wrong one; other text stays (a choice may be a word)."""
     try:
         found = kind(value)
     except (TypeError, ValueError, OverflowError):
@@ -88,8 +86,8 @@ def _number(kind: type[int] | type[float], value: Any) -> Any:
 class Figure:
     """One column of the benchmark's table: the mean of `read` over the records that have it, in per cent.
 
-    `read`: the score in [0, 1] that a record contributes, None if it does not belong here. `over`: the figure is the
-    mean of the means by what this returns. The first figure of a benchmark is its headline, with the key "overall".
+    `read`: the record's score in [0, 1], None if it does not belong here. `over`: groups records; the figure is then
+    the mean of the group means. The first figure of a benchmark is its headline, with the key "overall".
     """
 
     key: str
@@ -113,16 +111,16 @@ class Figure:
 class Benchmark(Protocol):
     """What `eagor bench` runs, scores, reports and exports.
 
-    `agents`, `options`, `exports`: each with one line about it; the first agent is the default. `figures`: the columns
-    of its table. `work`: ``"package.module:function"``; ``function(settings)`` is called once per process and returns a
-    callable, payload -> record, which may raise: a failed attempt, never a wrong answer.
+    `agents`, `options`, `exports`: each with a one-line description; the first agent is the default. `figures`: the
+    columns of its table. `work`: ``"package.module:function"``; ``function(settings)`` is called once per process and
+    returns a callable, payload -> record. It may raise: that is a failed attempt, never a wrong answer.
 
-    A record is a JSON object with "case" (the id), "cluster" and "score" in [0, 1] (1 is success), and, where they make
-    sense: "level" (the stratum's title); "tags", known before the run; "cause", why it failed (else "wrong");
-    "by_turn": 1 if an answer given at that turn would have succeeded; "views": looks taken; "stated": the probability
-    of success stated with the answer; "sure": whether it stopped because it was sure; "steps", "answer", and anything
-    else. A benchmark may also have ``causes``, {cause: meaning}, and ``record``, {field: "text", "texts" or "figures"}:
-    what its figures read in a record ("field?": it may be missing).
+    A record is a JSON object with "case" (the id), "cluster" and "score" in [0, 1] (1 is success). Optional keys:
+    "level" (the stratum's title); "tags", known before the run; "cause", why it failed (default: "wrong"); "by_turn":
+    1 if an answer at that turn would have succeeded; "views": number of looks; "stated": the probability of success
+    stated with the answer; "sure": whether it stopped because it was sure; "steps", "answer", and anything else. A
+    benchmark may also have ``causes``, {cause: meaning}, and ``record``, {field: "text", "texts" or "figures"}: what
+    its figures read in a record ("field?": it may be missing).
     """
 
     @property
@@ -141,58 +139,55 @@ class Benchmark(Protocol):
     def exports(self) -> Mapping[str, str]: ...
 
     def info(self, data: Path) -> dict[str, Any]:
-        """What the folder `data` holds, as JSON: counts and oddities. Raises `FormatError` if it is not this data."""
+        """The content of the folder `data`, as JSON: counts and oddities. Raises `FormatError` for other data."""
         ...
 
     def cases(self, data: Path, settings: Mapping[str, Any]) -> list[Case]:
-        """All cases in `data`, in the benchmark's own order. Raises `FormatError` if it is not this data."""
+        """All cases in `data`, in the benchmark's own order. Raises `FormatError` for other data."""
         ...
 
     def settle(self, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """The settings of a run, complete and checked, as the JSON of run.json; raises `EagorError` for bad ones.
+        """The settings of a run, completed and checked, as stored in run.json; raises `EagorError` for invalid ones.
 
         They have "task", "data", "agent", "perception", "model", "seed" and the `options`. The perception is made here
-        once, so that one that cannot be made is no failure of a case.
+        once, so that a perception that cannot be made fails the run and not a case.
         """
         ...
 
     def judge(self, case: Case, prediction: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
-        """The record of a prediction that was made elsewhere: {"text": the model's words} or the benchmark's own keys.
+        """The record of a prediction made elsewhere: {"text": the model's words} or the benchmark's own keys.
 
         Raises `FormatError` for a prediction without any of the keys.
         """
         ...
 
     def export(self, to: str, records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
-        """Write what `exports` names `to` into `folder`; returns the files. `records` is empty where no run is named.
+        """Write the export `to` (one of `exports`) into `folder`; returns the files. `records` is empty without a run.
 
-        Raises `EagorError` where it cannot be made of what there is.
+        Raises `EagorError` if the export needs more than that.
         """
         ...
 
 
 def known() -> dict[str, EntryPoint]:
-    """The benchmarks that `load` can make, by name; nothing is imported yet."""
+    """The benchmarks that `load` can make, by name. Imports none of them."""
     return plugins.known(GROUP, BUILT_IN)
 
 
 def load(name: str) -> Benchmark:
-    """The benchmark with this name. Raises `EagorError` for an unknown one, one that cannot be imported, or is none."""
+    """The benchmark with this name. Raises `EagorError` if it is unknown, cannot be imported, or is not a benchmark."""
     choices = known()
     if name not in choices:
         raise EagorError(f"there is no benchmark {name!r}; known are {', '.join(sorted(choices))}")
     found: Any = plugins.bring(choices[name], "benchmark")
-    if callable(found):  # a class looks like a benchmark itself
+    if callable(found):  # a class would pass for a benchmark itself
         found = found()
     plugins.check_named(found, choices[name], "benchmark", Benchmark, or_maker=True)
     return found
 
 
 def read_options(benchmark: Benchmark, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Every option of `benchmark`: those in `values` that are not None, the defaults else.
-
-    Raises `EagorError` for one that it does not have, or a value that does not fit.
-    """
+    """Every option of `benchmark`, given or default. Raises `EagorError` for unknown options and wrong values."""
     given = {name: value for name, value in values.items() if value is not None}
     if unknown := sorted(set(given) - set(benchmark.options)):
         has = ", ".join(benchmark.options) or "none"
@@ -204,7 +199,7 @@ def read_options(benchmark: Benchmark, values: Mapping[str, Any]) -> dict[str, A
 
 
 def settled(benchmark: Benchmark, settings: Mapping[str, Any], looking: Sequence[str], truth: str) -> dict[str, Any]:
-    """What `Benchmark.settle` returns, before anything is made. Raises `EagorError` for what does not fit.
+    """The checked common settings, the first step of `Benchmark.settle`. Raises `EagorError` for invalid ones.
 
     `looking`: the agents that need a perception; `truth`: what the perception truth is in this benchmark, in words.
     """
@@ -214,7 +209,7 @@ def settled(benchmark: Benchmark, settings: Mapping[str, Any], looking: Sequence
     perception, model = settings.get("perception"), settings.get("model")
     if agent in looking and not perception:
         raise EagorError(
-            f"the agent {agent} needs eyes: name a --perception, such as a model (folder or hub name), "
+            f"the agent {agent} needs a perception: name one with --perception, such as a model (folder or hub name), "
             f"endpoint:MODEL@ADDRESS, or truth ({truth})"
         )
     if agent == TALKING and not model:
@@ -244,17 +239,17 @@ def check_benchmark(benchmark: Benchmark, data: Path, agent: str) -> list[dict[s
     told = {"task": benchmark.name, "data": str(data), "agent": agent, "perception": None, "model": None, "seed": 0}
     settings = benchmark.settle(told | options)
     plain = "numbers, texts, lists and dicts with texts as keys"
-    _require(_survives(settings), f"settles {settings}, which JSON does not bring back; wanted {plain}")
+    _require(_survives(settings), f"settles {settings}, which JSON does not preserve; wanted {plain}")
     again = benchmark.settle(settings)
     _require(again == settings, f"settles {settings}, and that again to {again}; wanted the same")
     cases = benchmark.cases(data, settings)
-    _require(bool(cases), f"has no cases in {data}; wanted one at least. Is that its data?")
+    _require(bool(cases), f"has no cases in {data}; wanted at least one. Is that its data?")
     ids = [case.id for case in cases]
     twice = sorted({name for name in ids if ids.count(name) > 1}) if len(set(ids)) < len(ids) else []
-    _require(not twice, f"calls several cases {', '.join(twice)}; wanted an id of its own for each")
+    _require(not twice, f"gives several cases the id {', '.join(twice)}; wanted a unique id for each")
     _require(
         cases == benchmark.cases(data, settings),
-        "gives other cases the second time; wanted the same in the same order: sort what a folder lists, draw nothing",
+        "gives other cases the second time; wanted the same in the same order: sort file lists, use no random numbers",
     )
     for case in cases:
         _require(_survives(case.payload), f"gives {case.id} the payload {case.payload!r}; wanted {plain}")
@@ -267,7 +262,7 @@ def check_benchmark(benchmark: Benchmark, data: Path, agent: str) -> list[dict[s
     records = []
     for case in cases:
         record = dict(do(case.payload))
-        _require(_survives(record), f"records {record} of {case.id}, which JSON does not bring back; wanted {plain}")
+        _require(_survives(record), f"records {record} of {case.id}, which JSON does not preserve; wanted {plain}")
         named = record.get("case"), record.get("cluster")
         _require(
             named == (case.id, case.cluster),
@@ -290,7 +285,7 @@ def check_benchmark(benchmark: Benchmark, data: Path, agent: str) -> list[dict[s
 
 
 def _survives(value: Any) -> bool:
-    """Whether `value` comes back from JSON as it was."""
+    """Whether JSON preserves `value`."""
     try:
         return json.loads(json.dumps(value, allow_nan=False)) == value
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""The body that carries the camera: where it really is, and where its odometry believes it is."""
+"""The body that carries the camera: its true pose and its odometry."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ BOBS_PER_SECOND = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Of the camera: `position` ``(3,)`` metres, `world_R_body` ``(3, 3)``."""
+    """Camera pose: `position` ``(3,)`` metres, `world_R_body` ``(3, 3)``."""
 
     position: np.ndarray
     world_R_body: np.ndarray
 
     def towards(self, point: np.ndarray) -> tuple[np.ndarray, float]:
-        """Direction ``(3,)`` in the body frame and distance (metres) of a point of the world."""
+        """Direction ``(3,)`` in the body frame and distance (metres) of a point in the world frame."""
         offset = self.world_R_body.T @ (np.asarray(point) - self.position)
         distance = float(np.linalg.norm(offset))
         return (offset / distance if distance > 0 else np.array([1.0, 0.0, 0.0])), distance
@@ -29,10 +29,7 @@ class Pose:
 
 @dataclass
 class Carrier:
-    """Moves about on the floor. `rng` draws the odometry's drift.
-
-    The body's heading is the direction that it walks in; bobbing and swaying come on top.
-    """
+    """Moves on the floor along its heading, with bobbing and swaying; `rng` draws the odometry's drift."""
 
     camera: Camera
     disturbances: Disturbances
@@ -57,11 +54,11 @@ class Carrier:
         return self.steps * self.camera.seconds
 
     def move(self, xy: np.ndarray, yaw: float) -> None:
-        """One step: to where the body stands and faces now."""
+        """One step, to the given place and heading."""
         step, turned = xy - self.xy, math.remainder(yaw - self.yaw, 2 * math.pi)
         length = float(np.hypot(*step))
         slip = math.radians(self.disturbances.yaw_drift) * math.sqrt(length) * float(self.rng.standard_normal())
-        # What the wheels or legs measured: the step as seen from the body, a little too long and a little turned.
+        # The odometry's measurement: the step in the body frame, with errors in scale and heading.
         off = self._believed_yaw - self.yaw
         c, s = math.cos(off), math.sin(off)
         self._believed_xy = self._believed_xy + self._scale * np.array(
@@ -74,16 +71,16 @@ class Carrier:
 
     @property
     def pose(self) -> Pose:
-        """Where the camera really is."""
+        """The true camera pose."""
         return self._pose(self.xy, self.yaw)
 
     @property
     def odometry(self) -> Pose:
-        """Where the odometry says that it is."""
+        """The camera pose according to the odometry."""
         return self._pose(self._believed_xy, self._believed_yaw)
 
     def _pose(self, xy: np.ndarray, yaw: float) -> Pose:
-        phase = self._phase + 2 * math.pi * BOBS_PER_SECOND * self.stamp * 0.93  # never in step with the panoramas
+        phase = self._phase + 2 * math.pi * BOBS_PER_SECOND * self.stamp * 0.93  # 0.93: not in step with panoramas
         height = self.camera.height + self.disturbances.bob * math.sin(phase)
         sway = math.radians(self.disturbances.sway)
         turned = world_R_body(yaw, sway * math.sin(phase / 2 + 1.0), sway * math.sin(phase / 2))

@@ -1,7 +1,4 @@
-"""Models that talk, for the ``vlm`` agents of the benchmarks: named in a line of text, made once per process.
-
-Any callable that fits `Chat` will do.
-"""
+"""Talking models (any `Chat`) for the ``vlm`` agents of the benchmarks: named by text, made once per process."""
 
 from __future__ import annotations
 
@@ -25,10 +22,10 @@ __all__ = ["IMAGE", "Chat", "Message", "Said", "digest", "load_chat", "shared_ch
 def load_chat(spec: str) -> Chat:
     """The model that `spec` names. Raises `EagorError` if it cannot be made.
 
-    - ``MODEL@ADDRESS[?option=value&...]`` on an OpenAI-compatible server (`ServedChat`); either may be missing: the
-      only model that the server has, ``http://localhost:8000/v1``.
+    - ``MODEL@ADDRESS[?option=value&...]``: on an OpenAI-compatible server (`ServedChat`). The model defaults to the
+      server's only one, the address to ``http://localhost:8000/v1``.
     - ``FOLDER[?option=value&...]`` with ``config.json``, or a hub name: on this machine (`LocalChat`).
-    - ``package.module:function``: what ``function()`` returns, a `Chat` of one's own.
+    - ``package.module:function``: the `Chat` that ``function()`` returns.
     """
     module, colon, name = spec.partition(":")
     named = module.replace(".", "").isidentifier() and name.isidentifier()
@@ -53,10 +50,10 @@ def load_chat(spec: str) -> Chat:
 
 
 def _made(spec: str, make: Any) -> Chat:
-    """What `make` makes. Raises `EagorError` if it is to be called with anything, as a model itself is."""
+    """The result of `make`. Raises `EagorError` if it takes arguments, as a model itself does."""
     try:
         inspect.signature(make).bind()
-    except (TypeError, ValueError) as error:  # ValueError: it does not tell what it takes
+    except (TypeError, ValueError) as error:  # ValueError: it has no signature
         raise EagorError(
             f"the model {spec!r} cannot be made ({error}); wanted a function without arguments that returns the model"
         ) from error
@@ -65,13 +62,13 @@ def _made(spec: str, make: Any) -> Chat:
 
 @lru_cache(maxsize=1)
 def shared_chat(spec: str) -> Chat:
-    """The model that `spec` names, made once per process however many ask; `eagor.tasks.eyes.release` lets go of it.
+    """The model that `spec` names, made once per process for all callers; `eagor.tasks.eyes.release` frees it.
 
-    Raises as `load_chat`, what a server has against it, and `EagorError` for what is no `Chat`.
+    Raises as `load_chat`, errors of its server, and `EagorError` for anything that is not a `Chat`.
     """
     made = load_chat(spec)
     if not callable(made):
-        raise EagorError(f"the model {spec!r} is a {type(made).__name__}; wanted something to call with messages")
+        raise EagorError(f"the model {spec!r} is a {type(made).__name__}; wanted a callable that takes messages")
     if not inspect.signature(made).parameters:
         raise EagorError(f"the model {spec!r} takes no argument; wanted the messages of a conversation")
     check = getattr(made, "check", None)
@@ -81,7 +78,7 @@ def shared_chat(spec: str) -> Chat:
 
 
 def digest(messages: Sequence[Message]) -> str:
-    """A short name of what was said and shown, the same for the same conversation."""
+    """A short hash of a conversation, text and pictures."""
     found = hashlib.sha256()
     for message in messages:
         found.update(f"{message.role}\0{message.text}\0".encode())

@@ -1,4 +1,4 @@
-"""The test that every simulated task has to pass: what makes figures comparable."""
+"""The test that every simulated task has to pass, so that figures are comparable."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, Disturbances, as_dict, from_dict
 from eagor.tasks.task import Task
 
-PERCEPTION = "truth:ideal"  # sees what is there, without mistakes
-STEPS = 5000  # an episode that has not ended by then never does
-WALKED = ("success", "spl", "mae")  # figures that reports read of tasks that are walked
+PERCEPTION = "truth:ideal"  # without mistakes
+STEPS = 5000  # an episode that has not ended by then counts as endless
+WALKED = ("success", "spl", "mae")  # figures that reports need of walked tasks
 CLOSE = 1e-6
-NEAR_DEG = 20.0  # from the true direction (of the middle of the target) to the nearest pixel of it
+NEAR_DEG = 20.0  # from the direction of the target's middle to the nearest of its pixels
 
 
 def check_task(
@@ -34,9 +34,9 @@ def check_task(
 ) -> dict[str, Any]:
     """Raise `AssertionError` unless `task` keeps the contract on one episode; returns the figures of a perfect method.
 
-    The episode is the `index`-th of the scene that `world` makes of `seed`; `settings` are rules other than the
-    defaults. A slot must always be the same episode, the camera go its way whatever is answered (unless walked), the
-    truth be true, and better answers score better.
+    The episode is the `index`-th of the scene that `world` makes of `seed`; `settings` override rules. The same slot
+    must always give the same episode; answers must not change the camera's path (unless the task is walked); the truth
+    must be true; and better answers must score better.
     """
     _check_description(task)
     rules = _check_rules(task, dict(settings or {}))
@@ -51,22 +51,22 @@ def check_task(
     for key in task.strata:
         _require(
             key in episode.stratum,
-            f"reports the stratum {key!r}, and its episode has {sorted(episode.stratum) or 'none'}; wanted that key in "
+            f"reports the stratum {key!r}, but its episode has {sorted(episode.stratum) or 'none'}; wanted that key in "
             "Episode.stratum",
         )
     return found
 
 
 def _check_description(task: Task) -> None:
-    """A task whose name can be typed, with columns that can be told apart."""
+    """Check the name and the columns."""
     _require(isinstance(task, Task), f"is a {type(task).__name__}; wanted an eagor.tasks.task.Task")
     _require(
         bool(re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", task.name)),
         f"is called {task.name!r}; wanted lower-case letters and digits with dashes between them: it is typed, and "
-        "names folders",
+        "used as a folder name",
     )
     keys = [column.key for column in task.columns]
-    _require(bool(keys) and len(set(keys)) == len(keys), f"has the columns {keys}; wanted one at least, each key once")
+    _require(bool(keys) and len(set(keys)) == len(keys), f"has the columns {keys}; wanted at least one, each key once")
     _require(task.headline in keys, f"has the headline {task.headline!r}; wanted one of its columns, {', '.join(keys)}")
     for column in task.columns:
         said = f"says that {column.better!r} is better in the column {column.key}; wanted 'low', 'high' or None"
@@ -74,7 +74,7 @@ def _check_description(task: Task) -> None:
 
 
 def _check_rules(task: Task, settings: dict[str, Any]) -> Any:
-    """Rules that can be made without arguments, printed, written and read."""
+    """Check that the rules can be made without arguments, written and read."""
     kind = task.rules
     frozen = dataclasses.is_dataclass(kind) and getattr(kind, "__dataclass_params__").frozen  # noqa: B009 (for pyright)
     _require(frozen, f"has rules of type {kind.__name__}; wanted a frozen dataclass")
@@ -86,19 +86,19 @@ def _check_rules(task: Task, settings: dict[str, Any]) -> Any:
             f"the task {task.name} has rules that cannot be made, written and read again: {error}. Wanted a default "
             "for each, and numbers, texts, booleans and tuples of them"
         ) from error
-    said = f"has the rules {rules}, which come back from JSON as {back}; wanted plain values and tuples"
+    said = f"has the rules {rules}, which JSON turns into {back}; wanted plain values and tuples"
     _require(back == rules, said)
     return rules
 
 
 def _check_plan(task: Task, player: Player, slot: Slot) -> Episode:
-    """The same slot is the same episode, whatever was planned before; another one is another."""
+    """Check that a slot always gives the same episode, whatever was planned before, and other slots other ones."""
     episode, other = player.plan(slot), player.plan(dataclasses.replace(slot, index=slot.index + 1))
     _require(isinstance(episode, Episode), f"plans a {type(episode).__name__}; wanted an eagor.tasks.episodes.Episode")
     _require(
         player.plan(slot) == episode,
         f"plans another episode for slot {slot.id} the second time; wanted the same: draw everything from "
-        "slot.rng(purpose), nothing from what was planned before",
+        "slot.rng(purpose), and keep no state between plans",
     )
     _require(episode.slot == slot, f"plans an episode of slot {episode.slot} for {slot}; wanted slot=slot")
     _require(
@@ -117,7 +117,7 @@ def _check_plan(task: Task, player: Player, slot: Slot) -> Episode:
 
 
 def _check_start(episode: Episode, place: Place, player: Player) -> None:
-    """Somebody can stand where it starts, and what is asked for is there."""
+    """Check that the body can stand at the start, and that the target exists."""
     made = place.scene.hash
     said = f"plans in scene {episode.scene_hash}, and the world makes {made}; wanted place.scene.hash"
     _require(episode.scene_hash == made, said)
@@ -130,25 +130,25 @@ def _check_start(episode: Episode, place: Place, player: Player) -> None:
     try:
         meant = matching(parse_query(episode.query, {thing.category for thing in labels}), labels)
     except QueryError as error:
-        raise AssertionError(f"the task asks for something that is not there: {error}") from error
+        raise AssertionError(f"the task asks for something that is not in the scene: {error}") from error
     _require(
         tuple(sorted(episode.targets)) == tuple(meant),
-        f"asks for {episode.query!r}, which is things {meant}, and has the targets {episode.targets}; wanted the same: "
-        "place.nameable() tells what a query singles out",
+        f"asks for {episode.query!r}, which means things {meant}, but has the targets {episode.targets}; wanted the "
+        "same: place.nameable() lists the queries with a unique target",
     )
 
 
 def _check_way(task: Task, player: Player, episode: Episode) -> None:
-    """It ends, is the same each time, and, unless it is walked, whatever is answered; the truth is true."""
+    """Check that the path ends, is reproducible and, unless walked, independent of the answers; and check the truth."""
     first = _played(player, episode, 1.0)
     _require(
         _same_way(first, _played(player, episode, 1.0)),
-        "goes another way when the same episode is played again; wanted the same: draw from episode.slot.rng(...)",
+        "takes another path when the same episode is played again; wanted the same: draw from episode.slot.rng(...)",
     )
     _require(
         task.walked or _same_way(first, _played(player, episode, -1.0)),
-        "goes another way when other answers are given; wanted the same whatever is answered, so that all methods "
-        "get the same evidence. If the answer is to decide where the body goes, say walked=True",
+        "takes another path when other answers are given; wanted the same for all answers, so that all methods get "
+        "the same evidence. If the answer is meant to steer the body, set walked=True",
     )
     off = []
     for number, (_, truth, ids) in enumerate(first):
@@ -170,7 +170,7 @@ def _check_way(task: Task, player: Player, episode: Episode) -> None:
     )
 
 
-_Step = tuple[np.ndarray, dict[str, Any], np.ndarray]  # the pose, the truth and the ids that the environment shows
+_Step = tuple[np.ndarray, dict[str, Any], np.ndarray]  # pose, truth and ids from the environment
 
 
 def _same_way(a: list[_Step], b: list[_Step]) -> bool:
@@ -178,7 +178,7 @@ def _same_way(a: list[_Step], b: list[_Step]) -> bool:
 
 
 def _played(player: Player, episode: Episode, sign: float) -> list[_Step]:
-    """The steps of an episode in which `sign` times the true direction is answered (walked: gone along)."""
+    """The steps of an episode in which the answer (walked: the heading) is `sign` times the true direction."""
     observation, info = player.env.reset(options={"episode": episode})
     found, over = [(observation["pose"], info["truth"], info["instances"]["ids"])], False
     while not over:
@@ -195,7 +195,7 @@ def _played(player: Player, episode: Episode, sign: float) -> list[_Step]:
 
 
 class _Told:
-    """A method that is told the true directions, and answers them times `sign`."""
+    """A method that is given the true directions, and answers with `sign` times them."""
 
     def __init__(self, directions: np.ndarray, sign: float) -> None:
         self._answers = iter(sign * directions)
@@ -217,7 +217,7 @@ class _Told:
 
 
 def _check_figures(task: Task, player: Player, episode: Episode) -> dict[str, Any]:
-    """Figures for every column, and the better the answers the better the figures."""
+    """Check that there are figures for every column, and that better answers get better figures."""
     if task.walked:
         found = player.play(episode.slot, [ORACLE])["methods"][ORACLE]["metrics"]
         _check_metrics(task, found)
@@ -233,16 +233,16 @@ def _check_figures(task: Task, player: Player, episode: Episode) -> dict[str, An
         _require(
             good <= bad if column.better == "low" else good >= bad,
             f"gives a method that is always right {good:g} in the column {column.key}, and one that is always wrong "
-            f"{bad:g}, though {column.better} is better; wanted it the other way round: turn `better`, or measure()",
+            f"{bad:g}, though {column.better} is better; wanted the reverse: change `better`, or measure()",
         )
     return right
 
 
 def _check_metrics(task: Task, found: dict[str, Any]) -> None:
-    """Plain figures, one for every column."""
+    """Check that every column has a plain figure."""
     for key, value in found.items():
         plain = value is None or (isinstance(value, int | float) and math.isfinite(value))
-        _require(plain, f"measures {key} = {value!r}; wanted a finite number, or None where there is no case")
+        _require(plain, f"measures {key} = {value!r}; wanted a finite number, or None if it does not apply")
     wanted = [column.metric for column in task.columns] + [c.only_if for c in task.columns if c.only_if]
     missing = sorted({*wanted, *(WALKED if task.walked else ())} - found.keys())
     _require(not missing, f"measures {', '.join(found)}; wanted also {', '.join(missing)}, which its table shows")

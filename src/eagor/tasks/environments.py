@@ -1,7 +1,7 @@
 """The three tasks as Gymnasium environments.
 
 `Eagor/WaypointFollowing-v0`, `Eagor/MapFreeNavigation-v0` and `Eagor/TargetTracking-v0`; ``import eagor.tasks``
-registers them. What they observe and tell is told in `eagor.tasks.place_env`.
+registers them. `eagor.tasks.place_env` describes observations and info.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from eagor.worlds.ball import Ball
 
 
 class MapFreeNavigationEnv(PlaceEnv):
-    """Reach the target: `rules` say how near, in how many steps, and whether stop has to be called.
+    """Reach the target: `rules` set the distance, the number of steps, and whether stop has to be called.
 
-    `actions`: "continuous" (heading, distance) turns the body to the heading and goes; "discrete" are Habitat's stop,
-    forward, left, right. The reward is the geodesic progress of the step in metres, and 1 on success.
+    `actions`: "continuous" (heading, distance) turns the body to the heading and walks; "discrete" are Habitat's stop,
+    forward, left, right. The reward is the geodesic progress of the step in metres, plus 1 on success.
     """
 
     task = "navigation"
@@ -64,8 +64,8 @@ class WaypointFollowingEnv(AnsweringEnv):
 
     - ``actions="guided"``: the body is carried along the route, and the action is the answer ``(3,)``.
     - ``actions="continuous"`` or ``"discrete"``: the agent walks by itself; the action is a Dict of ``move`` (as in
-      navigation) and ``answer``. ``info["waypoint"]`` names the next end of a leg: heading (radians), distance (metres)
-      and leg. The episode ends at the last one, or after three times the steps of the route.
+      navigation) and ``answer``. ``info["waypoint"]`` gives the end of the current leg: heading (radians), distance
+      (metres) and leg. The episode ends at the last one, or after three times the steps of the route.
     """
 
     task = "waypoint"
@@ -116,7 +116,7 @@ class WaypointFollowingEnv(AnsweringEnv):
 
 
 class TargetTrackingEnv(AnsweringEnv):
-    """Name the direction of a ball while it moves, while the camera moves, or after it has been away."""
+    """Name the direction of a ball while it moves, while the camera moves, or after it was away."""
 
     task = "tracking"
 

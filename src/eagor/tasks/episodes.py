@@ -1,6 +1,6 @@
-"""What an episode is, the same for every method that plays it, and how the episodes of a run are numbered.
+"""Episodes, the same for every method, and how the episodes of a run are numbered.
 
-N episodes with seed S use the apartments S, S + 1, ..., `PER_PLACE` in each. All randomness comes from an episode's
+N episodes with seed S use the apartments S, S + 1, ..., `PER_PLACE` in each. All randomness derives from an episode's
 identity, so any part of a run can be played alone.
 """
 
@@ -32,22 +32,22 @@ class Slot:
 
     @property
     def id(self) -> str:
-        """Stable name: seed of the apartment, and which of its episodes."""
+        """Stable name: seed of the apartment, and index of the episode in it."""
         return f"{self.seed}-{self.index}"
 
     def rng(self, purpose: str) -> np.random.Generator:
-        """A generator of its own for each purpose."""
+        """An independent generator for each purpose."""
         name = f"{self.task}/{self.world}/{self.id}/{purpose}"
         return np.random.default_rng([zlib.crc32(name.encode()), self.seed, self.index])
 
 
 @dataclass(frozen=True)
 class Episode:
-    """Where it happens, what is looked for, and where the body starts.
+    """Where it happens, what to look for, and where the body starts.
 
-    `targets`: ids of the things that the query names; `start`: x, y in metres; `yaw`: radians; `stratum`: what kind of
-    episode it is, for tables; `shortest`: geodesic metres from the start to the nearest target's footprint, inf where
-    no way leads there (what hangs on a wall can be looked for all the same).
+    `targets`: ids of the things that the query names; `start`: x, y in metres; `yaw`: radians; `stratum`: kind of the
+    episode, for tables; `shortest`: geodesic metres from the start to the nearest target's footprint, inf if no path
+    leads there (things on walls can be targets, too).
     """
 
     slot: Slot
@@ -68,7 +68,7 @@ class Episode:
 
 
 def slots(task: str, count: int, seed: int, world: str = APARTMENT) -> Iterator[Slot]:
-    """The places of a run. Raises `WorldError` where the seeds do not reach."""
+    """The slots of a run. Raises `WorldError` if there are not enough apartments."""
     if count < 1:
         raise WorldError(f"{count} episodes; wanted 1 or more")
     places = (count + PER_PLACE - 1) // PER_PLACE
@@ -87,7 +87,7 @@ def heading_to(start: np.ndarray, goal: np.ndarray) -> float:
 
 
 def choose_target(place: Place, rng: np.random.Generator) -> Iterator[tuple[int, str]]:
-    """The nameable things of a place in random order, with their names: every category is as likely as any other."""
+    """The nameable things of a place in random order, with their names; every category is equally likely."""
     by_category: dict[str, list[int]] = {}
     names = place.nameable()
     for index in names:

@@ -1,7 +1,7 @@
-"""What looks: a perception made ready for one episode.
+"""Adapts a perception to one episode.
 
-Most perceptions see the panorama. `truth` sees which instance each direction shows, which only a simulator knows; it
-needs no picture, so that none is rendered for it.
+Most perceptions see the panorama. `truth` gets the instance ids instead, which only a simulator knows; no picture is
+rendered for it.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ class Eye(Protocol):
     privileged: bool  # whether it reads instance ids instead of the panorama
 
     def look(self, image: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray) -> Evidence | None:
-        """What is seen; None where a model's answer could not be read."""
+        """The evidence; None if a model's answer could not be read."""
         ...
 
     def account(self) -> dict[str, Any]:
-        """What looked and what it cost, for the record of the episode; empty where the perception does not say."""
+        """The perception's metadata and cost, for the record of the episode; empty if it gives none."""
         ...
 
 
@@ -49,7 +49,7 @@ class PixelEye:
         self.unread: list[AnswerError] = []
 
     def look(self, image: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray) -> Evidence | None:
-        """One answer among hundreds that cannot be read costs its step, not the episode."""
+        """The evidence; an unreadable answer among hundreds costs its step, not the episode."""
         self.looks += 1
         try:
             evidence = look(self.perception, image, query, stamp=stamp, world_R_body=world_R_body)
@@ -62,7 +62,7 @@ class PixelEye:
         return evidence
 
     def account(self) -> dict[str, Any]:
-        """Looks, how many answers could not be read, the mean time of a look, and the source of the last one.
+        """Number of looks and of unreadable answers, the mean time of a look, and the source of the last one.
 
         Raises `AnswerError` if more than half of the answers could not be read: that is no result.
         """
@@ -77,7 +77,7 @@ class PixelEye:
 
 
 class PrivilegedEye:
-    """A perception that sees instance ids."""
+    """A perception that gets instance ids."""
 
     privileged = True
 
@@ -92,16 +92,16 @@ class PrivilegedEye:
 
 
 def open_eye(perception: Any, things: Sequence[Named], seed: int) -> Eye:
-    """`perception` for one episode among `things` (whose places are the instance ids); `seed` is of its mistakes."""
+    """`perception` for one episode among `things` (indexed by instance id); `seed` is for its mistakes."""
     begin = getattr(perception, "episode", None)
     return PixelEye(perception) if begin is None else PrivilegedEye(begin(things, seed))
 
 
 @lru_cache(maxsize=1)
 def shared(perception: str) -> Perception:
-    """The perception of this name, made once per process however many ask: a model may take minutes and gigabytes.
+    """The perception of this name, made once per process for all callers: a model may take minutes and gigabytes.
 
-    `release` lets go of it. Raises as `eagor.perception.load`, and what a server has against it.
+    `release` frees it. Raises as `eagor.perception.load`, and errors of its server.
     """
     made = load(perception)
     check = getattr(made, "check", None)
@@ -111,7 +111,7 @@ def shared(perception: str) -> Perception:
 
 
 def release() -> None:
-    """Let go of the perception that `shared` keeps, of the model of `shared_chat`, and of their room on a GPU."""
+    """Free the perception of `shared`, the model of `shared_chat`, and their GPU memory."""
     shared.cache_clear()
     shared_chat.cache_clear()
     gc.collect()
@@ -121,7 +121,7 @@ def release() -> None:
 
 
 def recalibration(settings: Mapping[str, Any]) -> Calibrated | None:
-    """How the settings of a run say that looks are to be read ("calibrated"); None: as the perception does."""
+    """The calibration in the settings of a run ("calibrated"); None: the perception's own."""
     return from_json(settings["calibrated"], "the settings") if settings.get("calibrated") else None
 
 

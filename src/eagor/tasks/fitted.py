@@ -1,9 +1,9 @@
-"""Settings of the rivals for each perception, which won on development episodes (``benchmarks/fit.py``)."""
+"""Settings of the baselines for each perception, the best on development episodes (``benchmarks/fit.py``)."""
 
 from __future__ import annotations
 
 FITTED: dict[str, dict[str, str]] = {
-    "scout": {  # of 48 trials each, the von Mises-Fisher filter as it is did best
+    "scout": {  # the von Mises-Fisher filter did best with its defaults, in 48 trials each
         "grid_filter": "floor=0.326,neutral=0.127,temperature=7.34,diffusion=6.54,mixing=0.00291",
         "particle_filter": "floor=0.326,neutral=0.127,temperature=7.34,roughening=4.4,reborn=0.032,kernel=4.21",
     },
@@ -16,5 +16,5 @@ FITTED: dict[str, dict[str, str]] = {
 
 
 def fitted(perception: str, base: str) -> str:
-    """The settings of a method for a perception, "" where it has none of its own."""
+    """The fitted settings of a method for a perception, "" if there are none."""
     return FITTED.get(perception.partition(":")[0], {}).get(base, "")

@@ -1,7 +1,7 @@
-"""Every method behind one face: told where the odometry believes the camera to be, fed evidence, asked for a direction.
+"""All methods behind one interface: `move` to a pose of the odometry, `see` evidence, read the `direction`.
 
 A method is named by text: ``eagor``, ``vmf``, or a variant such as ``eagor:degree=7,decode=mean``. Late evidence counts
-for the moment of its panorama: our tracker sees to that itself, filters are rewound and brought forward again.
+for the time of its panorama: our tracker handles that itself, filters are rewound and replayed.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from eagor.tracking import Estimate, TrackerConfig
 from eagor.tracking.tracker import DirectionTracker
 
 PARTICLES = 2000
-REWIND = 64  # steps that a filter can be rewound by
+REWIND = 64  # steps by which a filter can be rewound
 FLOOR = 0.0  # metres: z of the floor in the worlds' odometry
-BASE = TrackerConfig(floor_height=FLOOR)  # our tracker, where nothing else is said
+BASE = TrackerConfig(floor_height=FLOOR)  # default of our tracker
 
-# What each is, for reports; the order of tables.
+# A description of each, for reports; in the order of tables.
 DESCRIPTIONS = {
     "centroid": "mean pixel of the response, frame by frame",
     "cent_circ": "the same, with a circular mean of the azimuth",
@@ -52,38 +52,38 @@ DESCRIPTIONS = {
     "eagor": "our tracker: direction and distance; absent, standing, wandering or turning; the heaviest mode",
 }
 NAMES = tuple(DESCRIPTIONS)
-PLAIN = "plain"  # a model that is asked anew at each step, and nothing else: what vision-language models are without us
+PLAIN = "plain"  # asks the model anew at each step, without a filter: the baseline of vision-language models
 EVERY = (PLAIN, *NAMES)
-ORACLE = "oracle"  # is told the true direction: the ceiling that geometry and policy leave
+ORACLE = "oracle"  # knows the true direction: the upper bound for geometry and policy
 
 
 class Method(Protocol):
-    """What estimates the direction of the target."""
+    """An estimator of the target's direction."""
 
     def move(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
-        """The pose at `stamp`, as the odometry has it; every step once, before its evidence."""
+        """Set the pose at `stamp`, from the odometry; once for every step, before its evidence."""
         ...
 
     def see(self, evidence: Evidence) -> None:
-        """Evidence, stamped with a time at which the method was moved, perhaps some steps ago."""
+        """Add evidence, stamped with the time of an earlier `move`, perhaps some steps ago."""
         ...
 
     def direction(self) -> np.ndarray:
-        """The estimate ``(3,)``, in the body frame of the last pose; forward while nothing is known."""
+        """The estimate ``(3,)`` in the body frame of the last pose; forward while nothing is known."""
         ...
 
     def mass_above(self, direction: np.ndarray) -> float | None:
-        """Mass of the smallest credible region that reaches `direction`; None for methods without a distribution."""
+        """Mass of the smallest credible region that contains `direction`; None for methods without a distribution."""
         ...
 
     def distance(self) -> float | None:
-        """Metres to the target; None for methods that do not know."""
+        """Metres to the target; None for methods without ranges."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A moment of a filter: its pose, and the filter just before the evidence of that moment, and that evidence."""
+    """One step of a filter: its pose, the filter before the evidence of that step, and that evidence."""
 
     stamp: float
     world_R_body: np.ndarray
@@ -92,7 +92,7 @@ class _Step:
     looks: tuple[Evidence, ...] = ()
 
     def after(self) -> DirectionFilter:
-        """The filter with this moment's evidence."""
+        """The filter after this step's evidence."""
         state = self.before
         for look in self.looks:
             state = state.update(look)
@@ -101,7 +101,7 @@ class _Step:
 
 @dataclass
 class FilterMethod:
-    """A filter of `eagor.baselines`, with a bounded memory of its steps so that it can be rewound."""
+    """A filter of `eagor.baselines`, with a bounded history of its steps for rewinding."""
 
     filter: DirectionFilter
     steps: list[_Step] = field(default_factory=list)
@@ -186,7 +186,7 @@ class TrackerMethod:
 
 
 def default_methods(perception: str) -> tuple[str, ...]:
-    """The methods that are compared where nothing else is said; with vision-language models the plain model as well."""
+    """The methods that are compared by default; with vision-language models also the plain model."""
     return EVERY if is_model(perception) else NAMES
 
 
@@ -198,9 +198,9 @@ def make_method(
     ours: TrackerConfig | None = None,
     detector: DetectorModel | None = None,
 ) -> Method:
-    """The method that `name` says; `rng` is for those that draw. Raises `EagorError` for a name that is none.
+    """The method with this name; `rng` is for those that draw. Raises `EagorError` for an unknown name.
 
-    A rival starts from the settings fitted for `perception`, ours from `ours`, with its `calibration` or `detector`.
+    A baseline starts from the settings fitted for `perception`, ours from `ours`, with its `calibration` or `detector`.
     """
     base, _, text = name.partition(":")
     if base not in EVERY:
@@ -233,7 +233,7 @@ def _settings(name: str, text: str) -> dict[str, str]:
 
 
 def _number(key: str, text: str) -> float:
-    """A number from text, an angle in radians. Raises ValueError for what is none."""
+    """A number from text, an angle in radians. Raises ValueError for anything else."""
     found = math.radians(float(text)) if key in _ANGLES else float(text)
     if math.isnan(found):
         raise ValueError(f"{key} = nan")
@@ -274,7 +274,7 @@ def _kinds(key: str, text: str) -> tuple[float, ...]:
 
 _READING = ("floor", "neutral", "temperature")
 _ANGLES = ("noise", "diffusion", "roughening", "kernel", "wander", "turn", "spread", "dspread", "drift")  # in degrees
-# The settings of our tracker: which part of its configuration they are of, what they are called there, how they read.
+# The settings of our tracker: the part of its configuration that each belongs to, its field, and its parser.
 _OURS: dict[str, tuple[str, str, Callable[[str, str], Any]]] = {
     "degree": ("", "degree", _whole),
     "decode": ("answers", "decode", _decode),
@@ -311,15 +311,15 @@ def tracker_config(
     calibration: Calibration | None = None,
     detector: DetectorModel | None = None,
 ) -> TrackerConfig:
-    """`config` with settings from text; raises KeyError for one that there is not, ValueError for what is no number.
+    """`config` with settings from text; raises KeyError for an unknown setting, ValueError for a wrong number.
 
-    - degree, decode; shells (0: directions only), heights (0: it is not known where the floor is);
-    - of how targets move: wander (degrees per root second) and turn (degrees per second; several kinds are joined
-      by +, 0: none), and start, stop, jump, birth, death (rates per second); drift (degrees per root second);
-    - of how response maps are read: floor, neutral, temperature, persistence, persists_for (seconds), persists_within
-      (metres), spread (degrees). They change `calibration` where the config has none of its own;
-    - of how detections are read: pd, clutter (?: to be learnt), dspread (degrees), repeats, repeats_for (seconds),
-      repeats_within (metres). They change `detector` where the config has none of its own.
+    - degree, decode; shells (0: directions only), heights (0: unknown floor height);
+    - target motion: wander (degrees per root second) and turn (degrees per second; several kinds are joined by +,
+      0: none), and start, stop, jump, birth, death (rates per second); drift (degrees per root second);
+    - response maps: floor, neutral, temperature, persistence, persists_for (seconds), persists_within (metres), spread
+      (degrees). They change `calibration` if the config has none of its own;
+    - detections: pd, clutter (?: estimated online), dspread (degrees), repeats, repeats_for (seconds), repeats_within
+      (metres). They change `detector` if the config has none of its own.
     """
     found: dict[str, dict[str, Any]] = {
         part: {} for part in ("", "calibration", "detector", "target_motion", "answers")

@@ -1,7 +1,7 @@
-"""Map-Free Navigation: start facing away from the target, and go a fixed step along the estimate until it is reached.
+"""Map-Free Navigation: start facing away from the target, and walk a fixed step along the estimate until it is reached.
 
-Episodes come in strata: in two thirds of them the target is visible at the start, and in half of them the way is longer
-than the straight line by more than a fifth, so that going straight at it means walls.
+Episodes come in strata. In two thirds of them the target is visible at the start. In half of them the path is longer
+than the straight line by more than a fifth, so that walking straight leads into walls.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from eagor.tasks.places import Place, load_place, pixels_of
 from eagor.tasks.rules import Camera, NavigationRules
 from eagor.tasks.task import Played
 
-# (visible at the start, winding way), over and over: two thirds visible, half winding.
+# (visible at the start, winding path), cyclic: two thirds visible, half winding.
 STRATA = ((True, False), (False, True), (True, True), (True, False), (False, True), (True, False))
-TRIES = 40  # starts looked at per target and stratum
+TRIES = 40  # starts tried per target and stratum
 
 
 def plan(slot: Slot, camera: Camera, rules: NavigationRules) -> Episode:
-    """The episode of this slot. Raises `WorldError` if the world has nothing to walk to under these rules."""
+    """The episode of this slot. Raises `WorldError` if the world has no target under these rules."""
     place = load_place(slot.world, slot.seed, camera.radius)
     rng = slot.rng("plan")
     visible, winding = STRATA[slot.number % len(STRATA)]
-    # What was wanted first, then whatever the apartment can offer: few have every kind of start.
+    # The wanted stratum first, then whatever the apartment offers: few have every kind of start.
     for wanted in ((visible, winding), (visible, not winding), (not visible, winding), (not visible, not winding)):
         for target, query in choose_target(place, rng):
             start = _start(place, target, wanted, camera, rules, rng)
             if start is not None:
                 xy, shortest, ratio = start
-                # The bearing to the target, turned so that it lies behind, give or take.
+                # The bearing to the target, turned so that it lies behind, within the tolerance.
                 away = math.pi + math.radians(rules.facing_away) * float(rng.uniform(-1, 1))
                 yaw = math.remainder(heading_to(xy, place.scene.instances[target].centre[:2]) + away, 2 * math.pi)
                 kind = {
@@ -56,7 +56,7 @@ def plan(slot: Slot, camera: Camera, rules: NavigationRules) -> Episode:
                     stratum=kind,
                 )
     raise WorldError(
-        f"{place.scene.source} has nothing to walk to that is {rules.nearest} to {rules.farthest} m away; "
+        f"{place.scene.source} has no target that is {rules.nearest} to {rules.farthest} m away; "
         "widen the rules, or leave this world out"
     )
 
@@ -69,7 +69,7 @@ def _start(
     rules: NavigationRules,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, float, float] | None:
-    """A start of the wanted kind for this target: its point, its geodesic distance, and that over the straight line."""
+    """A start of the wanted kind for this target: its point, geodesic distance, and ratio to the straight line."""
     thing, visible, winding = place.scene.instances[target], *wanted
     rows, cols = np.nonzero(place.ground.free)
     points = place.ground.origin + (np.stack([cols, rows], axis=-1) + 0.5) * place.ground.cell
@@ -88,7 +88,7 @@ def _start(
 
 
 def distance_to_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Straight distance (metres) of points ``(n, 2)`` of the floor from a footprint."""
+    """Straight distance (metres) of points ``(n, 2)`` on the floor from a footprint."""
     return np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=-1)
 
 
@@ -103,7 +103,7 @@ def score(rules: NavigationRules, shortest: float, distance: float, path: float,
 
 
 def measure(played: Played) -> dict[str, Any]:
-    """What one episode says about the estimate, and Habitat's measures of the way that was gone."""
+    """The errors of the estimate in one episode, and Habitat's measures of the path."""
     info = played.info
     return {
         "mae": metrics.mean_error(played.trace["error_deg"]),

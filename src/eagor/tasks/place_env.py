@@ -1,16 +1,16 @@
-"""What the environments of all tasks have in common: a camera in a place, what it sees, and how it walks.
+"""The common base of the environments: a camera in a place, what it sees, and how it walks.
 
 Observations (Dict):
 
 - ``panorama`` ``(H, 2H, 3)`` uint8, equirectangular, in the layout of `eagor.sphere`; absent with ``panorama=None``.
-- ``range`` ``(H, 2H)`` float32, Euclidean metres, 0 where nothing was hit; only with ``with_range=True``.
+- ``range`` ``(H, 2H)`` float32, Euclidean metres, 0 without a hit; only with ``with_range=True``.
 - ``pose`` ``(7,)`` float64: x, y, z of the camera in metres and its orientation ``world_R_body`` as a quaternion w, x,
-  y, z; as the odometry has it, which drifts if the disturbances say so.
+  y, z; from the odometry, which may drift (`Disturbances`).
 - ``rotation`` ``(3, 3)`` float64: new_R_old since the last step, from the same odometry.
 
-``info`` holds what Habitat measures, under its names (`distance_to_goal`, `success`, `spl`, `soft_spl`, `collisions`,
-`num_steps`), the ``query``, and two privileged entries that no honest agent reads: ``instances`` (``ids``, the instance
-that each direction shows, and at reset ``labels``) and ``truth`` (true pose, direction, distance, visibility).
+``info`` holds Habitat's measures under their names (`distance_to_goal`, `success`, `spl`, `soft_spl`, `collisions`,
+`num_steps`), the ``query``, and two privileged entries that agents must not use: ``instances`` (``ids``, the instance
+in each direction, and at reset ``labels``) and ``truth`` (true pose, direction, distance, visibility).
 """
 
 from __future__ import annotations
@@ -38,17 +38,16 @@ except ImportError as error:
 
 Actions = Literal["continuous", "discrete"]
 STOP, FORWARD, LEFT, RIGHT = range(4)  # Habitat's order
-FAR = 100.0  # metres: no range in an observation is larger
-VISIBLE = 2  # pixels of a 64 x 128 panorama that make a target visible, where the rules do not say
+FAR = 100.0  # metres: ranges in observations are clipped to this
+VISIBLE = 2  # pixels of a 64 x 128 panorama that make a target visible, if the rules do not say
 
 
 class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
-    """What the three have in common: a camera in a place, and something to look for.
+    """Base class of the environments: a camera in a place, and a target.
 
     Args of all: `world` ("apartment", or the path of a GLB file); `seeds`, the apartments to draw from; `panorama`,
-    rows of the image (None: none); `with_range`; `instances`: whether ``info["instances"]`` is filled; `camera`;
-    `disturbances`; `render_mode` "rgb_array". ``reset(options={"episode": episode})`` plays an episode of one's own
-    choice.
+    rows of the image (None: none); `with_range`; `instances`: whether to fill ``info["instances"]``; `camera`;
+    `disturbances`; `render_mode` "rgb_array". ``reset(options={"episode": episode})`` plays a given episode.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's own form)
@@ -84,7 +83,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         self.observation_space: spaces.Space[Any] = spaces.Dict(space)
         self.episode: Any = None
 
-    # What each task fills in.
+    # Implemented by each task.
     rules: Any = None
 
     def plan(self, slot: Slot) -> Episode:
@@ -95,11 +94,11 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         raise NotImplementedError
 
     def _ball(self) -> Ball | None:
-        """A ball that is in the place at this step."""
+        """The ball in the place at this step, if any."""
         return None
 
     def _target(self) -> np.ndarray | None:
-        """The point of the world ``(3,)`` that the true direction leads to; None while the target is away."""
+        """The point ``(3,)`` in the world frame that the true direction leads to; None while the target is away."""
         centres = [self.place.scene.instances[i].centre for i in self.episode.targets]
         return min(centres, key=lambda centre: float(np.linalg.norm(centre - self.body.pose.position)))
 
@@ -119,7 +118,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         self.place: Place = load_place(chosen.slot.world, chosen.slot.seed, self.camera.radius)
         if chosen.scene_hash != self.place.scene.hash:
             raise WorldError(
-                f"episode {chosen.slot.id} was made for scene {chosen.scene_hash}, and this version of the world makes "
+                f"episode {chosen.slot.id} was made for scene {chosen.scene_hash}, but this version of the world makes "
                 f"{self.place.scene.hash} of {chosen.scene}; plan the episode again"
             )
         rng = chosen.slot.rng("odometry")
@@ -134,7 +133,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         return self._observation(), info
 
     def _start(self) -> None:
-        """Whatever else an episode begins with."""
+        """Task-specific start of an episode."""
 
     @property
     def labels(self) -> tuple[Any, ...]:
@@ -142,18 +141,18 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         return self.place.scene.instances
 
     def _frame(self) -> None:
-        """Look at the place from where the camera now is."""
+        """Render from the current camera pose."""
         near = self._seen(LOOK_ROWS, rgb=False, ids=True)
         assert near.ids is not None
         self.ids: np.ndarray = near.ids
-        self._picture: Any = None  # a Frame, if somebody is to see it
+        self._picture: Any = None  # a Frame, rendered on demand
         if self.rows is not None or self.with_range:
             self._picture = self._seen(self.rows or LOOK_ROWS, rgb=self.rows is not None, range=True)
 
     def _seen(self, rows: int, rgb: bool = True, range: bool = False, ids: bool = False) -> Frame:
-        """The place from where the camera now is, with the ball that is in it."""
+        """The place from the current camera pose, with the ball, if any."""
         pose, ball = self.body.pose, self._ball()
-        range = range or ball is not None  # by which the ball is drawn
+        range = range or ball is not None  # needed to draw the ball
         frame = self.place.renderer.panorama(pose.position, pose.world_R_body, rows, rgb=rgb, range=range, ids=ids)
         if ball is None:
             return frame
@@ -201,7 +200,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         return pixels_of(self.ids, self.episode.targets) >= getattr(self.rules, "visible_pixels", VISIBLE)
 
     def _moved(self, xy: np.ndarray, yaw: float, collided: bool = False) -> None:
-        """The body has gone to a new place: look again."""
+        """Move the body to a new place and look again."""
         self._before = self.body.odometry
         self.body.move(xy, yaw)
         self._collided = collided
@@ -209,7 +208,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         self._frame()
 
     def _walk(self, turn: float, length: float, slide: bool) -> None:
-        """Turn by `turn` (radians, left) and go `length` metres ahead, along walls (`slide`) or up to them."""
+        """Turn by `turn` (radians, left) and go `length` metres ahead, sliding along walls or stopping at them."""
         yaw = math.remainder(self.body.yaw + turn, 2 * math.pi)
         xy, collided = self.body.xy, False
         if length > 0:
@@ -235,7 +234,7 @@ def walking_space(actions: Actions, camera: Camera) -> spaces.Space[Any]:
 
 
 def as_walk(action: Any, actions: str, camera: Camera) -> tuple[float, float, bool]:
-    """An action as (turn in radians, metres, stop). Standing still with (heading, 0) is calling stop, as 0 is."""
+    """An action as (turn in radians, metres, stop). (heading, 0) means stop, as the discrete action 0 does."""
     if actions == "discrete":
         turn = {LEFT: math.radians(camera.turn), RIGHT: -math.radians(camera.turn)}.get(int(action), 0.0)
         return turn, camera.step if int(action) == FORWARD else 0.0, int(action) == STOP
@@ -249,8 +248,8 @@ def as_walk(action: Any, actions: str, camera: Camera) -> tuple[float, float, bo
 class AnsweringEnv(PlaceEnv):
     """The camera is carried along, and the action is the answer: a direction ``(3,)`` in the body frame.
 
-    The way is the episode's `route`, rows of x, y, yaw (metres, radians), of which the first is where it starts. The
-    answer given to `step` is about the observation before it. The reward is minus its error, in radians.
+    The path is the episode's `route`, rows of x, y, yaw (metres, radians); the first is the start. The answer given to
+    `step` is about the observation before it. The reward is minus its error, in radians.
     """
 
     def __init__(self, **settings: Any) -> None:
@@ -264,7 +263,7 @@ class AnsweringEnv(PlaceEnv):
         return {"error_deg": math.nan if self._error_deg is None else self._error_deg}
 
     def _judge(self, answer: Any) -> float:
-        """The reward of an answer about the step before; 0 while the target is away."""
+        """The reward of an answer about the previous step; 0 while the target is away."""
         target = self._target()
         direction = np.asarray(answer, dtype=np.float64).reshape(3)
         length = float(np.linalg.norm(direction))

@@ -1,4 +1,4 @@
-"""Places: a scene with its ground plan and its renderer, made once and kept while it is in use."""
+"""Places: a scene with its ground plan and its renderer, cached while in use."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from eagor.worlds.render import Renderer
 from eagor.worlds.scene import STRUCTURE, Scene
 
 APARTMENT = "apartment"
-SEEDS = 10_000  # apartments are numbered from 0 to here;
-DEVELOPMENT = range(SEEDS // 5)  # the first fifth is for choosing parameters, and never for results
+SEEDS = 10_000  # number of apartments
+DEVELOPMENT = range(SEEDS // 5)  # the first fifth is for tuning parameters, never for results
 REPORT = range(SEEDS // 5, SEEDS)
-LOOK_ROWS = 64  # of the id panoramas that decide what is visible, and that `truth` reads
-UNTARGETED = (*STRUCTURE, "ceiling lamp", "rug", "painting", "vase", "book", "books", "curtain")  # not worth walking to
+LOOK_ROWS = 64  # of the id panoramas that decide visibility, and that `truth` reads
+UNTARGETED = (*STRUCTURE, "ceiling lamp", "rug", "painting", "vase", "book", "books", "curtain")  # never targets
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +31,13 @@ class Place:
     renderer: Renderer
 
     def ids(self, position: np.ndarray, world_R_body: np.ndarray, rows: int = LOOK_ROWS) -> np.ndarray:
-        """Which instance each direction shows: an equirectangular image ``(rows, 2 rows)``, -1 for none."""
+        """The instance in each direction: an equirectangular image ``(rows, 2 rows)``, -1 for none."""
         ids = self.renderer.panorama(position, world_R_body, rows, rgb=False, range=False).ids
         assert ids is not None
         return ids
 
     def nameable(self) -> dict[int, Query]:
-        """The things that one query, "[colour] category", singles out, by their place in the scene."""
+        """The things with a unique query, "[colour] category", by their index in the scene."""
         found: dict[Query, list[int]] = {}
         for index, thing in enumerate(self.scene.instances):
             if thing.category not in UNTARGETED:
@@ -46,16 +46,13 @@ class Place:
         names = {}
         for query, members in found.items():
             if count[query.category] == 1:
-                names[members[0]] = Query(query.category)  # the only sofa is asked for as "sofa",
+                names[members[0]] = Query(query.category)  # the only sofa is called "sofa",
             elif len(members) == 1 and query.colour:
-                names[members[0]] = query  # one of several chairs by its colour
+                names[members[0]] = query  # one of several chairs is named with its colour
         return names
 
     def missing(self, rng: np.random.Generator, known: bool = False) -> Query:
-        """A query that nothing here answers: of a category that is not here, or one that is, in another colour.
-
-        `known`: only of categories that are here.
-        """
+        """A query without an answer: an absent category (not if `known`), or a category here in another colour."""
         from eagor.worlds.apartment import CATEGORIES
 
         here = {thing.category for thing in self.scene.instances} - {*UNTARGETED}
@@ -81,12 +78,12 @@ def _way_to(place: Place, targets: tuple[int, ...]) -> Field:
 def load_place(world: str, seed: int, radius: float) -> Place:
     """The scene of this seed in the world that `eagor.worlds.load` finds, with a ground plan for a body of this radius.
 
-    Raises `WorldError` if there is no such world, or if nobody can stand in it.
+    Raises `WorldError` if there is no such world, or no room to stand in it.
     """
     scene = worlds.load(world)(seed)
     return Place(scene, Ground.from_scene(scene, radius=radius), Renderer(scene))
 
 
 def pixels_of(ids: np.ndarray, targets: tuple[int, ...]) -> int:
-    """How many pixels of an id image show one of the targets."""
+    """The number of pixels of an id image that show one of the targets."""
     return int(sum(np.count_nonzero(ids == target) for target in targets))

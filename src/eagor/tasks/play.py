@@ -1,4 +1,4 @@
-"""Playing an episode: every method on the same responses, and a record of what came of it.
+"""Plays an episode: every method on the same responses, with a record of the results.
 
 Waypoint and tracking episodes are open loop. In navigation each method plays alone, with mistakes of the same seed.
 """
@@ -32,10 +32,7 @@ MASS = 0.9  # of the credible regions whose coverage is measured
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """One step of an open-loop episode: the pose as the odometry has it, and the evidence that arrives (if any).
-
-    `other`: what the same look said about the other query of the recording.
-    """
+    """One step of an open-loop episode: pose by odometry, evidence that arrives, and that of the `other` query."""
 
     stamp: float
     world_R_body: np.ndarray
@@ -48,8 +45,8 @@ class Moment:
 class Recording:
     """An open-loop episode of n steps.
 
-    `truth`: lists for the record; `directions` ``(n, 3)``: the target's, body frame (held while away); `rotations`,
-    `translations`: the camera's true motions; `looked`: what the perception says of itself and its cost.
+    `truth`: lists for the record; `directions` ``(n, 3)``: to the target, body frame (held while away); `rotations`,
+    `translations`: the camera's true motions; `looked`: metadata and cost of the perception.
     """
 
     episode: Episode
@@ -65,7 +62,7 @@ class Player:
     """Plays the episodes of one run.
 
     `config`: task, perception, rules, camera, disturbances (JSON of `eagor.tasks.rules`), rows of the panorama, and
-    perhaps calibrated. `perception` and `kind`, the task, where they are at hand already.
+    optionally calibrated. `perception` and `kind` (the task): the objects, if they exist already.
     """
 
     def __init__(self, config: dict[str, Any], perception: Any = None, kind: task.Task | None = None) -> None:
@@ -95,7 +92,7 @@ class Player:
     ) -> dict[str, Any]:
         """The record of one episode: its description, the truth, and each method's metrics and trace.
 
-        `watch`, where the task is walked, is called with the method after each of its answers.
+        `watch` is called with the method after each of its answers, if the task is walked.
         """
         episode = self.plan(slot)
         body: dict[str, Any] = {"task": self.task.name, "episode": episode.as_json()}
@@ -107,7 +104,7 @@ class Player:
         return body | looked | {"truth": recording.truth, "methods": judged}
 
     def method(self, name: str, slot: Slot) -> Method:
-        """A fresh method of this name, as it is for this perception."""
+        """A new method of this name, configured for this perception."""
         calibration, detector = (getattr(self.perception, name_, None) for name_ in ("calibration", "detector"))
         return make_method(name, slot.rng("method"), self.config["perception"], calibration, self.ours, detector)
 
@@ -117,13 +114,13 @@ class Player:
         return observation, info, open_eye(self.perception, info["instances"]["labels"], seed)
 
     def _look(self, eye: Eye, observation: dict, info: dict, query: str = "") -> Evidence | None:
-        """The evidence of this step, stamped with the time of capture; None where an answer could not be read."""
+        """The evidence of this step, stamped with the time of capture; None if an answer could not be read."""
         stamp = info["num_steps"] * self.camera.seconds
         image = info["instances"]["ids"] if eye.privileged else observation["panorama"]
         return eye.look(image, query or info["query"], stamp, info["truth"]["world_R_body"])
 
     def _walk(self, episode: Episode, name: str, watch: Callable[[Method | None], object] | None) -> dict[str, Any]:
-        """One method through one episode in which it says where to go."""
+        """One method through one episode in which it steers the body."""
         observation, info, eye = self._begin(episode)
         method = None if name == ORACLE else self.method(name, episode.slot)
         trace: dict[str, list[Any]] = defaultdict(list)
@@ -159,7 +156,7 @@ class Player:
         return {"metrics": found, "trace": dict(trace)} | ({"looked": looked} if looked else {})
 
     def record(self, episode: Episode, other: str = "") -> Recording:
-        """An episode that is not walked as every method will meet it; `other`: a second query to be asked."""
+        """An episode that is not walked, as every method gets it; `other`: a second query to ask."""
         observation, info, eye = self._begin(episode)
         second = open_eye(
             self.perception, info["instances"]["labels"], int(episode.slot.rng("other").integers(1 << 31))
@@ -192,9 +189,9 @@ class Player:
         return Recording(episode, dict(truth), tuple(moments), true_directions, *motion, eye.account() or None)
 
     def judge(self, recording: Recording, method: Method, regions: bool = True) -> dict[str, Any]:
-        """What a method makes of a recorded episode: metrics and trace.
+        """The metrics and trace of a method on a recorded episode.
 
-        Without `regions` neither coverage nor distance is asked for, which takes half of the time.
+        Without `regions`, coverage and distance are left out, which saves half of the time.
         """
         trace: dict[str, list[Any]] = defaultdict(list)
         said = []
@@ -213,13 +210,13 @@ class Player:
 
 
 def work(config: dict[str, Any]) -> Callable[[dict[str, Any]], dict[str, Any]]:
-    """For the workers of a run: what plays one unit, ``{"slot": {...}, "methods": [...]}``."""
+    """The function with which a worker plays one unit, ``{"slot": {...}, "methods": [...]}``."""
     player = Player(config)
     return lambda unit: player.play(Slot(**unit["slot"]), unit["methods"])
 
 
 def _told(method: Method, observation: dict, info: dict, due: Evidence | None, camera: Camera) -> np.ndarray:
-    """The method's direction after it was told of the pose, and of the response that has arrived."""
+    """The method's direction, given the pose and the response that has arrived."""
     pose = observation["pose"]
     method.move(info["num_steps"] * camera.seconds, rotation_from_wxyz(pose[3:]), pose[:3])
     if due is not None:
@@ -241,7 +238,7 @@ def _note_truth(trace: dict[str, list[Any]], info: dict, prefix: str) -> None:
 def _note_answer(
     trace: dict[str, list[Any]], method: Method | None, direction: np.ndarray, true: np.ndarray | None
 ) -> None:
-    """What was said, and how far from the true direction (None while the target is away)."""
+    """Append the answer, and its error (None while the target is away)."""
     azimuth, elevation = azimuth_elevation(direction)
     trace["azimuth_deg"].append(round(math.degrees(float(azimuth)), 2))
     trace["elevation_deg"].append(round(math.degrees(float(elevation)), 2))

@@ -1,7 +1,7 @@
-"""From an estimate to a step: straight at it, and around what is in the way by touch alone.
+"""From an estimate to a step: straight at it, and around obstacles by touch alone.
 
-The published policy goes a fixed step along the estimate. With `detour` the body remembers where it ran into something
-and plans around that as if all else were open (free-space assumption; Koenig, Tovey and Smirnov, 2003).
+The published policy goes a fixed step along the estimate. With `detour` the body remembers where it collided and plans
+around these places as if all else were free (free-space assumption; Koenig, Tovey and Smirnov, 2003).
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-SPACING = 0.15  # metres between the nodes of the lattice on which ways are planned
-TOUCH = 0.07  # a step that lost more than this share of itself touched something
-STANDOFF, HALF = 0.1, 0.3  # metres: a wall is noted so far from the touching body, and so far to both sides
-WALL, HIGHEST = 5.0, 20.0  # metres of detour that a touch is worth, and that all touches of an edge together are
-VISIT, AROUND = 0.2, 2  # metres that a detour planned at a node adds to those through it and so many nodes around
-KEPT = 0.9  # share of that which is left after another plan
-RANGE = 5.0  # metres along the estimate, where a way is to lead: nobody knows how far away the target is
-LOOK, WINDOW = 1.5, 10.0  # metres: straight stretches of a way are seen so far, and ways stray so far from the body
+SPACING = 0.15  # metres between the nodes of the planning lattice
+TOUCH = 0.07  # a step that falls short by more than this share collided
+STANDOFF, HALF = 0.1, 0.3  # metres from the colliding body to the noted wall, and half of the wall's length
+WALL, HIGHEST = 5.0, 20.0  # metres that one collision adds to an edge, and that all of them add at most
+VISIT, AROUND = 0.2, 2  # metres that planning at a node adds to paths through it and this many nodes around
+KEPT = 0.9  # share of that after the next plan
+RANGE = 5.0  # metres along the estimate to the assumed goal: the target's true range is unknown
+LOOK, WINDOW = 1.5, 10.0  # metres: longest straight stretch of a path, and farthest that paths stray from the body
 _NEIGHBOURS = [(i, j, math.hypot(i, j) * SPACING) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
 _EDGES = np.array([(1, 0), (0, 1), (1, 1), (1, -1)])  # every edge of the lattice once, from one of its ends
 
@@ -32,17 +32,17 @@ class Policy:
 
     step: float
     detour: bool = True
-    # The plane of the plan has its origin where the episode began, and its x axis where the body then faced.
+    # The plan's frame has its origin where the episode began, and its x axis along the body's heading there.
     _start: tuple[np.ndarray, float] | None = None
-    _last: tuple[np.ndarray, np.ndarray] | None = None  # where the last step began, and the step as it was meant
-    _walls: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 2)))  # both ends of each touched stretch
-    _extra: dict[tuple[Node, Node], float] = field(default_factory=dict)  # metres by which walls lengthen edges
+    _last: tuple[np.ndarray, np.ndarray] | None = None  # start of the last step, and the intended step
+    _walls: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 2)))  # both ends of each noted wall
+    _extra: dict[tuple[Node, Node], float] = field(default_factory=dict)  # metres that walls add to edges
     _visits: dict[Node, float] = field(default_factory=dict)
 
     def heading(self, azimuth: float, xy: np.ndarray, yaw: float) -> float:
-        """The heading to go in, radians from straight ahead, in (-pi, pi]; without `detour` the azimuth as it is.
+        """The heading to walk in, radians from straight ahead, in (-pi, pi]; without `detour` just the azimuth.
 
-        `azimuth` of the estimate, radians, body frame; `xy` ``(2,)`` and `yaw`: the pose as the odometry has it.
+        `azimuth` of the estimate, radians, body frame; `xy` ``(2,)`` and `yaw`: the odometry's pose.
         """
         if not self.detour:
             return azimuth
@@ -50,7 +50,7 @@ class Policy:
             self._start = np.array(xy, dtype=np.float64), yaw
         begin, turn = self._start
         cos, sin = math.cos(turn), math.sin(turn)
-        # To the micron: of two ways that are equally good, rounding errors of the frame shall not choose.
+        # Rounded to the micron, so that rounding errors of the frame do not decide between equal paths.
         here = np.round(np.array([[cos, sin], [-sin, cos]]) @ (np.asarray(xy, dtype=np.float64) - begin), 6)
         bearing = round(math.remainder(azimuth + yaw - turn, 2 * math.pi), 6)
         if self._last is not None:
@@ -62,7 +62,7 @@ class Policy:
         return heading if heading > -math.pi else math.pi
 
     def _feel(self, before: np.ndarray, meant: np.ndarray, here: np.ndarray) -> None:
-        """Learn from a step: no wall where the body passed, and a wall where it was held up."""
+        """Learn from a step: a wall where the body was held up, no wall where it passed."""
         moved = here - before
         crossed = _cross(before, here, self._walls[:, 0], self._walls[:, 1])
         if crossed.any():
@@ -73,7 +73,7 @@ class Policy:
         size, into = float(np.hypot(*lost)), float(lost @ meant)
         if size <= TOUCH * self.step or into <= 0:
             return
-        # The body goes straight, then along the wall, which takes the part of each step that is normal to it.
+        # The body goes straight, then slides along the wall, which removes the component of each step normal to it.
         normal, slid = lost / size, min(size * size / into, 1.0)
         along = np.array([-normal[1], normal[0]])
         first = here - (moved - (1 - slid) * meant)
@@ -94,16 +94,16 @@ class Policy:
             self._extra[(a, b), (c, d)] = self._extra[(c, d), (a, b)] = longer
 
     def _in_the_way(self, here: np.ndarray, there: np.ndarray) -> int:
-        """How many walls stand between two points."""
+        """The number of walls between two points."""
         return int(_cross(here, there, self._walls[:, 0], self._walls[:, 1]).sum())
 
     def _step_costs(self, here: np.ndarray, there: np.ndarray) -> float:
-        """What walls cost on the line to a point, and on to where a whole step would end: it cannot be shortened."""
+        """The cost of walls on the line to a point, extended to a whole step: steps cannot be shortened."""
         share = max(1.0, self.step / float(np.hypot(*(there - here))))
         return WALL * self._in_the_way(here, here + share * (there - here))
 
     def _way(self, here: np.ndarray, goal: np.ndarray) -> np.ndarray:
-        """The direction ``(2,)`` (of any length) in which the cheapest way to the goal begins."""
+        """The direction ``(2,)`` (of any length) in which the cheapest path to the goal begins."""
         if not self._in_the_way(here, goal):
             return goal - here
         target = None
@@ -116,10 +116,10 @@ class Policy:
         return target - here if target is not None else goal - here
 
     def _plan(self, here: np.ndarray, goal: np.ndarray) -> list[Node]:
-        """The cheapest way over the lattice (A*), from about a step away from the body to the goal."""
+        """The cheapest path over the lattice (A*), from about a step away from the body to the goal."""
         end, (x, y) = _node(goal), _node(here)
         reach = max(self.step, SPACING / 0.6)
-        # What was tried in vain loses its charm for a while; for good, the body's own trail would wall it in.
+        # Visited places cost more for a while, not for good: the body's own trail would wall it in.
         self._visits = {node: KEPT * metres for node, metres in self._visits.items() if metres > 0.01}
         for node in ((x + i, y + j) for i in range(-AROUND, AROUND + 1) for j in range(-AROUND, AROUND + 1)):
             self._visits[node] = self._visits.get(node, 0.0) + VISIT
@@ -130,7 +130,7 @@ class Policy:
             away = float(np.hypot(*(point - here)))
             if 0.4 * reach < away <= 1.3 * reach:
                 costs[node] = away + self._step_costs(here, point) + self._visits.get(node, 0.0)
-        least = min(costs.values())  # without it, whoever is walled in would search everywhere
+        least = min(costs.values())  # subtracted, as otherwise a walled-in body would search everywhere
         costs = {node: cost - least for node, cost in costs.items()}
         came: dict[Node, Node] = {}
         heap, done = [(cost + _octile(node, end), node) for node, cost in costs.items()], set()
@@ -159,7 +159,7 @@ def _node(point: np.ndarray) -> Node:
 
 
 def _octile(one: Node, other: Node) -> float:
-    """Length of the shortest way between two nodes of an open lattice."""
+    """Length of the shortest path between two nodes of a free lattice."""
     a, b = abs(one[0] - other[0]), abs(one[1] - other[1])
     return SPACING * (max(a, b) + (math.sqrt(2) - 1) * min(a, b))
 

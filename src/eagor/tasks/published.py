@@ -1,4 +1,4 @@
-"""What the benchmarks with published data have in common: H*Bench and OSR-Bench."""
+"""Shared by the benchmarks with published data, H*Bench and OSR-Bench."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from eagor.tasks.places import Place
 
 
 def finished(records: Iterable[Record], wanted: str) -> list[Record]:
-    """The records of cases that were done. Raises `EagorError` with what is `wanted` where there are none."""
+    """The records of finished cases. Raises `EagorError` with what is `wanted` if there are none."""
     done = [record for record in records if record.get("status", "ok") == "ok"]
     if not done:
         raise EagorError(f"{wanted}; name a run with results")
@@ -28,18 +28,18 @@ def finished(records: Iterable[Record], wanted: str) -> list[Record]:
 
 
 def reader(settings: Mapping[str, Any]) -> Callable[[Evidence], Evidence]:
-    """How the looks of a run are read: as its settings have it, else as the perception does."""
+    """The recalibration of looks in a run: from its settings, otherwise none."""
     calibrated = recalibration(settings)
     return calibrated.reread if calibrated is not None else lambda evidence: evidence
 
 
 def luck(seed: int, case: str) -> list[int]:
-    """What chance in one case is seeded with: it depends on no other case."""
+    """The seed of one case; independent of all other cases."""
     return [seed, zlib.crc32(case.encode())]
 
 
 def picture_size(file: Path | IO[bytes]) -> tuple[int, int] | None:
-    """Width and height of a picture, None where it cannot be read."""
+    """Width and height of a picture, None if it cannot be read."""
     from PIL import Image
 
     from eagor.worlds.panorama import FORMATS
@@ -49,12 +49,12 @@ def picture_size(file: Path | IO[bytes]) -> tuple[int, int] | None:
         try:
             with Image.open(file, formats=FORMATS) as picture:
                 return picture.size
-        except Exception:  # decoders raise whatever the damage leads them to
+        except Exception:  # decoders may raise anything for damaged files
             return None
 
 
 def save_panorama(place: Place, position: np.ndarray, yaw: float, rows: int, path: Path) -> None:
-    """Draw what a camera at `position` ``(3,)`` sees of a place, with so many rows."""
+    """Save what a camera at `position` ``(3,)`` sees of a place, as a panorama of `rows` rows."""
     from PIL import Image
 
     rgb = place.renderer.panorama(position, world_R_body(yaw), rows, range=False, ids=False).rgb
@@ -63,5 +63,5 @@ def save_panorama(place: Place, position: np.ndarray, yaw: float, rows: int, pat
 
 
 def any_yaw(rng: np.random.Generator) -> float:
-    """An angle (radians), all alike."""
+    """A uniform random angle (radians)."""
     return float(rng.uniform(-math.pi, math.pi))

@@ -9,27 +9,27 @@ import numpy as np
 
 
 def initial_heading(path: np.ndarray, ahead: float = 0.5) -> float:
-    """The yaw (radians) in which a path ``(n, 2)`` sets out, over its first metres `ahead`."""
+    """The initial heading (yaw, radians) of a path ``(n, 2)``, over its first `ahead` metres."""
     point = along(path, np.array([ahead]))[0]
     return float(np.arctan2(*(point - path[0])[::-1]))
 
 
 def along(path: np.ndarray, metres: np.ndarray) -> np.ndarray:
-    """The points ``(m, 2)`` of a polyline at these lengths from its start (held at its end)."""
+    """The points ``(m, 2)`` of a polyline at these lengths from its start (clamped at its end)."""
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=-1))])
     return np.stack([np.interp(metres, lengths, path[:, axis]) for axis in (0, 1)], axis=-1)
 
 
 def length_of(path: np.ndarray) -> float:
-    """Metres."""
+    """Its length in metres."""
     return float(np.linalg.norm(np.diff(path, axis=0), axis=-1).sum())
 
 
 def follow_path(path: np.ndarray, yaw: float, step: float, turn: float) -> np.ndarray:
-    """One row of x, y, yaw per step ``(n, 3)`` along `path`, for a body that faces where it goes.
+    """One row of x, y, yaw per step ``(n, 3)`` along `path`, for a body that faces its walking direction.
 
-    It starts with heading `yaw`, goes `step` metres at a time, and turns by at most `turn` radians a step: on the spot
-    where the path bends more.
+    It starts with heading `yaw`, goes `step` metres at a time, and turns by at most `turn` radians per step; where the
+    path bends more, it turns on the spot.
     """
     rows = []
     count = max(1, round(length_of(path) / step))

@@ -1,9 +1,9 @@
 """The rules of the simulated tasks. All of them are parameters, and every report prints them.
 
-Lengths in metres, angles in degrees (they are typed and printed), times in seconds. Habitat's names where it has them;
-the paper fixes none of these numbers, so a figure without its rules says nothing.
+Lengths are in metres, angles in degrees (for typing and printing), times in seconds. Names are Habitat's where it has
+them. The paper fixes none of these numbers, so a figure without its rules means nothing.
 
-Rules under which nothing can be played are refused when they are made, with a `WorldError` that names the rule.
+Rules that make the task impossible raise a `WorldError` that names the rule.
 """
 
 from __future__ import annotations
@@ -41,19 +41,19 @@ def _is_turns(value: Any) -> bool:
 
 _METRES = _above(0, "metres above 0")
 _STEPS = _count(1, "a whole number of steps, from 1 on")
-_PIXELS = _count(1, "a whole number of pixels, from 1 on")  # what no pixel shows is in no sight
+_PIXELS = _count(1, "a whole number of pixels, from 1 on")  # no pixel means not in sight
 _SHARES = (lambda value: stretch(value, 0, 1)), "two shares (from, to), from 0 to 1, the second not below the first"
 _STOP = get_args(Stop).__contains__, " or ".join(get_args(Stop))
 _BOOL = (lambda value: isinstance(value, bool)), "true or false"
 
 
 def _rule(default: Any, wanted: Wanted) -> Any:
-    """A rule: what it is by default, and what it may be."""
+    """A rule: its default, and its valid values."""
     return field(default=default, metadata={"wanted": wanted})
 
 
 class _Rules:
-    """Refuses rules under which nothing can be played."""
+    """Rejects rules that make the task impossible."""
 
     def __post_init__(self) -> None:
         asked = [(rule.name, rule.metadata["wanted"]) for rule in fields(self)]  # type: ignore[arg-type]
@@ -65,8 +65,8 @@ class Camera(_Rules):
     """How the camera is carried, and how fast.
 
     - `height`: of the camera above the floor. `radius`: of the body that carries it.
-    - `step`: length of one step; `turn`: the most that the body turns in one step (discrete actions turn by this much).
-    - `seconds`: from one step to the next; only forgetting and late responses depend on it.
+    - `step`: length of one step; `turn`: the largest turn per step (discrete actions turn by this much).
+    - `seconds`: from one step to the next; matters only for forgetting and late responses.
     """
 
     height: float = _rule(1.25, _METRES)
@@ -78,13 +78,13 @@ class Camera(_Rules):
 
 @dataclass(frozen=True)
 class Disturbances(_Rules):
-    """What a real body does to a camera; all off by default.
+    """Disturbances from a real body; all off by default.
 
-    - `bob`: the camera rises and falls by so many metres (amplitude), twice per second, and
-    - `sway`: rolls and pitches by so many degrees (amplitude). The odometry measures both.
+    - `bob`: amplitude, metres, of the camera's rise and fall, twice per second, and
+    - `sway`: amplitude, degrees, of its roll and pitch. The odometry measures both.
     - `yaw_drift`: degrees per square root of a metre walked, and `scale_drift`: relative error of the odometry's
-      lengths (one standard deviation, drawn per episode). Nobody tells the methods.
-    - `latency`: a response arrives so many steps after its panorama was taken.
+      lengths (one standard deviation, drawn per episode). The methods do not know either.
+    - `latency`: a response arrives this many steps after its panorama was taken.
     """
 
     bob: float = _rule(0.0, _from(0, "metres from 0 on"))
@@ -101,20 +101,20 @@ class Disturbances(_Rules):
 
 @dataclass(frozen=True)
 class NavigationRules(_Rules):
-    """Map-Free Navigation: start facing away, go a fixed step along the estimate, until the target is reached.
+    """Map-Free Navigation: start facing away, walk a fixed step along the estimate until the target is reached.
 
-    - `max_steps`: then the episode is over, and lost (Habitat's limit).
+    - `max_steps`: the episode then ends as a failure (Habitat's limit).
     - `success_distance`: geodesic metres to the target's footprint, strict as in Habitat.
     - `stop`: "reach": the episode ends as soon as that distance is reached (the paper names no stop action);
       "call": the agent has to call stop there (Habitat's rule).
-    - `sliding`: along walls (Habitat's default); without, a step ends where it touches.
-    - `detour`: a body that does not get on feels its way around (`eagor.tasks.policy`), for every method alike;
-      without, it pushes on along the estimate, as published.
-    - `nearest`, `farthest`: geodesic metres of the start from the target's footprint.
-    - `ratio`: at most so much longer is the geodesic than the straight line at the start; `winding` starts have more
-      than `winding_above`.
-    - `facing_away`: the target is within so many degrees of straight behind at the start.
-    - `visible_pixels`: so many pixels of a 64 x 128 panorama make a target visible.
+    - `sliding`: along walls (Habitat's default); otherwise a step ends at the contact.
+    - `detour`: a blocked body feels its way around (`eagor.tasks.policy`), for every method alike; otherwise it pushes
+      on along the estimate, as published.
+    - `nearest`, `farthest`: geodesic metres from the start to the target's footprint.
+    - `ratio`: largest ratio of geodesic to straight distance at the start; `winding` starts have more than
+      `winding_above`.
+    - `facing_away`: at the start the target is within this many degrees of straight behind.
+    - `visible_pixels`: pixels of a 64 x 128 panorama that make a target visible.
     """
 
     max_steps: int = _rule(500, _STEPS)
@@ -124,7 +124,7 @@ class NavigationRules(_Rules):
     detour: bool = _rule(True, _BOOL)
     nearest: float = _rule(2.0, _from(0, "metres from 0 on"))
     farthest: float = _rule(8.0, _METRES)
-    ratio: float = _rule(1.5, _from(1, "a number from 1 on: no way is shorter than the straight line"))
+    ratio: float = _rule(1.5, _from(1, "a number from 1 on: no path is shorter than the straight line"))
     winding_above: float = _rule(1.2, _from(0, "a number from 0 on"))
     facing_away: float = _rule(20.0, _from(0, "degrees from 0 to 180", 180))
     visible_pixels: int = _rule(2, _PIXELS)
@@ -139,9 +139,9 @@ class NavigationRules(_Rules):
 class WaypointRules(_Rules):
     """Waypoint Following: four legs along a given route, each beginning with a sharper turn; name the direction.
 
-    - `turns`: degrees between which the turn at the beginning of each leg lies.
-    - `leg_steps`: at least so many steps in each leg.
-    - `occluded`: share of the route's steps at which the target is out of sight, at least and at most.
+    - `turns`: range, degrees, of the turn at the beginning of each leg.
+    - `leg_steps`: least number of steps per leg.
+    - `occluded`: range of the share of the route's steps at which the target is out of sight.
     - `visible_pixels`: as for navigation.
     """
 
@@ -156,12 +156,12 @@ class WaypointRules(_Rules):
 
 @dataclass(frozen=True)
 class TrackingRules(_Rules):
-    """Target Direction Estimation: a ball in the apartment; the camera, the ball, or neither keeps still.
+    """Target Direction Estimation: a ball in the apartment; the camera moves, the ball moves, or neither.
 
     - `steps`: of an episode. `speed`: metres per second of a moving ball.
-    - `gone`: in the third scenario the ball is away for this share of the episode (from, to), then elsewhere.
-    - `seen`: plans are drawn until one shows the ball at this share of the steps (a ball that rolls about
-      elsewhere tells nothing about any method).
+    - `gone`: in the third scenario the ball is away for this part of the episode (from, to), then elsewhere.
+    - `seen`: plans are drawn until one shows the ball at this share of the steps (an invisible ball tells nothing
+      about any method).
     - `lost_above`: degrees of error beyond which the target counts as lost. `visible_pixels`: as for navigation.
     """
 
@@ -175,12 +175,12 @@ class TrackingRules(_Rules):
     def __post_init__(self) -> None:
         super().__post_init__()
         away, back = self.away
-        shown = (away > 0 or back == 0, f"the ball there at the first of {self.steps} steps: begin later, or take more")
+        shown = (away > 0 or back == 0, f"the ball present at step 1 of {self.steps}: begin later, or take more steps")
         require(self, {"gone": shown}, WorldError)
 
     @property
     def away(self) -> tuple[int, int]:
-        """The first step at which the ball is away in the third scenario, and the first at which it is back."""
+        """In the third scenario, the first step at which the ball is away, and the first at which it is back."""
         return round(self.gone[0] * self.steps), round(self.gone[1] * self.steps)
 
 
@@ -193,7 +193,7 @@ def as_dict(rules: Any) -> dict[str, Any]:
 
 
 def from_dict(kind: type[Rules], values: dict[str, Any]) -> Rules:
-    """The rules back from JSON. Raises `WorldError` for a rule that does not exist, or what the rules refuse."""
+    """The rules from JSON. Raises `WorldError` for an unknown rule or an invalid value."""
     known = {field.name for field in fields(kind)}  # type: ignore[arg-type]
     if unknown := set(values) - known:
         raise WorldError(f"{kind.__name__} has no {sorted(unknown)}; it has {sorted(known)}")

@@ -1,6 +1,6 @@
-"""The three tasks that ship: their environments, what is measured of them, and the columns of their tables.
+"""The three built-in tasks: their environments, measures, and the columns of their tables.
 
-The columns are those of the paper's tables where it has them; what they mean is told with them, and in `measure` of
+The columns are those of the paper's tables where it has them. Their meaning is given here and in `measure` of
 `eagor.tasks.waypoint`, `navigation` and `tracking`.
 """
 
@@ -15,11 +15,11 @@ COVERAGE = Column(
     "coverage", "Coverage", "%", None, "coverage", "share of steps with the truth inside the 90 % region; 90 is right",
     scale=100.0,
 )  # fmt: skip
-_TC = "jump of the estimate from step to step, beyond what the true motion explains"
-_CALM = "an estimate that hardly follows its target hardly jumps: read it beside the error"
+_TC = "jump of the estimate from step to step that the true motion does not explain"
+_CALM = "an estimate that hardly moves hardly jumps: compare the errors, too"
 _HOLD = (
-    "a filter with a short memory leaves the old place sooner; ours weighs all that spoke for it, which is what keeps "
-    "hidden targets"
+    "a filter with a short memory gives up the old place sooner; ours weighs all past evidence, which keeps hidden "
+    "targets"
 )
 
 
@@ -41,8 +41,8 @@ WAYPOINT = Task(
         Column("tc", "TC", "°/step", "low", "tc", f"{_TC} (rotation and translation)", why=_CALM),
         Column(
             "tc_rotation", "TC, rotation", "°/step", "low", "tc_rotation",
-            f"{_TC} (rotation alone: parallax counts as a jump, so that who does not follow it scores low)",
-            why="it rewards an estimate that ignores parallax: it is the paper's reading, not one that we aim at",
+            f"{_TC} (rotation alone: parallax counts as a jump, so an estimate that ignores it scores low)",
+            why="it rewards an estimate that ignores parallax: the paper defines it so, we do not optimise it",
         ),
         COVERAGE,
     ),

@@ -1,4 +1,4 @@
-"""A simulated task: an environment with its rules, what is measured of a method, and the columns of the table.
+"""A simulated task: an environment with its rules, the measures of a method, and the columns of the table.
 
 Packages add theirs under the entry-point group ``eagor.tasks``; `eagor.tasks.checking.check_task` tests them.
 """
@@ -30,9 +30,9 @@ BUILT_IN = {
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a task's table: figures of the records' `metric` times `scale`.
+    """A column of a task's table: statistics of the records' `metric` times `scale`.
 
-    `better` is "low", "high", or None where neither is. `share`: the metric is 0 or 1, so its interval is Wilson's.
+    `better` is "low", "high", or None if neither. `share`: the metric is 0 or 1, so its interval is Wilson's.
     `only_if`: count only episodes whose metric of this name is above 0. `why`: why a worse method can look better here.
     """
 
@@ -60,16 +60,16 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class Played:
-    """What one method did in one episode of n steps, for `Task.measure`.
+    """The results of one method in one episode of n steps, for `Task.measure`.
 
-    - `truth`: lists of n values: pose, azimuth_deg, elevation_deg, range_m, visible, present, perhaps leg. Of a task
-      that is walked they are in `trace`, with true_ before their names.
+    - `truth`: lists of n values: pose, azimuth_deg, elevation_deg, range_m, visible, present, optionally leg. For a
+      walked task they are in `trace`, with the prefix true_.
     - `trace`: lists of n values: azimuth_deg, elevation_deg, error_deg (None while the target is away), mass_above,
       inside, distance_m.
     - `directions`, `estimates` ``(n, 3)``: the true ones (held while the target is away) and the method's, body frame.
     - `rotations` ``(n - 1, 3, 3)``, `translations` ``(n - 1, 3)``: the camera's true motions
       (`eagor.metrics.ego_motion`).
-    - `info`: the environment's last one; metres `walked` and the `shortest` way. Only of a task that is walked.
+    - `info`: the environment's last one; metres `walked` and `shortest`. Only for a walked task.
     """
 
     truth: dict[str, list[Any]]
@@ -86,7 +86,7 @@ class Played:
 
     @property
     def coverage(self) -> float | None:
-        """The share of steps with the truth inside the stated 90 % region; None for methods that state none."""
+        """The share of steps with the truth inside the stated 90 % region; None for methods without regions."""
         inside = [value for value in self.trace["inside"] if value is not None]
         return metrics.credible_coverage(inside) if inside else None
 
@@ -95,14 +95,14 @@ class Played:
 class Task:
     """A simulated task.
 
-    - `name`: as typed; `title`: of tables; `what`: one line for ``eagor bench list``.
-    - `environment`: a subclass of `PlaceEnv` that takes rules, camera, disturbances and panorama; its `plan` says what
-      the episode of a slot is. `rules`: a frozen dataclass of plain values, each with a default.
-    - `measure`: the figures of one method in one episode; None where there is no case. `columns`: of the table;
-      `headline`: the key of the one that says most; `strata`: keys of `Episode.stratum` to be reported apart, and their
-      titles.
-    - `walked`: the estimate decides where the body goes, so each method plays alone: `step` takes (heading, distance),
-      and success, spl and mae are among its figures. Else all methods get the same evidence.
+    - `name`: for typing; `title`: for tables; `what`: one line for ``eagor bench list``.
+    - `environment`: a subclass of `PlaceEnv` that takes rules, camera, disturbances and panorama; its `plan` makes the
+      episode of a slot. `rules`: a frozen dataclass of plain values, each with a default.
+    - `measure`: the figures of one method in one episode; None where one does not apply. `columns`: of the table;
+      `headline`: the key of the most important one; `strata`: keys of `Episode.stratum` to report separately, and
+      their titles.
+    - `walked`: the estimate steers the body, so each method plays alone: `step` takes (heading, distance), and
+      success, spl and mae are among its figures. Otherwise all methods get the same evidence.
     """
 
     name: str
@@ -118,12 +118,12 @@ class Task:
 
 
 def known() -> dict[str, EntryPoint]:
-    """The tasks that `load` knows by name; nothing is imported yet."""
+    """The tasks that `load` can make, by name. Imports none of them."""
     return plugins.known(GROUP, BUILT_IN)
 
 
 def load(name: str) -> Task:
-    """The task with this name. Raises `EagorError` for an unknown one, or one that cannot be imported."""
+    """The task with this name. Raises `EagorError` if it is unknown or cannot be imported."""
     choices = known()
     if name not in choices:
         raise EagorError(f"there is no task {name!r}; known are {', '.join(choices)}")

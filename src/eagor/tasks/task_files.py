@@ -1,4 +1,4 @@
-"""A folder that lmms-eval takes with ``--include_path``: the task, the functions that it calls, and its documents."""
+"""Task folders for lmms-eval's ``--include_path``: the task, the functions that it calls, and its documents."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def write_task(
     """Write ``NAME.yaml``, ``NAME_utils.py`` and ``NAME.jsonl`` into `folder`; returns the files.
 
     `module` has the functions that lmms-eval calls: doc_to_text, doc_to_visual, doc_to_target, process_results, and
-    mean, which aggregates every one of `metrics`. `documents`: an object per case, the same keys in all, no nested
-    lists. `turns`: at most, of a conversation (an agentic task); None: one question, one answer.
+    mean, which aggregates each of `metrics`. `documents`: one object per case, with the same keys in all and no nested
+    lists. `turns`: most turns of a conversation (an agentic task); None: one question, one answer.
     """
     folder = Path(folder).resolve()
     task, utils, data = (folder / f"{name}{ending}" for ending in (".yaml", "_utils.py", ".jsonl"))

@@ -19,16 +19,16 @@ from eagor.worlds.ball import PAINTS, Ball, with_ball
 from eagor.worlds.render import Frame
 
 SCENARIOS = ("moving target", "moving camera", "target gone")
-RADIUS = (0.2, 0.32)  # metres, the balls
-TRIES = 60  # plans looked at until one shows the ball often enough; after that, the best of them
-EVERY = 4  # steps, when a plan is checked for how often it shows the ball
+RADIUS = (0.2, 0.32)  # metres, range for the balls
+TRIES = 60  # plans tried until one shows the ball often enough; after that, the best of them
+EVERY = 4  # steps between checks whether a plan shows the ball
 _BALL = 1 << 20  # an id that no instance has
-SEEN_PIXELS = 6  # of a 64 x 128 panorama: a start at which the ball is in plain view
+SEEN_PIXELS = 6  # of a 64 x 128 panorama: the ball is in plain view at the start
 
 
 @dataclass(frozen=True)
 class BallLabel:
-    """The ball among the things that have names."""
+    """The ball's entry among the labels of things."""
 
     category: str
     colour: str | None
@@ -36,10 +36,7 @@ class BallLabel:
 
 @dataclass(frozen=True)
 class TrackingEpisode(Episode):
-    """Where the camera and the ball are at each step.
-
-    `route`: x, y, yaw of the body; `balls`: x, y, z of the ball's centre, None while it is away.
-    """
+    """`route`: x, y, yaw of the body per step; `balls`: x, y, z of the ball's centre, None while it is away."""
 
     route: tuple[tuple[float, float, float], ...] = ()
     balls: tuple[tuple[float, float, float] | None, ...] = ()
@@ -74,7 +71,7 @@ def plan(slot: Slot, camera: Camera, rules: TrackingRules) -> TrackingEpisode:
                 continue
             away, back = rules.away
             balls = [first] * away + [None] * (back - away) + [second] * (rules.steps - back)
-            # The camera looks about meanwhile: what is remembered has to be turned.
+            # The camera turns meanwhile, so a remembered direction has to be turned, too.
             still[:, 2] = yaw + 0.8 * np.sin(np.arange(rules.steps) * 0.25)
         if route is None:
             continue
@@ -107,7 +104,7 @@ def plan(slot: Slot, camera: Camera, rules: TrackingRules) -> TrackingEpisode:
 def _share_in_view(
     place: Place, route: np.ndarray, balls: list, radius: float, camera: Camera, rules: TrackingRules
 ) -> float:
-    """The share of the steps at which the ball is there that show it; every `EVERY`-th step is looked at."""
+    """Of the steps with the ball present, the share that shows it; sampled at every `EVERY`-th step."""
     shown = []
     for (x, y, _), ball in list(zip(route, balls, strict=True))[::EVERY]:
         if ball is not None:
@@ -130,13 +127,13 @@ def _spot(place: Place, xy: np.ndarray, radius: float, camera: Camera, rng: np.r
 
 
 def _pixels(frame: Frame, position: np.ndarray, ball: np.ndarray, radius: float) -> int:
-    """How many pixels of a frame taken at `position`, unturned, would show a ball at `ball` ``(3,)``."""
+    """The number of pixels in which a frame from `position`, unturned, would show a ball at `ball` ``(3,)``."""
     shown = with_ball(frame, position, np.eye(3), Ball(ball, radius, "red"), _BALL)
     return int(np.count_nonzero(shown.ids == _BALL))
 
 
 def _stroll(place: Place, start: np.ndarray, step: float, steps: int, rng: np.random.Generator) -> list:
-    """The ball rolls along paths to one random goal after another; one centre ``(3,)`` per step."""
+    """One centre ``(3,)`` per step of a ball that rolls along paths to one random goal after another."""
     points = start[None, :2]
     while len(points) < steps:
         path = place.ground.path(points[-1], place.ground.sample(rng))
@@ -147,7 +144,7 @@ def _stroll(place: Place, start: np.ndarray, step: float, steps: int, rng: np.ra
 def _walk(
     place: Place, xy: np.ndarray, yaw: float, camera: Camera, steps: int, rng: np.random.Generator
 ) -> np.ndarray | None:
-    """The camera walks to one random goal after another ``(steps, 3)``."""
+    """Poses ``(steps, 3)`` of a camera that walks to one random goal after another."""
     rows = np.array([[*xy, yaw]])
     for _ in range(20):
         path = place.ground.path(rows[-1, :2], place.ground.sample(rng))
@@ -158,10 +155,10 @@ def _walk(
 
 
 def measure(played: Played) -> dict[str, float | None]:
-    """The columns of one episode, over the steps at which the ball is there; None where there is no case.
+    """The columns of one episode, over the steps with the ball present; None where one does not apply.
 
-    `tc`: the angle between an estimate and the one before it, carried along by the true motions. `recovery`: seconds
-    from when the ball comes back until the error is small again, or to the end.
+    `tc`: the angle between an estimate and the previous one, moved along by the true motions. `recovery`: seconds from
+    the ball's return until the error is small again, or to the end.
     """
     present, lost_above = np.array(played.truth["present"], dtype=bool), played.rules.lost_above
     errors = np.array([math.nan if e is None else e for e in played.trace["error_deg"]])
@@ -195,7 +192,7 @@ def _consistency(
 def _turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """The smallest rotation ``(3, 3)`` that takes unit vector `start` to `end`."""
     axis, cosine = np.cross(start, end), float(start @ end)
-    if cosine < -1 + 1e-9:  # opposite: half a turn about anything across
+    if cosine < -1 + 1e-9:  # opposite: half a turn about any perpendicular axis
         across = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])
         across /= np.linalg.norm(across)
         return 2 * np.outer(across, across) - np.eye(3)

@@ -1,7 +1,7 @@
 """Waypoint Following: along a given route of four legs, each beginning with a sharper turn, name the direction.
 
-The route is the same for every method, and so are the responses. Routes are chosen so that the target is hidden for a
-part of the way and crosses the seam of the panorama.
+All methods get the same route and the same responses. Routes are chosen so that the target is hidden for a part of the
+route and crosses the seam of the panorama.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from eagor.tasks.rules import LEGS, Camera, WaypointRules
 from eagor.tasks.task import Played
 
 ATTEMPTS = 200  # to find routes at all: small rooms have few legs of four metres
-SLACK = 30.0  # degrees: where nothing fits, turns may in the end miss their ranges by so much
-ROUTES = 8  # routes looked at until one hides a target and crosses the seam
-GOALS = 6  # ends of a leg looked at
-LONGER = 3.0  # metres by which a leg may be longer than it has to be
+SLACK = 30.0  # degrees by which turns may finally miss their ranges if nothing fits
+ROUTES = 8  # routes tried until one hides a target and crosses the seam
+GOALS = 6  # ends of a leg tried
+LONGER = 3.0  # metres by which a leg may exceed its least length
 AHEAD = 0.5  # metres over which the heading of a path is taken, as in `initial_heading`
-NEAREST = 0.8  # metres: the camera never comes closer to the target's middle
+NEAREST = 0.8  # metres: least distance of the camera from the target's middle
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class WaypointEpisode(Episode):
 
 @dataclass(frozen=True, eq=False)
 class _Route:
-    """A way through a place, and which instances can be seen along it ``(steps, instances)`` bool."""
+    """A route through a place, and which instances are visible along it ``(steps, instances)`` bool."""
 
     poses: np.ndarray
     legs: list[str]
@@ -52,7 +52,7 @@ def plan(slot: Slot, camera: Camera, rules: WaypointRules) -> WaypointEpisode:
     rng = slot.rng("plan")
     targets = list(choose_target(place, rng))
     if not targets:
-        raise WorldError(f"{place.scene.source} has nothing that a query singles out")
+        raise WorldError(f"{place.scene.source} has no thing with a unique name")
     best: tuple[float, int, str, _Route, float] | None = None
     looked = 0
     for attempt in range(ATTEMPTS):
@@ -92,21 +92,18 @@ def plan(slot: Slot, camera: Camera, rules: WaypointRules) -> WaypointEpisode:
 
 
 def _route(place: Place, camera: Camera, rules: WaypointRules, slack: float, rng: np.random.Generator) -> _Route | None:
-    """Four legs through the place; None where there is no room for them from a random start.
-
-    A turn may miss its range by `slack` degrees.
-    """
+    """Four legs from a random start, or None; a turn may miss its range by `slack` degrees."""
     xy, yaw = place.ground.sample(rng), None
     rows: list[np.ndarray] = []
     legs: list[str] = []
     for leg, (least, most) in zip(LEGS, rules.turns, strict=True):
         least, most = max(0.0, least - slack), min(180.0, most + slack)
-        # Half of what the sharpest turn takes is counted on; what is too short all the same is thrown away.
+        # Half of the steps of the sharpest turn are counted in; legs that are still too short are rejected below.
         shortest = (rules.leg_steps - most / camera.turn / 2) * camera.step
         path = _leg_path(place, xy, yaw, math.radians(least), math.radians(most), shortest, rng)
         if path is None:
             return None
-        if yaw is None:  # the body stands as the first turn wants it
+        if yaw is None:  # the start's yaw follows from the first turn
             turn = math.radians(float(rng.uniform(least, most))) * float(rng.choice([-1, 1]))
             yaw = math.remainder(initial_heading(path) - turn, 2 * math.pi)
         steps = follow_path(path, yaw, camera.step, math.radians(camera.turn))
@@ -137,7 +134,7 @@ def _leg_path(
     field = ground.field(xy)
     fits = ground.free & (field.metres >= shortest) & (field.metres <= shortest + LONGER)
     if yaw is not None:
-        # The ways that begin with such a turn are those that lead over these cells, half a metre from here.
+        # Paths that begin with such a turn lead through these cells, half a metre from here.
         rows, cols = np.nonzero(ground.free & (np.abs(field.metres - AHEAD) < ground.cell))
         ring = ground.centres(np.stack([rows, cols], axis=-1))
         headings = np.arctan2(ring[:, 1] - xy[1], ring[:, 0] - xy[0])
@@ -157,7 +154,7 @@ def _leg_path(
 
 
 def _fault(place: Place, target: int, route: _Route, camera: Camera, rules: WaypointRules) -> tuple[float, float]:
-    """How far a route is from what is wanted for this target, and the share of it at which the target is hidden.
+    """The distance of a route from the requirements for this target, and the share at which the target is hidden.
 
     0: the target is hidden for a while, and crosses the seam; inf: the route comes too near.
     """
@@ -169,14 +166,14 @@ def _fault(place: Place, target: int, route: _Route, camera: Camera, rules: Wayp
     directions = np.stack([np.cos(bearing), np.sin(bearing), np.zeros_like(bearing)], axis=-1)
     hidden = 1 - float(seen.mean())
     least, most = rules.occluded
-    # A target that is not seen early has to be found first: that would be another task.
+    # A target that is not seen early would have to be found first: that is another task.
     late = 0.0 if seen[: rules.leg_steps].any() else 0.5
     crossings = int(metrics.seam_crossings(directions).sum())
     return max(least - hidden, hidden - most, 0.0) + late + (0.0 if crossings else 1.0), hidden
 
 
 def measure(played: Played) -> dict[str, float | None]:
-    """The paper's columns for one episode: L1..L4, delta, occ, seam, tc (degrees); None where there is no case."""
+    """The paper's columns for one episode: L1..L4, delta, occ, seam, tc (degrees); None where one does not apply."""
     errors, truth, estimates = np.array(played.trace["error_deg"]), played.truth, played.estimates
     legs = metrics.mae_by_segment(errors, truth["leg"], LEGS)
     ranges = np.array(truth["range_m"])

@@ -1,8 +1,8 @@
-"""Where panoramas come from when there is no camera: furnished apartments, GLB scenes, painted rooms, photographs.
+"""Simulated worlds: furnished apartments, GLB scenes, painted rooms, photographs.
 
-A world is a function from a seed to a `Scene`. `load` finds one by its name, and packages add their own under the
-entry-point group ``eagor.worlds`` (a name, and the function); ``eagor bench run TASK --world NAME`` plays in it.
-`eagor.worlds.checking.check_world` is the test that every world has to pass.
+A world is a function from a seed to a `Scene`. `load` finds one by its name. Packages add their own under the
+entry-point group ``eagor.worlds`` (a name, and the function); ``eagor bench run TASK --world NAME`` uses it. Every
+world has to pass `eagor.worlds.checking.check_world`.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ FILES = (".glb", ".gltf")
 
 
 class World(Protocol):
-    """A place for every seed."""
+    """Makes a scene from a seed."""
 
     def __call__(self, seed: int, /) -> Scene:
-        """The scene of this seed: the same one each time, for the same version of the world.
+        """The scene of this seed: always the same one for the same version of the world.
 
         Metres, z up, the floor at z = 0. Its `source` names the world, its version and the seed. Instances have
-        categories in lower-case words and colours that `eagor.queries.COLOURS` knows, since that is how tasks ask for
-        them. Raises `WorldError` for a seed of which nothing can be made.
+        categories in lower-case words and colours from `eagor.queries.COLOURS`, since tasks ask for them by these.
+        Raises `WorldError` for a seed without a scene.
         """
         ...
 
 
 @runtime_checkable
 class View(Protocol):
-    """What can be looked at from a pose: the renderer of a scene, one photograph, another simulator."""
+    """Anything that renders panoramas: the renderer of a scene, one photograph, another simulator."""
 
     def panorama(
         self, position: np.ndarray | tuple[float, float, float], world_R_body: np.ndarray, height: int, /, *,
@@ -50,22 +50,19 @@ class View(Protocol):
     ) -> Frame:  # fmt: skip
         """The panorama ``(height, 2 height)`` from `position` ``(3,)``, metres, in the pose `world_R_body`.
 
-        In the layout of `eagor.sphere`; a camera that turns to the left sees everything move to the right. A part that
-        is not asked for, or that this view cannot tell, is None. Raises `PoseError` where it cannot look from.
+        In the layout of `eagor.sphere`; when the camera turns left, everything moves right. A part is None if it is
+        not requested or not available. Raises `PoseError` for an impossible position.
         """
         ...
 
 
 def known() -> dict[str, EntryPoint]:
-    """The worlds that `load` knows by name; nothing is imported yet."""
+    """The worlds that `load` can make, by name. Imports none of them."""
     return plugins.known(GROUP, BUILT_IN)
 
 
 def load(name: str) -> World:
-    """The world `name`: ``"apartment"``, an installed one, or a GLB file (the same scene for every seed).
-
-    Raises `WorldError` for anything else, `EagorError` if it cannot be imported.
-    """
+    """The world ``"apartment"``, an installed one, or a GLB file. Raises `WorldError`, or `EagorError` on import."""
     choices = known()
     if name in choices:
         return plugins.bring(choices[name], "world")

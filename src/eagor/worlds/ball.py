@@ -1,4 +1,4 @@
-"""A ball that is not part of the scene, so that it can move: put into rendered frames in closed form."""
+"""A moving ball: not part of the scene, but drawn into rendered frames in closed form."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ class Ball:
 
 
 def with_ball(frame: Frame, position: np.ndarray, world_R_body: np.ndarray, ball: Ball, id: int) -> Frame:
-    """`frame`, an equirectangular one rendered at this pose with ranges, as it is with the ball in the scene.
+    """`frame`, equirectangular and rendered at this pose with ranges, with the ball added.
 
-    Whatever of range, ids and rgb the frame has is filled in; ids get `id`. The ball hides what is behind it and is
-    hidden by what is in front; it casts no shadow.
+    It changes those of range, ids and rgb that the frame has; ids get `id`. The ball occludes and is occluded by range;
+    it casts no shadow.
     """
     assert frame.range is not None
     grid = ErpGrid(*frame.range.shape)
@@ -43,7 +43,7 @@ def with_ball(frame: Frame, position: np.ndarray, world_R_body: np.ndarray, ball
     rgb = None
     if frame.rgb is not None:
         normal = (distance[hit][:, None] * grid.directions[hit] - offset) / ball.radius @ world_R_body.T
-        shade = 0.35 + 0.65 * np.clip(normal @ _LIGHT, 0.0, None)  # in display values: a hint of form, no physics
+        shade = 0.35 + 0.65 * np.clip(normal @ _LIGHT, 0.0, None)  # in display values: suggests form, not physical
         rgb = frame.rgb.copy()
         rgb[hit] = np.clip(shade[:, None] * np.array(PAINTS[ball.colour]), 0, 255).astype(np.uint8)
     ids = None

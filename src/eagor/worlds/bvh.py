@@ -1,8 +1,8 @@
 """Ray casting in NumPy alone, for machines without an embreex wheel: a flat tree of boxes, batches of rays at once.
 
-Each inner node has four children, so that the tree needs no pointers: node k of level l has the children 4k .. 4k + 3
-of level l + 1. All rays of a batch walk it in lockstep, each with a stack of its own, near children first; a ray drops
-out when its stack is empty. Arrays have the ray as their last axis, so that every inner loop is long.
+Each inner node has four children, so the tree needs no pointers: node k of level l has the children 4k .. 4k + 3 of
+level l + 1. All rays of a batch walk it in lockstep, each with its own stack, near children first; a ray is done when
+its stack is empty. The last axis of arrays is the ray, which keeps inner loops long.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 _LEAF = 4  # triangles per leaf, at most
-_BATCH = 1 << 13  # rays that walk together: what they need stays in the cache
-_MARGIN = 1e-7  # barycentric slack, so that no ray slips through the edge between two triangles
+_BATCH = 1 << 13  # rays that walk together, so that their data fits in the cache
+_MARGIN = 1e-7  # barycentric tolerance, so that no ray slips through the edge between two triangles
 
 
 class Tree:
@@ -19,9 +19,9 @@ class Tree:
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
         corners = vertices[triangles].astype(np.float64)
-        self._origin = corners.reshape(-1, 3).mean(axis=0)  # near the middle, so that rounding is even
+        self._origin = corners.reshape(-1, 3).mean(axis=0)  # near the middle, to balance rounding
         corners -= self._origin
-        # (9, T): corner 0 and the two edges from it; one more column that no ray can hit fills up the leaves.
+        # (9, T): corner 0 and the two edges from it; one more column, which no ray can hit, fills up the leaves.
         sides = np.concatenate([corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=1)
         self._sides = np.ascontiguousarray(np.concatenate([sides, np.zeros((1, 9))]).T)
         pieces, source = _split_large(corners)
@@ -34,7 +34,7 @@ class Tree:
         self._boxes = _boxes(pieces[order], starts, self._levels)
 
     def trace(self, origins: np.ndarray, directions: np.ndarray, limits: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Distance (inf: none), triangle (-1), u and v of what is nearest on each ray ``(n, 3)`` within its limit."""
+        """Distance (inf: none), triangle (-1), u and v of the nearest hit on each ray ``(n, 3)`` within its limit."""
         starts = range(0, max(len(origins), 1), _BATCH)
         found = [self._walk(*(a[k : k + _BATCH] for a in (origins, directions, limits))) for k in starts]
         distance, triangle, u, v = (np.concatenate(parts) for parts in zip(*found, strict=True))
@@ -48,14 +48,14 @@ class Tree:
         origin = np.ascontiguousarray((origins - self._origin).T)
         way = np.ascontiguousarray(directions.T, dtype=np.float64)
         inverse = (1 / np.where(np.abs(way) < 1e-20, 1e-20, way)).astype(np.float32)
-        start = origin.astype(np.float32)  # boxes are tested in single precision, and are padded for it
+        start = origin.astype(np.float32)  # boxes are tested in single precision, with padding for it
         best, u, v = np.array(limits, dtype=np.float64), np.zeros(count), np.zeros(count)
         triangle = np.full(count, -1)
         # Node numbers run through the levels: level l begins at (4^l - 1) / 3.
         first_leaf = (4**self._levels - 1) // 3
         stack = np.zeros((3 * self._levels + 2, count), dtype=np.int64)
         entry = np.zeros(stack.shape, dtype=np.float32)
-        height = np.ones(count, dtype=np.int64)  # of each ray's stack; the root lies on it
+        height = np.ones(count, dtype=np.int64)  # of each ray's stack, which starts with the root
         rays = np.arange(count)
         while len(rays):
             height[rays] -= 1
@@ -81,7 +81,7 @@ class Tree:
         return best, triangle, u, v
 
     def _enter(self, node: np.ndarray, origin: np.ndarray, inverse: np.ndarray, best: np.ndarray) -> np.ndarray:
-        """Where each ray enters the four children of its node ``(4, m)``, inf where it does not (slab test)."""
+        """The distance at which each ray enters the four children of its node ``(4, m)``, inf for none (slab test)."""
         boxes = self._boxes.take(node, axis=-1)  # (2, 3, 4, m)
         boxes -= origin[:, None]
         boxes *= inverse[:, None]
@@ -92,7 +92,7 @@ class Tree:
         return near
 
     def _meet(self, rays, leaf, origin, way, best, triangle, u, v) -> None:
-        """Test the triangles of each ray's leaf, and keep what is nearer (Moeller and Trumbore 1997)."""
+        """Test the triangles of each ray's leaf, and keep nearer hits (Moeller and Trumbore 1997)."""
         candidates = self._leaves[:, leaf]  # (_LEAF, m)
         x0, y0, z0, ax, ay, az, bx, by, bz = self._sides[:, candidates]
         ox, oy, oz = origin[:, rays]
@@ -118,10 +118,7 @@ class Tree:
 
 
 def _split_large(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles ``(T, 3, 3)`` halved until none spans a sixteenth of the scene, or walls would blow up the boxes.
-
-    Returns the pieces and whose piece each is.
-    """
+    """Triangles ``(T, 3, 3)`` halved until none spans a sixteenth of the scene, and the triangle of each piece."""
     source = np.arange(len(corners))
     limit = np.ptp(corners.reshape(-1, 3), axis=0).max() / 16
     done: list[tuple[np.ndarray, np.ndarray]] = []
@@ -142,7 +139,7 @@ def _split_large(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ordered(centres: np.ndarray) -> tuple[np.ndarray, int]:
-    """The order in which leaves take the triangles (halved by medians along the longest side), and the levels."""
+    """The order of the triangles in the leaves (halved by medians along the longest side), and the number of levels."""
     count, levels = len(centres), 0
     while -(-count // 4**levels) > _LEAF:
         levels += 1
@@ -161,7 +158,7 @@ def _ordered(centres: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _boxes(pieces: np.ndarray, starts: np.ndarray, levels: int) -> np.ndarray:
-    """Bounds of the children of all inner nodes, ``(2, 3, 4, nodes)``, slightly padded; empty leaves are inside out."""
+    """Bounds of the children of all inner nodes, ``(2, 3, 4, nodes)``, slightly padded; low > high for empty leaves."""
     sizes = np.diff(starts)
     filled = np.flatnonzero(sizes)
     low, high = np.full((len(sizes), 3), np.inf), np.full((len(sizes), 3), -np.inf)

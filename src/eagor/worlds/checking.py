@@ -1,7 +1,7 @@
-"""The test that every world has to pass: for authors of plugins, and for ours.
+"""The test that every world has to pass: for plugins, and for ours.
 
-Most worlds that are wrong are wrong in their frames: Y up, the picture mirrored, a pose taken for its transpose, ranges
-measured along the axis of a camera. Each rule here finds one such mistake, and says what to change.
+Most faulty worlds have faulty frames: Y up, a mirrored picture, a transposed pose, ranges along the camera's axis. Each
+check finds one such mistake, and says what to change.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from eagor.worlds.panorama import turn
 from eagor.worlds.render import Frame, Renderer
 from eagor.worlds.scene import STRUCTURE, Scene
 
-EYE = 1.25  # metres above the floor: where the camera looks from
+EYE = 1.25  # metres above the floor: height of the camera
 FREE = 1.0  # square metres on which a body has to be able to stand
-NEAR = 0.05  # metres between the floor and z = 0, and between an instance's bounds and its triangles
+NEAR = 0.05  # metres: tolerance of the floor at z = 0, and of an instance's bounds
 ALIKE = 0.02  # share of pixels that may differ between two pictures that should be the same
-STEP = 0.25  # share of the way to what is seen that the camera goes, to see whether it comes nearer by that
-AZIMUTHS = np.radians([-135.0, -75.0, -45.0, 45.0, 105.0, 135.0])  # looked along, most between the axes
+STEP = 0.25  # share of the range by which the camera moves to check ranges
+AZIMUTHS = np.radians([-135.0, -75.0, -45.0, 45.0, 105.0, 135.0])  # directions of these moves, mostly off the axes
 
 
 def check_world(
@@ -36,11 +36,11 @@ def check_world(
 ) -> None:
     """Raise `AssertionError` unless `world` keeps the contract for this `seed`.
 
-    A world that makes a `Scene` must make the same one again; have a floor at z = 0 on which one can stand, names that
-    can be asked for, at least one thing that a query singles out, and bounds that fit their triangles. What is seen of
-    it from a free place, and what a `View` (a photograph, a renderer of one's own) shows from `position`, metres, in
-    panoramas of so many `rows` (an even number), must come in the right shapes and types, be the same when looked at
-    twice, turn and tilt with the camera, and come nearer by the metres that the camera goes.
+    A world that makes a `Scene` must make the same one again. It must have a floor at z = 0 to stand on, names that can
+    be asked for, at least one thing with a unique name, and bounds that fit the triangles. Panoramas of `rows` rows (an
+    even number) from a free place, or of a `View` (a photograph, another renderer) from `position`, metres, must have
+    the right shapes and types, be reproducible, turn and tilt with the camera, and have ranges that shrink by the
+    distance that the camera moves.
     """
     if isinstance(world, View):
         _check_view(world, position, rows)
@@ -63,7 +63,7 @@ def check_world(
 
 
 def _check_names(scene: Scene) -> None:
-    """Categories and colours are words that queries are made of, and something can be asked for."""
+    """Check that categories and colours are words of queries, and that something can be asked for."""
     for index, thing in enumerate(scene.instances):
         _require(
             bool(thing.category) and thing.category == " ".join(thing.category.lower().split()),
@@ -79,30 +79,30 @@ def _check_names(scene: Scene) -> None:
     names = Counter((thing.category, thing.colour) for thing in things)
     _require(
         1 in names.values(),
-        f"has {len(things)} things besides {', '.join(STRUCTURE)}, and no category and colour that only one of them "
-        "has; wanted one at least: tasks have to be able to ask for something. Add a thing, or a colour",
+        f"has {len(things)} things besides {', '.join(STRUCTURE)}, but none with a unique category and colour; wanted "
+        "at least one: tasks have to be able to ask for something. Add a thing, or a colour",
     )
 
 
 def _check_bounds(scene: Scene) -> None:
-    """The bounds of each instance are those of its triangles."""
+    """Check that the bounds of each instance are those of its triangles."""
     for index, thing in enumerate(scene.instances):
         mine = scene.vertices[scene.triangles[scene.instance == index]].reshape(-1, 3)
         _require(
             len(mine) > 0,
-            f"has no triangle for instance {index} ({thing.name}); wanted one at least: leave out what cannot be seen",
+            f"has no triangle for instance {index} ({thing.name}); wanted at least one: leave out invisible instances",
         )
         low, high = mine.min(axis=0), mine.max(axis=0)
         off = float(max(np.abs(low - thing.low).max(), np.abs(high - thing.high).max()))
         _require(
             off <= NEAR,
             f"bounds instance {index} ({thing.name}) by {_point(thing.low)} and {_point(thing.high)}, {off:.2f} m off "
-            f"its triangles, which reach from {_point(low)} to {_point(high)}; wanted theirs, metres, world frame",
+            f"its triangles; wanted {_point(low)} to {_point(high)}, metres, world frame",
         )
 
 
 def _check_floor(scene: Scene) -> Ground:
-    """There is a floor at z = 0, and room to stand on it."""
+    """Check that there is a floor at z = 0, and room to stand on it."""
     try:
         ground = Ground.from_scene(scene)
     except WorldError as error:
@@ -111,20 +111,19 @@ def _check_floor(scene: Scene) -> Ground:
         ) from error
     _require(
         abs(ground.floor) <= NEAR,
-        f"has its floor at z = {ground.floor:.2f} m; wanted 0, which is where cameras and trackers take it to be: move "
-        "the scene",
+        f"has its floor at z = {ground.floor:.2f} m; wanted 0, where cameras and trackers expect it: move the scene",
     )
     area = float(ground.free.sum()) * ground.cell**2
     _require(
         area >= FREE,
-        f"lets a body of radius {ground.radius:g} m stand on {area:.2f} square metres; wanted {FREE:g} at least. Are "
-        "the lengths metres? Is something below 1.5 m in the way everywhere?",
+        f"lets a body of radius {ground.radius:g} m stand on {area:.2f} square metres; wanted at least {FREE:g}. Are "
+        "the lengths metres? Is everything blocked below 1.5 m?",
     )
     return ground
 
 
 def _check_view(view: View, position: tuple[float, float, float], rows: int) -> None:
-    """What is seen from `position` is a true panorama."""
+    """Check that the view from `position` is a correct panorama."""
     ahead = np.eye(3)
     frame = view.panorama(position, ahead, rows)
     _check_frame(frame, rows)
@@ -133,10 +132,10 @@ def _check_view(view: View, position: tuple[float, float, float], rows: int) -> 
     worst = _unlike(here, again)
     _require(
         worst <= ALIKE,
-        f"shows {100 * worst:.0f} % of the pixels differently when it is looked at again; wanted the same picture: no "
-        "noise, and no state that a look changes",
+        f"shows {100 * worst:.0f} % of the pixels differently in a second look; wanted the same picture: no noise, and "
+        "no state that a look changes",
     )
-    # A quarter to the left: everything moves a quarter of the image to the right.
+    # A quarter turn to the left: everything moves a quarter of the image to the right.
     left = _image(view.panorama(position, pose_of(math.pi / 2), rows))
     right, wrong = (_unlike(left, np.roll(here, columns, axis=1)) for columns in (rows // 2, -(rows // 2)))
     hint = "; it turns the wrong way: is the picture mirrored, or world_R_body transposed?" if wrong <= ALIKE else ""
@@ -152,11 +151,11 @@ def _check_view(view: View, position: tuple[float, float, float], rows: int) -> 
 
 
 def _check_frame(frame: Frame, rows: int) -> None:
-    """Shapes, types and values of one panorama."""
+    """Check shapes, types and values of one panorama."""
     _require(isinstance(frame, Frame), f"shows a {type(frame).__name__}; wanted an eagor.worlds.render.Frame")
     _require(
         frame.rgb is not None or frame.ids is not None,
-        "shows neither rgb nor ids, though both were asked for; wanted one of them at least",
+        "shows neither rgb nor ids, though both were asked for; wanted at least one of them",
     )
     for name, part, shape, kinds in (
         ("rgb", frame.rgb, (rows, 2 * rows, 3), "u"),
@@ -170,17 +169,15 @@ def _check_frame(frame: Frame, rows: int) -> None:
     if frame.range is not None:
         _require(
             bool((frame.range > 0).all()),
-            f"shows ranges down to {np.min(frame.range):g} m; wanted all above 0, inf where nothing is, no NaN",
+            f"shows ranges down to {np.min(frame.range):g} m; wanted all above 0, inf for no hit, no NaN",
         )
     if frame.ids is not None:
         lowest = int(frame.ids.min())
-        _require(
-            lowest >= -1, f"shows ids down to {lowest}; wanted places in the list of instances, and -1 for nothing"
-        )
+        _require(lowest >= -1, f"shows ids down to {lowest}; wanted indices of the list of instances, and -1 for none")
 
 
 def _check_tilt(view: View, position: tuple[float, float, float], rows: int, here: np.ndarray) -> None:
-    """The picture tilts as the camera does: it is nearer to what it should be than to any other tilt of it."""
+    """Check that the picture tilts with the camera: it has to be closer to the true tilt than to any other."""
     pose = pose_of(0.0, math.radians(35.0), math.radians(25.0))
     tilted = _image(view.panorama(position, pose, rows)).astype(np.float64)
     others = {
@@ -200,13 +197,13 @@ def _check_tilt(view: View, position: tuple[float, float, float], rows: int, her
     why = min(rivals, key=lambda name: rivals[name])
     _require(
         wanted <= rivals[why],
-        f"does not show what a camera sees whose nose is 35 degrees down and whose right side is 25 degrees down "
+        f"does not show the view of a camera with its nose 35 degrees down and its right side 25 degrees down "
         f"({why}); wanted the panorama turned by world_R_body.T: direction_body = world_R_body.T @ direction_world",
     )
 
 
 def _check_ranges(view: View, position: tuple[float, float, float], rows: int, range: np.ndarray) -> None:
-    """Going some way towards what is seen brings it nearer by that way: metres, along the ray, in the world frame."""
+    """Check that ranges shrink by the distance moved towards a thing: metres, along the ray, in the world frame."""
     grid = ErpGrid(rows, 2 * rows)
     x, y, _ = grid.project(direction(AZIMUTHS, np.full(len(AZIMUTHS), -0.1)))
     found = []
@@ -221,14 +218,14 @@ def _check_ranges(view: View, position: tuple[float, float, float], rows: int, r
         left = float(np.median(found))
         _require(
             abs(left - (1 - STEP)) <= 0.02,
-            f"shows things at {100 * left:.0f} % of their range after the camera has gone {100 * STEP:.0f} % of the "
+            f"shows things at {100 * left:.0f} % of their range after the camera has moved {100 * STEP:.0f} % of the "
             f"way to them; wanted {100 * (1 - STEP):.0f} %: ranges are metres from the camera along the ray (not depth "
             "along an axis), and position is in metres of the world frame, x and y level, z up",
         )
 
 
 def _image(frame: Frame) -> np.ndarray:
-    """What pictures are compared by: colour where there is one, else ids."""
+    """The part of pictures that is compared: colour if there is one, otherwise ids."""
     return frame.rgb if frame.rgb is not None else cast(np.ndarray, frame.ids)
 
 

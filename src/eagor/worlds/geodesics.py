@@ -1,8 +1,8 @@
-"""Shortest ways over a grid of free cells: a graph, distance fields, straight views, pulled paths, steps.
+"""Shortest paths on a grid of free cells: a graph, distance fields, lines of sight, taut paths, steps.
 
-Every cell is joined to 32 neighbours (the steps of up to three cells that are no multiple of a shorter one) where all
-cells that the straight step touches are free. Directions lie at most 18.4 degrees apart, so that a way over the graph
-is at most 1.3 % longer than the straight one, 0.6 % on average. Cells are (row, col); row along y, col along x.
+Every cell is joined to 32 neighbours (steps of up to three cells that are not a multiple of a shorter one) if all cells
+that the straight step touches are free. Directions are at most 18.4 degrees apart, so a path over the graph is at most
+1.3 % longer than the straight one, 0.6 % on average. Cells are (row, col); row along y, col along x.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _REACH = 3
 
 
 def _steps() -> dict[tuple[int, int], list[tuple[int, int]]]:
-    """One of each opposite pair of steps (rows, cols), and the cells that its straight line touches on the way."""
+    """One of each opposite pair of steps (rows, cols), and the cells that its straight line touches."""
     span = range(-_REACH, _REACH + 1)
     steps = [(r, c) for r in span for c in span if (r, c) > (0, 0) and math.gcd(r, c) == 1]
 
@@ -41,10 +41,7 @@ _STEPS = _steps()
 def cells_of(
     xy: np.ndarray, origin: np.ndarray, cell: float, shape: tuple[int, ...]
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Where points ``(..., 2)`` lie in a grid: in cells, in which row and column, and whether on it (NaN is not).
-
-    The first two are 0 for points off the grid.
-    """
+    """Points ``(..., 2)`` in cells, as row and column (0 off the grid), and whether on the grid (NaN is not)."""
     place = (np.asarray(xy, dtype=np.float64) - origin) / cell
     known = np.all((place >= 0) & (place < shape[::-1]), axis=-1)
     place = np.where(np.expand_dims(known, -1), place, 0.0)
@@ -56,8 +53,8 @@ def cells_of(
 class Field:
     """Shortest distances over the ground to one goal or set of goals.
 
-    `metres` ``(rows, cols)``: from the centre of each cell, inf where there is no way. Cell (0, 0) has its low corner
-    at `origin` ``(2,)``; cells are squares of side `cell` metres.
+    `metres` ``(rows, cols)``: from the centre of each cell, inf without a path. Cell (0, 0) has its low corner at
+    `origin` ``(2,)``; cells are squares of side `cell` metres.
     """
 
     origin: np.ndarray
@@ -65,10 +62,10 @@ class Field:
     metres: np.ndarray
 
     def distance(self, xy: np.ndarray) -> np.ndarray:
-        """Metres ``(...)`` from points ``(..., 2)``; inf where there is no way, off the ground and for NaN.
+        """Metres ``(...)`` from points ``(..., 2)``; inf without a path, off the ground and for NaN.
 
-        Bilinear between those of the four cell centres about a point that can be reached, and by no way much longer
-        than that from the point's own cell: others lie behind a thin wall.
+        Bilinear between the four cell centres around a point. Centres that cannot be reached, or whose distance
+        differs much from that of the point's own cell, are left out: they lie behind a thin wall.
         """
         place, own, known = cells_of(xy, self.origin, self.cell, self.metres.shape)
         here = np.where(known, self.metres[own], np.inf)
@@ -86,7 +83,7 @@ class Field:
         return np.where(np.isfinite(here), total / np.maximum(weights, 1e-12), np.inf)
 
     def union(self, *others: Field) -> Field:
-        """The distance to the nearest goal of this field and the others, which lie on the same ground."""
+        """The distance to the nearest goal of this field and the others, on the same ground."""
         return Field(self.origin, self.cell, np.minimum.reduce([self.metres, *(other.metres for other in others)]))
 
 
@@ -103,7 +100,7 @@ class CellGraph:
 
     @lazy
     def index(self) -> np.ndarray:
-        """Place of each cell in `nodes` ``(rows, cols)``, -1 for those that are not free."""
+        """Index in `nodes` of each cell ``(rows, cols)``, -1 for those that are not free."""
         index = np.full(self.free.shape, -1, dtype=np.int32)
         index[self.free] = np.arange(len(self.nodes), dtype=np.int32)
         return index
@@ -131,7 +128,7 @@ class CellGraph:
         return csr_array(entries, shape=(len(self.nodes), len(self.nodes)))
 
     def spread(self, seeds: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-        """Distances in cells ``(rows, cols)`` from seeds, places in `nodes` ``(k,)`` that start at `offsets` ``(k,)``.
+        """Distances in cells ``(rows, cols)`` from seeds, indices of `nodes` ``(k,)`` that start at `offsets` ``(k,)``.
 
         A virtual node joined to every seed by an edge of its offset stands for the goal.
         """
@@ -151,14 +148,14 @@ class CellGraph:
         return found
 
     def descend(self, distances: np.ndarray, row: int, col: int) -> list[tuple[int, int]]:
-        """Cells from (row, col) down to the seed that its way leads to; `distances` is an answer of `spread`."""
+        """Cells from (row, col) down to the seed of its path; `distances` is a result of `spread`."""
         values, edges = distances[self.free], self.edges
         here = int(self.index[row, col])
         way = [here]
         while True:
             part = slice(edges.indptr[here], edges.indptr[here + 1])
             through = values[edges.indices[part]] + edges.data[part]
-            # A seed starts below every way through a neighbour, up to rounding.
+            # A seed starts below every path through a neighbour, up to rounding.
             if len(through) == 0 or through.min() > values[here] + 1e-7:
                 return [(int(r), int(c)) for r, c in self.nodes[way]]
             here = int(edges.indices[part][through.argmin()])
@@ -168,7 +165,7 @@ class CellGraph:
 def line_is_free(free: bytes, cols: int, start: tuple[float, float], end: tuple[float, float]) -> bool:
     """Whether all cells that a straight line touches are free (Amanatides and Woo's walk, both cells at a corner).
 
-    `free`: one byte a cell in reading order, with nothing free at the border; points (x, y) in cells, within it.
+    `free`: one byte per cell in reading order, none free at the border; points (x, y) in cells, inside the grid.
     """
     (x, y), (x_end, y_end) = start, end
     col, row, last_col, last_row = math.floor(x), math.floor(y), math.floor(x_end), math.floor(y_end)
@@ -195,9 +192,9 @@ def line_is_free(free: bytes, cols: int, start: tuple[float, float], end: tuple[
 
 
 def pulled(points: list[tuple[float, float]], sees: Callable[[tuple, tuple], bool]) -> list[tuple[float, float]]:
-    """The polyline drawn taut: corners are left out where the straight line between others is free.
+    """The taut polyline: corners are left out where the straight line between others is free.
 
-    Runs from both ends until it gets no shorter; new corners half-way along the legs let those too far out move in.
+    It runs from both ends until the path gets no shorter; new corners half-way along the legs let outer ones move in.
     """
     best = _shortcut(points, sees)
     for _ in range(4):
@@ -228,16 +225,16 @@ def length(points: list[tuple[float, float]]) -> float:
 
 
 class Walls(NamedTuple):
-    """Cells in reading order, `cols` in a row: `free`, one byte each, nothing free at the border; `clearance`."""
+    """Cells in reading order, `cols` per row: `free`, one byte each, none free at the border; `clearance`."""
 
     free: bytes
     clearance: list[float]
     cols: int
 
     def move(self, x: float, y: float, dx: float, dy: float, slide: bool) -> tuple[float, float, bool]:
-        """Where a step (dx, dy) from a free point (x, y) ends, and whether it was hindered; all in cells.
+        """The end of a step (dx, dy) from a free point (x, y), and whether it collided; all in cells.
 
-        It is taken in parts of at most half a cell; of one that is blocked what is left along the wall (`slide`).
+        The step is taken in parts of at most half a cell; a blocked part continues along the wall (`slide`).
         """
         free, _, cols = self
         at = int(y) * cols + int(x)
@@ -263,9 +260,9 @@ class Walls(NamedTuple):
         return x, y, collided
 
     def _along(self, at: int, dx: float, dy: float) -> list[tuple[float, float]]:
-        """What is left of a part of a step once its component into the wall is gone, the best first.
+        """A part of a step without its component into the wall, the best candidate first.
 
-        The wall stands against the slope of the clearance; where that leads nowhere, along one of the axes.
+        The wall is normal to the gradient of the clearance; if that leads nowhere, along one of the axes.
         """
         clearance, cols = self.clearance, self.cols
         slope_x, slope_y = clearance[at + 1] - clearance[at - 1], clearance[at + cols] - clearance[at - cols]
@@ -274,7 +271,7 @@ class Walls(NamedTuple):
         if into < 0:
             into /= slope_x * slope_x + slope_y * slope_y
             found.insert(0, (dx - into * slope_x, dy - into * slope_y))
-        # Head-on, what is left is rounding; to take it would be no way along the wall.
+        # In a head-on collision only rounding errors are left; they give no direction along the wall.
         least = 0.01 * math.hypot(dx, dy)
         return [(a, b) for a, b in found if math.hypot(a, b) > least]
 

@@ -1,12 +1,12 @@
-"""Scenes to and from GLB (binary glTF 2.0), so that other simulators and viewers can show ours, and theirs run here.
+"""Import and export of scenes as GLB (binary glTF 2.0), to exchange them with other simulators and viewers.
 
 glTF has Y up: our (x, y, z) is its (x, z, -y), see `eagor.conventions.to_gltf`. Beside `<name>.glb` an export writes
 
-- `<name>.semantic.json`: what the triangles belong to, and all else that GLB has no place for;
-- `<name>.stage_config.json`: for Habitat, which would otherwise take any bare GLB for one with Z up;
+- `<name>.semantic.json`: the instances of the triangles, and everything else that does not fit into GLB;
+- `<name>.stage_config.json`: for Habitat, which assumes Z up for any bare GLB;
 - `<name>.navmesh.json`: Habitat's NavMeshSettings for the same body as `eagor.worlds.ground`.
 
-Textures in KTX2 and geometry in Draco need decoders that are not here: they come in as plain colour, or not at all.
+Textures in KTX2 and geometry in Draco are not supported: they are imported as plain colour, or not at all.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def export_glb(
     """Write a scene and its three companions; returns the path of the GLB.
 
     `target`: a file name that ends in .glb, or a folder, in which the file is named after `scene.source`. Each material
-    of each instance is a node, `<category>_<id>`, or `<category>_<id>_m<material>` where the instance has several.
+    of each instance is a node, `<category>_<id>`, or `<category>_<id>_m<material>` if the instance has several.
     `cell`, `radius`, `height` and `climb` (metres, as in `Ground.from_scene`) go into `<name>.navmesh.json`. Existing
     files are overwritten.
     """

@@ -1,4 +1,4 @@
-"""GLB files as scenes; `eagor.worlds.glb` is the way in."""
+"""GLB files as scenes; the public entry point is `eagor.worlds.glb`."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from eagor.worlds.gltf import FORMAT, from_pbr, name_from_nodes
 from eagor.worlds.panorama import FORMATS, decoded_bytes
 from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
 
-# A few kilobytes can ask for anything: nodes that share a mesh, accessors without data, textures of nothing. What a
-# file asks for is counted before room is made for it.
-_FREE_ENTRIES = 2_000_000  # corners, indices and the like that any file may ask for, and of larger ones ...
-_ENTRIES_PER_BYTE = 1  # ... three times what a file without shared parts needs
-_FREE_BYTES = 1 << 27  # that the pictures of any file may have when they are decoded, and of larger ones ...
-_BYTES_PER_BYTE = 600  # ... this for each byte of the file
-_DEEPEST = 256  # nodes below each other
+# A few kilobytes can ask for anything: nodes that share a mesh, accessors without data, blank textures. So the size of
+# the result is computed before memory is allocated.
+_FREE_ENTRIES = 2_000_000  # corners, indices and similar entries allowed for any file, and for larger files ...
+_ENTRIES_PER_BYTE = 1  # ... three times the need of a file without shared parts
+_FREE_BYTES = 1 << 27  # decoded bytes of pictures allowed for any file, and for larger files ...
+_BYTES_PER_BYTE = 600  # ... this per byte of the file
+_DEEPEST = 256  # nesting of nodes
 
 
 def import_glb(path: Path | str) -> Scene:
-    """The scene in a GLB (or .gltf) file, turned from Y up to z up and otherwise left where it is.
+    """The scene in a GLB (or .gltf) file, converted from Y up to z up; its position is kept.
 
-    With the semantic JSON that `export_glb` wrote beside it, instances, rooms, lamps and materials come back exactly;
-    `facts["exported hash"]` is the hash of the scene that was exported, if the GLB was not changed since. Without it
-    every node with triangles is an instance, with the category (and colour, if it says one) that the words of its name,
-    or of a parent's, give. Normals, vertex colours and all textures but the base colour's are ignored; what has no
-    texture coordinates gets (0, 0), what has no material is white.
+    With the semantic JSON of `export_glb` beside it, instances, rooms, lamps and materials are restored exactly;
+    `facts["exported hash"]` is the hash of the exported scene, if the GLB was not changed since. Without it every node
+    with triangles is an instance; its category and colour (if any) come from the words of its name or of a parent's.
+    Normals, vertex colours and all textures except the base colour's are ignored. Missing texture coordinates become
+    (0, 0), missing materials white.
 
     Raises `WorldError` if the file is missing, empty, corrupt or without triangles, or does not fit the JSON.
     """
@@ -64,7 +64,7 @@ def import_glb(path: Path | str) -> Scene:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """The triangles of a node, in our frame. `names`: its own, those of its parents, that of its mesh."""
+    """The triangles of a node, in our frame. `names`: its own, its parents', and its mesh's."""
 
     names: tuple[str, ...]
     vertices: np.ndarray
@@ -113,7 +113,7 @@ def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
                 materials.append(from_pbr(pbr, entries, pixels))
             names = (*_lineage(model, node), str(geometry))
             parts.append(_part(mesh, np.asarray(transform), names, known[id(pbr)]))
-    except Exception as error:  # trimesh raises whatever its parsing runs into
+    except Exception as error:  # trimesh may raise anything
         if isinstance(error, WorldError):
             raise WorldError(f"{path}: {error}") from error
         raise WorldError(
@@ -126,7 +126,7 @@ def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
 
 
 def _size(path: Path, tree: Any, blob: bytes) -> int:
-    """Bytes of the file, and of those that a .gltf has beside it."""
+    """Bytes of the file, including the files beside a .gltf."""
     beside = [str(part.get("uri", "")) for kind in ("buffers", "images") for part in tree.get(kind, [])]
     files = {path.parent / name for name in beside if name and len(name) < 256 and not name.startswith("data:")}
     return len(blob) + sum(file.stat().st_size for file in files if file.is_file())
@@ -135,7 +135,7 @@ def _size(path: Path, tree: Any, blob: bytes) -> int:
 def _lineage(model: Any, node: str) -> list[str]:
     """The name of a node and those of its parents, without the root's."""
     parents, names = model.graph.transforms.parents, []
-    while parents.get(node, node) != node:  # some versions have the root below itself
+    while parents.get(node, node) != node:  # in some versions the root is its own child
         names.append(str(node))
         node = parents[node]
     return names
@@ -158,7 +158,7 @@ def _part(mesh: Any, transform: np.ndarray, names: tuple[str, ...], material: in
 
 
 def _annotated(path: Path, parts: list[_Part], materials: list[Material], known: dict[str, Any], blob: bytes) -> Scene:
-    """The scene that was exported, from its parts and the semantic JSON."""
+    """The exported scene, from its parts and the semantic JSON."""
     if known["format"] != FORMAT:
         raise WorldError(f"the semantic JSON of {path.name} has format {shown(known['format'])}; wanted {FORMAT!r}")
     owner = {name: index for index, thing in enumerate(known["instances"]) for name in thing["nodes"]}
@@ -167,7 +167,7 @@ def _annotated(path: Path, parts: list[_Part], materials: list[Material], known:
         strange = sorted(set(owner) ^ set(by_name))
         raise WorldError(
             f"{path.name} and its semantic JSON do not have the same nodes: {shown(', '.join(strange[:3]), 200)} only "
-            "in one of them; export again, or remove the JSON to import the GLB by itself"
+            "in one of the two; export again, or remove the JSON to import the GLB by itself"
         )
     parts = [by_name[name] for name in owner]
     place = {entry["gltf"]: index for index, entry in enumerate(known["materials"])}
@@ -199,13 +199,13 @@ def _triple(values: Any) -> tuple[float, float, float]:
 def _rectangles(values: Any) -> np.ndarray:
     sides = [[number(side) for side in rectangle] for rectangle in values]
     if any(len(rectangle) != 4 for rectangle in sides):
-        raise ValueError(f"{shown(values)} where rectangles [x0, y0, x1, y1] were wanted")
+        raise ValueError(f"the rectangles are {shown(values)}; wanted [x0, y0, x1, y1] each")
     return np.array(sides).reshape(-1, 4)
 
 
 def _words(value: Any) -> str | None:
     if not (value is None or isinstance(value, str)):
-        raise ValueError(f"{shown(value)} where words were wanted")
+        raise ValueError(f"a name is {shown(value)}; wanted text")
     return value
 
 
@@ -229,7 +229,7 @@ def _joined(
 
 
 def _check_tree(tree: Any, size: int) -> None:
-    """Raise `WorldError` for what the JSON of a file of `size` bytes in all asks for beyond measure."""
+    """Raise `WorldError` if the JSON of a file of `size` bytes in total asks for too much."""
     counts = [int(entry["count"]) for entry in tree.get("accessors", [])]
     meshes = [sum(_corners(part, counts) for part in mesh["primitives"]) for mesh in tree.get("meshes", [])]
     nodes = tree.get("nodes", [])
@@ -241,14 +241,14 @@ def _check_tree(tree: Any, size: int) -> None:
 
 
 def _check_pictures(pictures: Iterable[Any], size: int) -> None:
-    """Raise `WorldError` for pictures that are no usual ones, or too large for a file of `size` bytes."""
+    """Raise `WorldError` for pictures of unusual formats, or too large for a file of `size` bytes."""
     found = {id(picture): picture for picture in pictures if picture is not None}
     for picture in found.values():
-        if picture.format not in (*FORMATS, "MPO"):  # a JPEG with more in it
-            raise WorldError(f"it has a texture of the kind {picture.format}; wanted PNG, JPEG or WebP")
+        if picture.format not in (*FORMATS, "MPO"):  # MPO: a JPEG with more in it
+            raise WorldError(f"it has a texture in the format {picture.format}; wanted PNG, JPEG or WebP")
     asked, most = sum(decoded_bytes(picture) for picture in found.values()), max(_FREE_BYTES, _BYTES_PER_BYTE * size)
     if asked > most:
-        raise WorldError(f"its textures have {asked} bytes when they are decoded; wanted at most {most}")
+        raise WorldError(f"its textures have {asked} bytes when decoded; wanted at most {most}")
 
 
 def _corners(primitive: Mapping[str, Any], counts: list[int]) -> int:
@@ -270,6 +270,6 @@ def _check_nest(nodes: list[Any]) -> None:
             if parents[child] == 0:
                 ready.append(child)
     if reached < len(nodes):
-        raise WorldError(f"{len(nodes) - reached} of its {len(nodes)} nodes are below themselves; export it again")
+        raise WorldError(f"{len(nodes) - reached} of its {len(nodes)} nodes are in a cycle; export it again")
     if max(depth, default=0) > _DEEPEST:
-        raise WorldError(f"its nodes are {max(depth)} deep below each other; wanted at most {_DEEPEST}")
+        raise WorldError(f"its nodes are nested {max(depth)} deep; wanted at most {_DEEPEST}")

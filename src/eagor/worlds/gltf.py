@@ -1,4 +1,4 @@
-"""What glTF and `eagor.worlds.scene` say differently: names, materials, texture seams."""
+"""The differences between glTF and `eagor.worlds.scene`: names, materials, texture seams."""
 
 from __future__ import annotations
 
@@ -14,27 +14,24 @@ from eagor.worlds.scene import Material
 
 FORMAT = "eagor semantic 1"  # of the JSON beside an exported GLB
 
-# Words of node names that say nothing about the thing: of modelling programs, and where it is.
+# Words of node names without meaning: of modelling programs, and of places.
 _EMPTY_WORDS = {
     "mesh", "node", "object", "obj", "geometry", "geom", "primitive", "default", "group", "root", "scene", "world",
     "model", "material", "instance", "sm", "lod", "polysurface", "gltf", "armature", "collection", "untitled", "north",
     "south", "east", "west", "left", "right", "front", "back", "upper", "lower", "top", "bottom", "inner", "outer",
     "interior", "exterior",
 }  # fmt: skip
-_DARK = 0.02  # linear: a colour below it cannot carry the light of a lamp
+_DARK = 0.02  # linear: a darker colour cannot carry the light of a lamp
 
 
 def node_name(category: str, owner: int, material: int | None) -> str:
-    """`<category>_<id>`, and `_m<material>` where an instance has several."""
+    """`<category>_<id>`, and `_m<material>` if an instance has several."""
     words = re.sub(r"\W+", "_", category)
     return f"{words}_{owner}" if material is None else f"{words}_{owner}_m{material}"
 
 
 def name_from_nodes(names: Iterable[str]) -> tuple[str, str | None]:
-    """Category and colour in the first of the names that has words for them: "RedChair.001" is a chair, red.
-
-    Names like "mesh_3" say nothing; where all are like that, the category is "object".
-    """
+    """Category and colour in the first meaningful name ("RedChair.001": a red chair; default "object")."""
     for name in names:
         apart = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
         words = [word for word in re.findall(r"[a-z]+", apart.lower()) if len(word) > 1 and word not in _EMPTY_WORDS]
@@ -47,12 +44,12 @@ def name_from_nodes(names: Iterable[str]) -> tuple[str, str | None]:
 
 
 def material_name(index: int, material: Material) -> str:
-    """The name of a material in the file, which names its place too."""
+    """The name of a material in the file, with its index."""
     return f"{index} {material.name}"
 
 
 def to_pbr(index: int, material: Material) -> Any:
-    """trimesh's material for one of ours; `write_exactly` adds what it would round."""
+    """Our material as trimesh's; `write_exactly` adds what trimesh rounds."""
     from PIL import Image
     from trimesh.visual.material import PBRMaterial
 
@@ -68,7 +65,7 @@ def to_pbr(index: int, material: Material) -> Any:
 
 
 def write_exactly(tree: dict[str, Any], materials: tuple[Material, ...]) -> None:
-    """Put colours and emission into the JSON part of a glTF as linear numbers, which trimesh rounds to 8 bits."""
+    """Write colours and emission into the JSON of a glTF as linear numbers, which trimesh rounds to 8 bits."""
     ours = {material_name(index, material): material for index, material in enumerate(materials)}
     for entry in tree.get("materials", []):
         material = ours[entry["name"]]
@@ -84,10 +81,7 @@ def write_exactly(tree: dict[str, Any], materials: tuple[Material, ...]) -> None
 
 
 def from_pbr(pbr: Any, entries: list[dict[str, Any]], pixels: dict[int, np.ndarray]) -> Material:
-    """Our material for one of trimesh's, or None; `entries`: the materials in the JSON part of the file.
-
-    `pixels`: the pictures that were decoded so far, by identity; what comes again is not decoded again.
-    """
+    """trimesh's material (or None) as ours, with the JSON `entries`; `pixels` caches decoded pictures by identity."""
     if pbr is None:
         return Material("default")
     name = str(getattr(pbr, "name", None) or "material")
@@ -105,7 +99,7 @@ def from_pbr(pbr: Any, entries: list[dict[str, Any]], pixels: dict[int, np.ndarr
     extension = entry.get("extensions", {}).get("KHR_materials_emissive_strength", {})
     light = light * float(extension.get("emissiveStrength", 1.0))
     emission = 0.0
-    if light.max() > 0 and linear.max() < _DARK:  # a lamp that is black by itself: its light is its colour
+    if light.max() > 0 and linear.max() < _DARK:  # a lamp of black material: its light is its colour
         linear, emission = light / light.max(), float(light.max())
     elif light.max() > 0:
         emission = float(light.max() / linear.max())
@@ -116,7 +110,7 @@ def from_pbr(pbr: Any, entries: list[dict[str, Any]], pixels: dict[int, np.ndarr
 def split_at_seams(
     vertices: np.ndarray, triangles: np.ndarray, uv: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices, triangles and texture coordinates of vertices: one vertex for each pair of place and coordinates."""
+    """Vertices, triangles and texture coordinates per vertex: one vertex for each pair of position and coordinates."""
     corners = np.column_stack([vertices[triangles].reshape(-1, 3), uv.reshape(-1, 2)]).astype(np.float32)
     distinct, index = np.unique(corners, axis=0, return_inverse=True)
     return distinct[:, :3], index.reshape(-1, 3), distinct[:, 3:]

@@ -1,8 +1,8 @@
-"""The ground plan of a scene: where a round body can stand, how far it is to walk, and what a step comes to.
+"""The ground plan of a scene: where a round body can stand, path lengths, and steps with collisions.
 
 A grid of square cells in the world frame (x along columns, y along rows, metres). A cell is *free* if it has a floor
-and nothing stands within `radius` of its centre, to the accuracy of a cell; only the largest connected area counts.
-All distances are of ways over free cells.
+and no obstacle within `radius` of its centre, to the accuracy of a cell; only the largest connected area counts. All
+distances are of paths over free cells.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from eagor.worlds.geodesics import CellGraph, Field, Walls, cells_of, line_is_fr
 from eagor.worlds.occupancy import floor_height, level_triangles, touched
 from eagor.worlds.scene import STRUCTURE, Instance, Room, Scene
 
-BESIDE = 0.75  # metres that one can reach to a piece of furniture
-_NEAREST = 4000  # points looked at where no room tells on which side of the walls a thing is
+BESIDE = 0.75  # metres from which one can reach a piece of furniture
+_NEAREST = 4000  # points tried if no room tells on which side of the walls a thing is
 _LARGEST = 4_000_000  # cells; 100 m x 100 m at 5 cm
-_CRACK = 0.2  # metres: gaps in the floor up to this width (a missing sill, a hole in a scan) are no gaps
+_CRACK = 0.2  # metres: gaps in the floor up to this width (a missing sill, a hole in a scan) are closed
 _AROUND = np.array([(c, r) for r in (-1, 0, 1) for c in (-1, 0, 1)])
 _BESIDE_CORNER = {0: (1, 3), 2: (1, 5), 6: (3, 7), 8: (5, 7)}  # places in _AROUND: no way leads through a closed corner
 
@@ -31,9 +31,8 @@ _BESIDE_CORNER = {0: (1, 3), 2: (1, 5), 6: (3, 7), 8: (5, 7)}  # places in _AROU
 class Ground:
     """Free cells ``(rows, cols)`` bool and `clearance` ``(rows, cols)``: metres to the nearest obstacle or edge.
 
-    `structure` ``(rows, cols)`` bool: cells in which a wall, door or window stands. `floor`: height of the floor in
-    metres. `radius`: of the body. Cell (0, 0) has its low corner at `origin` ``(2,)``. The cells at the border are
-    never free.
+    `structure` ``(rows, cols)`` bool: cells with a wall, door or window. `floor`: height of the floor in metres.
+    `radius`: of the body. Cell (0, 0) has its low corner at `origin` ``(2,)``. Cells at the border are never free.
     """
 
     origin: np.ndarray
@@ -50,10 +49,10 @@ class Ground:
         cls, scene: Scene, *, cell: float = 0.05, radius: float = 0.18,
         height: float = 1.5, climb: float = 0.12, floor: float | None = None,
     ) -> Ground:  # fmt: skip
-        """The ground of a scene, for a body of `radius` and `height` that walks over what is lower than `climb`.
+        """The ground of a scene, for a body of `radius` and `height` that walks over obstacles lower than `climb`.
 
-        Obstacle: every triangle between `climb` and `height` above the floor. Floor: level surfaces within `climb` of
-        its height, which is `floor`, or found: 0 where the scene has a floor there, else its lowest large level
+        Obstacles are all triangles between `climb` and `height` above the floor. The floor is level surfaces within
+        `climb` of the height `floor`; by default 0 if the scene has a floor there, otherwise its lowest large level
         surface. Raises `WorldError` if there is no floor, no free cell, or too large a floor for such cells.
         """
         if not (0 < cell <= 1 and radius >= 0 and 0 <= climb < height):
@@ -110,14 +109,14 @@ class Ground:
         return self.origin + (np.asarray(cells)[..., ::-1] + 0.5) * self.cell
 
     def snap(self, xy: np.ndarray, within: float = math.inf) -> np.ndarray | None:
-        """The free point ``(2,)`` nearest to a point; None where there is none `within` so many metres, and for NaN."""
+        """The free point ``(2,)`` nearest to a point; None if there is none `within` this many metres, and for NaN."""
         xy = np.asarray(xy, dtype=np.float64)
         if not np.isfinite(xy).all():
             return None
         if self.is_free(xy):
             return xy.copy()
         low = self.origin + self._graph.nodes[:, ::-1] * self.cell
-        margin = 1e-6 * self.cell  # off the edge of the cell, which is its neighbour's
+        margin = 1e-6 * self.cell  # off the edge of the cell, which belongs to its neighbour
         nearest = np.clip(xy, low + margin, low + self.cell - margin)
         away = np.hypot(*(nearest - xy).T)
         best = int(away.argmin())
@@ -138,7 +137,7 @@ class Ground:
     def field(self, points: np.ndarray, offsets: np.ndarray | None = None) -> Field:
         """Distances to the nearest of points ``(n, 2)`` or ``(2,)``, metres; each starts at its offset ``(n,)`` or 0.
 
-        Points that are not free count for nothing: if none is, every distance is inf.
+        Points that are not free are ignored: if none is free, every distance is inf.
         """
         points = np.atleast_2d(np.asarray(points, dtype=np.float64))
         starts = np.zeros(len(points)) if offsets is None else np.broadcast_to(offsets, len(points))
@@ -159,27 +158,24 @@ class Ground:
         return self._spread(index[usable], away[usable])
 
     def footprint(self, instance: Instance) -> Field:
-        """Distances to the footprint of an instance: its bounds seen from above. Metres.
-
-        The last bit of the way is a straight line from a point `beside` it; inf everywhere where there is none.
-        """
+        """Distances to the footprint of an instance, metres, via points `beside` it; inf everywhere without any."""
         seeds, away = self._beside(instance)
         return self._spread(seeds, away / self.cell)
 
     def beside(self, instance: Instance) -> tuple[np.ndarray, np.ndarray]:
         """The free points ``(k, 2)`` beside an instance, and their distances ``(k,)`` to its footprint, metres.
 
-        Beside are the points within 0.75 m whose line to the nearest point of the footprint crosses no wall, door or
-        window. A thing against or on a wall shares cells with it, so crossings close to the end do not count, unless
-        the point lies outside the room of the thing: the wall may be as thin as a sheet. Where no point is beside (a
-        vase in the middle of a large table), it is those of the same room that are at most 0.75 m farther than the
-        nearest of them; without rooms, the same of those whose line is clear.
+        A point is beside it if it is within 0.75 m and its line to the nearest point of the footprint crosses no wall,
+        door or window. A thing against or on a wall shares cells with it, so crossings close to the end do not count,
+        unless the point lies outside the room of the thing: walls may be thin. If no point is beside (a vase in the
+        middle of a large table), the result is the points of the same room that are at most 0.75 m farther than the
+        nearest of them; without rooms, those with a clear line.
         """
         places, away = self._beside(instance)
         return self._centres[places], away
 
     def _beside(self, instance: Instance) -> tuple[np.ndarray, np.ndarray]:
-        """The places of the points `beside` an instance among the free cells, and their distances."""
+        """Indices of the points `beside` an instance among the free cells, and their distances."""
         points = self._centres
         nearest = np.clip(points, instance.low[:2], instance.high[:2])
         away = np.hypot(*(nearest - points).T)
@@ -229,17 +225,17 @@ class Ground:
         return self.free.astype(np.uint8).tobytes()
 
     def path(self, start: np.ndarray, goal: np.ndarray | Field) -> np.ndarray:
-        """The shortest way ``(n, 2)`` from a free point to another, or down a field to where its goal begins.
+        """The shortest path ``(n, 2)`` from a free point to another, or down a field to its goal.
 
         Taut, over free cells only. With the field of a footprint it ends at the free cell beside it. Raises
-        `WorldError` if the start is not free or there is no way.
+        `WorldError` if the start is not free or there is no path.
         """
         field = goal if isinstance(goal, Field) else self.field(goal)
         x, y = (float(value) for value in start)
         row, col = self._cell_of(x, y)
         if not math.isfinite(field.metres[row, col]):
             raise WorldError(
-                f"there is no way from ({x:.2f}, {y:.2f}) to the goal; is it free ground? snap() finds some"
+                f"there is no path from ({x:.2f}, {y:.2f}) to the goal; is it free ground? snap() finds some"
             )
         cells = self._graph.descend(field.metres / self.cell, row, col)
         ox, oy = float(self.origin[0]), float(self.origin[1])
@@ -253,11 +249,10 @@ class Ground:
     # --- steps ---
 
     def move(self, xy: np.ndarray, step: np.ndarray, slide: bool = True) -> tuple[np.ndarray, bool]:
-        """Where a step ``(2,)`` from a free point ``(2,)`` ends, and whether it ran into something. Metres.
+        """The end of a step ``(2,)`` from a free point ``(2,)``, and whether it collided. Metres.
 
-        Where the way is blocked, the part of the step into the wall is removed (`slide`), or the body stops. The end is
-        always free, and never farther away than the step is long. Raises `WorldError` if the start is not free or the
-        step not finite.
+        A blocked step loses its component into the wall (`slide`), or the body stops. The end is always free, and never
+        farther away than the length of the step. Raises `WorldError` if the start is not free or the step not finite.
         """
         x, y, dx, dy = float(xy[0]), float(xy[1]), float(step[0]), float(step[1])
         if not math.isfinite(dx + dy):
@@ -265,7 +260,7 @@ class Ground:
         self._cell_of(x, y)
         ox, oy, cell = self._frame
         x, y, collided = self._walls.move((x - ox) / cell, (y - oy) / cell, dx / cell, dy / cell, slide)
-        # Off the edges of the cell, which rounding would make those of its neighbours.
+        # Away from the edges of the cell, where rounding would lead into its neighbours.
         x, y = (min(max(value, int(value) + 1e-9), int(value) + 1 - 1e-9) for value in (x, y))
         return np.array((ox + x * cell, oy + y * cell)), collided
 
@@ -287,7 +282,7 @@ class Ground:
 
 
 def _largest_area(free: np.ndarray) -> np.ndarray:
-    """The largest set of cells that hang together along edges."""
+    """The largest set of cells connected along edges."""
     labels = np.zeros(free.shape, dtype=np.int32)
     ndimage.label(free, output=labels)
     sizes = np.bincount(labels.ravel())[1:]

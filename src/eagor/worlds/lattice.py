@@ -1,12 +1,12 @@
-"""Where the light of a scene is known: a lattice of samples on every triangle.
+"""The points at which the light of a scene is computed: a lattice of samples on every triangle.
 
-A triangle with the edges e1 and e2 from its corner 0 carries (nu + 1) x (nv + 1) samples at corner + i/nu e1 + j/nv e2,
-so that no sample is further than a step from the next; small triangles just have their corners. Corner 0 is the one
-opposite the longest edge, so that the two halves of a rectangle have the same samples. The triangles that rays hit stay
-whole: there are no cracks, and light can be finer than the mesh.
+A triangle with the edges e1 and e2 from its corner 0 carries (nu + 1) x (nv + 1) samples at corner + i/nu e1 + j/nv e2.
+Neighbouring samples are at most a step apart; small triangles have only their corners. Corner 0 is opposite the longest
+edge, so that the two halves of a rectangle have the same samples. The triangles for rays stay whole: there are no
+cracks, and light can be finer than the mesh.
 
-The part of the lattice beyond the longest edge is needed by the cells that straddle it. It lies on the other half where
-the triangle is half of a parallelogram, and is drawn back to the edge where it is not.
+The cells that straddle the longest edge need the part of the lattice beyond it. That part lies on the other half if the
+triangle is half of a parallelogram; otherwise it is moved back to the edge.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from eagor._lazy import lazy
 from eagor.worlds.scene import Scene
 
 STEP = 0.13  # metres between samples
-_OUTSIDE = 0.8  # on walls that no room can see
+_OUTSIDE = 0.8  # the same on walls that no room can see
 _MOST = 1_500_000  # samples; huge scenes get a coarser step
 _CREASE = np.cos(np.radians(40.0))  # surfaces that meet at a sharper angle do not share their light
-_INSET = 0.02  # metres that samples keep from the rim of their surface, where walls meet
+_INSET = 0.02  # metres from samples to the rim of their surface, where walls meet
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +30,8 @@ class Lattice:
     """The samples of a scene, "slots", triangle by triangle.
 
     `triangles` ``(T, 3)`` int32: those of the scene, each turned so that its longest edge is opposite corner 0, and
+    `triangles` ``(T, 3)`` int32: those of the scene, each rotated so that its longest edge is opposite corner 0, and
     `turned` ``(T,)``, by how many corners; `cells` ``(T, 2)`` int32, nu and nv; `base` ``(T,)`` int32, the first slot:
-    slot (i, j) of triangle t is base[t] + i + j (nu[t] + 1).
     """
 
     scene: Scene
@@ -91,7 +91,7 @@ class Lattice:
 
     @lazy
     def points(self) -> Points:
-        """The slots, joined where they are the same point of the same smooth surface."""
+        """The slots, merged where they are the same point of the same smooth surface."""
         corner, e1, e2, _ = self.frame
         triangle, i, j = self.slots
         u, v = i / self.cells[triangle, 0], j / self.cells[triangle, 1]
@@ -105,11 +105,11 @@ class Lattice:
         away = first + second + third
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-20)
         _, first, index = np.unique(_key(place, away), return_index=True, return_inverse=True)
-        order = first.argsort()  # neighbours stay neighbours: rays sent off one after another meet the same things
+        order = first.argsort()  # neighbours stay neighbours: consecutive rays then hit the same things
         rank = np.empty_like(order)
         rank[order] = np.arange(len(order))
         index = rank[index]
-        # Off the rim, towards the middle of the triangle (of the parallelogram, beyond its diagonal).
+        # Away from the rim, towards the middle of the triangle (of the parallelogram, beyond its diagonal).
         middle = corner + (e1 + e2) / 3
         middle = np.where((u + v > 1 + 1e-9)[:, None], (corner + (e1 + e2) * 2 / 3)[triangle], middle[triangle])
         inwards = middle - place
@@ -154,7 +154,7 @@ class Lattice:
         start = np.flatnonzero(np.append(True, key[1:] != key[:-1]))
         size = np.diff(np.append(start, len(key)))
         total = np.zeros((len(place), 3))
-        # Every corner meets every other one of its group: the k-th neighbour of all corners at once.
+        # Every corner is compared with every other one of its group: the k-th neighbour of all corners at once.
         offset = np.arange(len(key)) - np.repeat(start, size)
         length = np.repeat(size, size)
         for k in range(min(int(size.max()), 64)):
@@ -178,7 +178,7 @@ class Points:
 
 
 def unseen(scene: Scene) -> np.ndarray:
-    """Which triangles ``(T,)`` lie deep in or beyond the walls around the rooms; none where no rooms are known."""
+    """Which triangles ``(T,)`` lie deep in or beyond the walls around the rooms; none without known rooms."""
     x, y, _ = scene.vertices[scene.triangles].mean(axis=1).T
     outside = np.full(len(x), bool(scene.rooms))
     for room in scene.rooms:
@@ -187,8 +187,8 @@ def unseen(scene: Scene) -> np.ndarray:
 
 
 def _key(place: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """A number ``(n,)`` uint64 that is the same for places within a millimetre and normals within a few degrees."""
-    # Shifted by a third of a step, since coordinates like to lie on round values.
+    """A hash ``(n,)`` uint64 that is the same for places within a millimetre and normals within a few degrees."""
+    # Shifted by a third of a step, since coordinates are often round values.
     steps = np.concatenate([np.floor(place * 1000 + 0.3137), np.floor(normal * 6 + 0.3137)], axis=1).astype(np.int64)
     key = np.zeros(len(steps), dtype=np.uint64)
     for column in steps.T:  # a mixing step of splitmix64 (Steele, Lea, Flood 2014) for every number

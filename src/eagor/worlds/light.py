@@ -1,9 +1,9 @@
-"""The light of a scene, computed once and kept on disk: lamps, glowing surfaces, the sky in the windows, and bounces.
+"""The baked light of a scene, cached on disk: lamps, glowing surfaces, the sky in the windows, and bounces.
 
 Light is irradiance over pi, so that a white surface has this radiance; linear RGB; 1 is a white surface 1 m in front of
-a lamp of power 1. All points of the scene see the same few points of each source, and send their rays along one shared
-spiral of directions (Vogel 1979), turned about the normal from point to point: when the light is smoothed over a
-surface, neighbours complete each other. Independent samples would leave blotches.
+a lamp of power 1. All points of the scene use the same few points of each source, and send their rays along one shared
+spiral of directions (Vogel 1979), rotated about the normal from point to point. Neighbours thus complement each other
+when the light is smoothed over a surface; independent samples would leave blotches.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from eagor.worlds.sources import GOLDEN, LIFT, SKY_GAIN, Source, glowing, lamps,
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-VERSION = 3  # of the light: part of the name of its files
-DIRECTIONS = 32  # rays per point: their noise is below the detail that the smoothing costs
+VERSION = 3  # of the light, part of its file names
+DIRECTIONS = 32  # rays per point: their noise is below the detail lost to smoothing
 BOUNCES = 4
 SMOOTHING = 3  # passes over the indirect light
-# What is closer than `NEAR` metres takes up to this share of the light: the lattice is too coarse for the fine shadows
-# that tie furniture to the floor.
+# Things closer than `NEAR` metres remove up to this share of the light: the lattice is too coarse for fine contact
+# shadows between furniture and floor.
 CONTACT, NEAR = 0.6, 0.4
-_HIGHEST = 6e4  # what half precision holds
-_SPARSE = 4  # every which direction is asked whether a point is shut in
+_HIGHEST = 6e4  # limit of half precision
+_SPARSE = 4  # every fourth direction tests whether a point is shut in
 
 
 def light_of(scene: Scene, lattice: Lattice, engine: str = "auto", cache: Path | None = None) -> np.ndarray:
-    """The light ``(S, 3)`` float32 at the slots of `lattice`, from the cache or else computed and put there.
+    """The light ``(S, 3)`` float32 at the slots of `lattice`, from the cache, or computed and cached.
 
-    `cache` is a folder; None means `cache_folder`. Where it cannot be written, a `UserWarning` says so.
+    `cache`: a folder; None means `cache_folder`. A `UserWarning` says so if it cannot be written.
     """
     folder = cache_folder() if cache is None else Path(cache)
     file = folder / f"light-{VERSION}-{scene.hash}-{_rooms(scene)}.npz"
@@ -59,7 +59,7 @@ def bake(scene: Scene, lattice: Lattice, engine: str = "auto") -> np.ndarray:
     normal = points.normal.astype(np.float32)
     everything = make_raycaster(scene.vertices, lattice.triangles, engine, watertight=False)
     glows = np.array([m.emission for m in scene.materials])[scene.material] > 0
-    # Shades and bulbs do not darken the light that the lamps in them stand for.
+    # Shades and bulbs do not block the light of the lamps in them.
     solid = lattice.triangles[~glows]
     shadows = everything
     if 0 < len(solid) < len(glows):
@@ -83,16 +83,16 @@ def _gather(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Indirect light ``(P, 3)``, how close other things are (0 to 1), and which points are shut in.
 
-    The sky counts to the indirect light where no window stands for it. A scene without a source (`dark`), such as a
-    scanned room, is filled with even light, less of it in its corners.
+    The sky counts as indirect light where no window stands for it. A scene without a source (`dark`), such as a scanned
+    room, gets even light, less of it in its corners.
     """
     tangent, bitangent = _tangents(normal)
-    # Neighbours turn the set by different angles: what one of them misses the smoothing finds. Not by the golden angle,
-    # which leads from each direction of the spiral to the next: neighbours would look almost the same way.
+    # Neighbours rotate the set by different angles: one finds what the other misses, and smoothing combines them. The
+    # golden angle would not do: it maps each direction of the spiral to the next, so neighbours would look alike.
     turn = (2 * np.pi / np.sqrt(2) * np.arange(len(origin)))[:, None]
     cosine, sine = np.cos(turn).astype(np.float32), np.sin(turn).astype(np.float32)
     facing = lattice.frame[3].astype(np.float32)
-    # One row more, for rays that hit nothing: their slot is the one after the last.
+    # One more row for rays without a hit: their slot is the one after the last.
     nu, nv = (np.append(column, 0).astype(np.float32) for column in lattice.cells.T)
     base, stride = np.append(lattice.base, lattice.size), nu.astype(np.int32) + 1
     seen = np.empty((DIRECTIONS, len(origin)), dtype=np.int32)
@@ -132,14 +132,14 @@ def _gather(
 
 
 def hemisphere(count: int) -> np.ndarray:
-    """Directions ``(count, 3)`` about +z, as dense as the cosine of their angle to it."""
+    """Directions ``(count, 3)`` about +z with cosine-weighted density."""
     share, angle = (np.arange(count) + 0.5) / count, 2 * np.pi / GOLDEN * np.arange(count)
     radius = np.sqrt(share)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - share)], axis=1)
 
 
 def _tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors across each normal ``(P, 3)`` (Duff et al., JCGT 6, 2017)."""
+    """Two unit vectors normal to each normal ``(P, 3)`` (Duff et al., JCGT 6, 2017)."""
     x, y, z = normal.T
     sign = np.where(z >= 0, np.float32(1), np.float32(-1))
     a = -1 / (sign + z)
@@ -148,7 +148,7 @@ def _tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _neighbours(lattice: Lattice) -> csr_array:
-    """Which points are next to each other on the same surface: ``(P, P)``, how often."""
+    """The number of times that points are neighbours on the same surface, ``(P, P)``."""
     from scipy.sparse import csr_array
 
     a, b = lattice.links
@@ -158,7 +158,7 @@ def _neighbours(lattice: Lattice) -> csr_array:
 
 
 def _filled(light: np.ndarray, buried: np.ndarray, neighbours: csr_array) -> np.ndarray:
-    """`light` with the points that are shut in other things given the mean of their neighbours in the open."""
+    """`light`, with points that are shut in other things replaced by the mean of their open neighbours."""
     light, missing = np.where(buried[:, None], light.dtype.type(0), light), np.flatnonzero(buried)
     known = (~buried).astype(np.float32)
     for _ in range(4):
@@ -188,18 +188,18 @@ def _rooms(scene: Scene) -> str:
 
 
 def _read(file: Path, size: int) -> np.ndarray | None:
-    """The light in a file, or None where there is none that fits."""
+    """The light in a file, or None if there is none that fits."""
     try:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             light = stored["light"]
-    except Exception:  # missing, cut short, no archive: zipfile and NumPy raise whatever the damage leads them to
+    except Exception:  # missing, damaged, or not an archive: zipfile and NumPy may raise anything
         return None
     return light if light.shape == (size, 3) and light.dtype == np.float16 and np.isfinite(light).all() else None
 
 
 def _write(file: Path, light: np.ndarray) -> None:
-    """Put the light into `file` in one step, so that nobody ever reads half of it; a warning where that fails."""
-    # A name of its own, so that workers that light the same scene at the same time do not meet.
+    """Write `file` atomically, so that nobody reads half of it; warn if that fails."""
+    # A unique name, so that workers with the same scene do not collide.
     temporary = file.with_name(f"{file.stem}-{uuid.uuid4().hex}.part")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -1,12 +1,12 @@
-"""Object-goal episodes in the files of Habitat's ObjectNav (HM3D): read and written, so that both sides can run them.
+"""Object-goal episodes in the file format of Habitat's ObjectNav (HM3D), reading and writing.
 
     <folder>/<split>/<split>.json.gz              categories, no episodes
     <folder>/<split>/content/<scene>.json.gz      the episodes of a scene, and its goals by category
 
 Here positions are at the feet, in our world (z up), and rotations are `world_R_body`; in the files they are Habitat's
-(Y up, the axes of an exported GLB; quaternions x, y, z, w). Which scene, in which version, and for which body an
-episode was made stands under `info["eagor"]`, which Habitat ignores: an episode is never run in another scene
-unnoticed. Words: our "tv" is its "tv_monitor", and blanks are underscores there.
+(Y up, the axes of an exported GLB; quaternions x, y, z, w). `info["eagor"]`, which Habitat ignores, holds the scene,
+its version and the body that an episode was made for, so that it is never run in another scene unnoticed. Our "tv" is
+its "tv_monitor", and blanks are underscores there.
 """
 
 from __future__ import annotations
@@ -61,14 +61,14 @@ class SceneEpisodes:
 
 
 def origin_of(scene: Scene, ground: Ground) -> Origin:
-    """What an episode in this scene, for a body of this ground plan, is marked with."""
+    """The scene and body with which episodes are marked."""
     return Origin(scene.facts.get("exported hash", scene.hash), scene.source, ground.radius, ground.cell)
 
 
 def goal_of(scene: Scene, ground: Ground, index: int, spacing: float = 0.25) -> Goal:
     """An instance of the scene as a goal: its view points are free points beside it, `spacing` metres apart, facing it.
 
-    Beside is what `Ground.beside` finds. How well it fills the view from there is not worked out: `view_overlap` is 0.
+    `Ground.beside` finds them. `view_overlap` is not computed: it is 0.
     """
     thing = scene.instances[index]
     points, _ = ground.beside(thing)
@@ -94,7 +94,7 @@ def goal_of(scene: Scene, ground: Ground, index: int, spacing: float = 0.25) -> 
 def check_scene(episodes: Iterable[Episode], scene: Scene, ground: Ground | None = None) -> None:
     """Raise `WorldError` if one of the episodes was made for another scene than this one or an import of its export.
 
-    With `ground`, also if it was made for a body of another radius, which other ways lead.
+    With `ground`, also if it was made for a body of another radius, which takes other paths.
     """
     known = {scene.hash, scene.facts.get("exported hash")}
     for episode in episodes:
@@ -106,8 +106,8 @@ def check_scene(episodes: Iterable[Episode], scene: Scene, ground: Ground | None
             )
         if origin is not None and ground is not None and abs(origin.radius - ground.radius) > 1e-6:
             raise WorldError(
-                f"episode {episode.identifier!r} was made for a body of radius {origin.radius:g} m, the ground plan is "
-                f"for {ground.radius:g} m; its starts and goals may be out of reach: use the same radius"
+                f"episode {episode.identifier!r} was made for a body of radius {origin.radius:g} m, but the "
+                f"ground plan for {ground.radius:g} m; its starts and goals may be out of reach: use the same radius"
             )
 
 
@@ -123,7 +123,7 @@ def write_episodes(folder: Path | str, split: str, scenes: Sequence[SceneEpisode
     folder = Path(folder) / split
     categories = sorted({spelt(category) for scene in scenes for category in scene.goals})
     categories = [c for c in HM3D_CATEGORIES if c in categories] + [c for c in categories if c not in HM3D_CATEGORIES]
-    # The six of HM3D keep their numbers, also where not all of them occur.
+    # The six of HM3D keep their numbers, even if not all of them occur.
     others = (c for c in categories if c not in HM3D_CATEGORIES)
     numbers = {c: HM3D_CATEGORIES.index(c) for c in categories if c in HM3D_CATEGORIES}
     numbers |= {c: len(HM3D_CATEGORIES) + index for index, c in enumerate(others)}
@@ -132,7 +132,7 @@ def write_episodes(folder: Path | str, split: str, scenes: Sequence[SceneEpisode
     for scene in scenes:
         names = {episode.scene for episode in scene.episodes}
         if len(names) != 1:
-            raise WorldError(f"the episodes of one scene name the scenes {sorted(names)}; wanted one of them")
+            raise WorldError(f"the episodes of one scene name the scenes {sorted(names)}; wanted exactly one")
         (file,) = names
         stem = PurePosixPath(file).name.split(".")[0]
         if stem in contents:
@@ -170,8 +170,8 @@ def read_episodes(
 ) -> tuple[SceneEpisodes, ...]:
     """The episodes in `<split>.json.gz` and its content files, by scene, or in a content file alone.
 
-    With `scene` (and `ground`), all of them have to be made for it: see `check_scene`. Raises `WorldError` if a file is
-    missing, cut off, no JSON, lacks a key, or holds numbers that are not finite.
+    With `scene` (and `ground`), all of them must be made for it: see `check_scene`. Raises `WorldError` if a file is
+    missing, truncated, not JSON, lacks a key, or holds numbers that are not finite.
     """
     path = Path(path)
     files = sorted((path.parent / "content").glob("*.json.gz"))
@@ -190,7 +190,7 @@ def read_episodes(
 def _read(path: Path) -> dict[str, Any]:
     try:
         content = parsed(unpacked(path), strict=True)
-    except OSError as error:  # also what gzip raises where there is no gzip
+    except OSError as error:  # also raised by gzip for files that are not gzipped
         raise WorldError(f"{path} cannot be read: {error}; wanted gzipped JSON") from error
     except (EOFError, zlib.error) as error:
         raise WorldError(f"{path} is cut off or corrupt ({error}); copy or write it again") from error

@@ -1,4 +1,4 @@
-"""Goals and episodes, and what Habitat's ObjectNav files call their parts; `eagor.worlds.objectnav` is the way in."""
+"""Goals, episodes, and their keys in Habitat's ObjectNav files; the public entry point is `eagor.worlds.objectnav`."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Goal:
     """A thing to find.
 
     `instance`: its id in the scene; `position` ``(3,)``: its centre; `view_positions` ``(n, 3)``, `view_rotations`
-    ``(n, 3, 3)`` and `view_overlap` ``(n,)``: where to stand so as to have found it, how to look from there, and how
-    well it fills the view (Habitat's iou); `room`: its name, if known; `radius`: Habitat's, metres, if any.
+    ``(n, 3, 3)`` and `view_overlap` ``(n,)``: poses that count as having found it, and how well it fills the view there
+    (Habitat's iou); `room`: its name, if known; `radius`: Habitat's, metres, if any.
     """
 
     category: str
@@ -42,7 +42,7 @@ class Goal:
 
 @dataclass(frozen=True, eq=False)
 class Origin:
-    """What an episode was made for: the scene (`Scene.hash`, `Scene.source`) and the `Ground` (metres)."""
+    """The scene (`Scene.hash`, `Scene.source`) and the `Ground` (metres) that an episode was made for."""
 
     scene_hash: str
     version: str
@@ -55,8 +55,8 @@ class Episode:
     """Start and goal of one search.
 
     `scene`: the file that Habitat loads (its scene_id); `position` ``(3,)`` at the feet and `world_R_body` ``(3, 3)``:
-    where it starts; `geodesic` and `euclidean`: metres from there to the goal, if told; `nearest`: the goal that is so
-    far away; `info`: whatever else the file says; `origin`: None in the files of others.
+    the start; `geodesic` and `euclidean`: metres from there to the goal, if given; `nearest`: the goal at that
+    distance; `info`: everything else in the file; `origin`: None in the files of others.
     """
 
     scene: str
@@ -74,7 +74,7 @@ class Episode:
 
 
 def spelt(category: str) -> str:
-    """The category as the files spell it."""
+    """The category as written in the files."""
     return "tv_monitor" if category == "tv" else category.replace(" ", "_")
 
 
@@ -135,12 +135,12 @@ def _words(category: str) -> str:
 def _numbers(values: Any, count: int) -> np.ndarray:
     found = np.asarray(values, dtype=np.float64)
     if found.shape != (count,) or not np.isfinite(found).all():
-        raise ValueError(f"{values!r} where {count} finite numbers were wanted")
+        raise ValueError(f"{values!r} is not {count} finite numbers")
     return found
 
 
 def goal_from_json(entry: dict[str, Any]) -> Goal:
-    """The goal in an entry; raises what a wrong entry runs into."""
+    """The goal in an entry; a malformed entry may raise anything."""
     views = entry["view_points"]
     places = np.array([_numbers(view["agent_state"]["position"], 3) for view in views]).reshape(-1, 3)
     turns = np.array([_numbers(view["agent_state"]["rotation"], 4) for view in views]).reshape(-1, 4)
@@ -158,7 +158,7 @@ def goal_from_json(entry: dict[str, Any]) -> Goal:
 
 
 def episode_from_json(entry: dict[str, Any], index: int) -> Episode:
-    """The episode in an entry; raises what a wrong entry runs into."""
+    """The episode in an entry; a malformed entry may raise anything."""
     info = dict(entry.get("info") or {})
     ours = info.pop("eagor", None)
     geodesic, euclidean = (info.pop(key, None) for key in ("geodesic_distance", "euclidean_distance"))

@@ -1,16 +1,16 @@
-"""Which cells of a horizontal grid the triangles between two heights touch, and where among triangles the floor is.
+"""The cells of a horizontal grid that triangles between two heights touch, and the height of the floor.
 
 Exact and conservative: a triangle is clipped to the slab and projected, and a cell counts if its square meets the
-projection (separating axes), so that neither a thin wall nor a chair leg falls between samples. A face that lies
-exactly between two cells, as walls on round numbers do, counts for the one behind it.
+projection (separating axes). So neither a thin wall nor a chair leg falls between samples. A face exactly between two
+cells, as walls on round numbers, counts for the one behind it.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-_INWARD = 1e-3  # in cells: so far a face is moved to its back
-_TOUCH = 1e-4  # in cells: what overlaps by less does not count, whatever the rounding
+_INWARD = 1e-3  # in cells: shift of a face to its back
+_TOUCH = 1e-4  # in cells: smaller overlaps do not count, to be safe from rounding
 _AT_ONCE = 400_000  # candidate cells tested together; bounds the memory
 
 
@@ -41,7 +41,7 @@ def level_triangles(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
 
 
 def floor_height(corners: np.ndarray, level: np.ndarray, upward: np.ndarray, area: np.ndarray) -> float:
-    """0 where there is a floor at 0, else the height of the lowest level surface that is large."""
+    """0 if there is a floor at 0, otherwise the height of the lowest large level surface."""
     chosen = level & upward if (level & upward).any() else level
     if not chosen.any():
         return 0.0
@@ -56,7 +56,7 @@ def floor_height(corners: np.ndarray, level: np.ndarray, upward: np.ndarray, are
 
 
 def _in_cells(corners: np.ndarray, origin: np.ndarray, cell: float) -> np.ndarray:
-    """Triangles with x and y in cells, z in metres, moved a little to their back."""
+    """Triangles with x and y in cells, z in metres, shifted a little to their back."""
     corners = corners.astype(np.float64)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
@@ -77,7 +77,7 @@ def _clip(polygons: np.ndarray, limit: float, sign: float) -> np.ndarray:
     step = np.where(crossing, height - following, 1.0)
     share = (height / step)[:, :, None]
     between = polygons + share * (np.roll(polygons, -1, axis=1) - polygons)
-    # Sutherland and Hodgman: every edge gives its start if that is inside, then its crossing. Valid ones to the front.
+    # Sutherland and Hodgman: every edge gives its start if that is inside, then its crossing. Valid ones go first.
     points = np.stack([polygons, between], axis=2).reshape(count, 2 * sides, 3)
     valid = np.stack([inside, crossing], axis=2).reshape(count, 2 * sides)
     order = np.argsort(~valid, axis=1, kind="stable")[:, : sides + 1]

@@ -1,8 +1,8 @@
 """A small room with coloured balls, painted by ray casting: no files, no graphics library, true perspective.
 
 World frame: the origin is on the floor in the middle of the room, x to the front wall (a picture), y to the left wall
-(a window), z up, metres. The right wall is striped and the back wall has a door, so that no mirror image or quarter
-turn of the room looks like the room: a wrong sign shows. Walls, floor and ceiling are muted; the balls are not.
+(a window), z up, metres. The right wall is striped and the back wall has a door: no mirror image or quarter turn of the
+room looks like the room, so wrong signs show. Walls, floor and ceiling are muted, the balls are not.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ BALL_COLOURS = {
     "blue": (35, 75, 190), "purple": (125, 50, 160), "pink": (240, 140, 175), "white": (242, 242, 238),
     "black": (22, 22, 24),
 }  # fmt: skip
-EYE = (0.0, 0.0, 1.3)  # where the camera stands unless told otherwise
+EYE = (0.0, 0.0, 1.3)  # default position of the camera
 
 
 @dataclass(frozen=True)
@@ -61,12 +61,12 @@ class Room:
 
     @property
     def lamp(self) -> np.ndarray:
-        """The point that the light comes from (3,), world frame."""
+        """The position of the light (3,), world frame."""
         return np.array([0.06 * self.size[0], 0.04 * self.size[1], 0.88 * self.size[2]])
 
 
 def painted_room(height: int = 256, width: int = 512, balls: Sequence[Ball] | None = None) -> np.ndarray:
-    """The room from its middle at eye height, facing the front wall, ``(H, W, 3)`` uint8; a ready-made panorama."""
+    """A ready-made panorama ``(H, W, 3)`` uint8: the room from its middle at eye height, facing the front wall."""
     room = Room() if balls is None else Room(balls=tuple(balls))
     return paint(room, EYE, np.eye(3), height, width)
 
@@ -84,8 +84,8 @@ def paint(
 ) -> np.ndarray:  # fmt: skip
     """The panorama ``(H, W, 3)`` uint8 of `room` seen from `position` (metres, world frame) in pose `world_R_body`.
 
-    Each pixel is the mean of samples x samples rays. A ball that holds the camera inside it is not seen. Raises
-    `PoseError` if the camera is not in the room, `RotationError`, `GridError`.
+    Each pixel is the mean of samples x samples rays. A ball around the camera is invisible. Raises `PoseError` if the
+    camera is not in the room, `RotationError`, `GridError`.
     """
     eye, half = np.asarray(position, dtype=float), np.asarray(room.size) / 2
     inside = eye.shape == (3,) and (np.abs(eye[:2]) < half[:2]).all() and 0 < eye[2] < room.size[2]
@@ -94,7 +94,7 @@ def paint(
     pose = check_rotation(np.asarray(np.eye(3) if world_R_body is None else world_R_body, dtype=float), "world_R_body")
     rays = ErpGrid(height * samples, width * samples).directions @ pose.T
     image = np.empty((height, width, 3), dtype=np.uint8)
-    for top in range(0, height, 8):  # in bands: what they need stays in the cache
+    for top in range(0, height, 8):  # in bands, so that their data fits in the cache
         band = rays[top * samples : (top + 8) * samples]
         linear = np.minimum(_shade(room, eye, band.reshape(-1, 3)), 1.0)  # samples, before they are averaged
         linear = linear.reshape(len(band) // samples, samples, width, samples, 3).mean(axis=(1, 3))
@@ -103,7 +103,7 @@ def paint(
 
 
 def _shade(room: Room, eye: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """Linear light ``(n, 3)`` that comes in along `rays` ``(n, 3)``, unit vectors in the world frame."""
+    """Linear light ``(n, 3)`` that arrives along `rays` ``(n, 3)``, unit vectors in the world frame."""
     point, normal, colour = _hit_walls(room, eye, rays)
     gloss = np.zeros(len(rays))
     nearest = np.linalg.norm(point - eye, axis=-1)
@@ -139,7 +139,7 @@ def _hit_walls(room: Room, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarra
 
 
 def _entry(ball: Ball, eye: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """How far along each ray `ball` begins, metres ``(n,)``; infinite where the ray misses it."""
+    """Distance along each ray to `ball`, metres ``(n,)``; infinite if the ray misses it."""
     offset = np.asarray(ball.position, dtype=float) - eye
     along = rays @ offset
     square = ball.radius**2 - (offset @ offset - along**2)
@@ -150,18 +150,18 @@ def _entry(ball: Ball, eye: np.ndarray, rays: np.ndarray) -> np.ndarray:
 def _light(
     room: Room, point: np.ndarray, normal: np.ndarray, rays: np.ndarray, gloss: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What multiplies the colour, and what is added to it (highlights), each ``(n, 1)``: lamp, daylight, corners."""
+    """The factor of the colour, and the highlights added to it, each ``(n, 1)``: lamp, daylight, corners."""
     to_lamp = room.lamp - point
     distance = np.linalg.norm(to_lamp, axis=-1)
     to_lamp /= distance[:, None]
     facing = np.sum(normal * to_lamp, axis=-1)
     lamp = (0.7 * np.clip(facing, 0, None) + 0.3 * np.clip(0.5 + 0.5 * facing, 0, 1)) / (1 + 0.06 * distance**2)
-    # Corners get less of the light that bounces around: a product over the three pairs of walls.
+    # Corners get less indirect light: a product over the three pairs of walls.
     bounce = 0.42 + 0.1 * normal[:, 2]
     for axis, size in enumerate(room.size):
         gap = size / 2 - np.abs(point[:, axis] - (size / 2 if axis == 2 else 0))
         bounce *= 0.72 + 0.28 * _smooth(np.where(np.abs(normal[:, axis]) > 0.99, 1.0, gap), 0.0, 0.9)
-    for ball in room.balls:  # a soft shadow, and the sky that the ball hides from what is near it
+    for ball in room.balls:  # a soft shadow, and the part of the sky that the ball hides
         centre = ball.position - point
         away = np.linalg.norm(centre, axis=-1)
         along = np.clip(np.sum(centre * to_lamp, axis=-1), 0, distance)

@@ -17,16 +17,16 @@ from eagor.errors import ImageError
 from eagor.grids import ErpGrid, Grid
 from eagor.sphere import check_rotation
 
-FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM")  # no other program is started for any of these
-_SMALL = 1 << 26  # bytes: 4096 x 4096 in colours
-_DENSEST = 600  # bytes when decoded, per byte of the file; a picture of nothing has up to a thousand
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM")  # Pillow starts no other program for any of these
+_SMALL = 1 << 26  # bytes: 4096 x 4096 in colour
+_DENSEST = 600  # decoded bytes per byte of the file; blank pictures reach up to a thousand
 
 
 def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
     """The image file at `path` as ``(H, W, 3)`` uint8.
 
-    Grey, palette and transparent images become RGB (transparency is dropped), and the orientation tag of the file is
-    not followed: a panorama's rows are elevations whatever the tag says. An image that is not 2:1 is accepted with a
+    Grey, palette and transparent images become RGB (transparency is dropped). The orientation tag of the file is
+    ignored: a panorama's rows are elevations whatever the tag says. An image that is not 2:1 is accepted with a
     `UserWarning`; its columns span 360 degrees and its rows 180. Raises `ImageError` if there is no readable image.
     """
     name = os.fspath(path)
@@ -40,9 +40,9 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
         image = read_image(name, os.path.getsize(name))
     except ImageError as error:
         raise ImageError(f"{name!r} {error}") from error
-    except Exception as error:  # Pillow's decoders raise whatever the damage leads them to
+    except Exception as error:  # Pillow's decoders may raise anything for damaged files
         raise ImageError(
-            f"{name!r} cannot be read as an image ({type(error).__name__}: {error}); it is corrupt, cut short or of "
+            f"{name!r} cannot be read as an image ({type(error).__name__}: {error}); it is corrupt, truncated or of "
             "another kind. Wanted an image that Pillow reads, such as PNG or JPEG: fetch or export it again"
         ) from error
     height, width = image.shape[:2]
@@ -57,36 +57,34 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
 
 
 def read_image(file: str | IO[bytes], size: int) -> np.ndarray:
-    """The picture ``(H, W, 3)`` uint8 in a file of `size` bytes. Raises `ImageError`, and what Pillow's decoders do.
+    """The picture ``(H, W, 3)`` uint8 in a file of `size` bytes. Raises `ImageError`, or what Pillow's decoders raise.
 
-    Also where it claims more than such a file can hold, before room is made for that: no coder packs a picture that
-    shows anything so densely. Small pictures may be as empty as they like.
+    A picture that claims more pixels than a real one of this file size can have is rejected before memory is allocated.
+    Small pictures may be blank.
     """
     with Image.open(file, formats=FORMATS) as image:
         width, height = image.size
         if decoded_bytes(image) > max(_SMALL, _DENSEST * size):
-            raise ImageError(
-                f"claims {width} x {height} pixels in {size} bytes; it is corrupt, or a picture of nothing"
-            )
+            raise ImageError(f"claims {width} x {height} pixels in {size} bytes; it is corrupt, or blank")
         image.load()
         return as_rgb(image)
 
 
 def decoded_bytes(image: Image.Image) -> int:
-    """The room that a picture takes while it is read."""
+    """Memory for the picture while it is read."""
     return image.width * image.height * (8 if image.mode[0] in "IF" else 4)
 
 
 def as_rgb(image: Image.Image) -> np.ndarray:
     """``(H, W, 3)`` uint8 of any picture with 8 or 16 bits per channel."""
-    if image.mode.startswith("I"):  # 16-bit grey, which Pillow would clip instead of scale
+    if image.mode.startswith("I"):  # 16-bit grey, which Pillow would clip instead of scaling
         grey = np.clip(np.asarray(image), 0, 65535).astype(np.uint32)
-        grey += 128  # to the nearest
+        grey += 128  # rounds to nearest
         grey //= 257
         return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=-1)
     if image.mode == "F":
         raise ImageError("holds floating-point grey values of unknown range; tone-map it to 8 bits first")
-    if image.mode == "P":  # palettes may carry transparency, which only RGBA can take in
+    if image.mode == "P":  # palettes may carry transparency, which only RGBA supports
         image = image.convert("RGBA")
     return np.array(image.convert("RGB"))
 
@@ -105,7 +103,7 @@ def turn(image: np.ndarray, new_R_old: np.ndarray) -> np.ndarray:
 
 
 def view(image: np.ndarray, grid: Grid) -> np.ndarray:
-    """What a camera with `grid` sees of the panorama, ``grid.shape`` or ``(*grid.shape, C)``, data type kept.
+    """The view of a camera with `grid` in the panorama, ``grid.shape`` or ``(*grid.shape, C)``, data type kept.
 
     Bilinear, without a low-pass filter: choose pixels that are not much coarser than the panorama's. Cells in which
     `grid` sees nothing (the corners of a fisheye) are black. Raises `ImageError`.
@@ -129,7 +127,7 @@ def _sample(image: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """`image` read bilinearly at `directions` ``(..., 3)``, around the seam and over the poles."""
     height, width = image.shape[:2]
     x, y, _ = ErpGrid(height, width).project(directions)
-    # Beyond a pole the image goes on, half a turn away: one such row is put above and one below.
+    # Beyond a pole the image continues half a turn away: one such row is added above and one below.
     rows = np.concatenate([_half_turn(image[:1]), image.astype(_working(image)), _half_turn(image[-1:])])
     u, v = x - 0.5, np.clip(y, 0, height) + 0.5
     left, top = np.floor(u).astype(np.intp), np.clip(np.floor(v).astype(np.intp), 0, height)
@@ -151,7 +149,7 @@ def _working(image: np.ndarray) -> np.dtype:
 
 
 def _half_turn(row: np.ndarray) -> np.ndarray:
-    """One row ``(1, W, ...)`` as seen half a turn further; the mean of two columns where W is odd."""
+    """One row ``(1, W, ...)`` as seen half a turn further; the mean of two columns if W is odd."""
     row = row.astype(_working(row))
     width = row.shape[1]
     return (np.roll(row, width // 2, axis=1) + np.roll(row, width - width // 2, axis=1)) / 2

@@ -15,10 +15,9 @@ from eagor.worlds.render import Frame, Position
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
-    """A panorama ``(H, W, 3)`` uint8, in the layout of `eagor.sphere`, taken in the pose "identity" at the origin.
+    """A panorama ``(H, W, 3)`` uint8, in the layout of `eagor.sphere`, taken in the identity pose at the origin.
 
-    The camera can turn in it. It cannot move, since a photograph does not say how far away things are: there are no
-    ranges and no ids.
+    The camera can turn but not move in it, since a photograph has no depth: there are no ranges and no ids.
     """
 
     image: np.ndarray
@@ -27,10 +26,10 @@ class Photograph:
         self, position: Position, world_R_body: np.ndarray, height: int, *,
         rgb: bool = True, range: bool = True, ids: bool = True,
     ) -> Frame:  # fmt: skip
-        """What the camera sees in the pose `world_R_body`, ``(height, 2 height, 3)``; range and ids are always None.
+        """The view in the pose `world_R_body`, ``(height, 2 height, 3)``; range and ids are always None.
 
         The photograph is averaged to the size first. Raises `PoseError` for a position other than the origin,
-        `GridError` for a height below 1, `RotationError`, and `ImageError` for a photograph that is none.
+        `GridError` for a height below 1, `RotationError`, and `ImageError` for an invalid photograph.
         """
         image = np.asarray(self.image)
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[-1] != 3 or image.size == 0:

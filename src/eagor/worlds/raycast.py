@@ -1,8 +1,8 @@
-"""What a ray hits first: two engines with the same answers.
+"""Ray casting: two engines with the same results.
 
-`make_raycaster` takes triangles and gives back a `Raycaster`. The "embree" engine is Intel's Embree
-through the embreex wheel; the "numpy" engine (`eagor.worlds.bvh`) needs nothing but NumPy and is slower by one to two
-orders of magnitude. "auto" takes the first of the two that is there. Both see triangles from either side.
+`make_raycaster` makes a `Raycaster` from triangles. The "embree" engine is Intel's Embree through the embreex wheel;
+the "numpy" engine (`eagor.worlds.bvh`) needs only NumPy and is slower by one to two orders of magnitude. "auto" takes
+the first that is installed. Both see triangles from either side.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from eagor.errors import WorldError
 from eagor.worlds.bvh import Tree
 
 ENGINES = ("auto", "embree", "numpy")
-_FAR = np.float32(1e37)  # what embreex reports for a miss
+_FAR = np.float32(1e37)  # distance that embreex reports for a miss
 
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """The first thing on each of n rays.
+    """The first hit of each of n rays.
 
-    `distance` ``(n,)`` float32, in lengths of the ray's direction (metres for unit directions), inf where nothing is
-    hit; `triangle` ``(n,)`` int32, -1 where nothing is hit; `u` and `v` ``(n,)`` float32, the barycentric weights of
-    the triangle's corners 1 and 2 (corner 0 has 1 - u - v; 0 where nothing is hit).
+    `distance` ``(n,)`` float32, in lengths of the ray's direction (metres for unit directions), inf for a miss;
+    `triangle` ``(n,)`` int32, -1 for a miss; `u` and `v` ``(n,)`` float32, the barycentric weights of the triangle's
+    corners 1 and 2 (corner 0 has 1 - u - v; 0 for a miss).
     """
 
     distance: np.ndarray
@@ -36,7 +36,7 @@ class Hits:
 
 
 class Raycaster(Protocol):
-    """Triangles that rays can be sent at. Rays are float32 arrays ``(n, 3)``, world frame, metres."""
+    """Triangles to cast rays at. Rays are float32 arrays ``(n, 3)``, world frame, metres."""
 
     def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
         """The nearest triangle along each ray. Directions need not have unit length."""
@@ -52,9 +52,9 @@ def make_raycaster(
 ) -> Raycaster:
     """A raycaster for `triangles` ``(T, 3)`` over `vertices` ``(V, 3)``, metres.
 
-    `engine` is "embree", "numpy" or "auto" (embree where its wheel is installed). Without `watertight`, embree is a
-    seventh quicker, and a rare ray slips through the edge between two triangles. Raises `WorldError` for another name,
-    for a missing wheel, or for triangles that point outside the vertices.
+    `engine` is "embree", "numpy" or "auto" (embree if its wheel is installed). Without `watertight`, embree is one
+    seventh faster, but a rare ray slips through the edge between two triangles. Raises `WorldError` for another name, a
+    missing wheel, or triangles with indices outside the vertices.
     """
     vertices = np.ascontiguousarray(vertices, dtype=np.float32)
     triangles = np.ascontiguousarray(triangles, dtype=np.int32)
@@ -89,7 +89,7 @@ def has_embree() -> bool:
 
 
 def _checked(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both as float32 ``(n, 3)``. Raises `WorldError` where their shapes differ."""
+    """Both as float32 ``(n, 3)``. Raises `WorldError` if their shapes differ."""
     origins, directions = np.asarray(origins, dtype=np.float32), np.asarray(directions, dtype=np.float32)
     if origins.shape != directions.shape or origins.ndim != 2 or origins.shape[1] != 3:
         raise WorldError(
@@ -114,7 +114,7 @@ class EmbreeRaycaster:
         origins, directions = _checked(origins, directions)
         found = self._scene.run(origins, directions, output=True)
         missed = found["primID"] < 0
-        if missed.any():  # embreex leaves in u and v what the ray before had there
+        if missed.any():  # embreex leaves the values of the previous ray in u and v
             for name, value in (("tfar", np.inf), ("u", 0.0), ("v", 0.0)):
                 np.copyto(found[name], value, where=missed)
         return Hits(found["tfar"], found["primID"], found["u"], found["v"])
@@ -122,13 +122,13 @@ class EmbreeRaycaster:
     def occluded(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
         """See `Raycaster.occluded`."""
         origins, directions = _checked(origins, directions)
-        # embreex writes into the array of limits and knows no infinity.
+        # embreex writes into the array of limits and does not support infinity.
         limits = np.minimum(np.broadcast_to(np.asarray(reach, dtype=np.float32), len(origins)), _FAR)
         return self._scene.run(origins, directions, dists=limits, query="OCCLUDED") >= 0
 
 
 class NumpyRaycaster:
-    """The same answers from `eagor.worlds.bvh`, up to rounding, and to the choice at a shared edge."""
+    """The same results from `eagor.worlds.bvh`, except for rounding and the choice at a shared edge."""
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
         self._tree = Tree(vertices, triangles)

@@ -1,4 +1,4 @@
-"""Colour, range and instance ids of a scene, seen from any pose through any grid: one ray per pixel.
+"""Colour, range and instance ids of a scene, from any pose and for any grid: one ray per pixel.
 
 Frames: positions and rotations are poses in the world frame; images are in the layout of `eagor.sphere`.
 """
@@ -24,15 +24,15 @@ from eagor.worlds.scene import Scene
 from eagor.worlds.shading import Shader
 
 Position = np.ndarray | tuple[float, float, float]
-_QUANTA = 1 << 20  # steps of yaw in one column: 1e-8 rad in a panorama of 512 columns, less than float32 resolves
+_QUANTA = 1 << 20  # steps of yaw per column: 1e-8 rad in a panorama of 512 columns, below the resolution of float32
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What a camera sees; what was not asked for is None.
+    """A rendered view; parts that were not requested are None.
 
-    `rgb` ``(H, W, 3)`` uint8 sRGB; `range` ``(H, W)`` float32, metres from the camera along the ray, inf where nothing
-    is; `ids` ``(H, W)`` int32, places in `Scene.instances`, -1 where nothing is.
+    `rgb` ``(H, W, 3)`` uint8 sRGB; `range` ``(H, W)`` float32, metres from the camera along the ray, inf for no hit;
+    `ids` ``(H, W)`` int32, indices of `Scene.instances`, -1 for no hit.
     """
 
     rgb: np.ndarray | None
@@ -43,9 +43,9 @@ class Frame:
 class Renderer:
     """Pictures of `scene`.
 
-    Making one costs nothing: the tree of triangles is built at the first picture, the light (seconds, unless it is in
-    the cache) at the first one in colour. `engine`: see `eagor.worlds.raycast`; `cache`: the folder for the light, by
-    default the user's cache ($EAGOR_CACHE). Use one renderer per thread.
+    Making one costs nothing: the tree of triangles is built for the first picture, the light (seconds, unless cached)
+    for the first one in colour. `engine`: see `eagor.worlds.raycast`; `cache`: the folder for the light, by default the
+    user's cache ($EAGOR_CACHE). Use one renderer per thread.
     """
 
     def __init__(self, scene: Scene, *, engine: str = "auto", cache: Path | None = None) -> None:
@@ -55,7 +55,7 @@ class Renderer:
 
     @lazy
     def raycaster(self) -> Raycaster:
-        """The scene's triangles, corners turned as in the lattice of light. Raises `WorldError`."""
+        """The scene's triangles, with corners rotated as in the lattice of light. Raises `WorldError`."""
         return make_raycaster(self.scene.vertices, self._lattice.triangles, self.engine)
 
     @lazy
@@ -68,7 +68,7 @@ class Renderer:
 
     @lazy
     def _owners(self) -> np.ndarray:
-        """Instance of each triangle, and -1 in the last place, which index -1 means."""
+        """Instance of each triangle, and -1 at the end for the index -1."""
         return np.append(self.scene.instance, -1).astype(np.int32)
 
     def panorama(
@@ -77,9 +77,8 @@ class Renderer:
     ) -> Frame:  # fmt: skip
         """The panorama ``(height, 2 height)`` from `position` ``(3,)``, metres, in the pose `world_R_body`.
 
-        A pose that only turns about the vertical is taken as a whole number of columns and a remainder, so that
-        turning on by whole columns rolls the image exactly. Raises `PoseError`, `RotationError`, `GridError`,
-        `WorldError`.
+        A rotation about the vertical is split into a whole number of columns and a remainder, so that turning by whole
+        columns rolls the image exactly. Raises `PoseError`, `RotationError`, `GridError`, `WorldError`.
         """
         if height < 1:
             raise GridError(f"a panorama of height {height}; wanted at least one row")
@@ -96,7 +95,7 @@ class Renderer:
         self, position: Position, world_R_view: np.ndarray, grid: Grid, *,
         rgb: bool = True, range: bool = True, ids: bool = True,
     ) -> Frame:  # fmt: skip
-        """What `grid` sees from `position` ``(3,)``, metres; its body frame has the pose `world_R_view`.
+        """The view of `grid` from `position` ``(3,)``, metres; its body frame has the pose `world_R_view`.
 
         Cells in which the grid sees nothing (the corners of a fisheye) are black, at range inf, id -1. An `ErpGrid`
         twice as wide as high gives the `panorama`. Errors as there.
@@ -107,7 +106,7 @@ class Renderer:
         weights = np.asarray(grid.weights)
         seen = weights.ravel() > 0
         directions = (grid.directions.reshape(-1, 3)[seen] @ rotation.T).astype(np.float32)
-        # The angle of a pixel, which chooses how fine textures are: the cells of a panorama are alike in elevation.
+        # The angle of a pixel selects the level of textures; cells of a panorama have the same height in elevation.
         separable = isinstance(grid, ErpGrid | PatchGrid)
         pixel = math.pi / grid.shape[0] if separable else math.sqrt(float(np.median(weights[weights > 0])))
         whole = []
@@ -124,7 +123,7 @@ class Renderer:
     def _seen(
         self, position: Position, directions: np.ndarray, pixel: float, rgb: bool, range: bool, ids: bool
     ) -> tuple[np.ndarray | None, ...]:
-        """What these rays ``(n, 3)`` see, ``(n, ...)`` each; `pixel`: the angle between neighbours, radians."""
+        """What these rays ``(n, 3)`` hit, ``(n, ...)`` each; `pixel`: the angle between neighbours, radians."""
         origin = np.asarray(position, dtype=np.float32)
         if origin.shape != (3,) or not np.isfinite(origin).all():
             raise PoseError(f"the camera stands at {position}; wanted a position (x, y, z), finite, in metres")
@@ -141,7 +140,7 @@ def _shaped(parts: Iterable[np.ndarray | None], shape: tuple[int, ...]) -> Frame
 
 
 def _pure_yaw(rotation: np.ndarray) -> float | None:
-    """The yaw (radians, left) of a turn about the vertical; None for any other rotation."""
+    """The yaw (radians, left) of a rotation about the vertical; None for any other rotation."""
     tilt = max(abs(rotation[0, 2]), abs(rotation[1, 2]), abs(rotation[2, 0]), abs(rotation[2, 1]))
     return math.atan2(rotation[1, 0], rotation[0, 0]) if tilt < 1e-9 and rotation[2, 2] > 0 else None
 
@@ -153,10 +152,10 @@ def _erp_directions(height: int) -> np.ndarray:
 
 
 def _turned_directions(height: int, yaw: float) -> np.ndarray:
-    """The same, turned by `yaw`: the columns of a table that depends on the remainder alone, rolled."""
+    """The same, turned by `yaw`: a table that depends only on the remainder, with its columns rolled."""
     width = 2 * height
-    # The offset keeps yaws that people write (0, halves and quarters of a column) off the edge of a step, where
-    # the last digit of atan2 would decide.
+    # The offset keeps common yaws (0, halves and quarters of a column) off the edge of a step, where the last digit of
+    # atan2 would decide.
     steps = math.floor(yaw * width / (2 * math.pi) * _QUANTA + 0.37)
     columns, remainder = divmod(steps, _QUANTA)
     azimuth, cosine, sine = _columns(height, remainder)

@@ -1,8 +1,8 @@
-"""A scene: triangles, what they belong to, what they look like, and where the light comes from.
+"""A scene: triangles with their instances and materials, and the light sources.
 
 World frame: x and y horizontal, z up, right-handed, metres; the floor is at z = 0. The built-in apartments and any
 imported GLB become the same `Scene`, which the renderer (`eagor.worlds.render`), the ground plan
-(`eagor.worlds.ground`) and the exporters read. Nothing in a scene is changed after it has been made.
+(`eagor.worlds.ground`) and the exporters use. A scene is immutable.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ STRUCTURE = ("wall", "floor", "ceiling", "door", "window")  # categories that ar
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """A thing with a name. Its place in `Scene.instances` is its id in id images.
+    """A named thing. Its index in `Scene.instances` is its id in id images.
 
-    `category` in lower-case words ("coffee table"); `colour`, its main colour as a plain word, or None; `room`, the
-    name of the room it is in, or None; `low` and `high` ``(3,)``, its axis-aligned bounds in metres.
+    `category` in lower-case words ("coffee table"); `colour`: its main colour as a plain word, or None; `room`: the
+    name of its room, or None; `low` and `high` ``(3,)``: its axis-aligned bounds in metres.
     """
 
     category: str
@@ -45,10 +45,10 @@ class Instance:
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """What a surface looks like.
+    """The appearance of a surface.
 
-    `colour`: sRGB in [0, 1], multiplies the texture; `texture`: ``(h, w, 3)`` uint8 sRGB that repeats, or None;
-    `emission`: light that it gives by itself, 1 being a white surface in full light (lamp shades, screens).
+    `colour`: sRGB in [0, 1], multiplies the texture; `texture`: ``(h, w, 3)`` uint8 sRGB, periodic, or None;
+    `emission`: its own light, 1 being a white surface in full light (lamp shades, screens).
     """
 
     name: str
@@ -94,11 +94,11 @@ class Scene:
     """Triangles and their meaning.
 
     - `vertices` ``(V, 3)`` float32; `triangles` ``(T, 3)`` int32, counter-clockwise seen from outside; surfaces are
-      lit on the side that is looked at.
-    - `instance` and `material` ``(T,)`` int32: whose triangle it is, and its look, as places in the two tuples.
+      lit on the side that is seen.
+    - `instance` and `material` ``(T,)`` int32: indices of the triangle's instance and material.
     - `uv` ``(T, 3, 2)`` float32: texture coordinates of the corners, in repeats of the texture; u to the right, v up.
-    - `lamps`: empty where only daylight and emission light the scene. `daylight`: linear RGB of the sky.
-    - `source`: what made it and in which version ("apartment 1 seed 17", "glb kitchen.glb").
+    - `lamps`: empty if only daylight and emission light the scene. `daylight`: linear RGB of the sky.
+    - `source`: its generator and version ("apartment 1 seed 17", "glb kitchen.glb").
     """
 
     vertices: np.ndarray
@@ -133,7 +133,7 @@ class Scene:
 
     @lazy
     def hash(self) -> str:
-        """Sixteen hexadecimal digits that change with anything that can be hit, seen or named."""
+        """Sixteen hexadecimal digits that change with everything that can be hit, seen or named."""
         digest = hashlib.sha256()
         for array in (self.vertices, self.triangles, self.instance, self.material, self.uv):
             digest.update(np.ascontiguousarray(array).tobytes())

@@ -1,9 +1,8 @@
-"""From hits to pixels: texture, light and tone, by table look-up and integer arithmetic.
+"""From hits to pixels: texture, light and tone mapping, by table look-up and integer arithmetic.
 
-Reflectance stays sRGB-coded in 8 bits, light is coded in 512 levels as its square root. A table of all pairs holds the
-tone-mapped product, so that no power is taken per pixel. The light of a pixel is interpolated between three slots of
-the lattice; the three colours of a slot share one 64-bit number, 21 bits each, of which 11 are light and 10 are room
-for the weights.
+Reflectance stays sRGB-coded in 8 bits; light is coded in 512 levels as its square root. A table of all pairs holds the
+tone-mapped product, so no power is computed per pixel. The light of a pixel is interpolated between three slots of the
+lattice. The three colours of a slot share one 64-bit number, 21 bits each: 11 for light and 10 for the weights.
 """
 
 from __future__ import annotations
@@ -18,18 +17,18 @@ from eagor.worlds.raycast import Hits
 from eagor.worlds.scene import Material, Scene
 from eagor.worlds.sky import look_up, painted
 
-BRIGHTEST = 5.0  # light beyond it is cut; 1 shows a white surface at the edge of the shoulder's reach
+BRIGHTEST = 5.0  # light is clipped to this; 1 shows a white surface at the edge of the shoulder's range
 _KNEE = 0.4  # display values up to here are linear
 _CONTRAST = 1.08
-_MEDIAN = 0.48  # what a white surface in the scene's median light shows, before the shoulder
+_MEDIAN = 0.48  # display value, before the shoulder, of a white surface in the scene's median light
 _OUTDOORS = 1.6  # exposure of the view out of the windows
 _LANE = 21
-_BLOCK = 1 << 14  # pixels at a time: what they need stays in the cache
+_BLOCK = 1 << 14  # pixels at a time, so that their data fits in the cache
 _LEVELS = 12  # of textures: sides up to 2048 texels, halved down to 1
 
 
 def exposure(scene: Scene, lattice: Lattice, light: np.ndarray) -> float:
-    """The factor that brings `light` ``(S, 3)`` to display values: fixed by the median light in the rooms."""
+    """The factor from `light` ``(S, 3)`` to display values, from the median light in the rooms."""
     brightness = light.mean(axis=1)
     weight = np.where(unseen(scene)[lattice.slots[0]], 0.0, lattice.areas)
     order = np.argsort(brightness)
@@ -39,14 +38,14 @@ def exposure(scene: Scene, lattice: Lattice, light: np.ndarray) -> float:
 
 
 def tone(linear: np.ndarray) -> np.ndarray:
-    """Display values in [0, 1], linear, of scene values: straight up to the knee, then a shoulder that never clips."""
+    """Linear display values in [0, 1] of scene values: straight up to the knee, then a shoulder that never clips."""
     room = 1 - _KNEE
     excess = (np.maximum(linear, _KNEE) - _KNEE) / room
     return np.where(linear <= _KNEE, linear, _KNEE + room * excess / (1 + excess)) ** _CONTRAST
 
 
 class Shader:
-    """The look of a scene, in tables."""
+    """The appearance of a scene, in tables."""
 
     def __init__(self, scene: Scene, lattice: Lattice, light: np.ndarray) -> None:
         self._texels = Texels.of(scene.materials)
@@ -58,12 +57,12 @@ class Shader:
         self._prepare(scene, lattice)
 
     def _prepare(self, scene: Scene, lattice: Lattice) -> None:
-        """The tables of the triangles; a last row, of no triangle, serves rays that hit nothing."""
+        """The tables of the triangles; an additional last row serves rays without a hit."""
         _, e1, e2, _ = lattice.frame
         side = (1 << self._texels.log_side[scene.material * _LEVELS].astype(np.int64))[:, None].astype(np.float64)
         uv = np.take_along_axis(scene.uv, ((lattice.turned[:, None] + np.arange(3)) % 3)[..., None], axis=1)
         uv = uv.astype(np.float64)
-        uv -= np.floor(uv.min(axis=1, keepdims=True))  # repeats do not matter; no place is negative
+        uv -= np.floor(uv.min(axis=1, keepdims=True))  # whole repeats do not matter; this makes all values positive
         a, b = (uv[:, 1] - uv[:, 0]) * side, (uv[:, 2] - uv[:, 0]) * side
         # Texels per metre: from the areas of the triangle on the texture and in the world.
         texture_area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
@@ -74,7 +73,7 @@ class Shader:
         self._pyramid = np.append(scene.material * _LEVELS, 0).astype(np.int32)
 
     def shade(self, hits: Hits, directions: np.ndarray, pixel: float) -> np.ndarray:
-        """Colours ``(n, 3)`` uint8 sRGB of what rays along `directions` ``(n, 3)`` hit; `pixel`: its angle, radians."""
+        """Colours ``(n, 3)`` uint8 sRGB of the hits of rays with `directions` ``(n, 3)``; `pixel`: angle, radians."""
         count = len(directions)
         colours = np.empty((count, 3), dtype=np.uint8)
         for first in range(0, count, _BLOCK):
@@ -100,7 +99,7 @@ class Shader:
 
     def _texel(self, row, u, v, x0, y0, ax, ay, bx, by, footprint) -> np.ndarray:
         """The texel at each pixel, from the level whose texels are about as large as the pixel."""
-        # The exponent of a float is the whole part of its logarithm; times sqrt(2), to round instead of cutting.
+        # The exponent of a float is the whole part of its logarithm; times sqrt(2), to round instead of truncating.
         level = (footprint * np.float32(1.4142135)).view(np.int32) >> 23
         level -= 127
         np.clip(level, 0, _LEVELS - 1, out=level)

@@ -1,4 +1,4 @@
-"""What rays meet that leave the building: a bright sky, a hazy horizon with houses and trees, and lawn below.
+"""The outdoors for rays that leave the building: a bright sky, a hazy horizon with houses and trees, and lawn below.
 
 Everything outdoors is infinitely far away, so it depends on the direction alone, world frame.
 """
@@ -35,14 +35,14 @@ def painted(seed: int) -> np.ndarray:
     cover = np.clip(cloud * 0.9 + 0.15, 0, 1)[..., None] * (1 - up)
     clear = _HORIZON + (_ZENITH - _HORIZON) * np.sqrt(up)
     air = clear + (_CLOUD - clear) * 0.7 * cover
-    # Lawn that turns to haze at the horizon.
-    away = 5 / np.tan(np.radians(np.clip(-below, 0.5, 89.5)))  # metres to where a storey's height looks at it
+    # Lawn that fades to haze at the horizon.
+    away = 5 / np.tan(np.radians(np.clip(-below, 0.5, 89.5)))  # metres, seen from one storey's height
     x, y = away * np.cos(azimuth), away * np.sin(azimuth)
     patches = sum(_waves(rng, 0.11 * (x * np.cos(a) + y * np.sin(a)), (1, 9)) for a in (0.2, 1.3, 2.4)) / 3
     grass = _LAWN * (1 + 0.35 * patches / (1 + away / 20))[..., None]
     haze = 1 - np.exp(-away / 60)[..., None]
     image = np.concatenate([air, grass + (_HAZE - grass) * haze])
-    band = np.abs(elevation[:, 0]) < 14  # all that stands on the ground
+    band = np.abs(elevation[:, 0]) < 14  # everything that stands on the ground
     image[band] = _skyline(image[band], rng, azimuth, elevation[band])
     return np.clip(image, 0, 1)
 
@@ -89,7 +89,7 @@ def _house(image: np.ndarray, rng: np.random.Generator, azimuth: np.ndarray, ele
 
 
 def _put(image: np.ndarray, where: np.ndarray, colour: np.ndarray) -> np.ndarray:
-    """`colour`, paled by the air between, where `where` is true."""
+    """`colour`, faded by the air between, where `where` is true."""
     pale = 0.86 * colour + 0.14 * np.array([0.78, 0.84, 0.90])
     return np.where(np.broadcast_to(where, image.shape[:2])[..., None], pale, image)
 

@@ -1,4 +1,4 @@
-"""Where light comes from: lamps, things that glow, and the sky in the windows, each as a few points."""
+"""Light sources: lamps, glowing things, and the sky in the windows, each as a few points."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from eagor.worlds import sky
 from eagor.worlds.raycast import Raycaster
 from eagor.worlds.scene import Material, Scene
 
-SKY_GAIN = 5.0  # how much brighter the sky is than `daylight`, which is also drawn: eyes and cameras adapt to the room
-LIFT = 0.004  # metres that rays start above their surface
+SKY_GAIN = 5.0  # brightness of the sky over `daylight`, as drawn: eyes and cameras adapt to the room
+LIFT = 0.004  # metres from surfaces to the start of rays
 GOLDEN = (1 + 5**0.5) / 2
-_FAINT = 0.004  # light that is not worth a shadow ray
+_FAINT = 0.004  # light too faint for a shadow ray
 _BALL = 0.1  # metres: radius of a lamp
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Light from a few points ``(K, 3)`` of equal share, which face `normal` ``(3,)`` or, if it is None, all ways.
+    """Light from a few points ``(K, 3)`` of equal share, which face `normal` ``(3,)``, or all directions if it is None.
 
-    `power` ``(3,)``: the light of a white surface at 1 m that faces it, on its axis. `sky`: the power is also
-    multiplied by the radiance of the sky behind the points; `short` metres before them, nothing shades any more;
-    `radius` of the disc that each point stands for, which bounds the light close by. The first `probes` points are
-    spread over the whole source.
+    `power` ``(3,)``: the light of a white surface at 1 m that faces it, on its axis. `sky`: multiply the power by the
+    radiance of the sky behind the points. `short`: shadow rays end this many metres before the points. `radius`: of the
+    disc that each point stands for, which bounds the light close by. The first `probes` points are spread over the
+    whole source.
     """
 
     positions: np.ndarray
@@ -39,7 +39,7 @@ class Source:
     def add_to(self, light: np.ndarray, origin: np.ndarray, normal: np.ndarray, shadows: Raycaster) -> None:
         """Add the light of this source to `light` ``(P, 3)`` at points `origin` with the unit normals `normal`.
 
-        Shadow rays to the first points of the source decide for the rest wherever they agree.
+        If the shadow rays to the first points of the source agree, they decide for the others.
         """
         brightest = float(self.power.max())
         axis = None if self.normal is None else self.normal.astype(np.float32)
@@ -55,7 +55,7 @@ class Source:
         asked, passed = np.zeros(len(near), dtype=np.int32), np.zeros(len(near), dtype=np.int32)
         gained = np.zeros((len(near), 3 if self.sky else 1), dtype=np.float32)
         for k, place in enumerate(self.positions.astype(np.float32)):
-            if k == self.probes:  # what no probe has seen stays dark
+            if k == self.probes:  # points that no probe reaches stay dark
                 left = np.flatnonzero(passed)
                 light[near] += gained * self.power
                 near, origin, normal, asked, passed = (a[left] for a in (near, origin, normal, asked, passed))
@@ -81,7 +81,7 @@ class Source:
 
 
 def lamps(scene: Scene, shadows: Raycaster) -> list[Source]:
-    """The lamps, as little balls of points, so that their shadows have soft edges."""
+    """The lamps, as small balls of points, so that their shadows have soft edges."""
     tetrahedron = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
     k = np.arange(12)
     height, angle = (2 * k + 1) / 12 - 1, 2 * np.pi / GOLDEN * k
@@ -91,7 +91,7 @@ def lamps(scene: Scene, shadows: Raycaster) -> list[Source]:
     found = []
     for lamp in scene.lamps:
         centre = np.asarray(lamp.position, dtype=np.float32)
-        # The ball must not stick out through the shade.
+        # The ball must not extend through the shade.
         free = shadows.cast(np.broadcast_to(centre, ball.shape), ball).distance
         points = centre + np.minimum(0.7 * free, _BALL)[:, None] * ball
         found.append(Source(points, None, np.asarray(lamp.power, dtype=np.float64), probes=4))
@@ -99,7 +99,7 @@ def lamps(scene: Scene, shadows: Raycaster) -> list[Source]:
 
 
 def glowing(scene: Scene) -> list[Source]:
-    """Things that glow and hold no lamp (screens), one source for each, as large as its glowing part."""
+    """Glowing things without a lamp (screens), one source each, as large as its glowing part."""
     emission = np.array([m.emission for m in scene.materials])[scene.material]
     found = []
     for owner in np.unique(scene.instance[emission > 0]):
@@ -119,7 +119,7 @@ def glowing(scene: Scene) -> list[Source]:
         flat = np.linalg.norm(facing) > 0.5 * area.sum()
         axis = facing / np.linalg.norm(facing) if flat else None
         points = corners[np.minimum(spread, len(mine) - 1)].mean(axis=1) + (0.02 * axis if axis is not None else 0.0)
-        # Seen from all around, a body shows about a quarter of its surface.
+        # From any side, a body shows about a quarter of its surface.
         power = (colour * area[:, None]).sum(axis=0) / np.pi * (1.0 if flat else 0.25)
         size = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
         found.append(Source(points, axis, power, short=0.0 if flat else size))
@@ -127,7 +127,7 @@ def glowing(scene: Scene) -> list[Source]:
 
 
 def portals(scene: Scene) -> list[Source]:
-    """Windows between a room and the open: the sky shines in through them."""
+    """Windows between a room and the outdoors, through which the sky shines in."""
     found = []
     for thing in scene.instances:
         if thing.category != "window" or not scene.rooms:
@@ -143,7 +143,7 @@ def portals(scene: Scene) -> list[Source]:
         cells = sorted(range(16), key=lambda cell: (cell not in (0, 3, 5, 10, 12, 15), cell))
         grid = [((cell % 4 + 0.5) / 4 - 0.5, (cell // 4 + 0.5) / 4 - 0.5) for cell in cells]
         points = np.array([thing.centre + a * along + b * np.array([0, 0, size[2]]) for a, b in grid])
-        disc = size[1 - axis] * size[2] / np.pi  # squared radius of the disc that is as large
+        disc = size[1 - axis] * size[2] / np.pi  # squared radius of the disc of equal area
         power = SKY_GAIN * np.asarray(scene.daylight) * disc
         found.append(Source(points, inwards, power, sky=True, short=0.15, radius=np.sqrt(disc / len(points))))
     return found
@@ -156,7 +156,7 @@ def leave_through(portal: Source, origin: np.ndarray, way: np.ndarray) -> np.nda
     middle = portal.positions.mean(axis=0)
     distance = ((middle - origin) @ portal.normal) / np.where(np.abs(along) < 1e-9, 1e-9, along)
     offset = np.abs(origin + distance[:, None] * way - middle)
-    half = np.ptp(portal.positions, axis=0) / 2 * (4 / 3) + 0.15  # the points keep an eighth of the size from the rim
+    half = np.ptp(portal.positions, axis=0) / 2 * (4 / 3) + 0.15  # the points are an eighth of the size off the rim
     return (distance > 0) & (offset <= half).all(axis=1)
 
 

@@ -1,4 +1,4 @@
-"""Addresses of servers, and the secrets that some of them hold."""
+"""Server addresses, and the secrets in them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ DEFAULT_SERVER = "http://localhost:8000/v1"
 
 
 def place_of(text: str) -> tuple[str, tuple[str, ...]]:
-    """Model and addresses in ``MODEL@ADDRESS``; empty where they are missing, several where commas are between them."""
+    """Model and addresses in ``MODEL@ADDRESS[,ADDRESS...]``; empty where missing."""
     first = re.search(r"https?://", text)
-    if first:  # there may be a password, and so another @, in an address
+    if first:  # a password in an address may hold another @
         model, addresses = text[: first.start()].removesuffix("@"), text[first.start() :]
     else:
         model, at, addresses = text.rpartition("@")
@@ -23,10 +23,7 @@ def place_of(text: str) -> tuple[str, tuple[str, ...]]:
 
 
 def checked_address(url: str) -> str:
-    """`url` with ``/v1`` where it has no path. Raises `EagorError` if it is none.
-
-    A password in it, and what follows a question mark, count as secrets from now on.
-    """
+    """`url` with ``/v1`` added if it has no path; its secrets are kept out of output. Raises `EagorError`."""
     try:
         parts = urlsplit(str(url).strip())
         valid = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
@@ -34,14 +31,14 @@ def checked_address(url: str) -> str:
         parts, valid = None, False
     if not (parts and valid):
         shown = re.sub(r"//[^/]*@", "//***@", str(url).partition("?")[0])
-        raise EagorError(f"{shown!r} is no address of a server; wanted one such as {DEFAULT_SERVER}")
+        raise EagorError(f"{shown!r} is not the address of a server; wanted one such as {DEFAULT_SERVER}")
     login = login_of(url)
     keep_out(login, login.partition(":")[2], parts.netloc.rpartition("@")[0], *query_of(url).values())
     return urlunsplit(parts._replace(path=parts.path.rstrip("/") or "/v1", fragment=""))
 
 
 def shown_address(url: str) -> str:
-    """`url` without its secrets, as it may stand in tables: ``https://***@host/v1?key=***``."""
+    """`url` without its secrets, for output: ``https://***@host/v1?key=***``."""
     parts = urlsplit(url)
     query = "&".join(f"{name}=***" for name in query_of(url))
     _, at, host = parts.netloc.rpartition("@")
@@ -49,17 +46,17 @@ def shown_address(url: str) -> str:
 
 
 def bare_address(url: str) -> str:
-    """`url` without user, password and parameters, which are sent in their own way."""
+    """`url` without user, password and parameters, which are sent separately."""
     parts = urlsplit(url)
     return urlunsplit(parts._replace(netloc=parts.netloc.rpartition("@")[2], query=""))
 
 
 def login_of(url: str) -> str:
-    """``user:password`` in `url`, empty where there is none."""
+    """``user:password`` in `url`, empty if there is none."""
     parts = urlsplit(url)
     return f"{unquote(parts.username or '')}:{unquote(parts.password or '')}" if "@" in parts.netloc else ""
 
 
 def query_of(url: str) -> dict[str, str]:
-    """The parameters after the question mark."""
+    """The query parameters of `url`."""
     return dict(parse_qsl(urlsplit(url).query, keep_blank_values=True))

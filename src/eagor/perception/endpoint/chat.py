@@ -1,4 +1,4 @@
-"""A served vision-language model that talks: conversations as chat completions."""
+"""Conversations with a vision-language model on a server, as chat completions."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from eagor.perception.endpoint.messages import Picture, Request
 from eagor.perception.endpoint.server import Asker, named
 from eagor.perception.vlm.talk import IMAGE, MAX_TOKENS, Message, Said
 
-QUALITY = 85  # of JPEG, as H*Bench's runner sends its views
-_AT_ONCE = 1024  # requests: as many as there are workers
+QUALITY = 85  # of JPEG, as in H*Bench's runner
+_AT_ONCE = 1024  # requests at once: the number of workers is the limit
 
 
 @dataclass(frozen=True, repr=False)
 class ServedChat(Asker):
-    """A `eagor.perception.vlm.talk.Chat` of a model on an OpenAI-compatible server.
+    """A `eagor.perception.vlm.talk.Chat` with a model on an OpenAI-compatible server.
 
-    Attributes, beside those of `eagor.perception.endpoint.server.Asker`:
+    Attributes, in addition to those of `eagor.perception.endpoint.server.Asker`:
         temperature, max_tokens: of a reply.
-        quality: of the JPEG that pictures are sent as, 1 to 100; 0 sends PNG.
+        quality: of the JPEG pictures that are sent, 1 to 100; 0 sends PNG.
 
-    Raises `EagorError` for values that make no sense.
+    Raises `EagorError` for invalid values.
     """
 
     temperature: float = 0.0
@@ -43,14 +43,11 @@ class ServedChat(Asker):
         super().__post_init__()
 
     def __call__(self, messages: Sequence[Message]) -> Said:
-        """The reply. Raises `ServerError`, `QueryError` (no such model), or `AnswerError` where there are no words."""
+        """The reply. Raises `ServerError`, `QueryError` (no such model), or `AnswerError` for a reply without text."""
         return self._said(messages, self.max_tokens)
 
     def check(self) -> None:
-        """One word about a grey picture, before a long run: is there a server that knows model, key and pictures?
-
-        Raises what a call raises, but for a reply without words.
-        """
+        """Ask for one word about a grey picture, to test the setup before a long run; ignores an empty reply."""
         grey = np.full((112, 112, 3), 128, dtype=np.uint8)
         with suppress(AnswerError):
             self._said([Message("user", f"{IMAGE}\nWhat is this?", (grey,))], 1)
@@ -68,5 +65,5 @@ class ServedChat(Asker):
 
 
 def chat_from_text(text: str) -> ServedChat:
-    """The model that ``MODEL@ADDRESS[?option=value&...]`` names; see `eagor.perception.endpoint.server.named`."""
+    """The model named by ``MODEL@ADDRESS[?option=value&...]``; see `eagor.perception.endpoint.server.named`."""
     return named(ServedChat, text)

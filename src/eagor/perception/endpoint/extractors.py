@@ -1,7 +1,7 @@
-"""What is asked about a panorama, and how the answers become a response, or a set of detections.
+"""Extractors: which pictures and questions a look consists of, and how the answers become a response or detections.
 
-Each extractor is a plan: the pictures of one look, what is asked about each (boxes, or whether the thing is there), and
-how the responses in the pictures become one.
+Each extractor is a `Plan`: the pictures of one look, the question about each (boxes, or presence of the thing), and
+the way to combine the responses of the pictures.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from eagor.perception.vlm.sizes import resized
 from eagor.perception.vlm.styles import Style
 from eagor.perception.vlm.views import filled, framed, lift
 
-GRID = WHOLE_SPHERE  # where all responses to panoramas come
+GRID = WHOLE_SPHERE  # the grid of all responses to panoramas
 Asked = Literal["boxes", "presence"]
 Format = Literal["png", "jpeg"]
 
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """A picture with the geometry of `grid`, rolled by the fraction `roll`; the response is on cells of `canvas`."""
+    """A picture with the geometry of `grid`, rolled by the fraction `roll`; its response is on the grid `canvas`."""
 
     picture: Picture
     grid: Grid
@@ -43,19 +43,19 @@ class Shot:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What an answer about a shot says: its boxes, or the probability that the thing is there."""
+    """The parsed answer about a shot: its boxes, or the probability that the thing is there."""
 
     shot: Shot
     found: list[Box] | float
 
     @property
     def things(self) -> list[Thing]:
-        """What the boxes mean."""
+        """The detections that the boxes stand for; none for a probability."""
         return things(self.found, self.shot.grid, self.shot.roll) if isinstance(self.found, list) else []
 
     @property
     def response(self) -> np.ndarray:
-        """On the canvas; a probability is the one cell of its picture."""
+        """The response on the canvas; for a probability a single cell ``(1, 1)``."""
         if isinstance(self.found, list):
             return drawn(self.found, self.shot.grid, self.shot.canvas, roll=self.shot.roll)
         return np.full((1, 1), self.found)
@@ -63,9 +63,9 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """One look: its pictures, each of which gets one question per query, all queries of a picture in a row.
+    """One look: its pictures, with one question per query about each (all queries of a picture in a row).
 
-    `combine` makes response ``(Q, h, w)`` and coverage ``(h, w)`` of the responses in each picture ``(Q, ...)``.
+    `combine` turns the responses of the pictures ``(Q, ...)`` into one ``(Q, h, w)`` with coverage ``(h, w)``.
     """
 
     shots: tuple[Shot, ...]
@@ -79,7 +79,7 @@ class Plan:
         return self.shots[0].picture.size
 
     def questions(self, queries: Sequence[str], max_tokens: int) -> list[tuple[Shot, Request]]:
-        """What is asked, and about which shot."""
+        """The requests, each with its shot."""
         style = self.style
         schema = boxes_schema(style.frame, style.order) if self.asked == "boxes" else None
         texts = [ask_boxes(q, style.frame, style.order) if schema else ask_presence(q) for q in queries]
@@ -90,26 +90,26 @@ class Plan:
         ]
 
     def read(self, shot: Shot, answer: Answer) -> Reading:
-        """What an answer says. Raises `AnswerError` if it cannot be read."""
+        """The parsed answer. Raises `AnswerError` if it cannot be read."""
         if self.asked == "presence":
             return Reading(shot, parse_presence(answer.text, answer.verdict))
         style = self.style
         return Reading(shot, parse_boxes(answer.text, style.frame, shot.picture.size, style.order, answer.tokens))
 
     def response(self, readings: Sequence[Reading], queries: int) -> tuple[np.ndarray, np.ndarray]:
-        """The response and the coverage that `readings` to so many queries amount to."""
+        """The combined response and coverage of `readings` for this many queries."""
         drawn = [one.response for one in readings]
         return self.combine([np.stack(drawn[start : start + queries]) for start in range(0, len(drawn), queries)])
 
     def things(self, readings: Sequence[Reading], queries: int) -> tuple[list[Thing], ...] | None:
-        """What the boxes of all pictures mean, one list for each query; None where no boxes were asked for."""
+        """The detections of all pictures together, one list per query; None where no boxes were asked for."""
         if self.asked == "presence":
             return None
         return tuple(united(one.things for one in readings[query::queries]) for query in range(queries))
 
 
 def boxes_plan(panorama: np.ndarray, style: Style, size: tuple[int, int], seam: bool, kind: Format) -> Plan:
-    """Boxes in the whole panorama at `size`; with `seam` in the rolled panorama, too."""
+    """Ask for boxes in the whole panorama at `size`; with `seam` also in the rolled panorama."""
     image = resized(panorama, size, wrap=True)
     shift = max(1, size[1] // style.cell) // 2 * style.cell if seam else 0
     roll = shift / size[1]
@@ -126,7 +126,7 @@ def boxes_plan(panorama: np.ndarray, style: Style, size: tuple[int, int], seam: 
 def views_plan(
     panorama: np.ndarray, style: Style, views: Sequence[PerspectiveGrid], margin: float, asked: Asked, kind: Format
 ) -> Plan:
-    """Boxes in, or the presence in, each of several views of the panorama."""
+    """Ask for boxes or presence in each of several views of the panorama."""
     pictures = cut(panorama, *views)
     shots = [Shot(Picture(p, kind), view, canvas_of(view)) for p, view in zip(pictures, views, strict=True)]
     return Plan(tuple(shots), asked, style, lambda looks: lift(looks, views, GRID, margin))
@@ -135,7 +135,7 @@ def views_plan(
 def view_plan(
     image: np.ndarray, grid: PerspectiveGrid, style: Style, size: tuple[int, int], asked: Asked, kind: Format
 ) -> Plan:
-    """Boxes in, or the presence in, one ordinary picture; the response is on the shot's canvas instead of `GRID`."""
+    """Ask for boxes or presence in one perspective picture; the response is on the shot's canvas instead of `GRID`."""
     framing, posed, inner = framed(image, grid, size)
     cells = canvas_of(posed)
 

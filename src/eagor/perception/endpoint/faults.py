@@ -1,4 +1,4 @@
-"""What can go wrong between us and a server, in words that say what to change."""
+"""Failures of servers, as errors that say what to change."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from eagor.errors import EagorError, QueryError, ServerError
 from eagor.perception.endpoint.transport import Unfit
 
 RETRIED = {408, 409, 425, 429, 500, 502, 503, 504, 529}
-# What servers (vLLM, SGLang, Ollama, llama.cpp, transformers serve, hosted ones) write when they refuse a request.
+# What servers (vLLM, SGLang, Ollama, llama.cpp, transformers serve, hosted ones) write when they reject a request.
 _CONTEXT = re.compile(
     r"context (?:length|size|window)|maximum (?:model|context|allowed)? ?length|max_model_len|exceeds? .{0,40}context"
     r"|(?:prompt|input) .{0,60}(?:too long|longer than|exceeds)|too many tokens|exceed_context|context_length_exceeded"
@@ -34,7 +34,7 @@ _FEATURES = {
 
 @dataclass(frozen=True)
 class Asked:
-    """What the failed request was about, for the text of an error."""
+    """Facts about the failed request, for the text of the error."""
 
     model: str
     server: str
@@ -44,7 +44,7 @@ class Asked:
 
 
 def refused_feature(error: Any, used: Set[str]) -> str | None:
-    """The optional feature among `used` that a server says it does not know, None if that is not what is wrong."""
+    """The optional feature among `used` that the server rejects; None if the error has another cause."""
     if getattr(error, "status_code", None) not in (400, 404, 422, 500, 501):
         return None
     said = message(error).lower()
@@ -52,7 +52,7 @@ def refused_feature(error: Any, used: Set[str]) -> str | None:
 
 
 def worth_retrying(error: Any) -> bool:
-    """Whether the same request may succeed later, or on another server."""
+    """Whether the same request may succeed later."""
     import openai
 
     if isinstance(error, openai.APIConnectionError | TimeoutError):
@@ -63,7 +63,7 @@ def worth_retrying(error: Any) -> bool:
 
 
 def retry_after(error: Any) -> float:
-    """Seconds that the server asks us to wait, at most a minute; 0 where it says nothing."""
+    """Seconds to wait as requested by the server, at most a minute; 0 without a request."""
     headers = getattr(getattr(error, "response", None), "headers", None) or {}
     try:
         return min(max(float(headers.get("retry-after", 0)), 0.0), 60.0)
@@ -72,7 +72,7 @@ def retry_after(error: Any) -> float:
 
 
 def explained(error: Any, asked: Asked, served: list[str] | None) -> EagorError:
-    """The error to raise for what the client raised; `served` are the names of the server's models, where known."""
+    """The error to raise for what the client raised; `served`: names of the server's models, None if unknown."""
     import openai
 
     server, model = asked.server, asked.model
@@ -81,7 +81,7 @@ def explained(error: Any, asked: Asked, served: list[str] | None) -> EagorError:
     if isinstance(error, openai.APITimeoutError | TimeoutError):
         return ServerError(
             f"{server} gave no answer within {asked.timeout:g} s ({tries}). Allow more time (timeout=...), send fewer "
-            "pixels, or fewer requests at once (concurrency=...), or see whether it is stuck"
+            "pixels, or fewer requests at once (concurrency=...), or check whether the server hangs"
         )
     if unfit := _unfit(error):
         return ServerError(f"{server} {unfit}; is it an OpenAI-compatible server?")
@@ -95,8 +95,8 @@ def explained(error: Any, asked: Asked, served: list[str] | None) -> EagorError:
     if status is not None and 300 <= status < 400:
         place = str(error.response.headers.get("location", "an address that it does not name"))
         return ServerError(
-            f"{server} sends us on to {redacted(place.partition('?')[0])[:200]} (HTTP {status}); neither key nor "
-            "picture was sent there. If that is where the model is, give that address"
+            f"{server} redirects to {redacted(place.partition('?')[0])[:200]} (HTTP {status}); neither key nor "
+            "picture was sent there. If the model is there, give that address"
         )
     if _CONTEXT.search(said.lower()):
         return ServerError(
@@ -127,13 +127,13 @@ def explained(error: Any, asked: Asked, served: list[str] | None) -> EagorError:
     if status is not None:
         return ServerError(f"{server} refused the request ({tries}; HTTP {status}): {said}")
     return ServerError(
-        f"{server} answered with something that is no chat completion ({type(error).__name__}: {said}); is it an "
+        f"{server} answered with something other than a chat completion ({type(error).__name__}: {said}); is it an "
         "OpenAI-compatible server, and does the address end in /v1?"
     )
 
 
 def message(error: Any) -> str:
-    """What a server wrote about an error, on one line."""
+    """The server's error message, on one line."""
     body = getattr(error, "body", None)
     for key in ("error", "message", "detail"):
         if isinstance(body, dict) and key in body:
@@ -144,5 +144,5 @@ def message(error: Any) -> str:
 
 
 def _unfit(error: BaseException) -> Unfit | None:
-    """Why an answer was given up, where that is what the client raised, or wrapped into an error of its own."""
+    """The `Unfit` behind the error, also where the client wrapped it; None if there is none."""
     return next((one for one in (error, error.__cause__) if isinstance(one, Unfit)), None)

@@ -1,4 +1,4 @@
-"""Requests for chat completions, with pictures as data URIs, and their answers."""
+"""Chat-completion requests with pictures as data URIs, and their answers."""
 
 from __future__ import annotations
 
@@ -19,15 +19,14 @@ from eagor.perception.vlm.boxes import without_thoughts
 from eagor.perception.vlm.presence import means
 from eagor.perception.vlm.tokens import Token
 
-LIKELIEST = 10  # tokens whose probabilities are asked for at each place
+LIKELIEST = 10  # alternatives per token whose probabilities are requested
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """An image ``(H, W, 3)`` uint8 as it is sent; encoded once, however many questions there are about it.
+    """An image ``(H, W, 3)`` uint8 to send; encoded once for all questions about it.
 
-    PNG is exact to the bit, JPEG a fraction of its length; `quality` 0 to 100 is of JPEG, with all of its colours
-    where None.
+    PNG is lossless, JPEG much smaller. `quality`: of JPEG, 0 to 100; None: 95 without chroma subsampling.
     """
 
     image: np.ndarray
@@ -52,11 +51,11 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """One chat completion that is asked for.
+    """One chat-completion request.
 
-    `messages`: role, and words and pictures, of each. `schema`: of an answer in JSON, None for words. `likeliest`: how
-    many alternatives to each token of the answer are wanted with their probabilities; None for no probabilities.
-    `silence`: whether an empty answer is one.
+    `messages`: role, text and pictures of each. `schema`: of a JSON answer, None for plain text. `likeliest`: number of
+    alternatives per token to return with log probabilities; None for no probabilities. `silence`: accept an empty
+    answer.
     """
 
     messages: Sequence[tuple[str, Sequence[str | Picture]]]
@@ -68,18 +67,18 @@ class Request:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(height, width) of the last picture, for the text of errors."""
+        """(height, width) of the last picture, for errors."""
         sizes = [part.size for _, parts in self.messages for part in parts if isinstance(part, Picture)]
         return sizes[-1] if sizes else (0, 0)
 
     @property
     def features(self) -> set[str]:
-        """What a server may not know."""
+        """The optional features used, which a server may not support."""
         asked = {"response_format": self.schema, "logprobs": self.likeliest}
         return {name for name, value in asked.items() if value is not None}
 
     def body(self, model: str, refused: Set[str]) -> dict[str, Any]:
-        """The arguments of ``chat.completions.create``, without the features that the server refused."""
+        """The arguments of ``chat.completions.create``, without the features that the server rejected."""
         wanted = self.features - refused
         body: dict[str, Any] = {
             "model": model,
@@ -97,10 +96,10 @@ class Request:
         return body
 
     def read(self, completion: Any, tries: int) -> Answer:
-        """The answer in what the client returned after so many `tries`.
+        """The answer in a completion that took this many `tries`.
 
-        Raises `AnswerError` if it is empty; `AttributeError` or `TypeError`, which show what came, if it is no chat
-        completion at all: the client does not look at what servers send.
+        Raises `AnswerError` if it is empty; `AttributeError` or `TypeError`, which show what came, if it is not a chat
+        completion: the client does not validate what servers send.
         """
         if not isinstance(completion.choices, list):
             raise TypeError(f"no list of choices in {completion!r}")
@@ -134,16 +133,16 @@ class Request:
 def question(
     picture: Picture, text: str, max_tokens: int, schema: dict[str, Any] | None = None, alternatives: bool = False
 ) -> Request:
-    """A question about one picture; with `alternatives` the likeliest tokens are wanted, not only the answer's.
+    """A question about one picture; with `alternatives` also request the likeliest alternatives of each token.
 
-    The picture comes first: servers that keep the work on equal beginnings then do it once for all questions.
+    The picture comes first: servers that cache common prefixes then process it once for all questions.
     """
     messages = [("user", (picture, text))]
     return Request(messages, max_tokens, schema=schema, likeliest=LIKELIEST if alternatives else 0)
 
 
 def _content(parts: Sequence[str | Picture]) -> str | list[dict[str, Any]]:
-    """Words and pictures as the content of a message."""
+    """Text and pictures as the content of a message."""
     if not any(isinstance(part, Picture) for part in parts):
         return "".join(map(str, parts))
     return [
@@ -155,23 +154,23 @@ def _content(parts: Sequence[str | Picture]) -> str | list[dict[str, Any]]:
 
 
 def _counts(usage: Any) -> tuple[int | None, int | None]:
-    """How many tokens of prompt and answer a server says there were; None where it does not tell, or no number."""
+    """Prompt and answer tokens as counted by the server; None where it sends no number."""
     counts = [getattr(usage, name, None) for name in ("prompt_tokens", "completion_tokens")]
     prompt, answer = (count if whole(count, 0) else None for count in counts)
     return prompt, answer
 
 
 def _tokens(entries: Any) -> list[Any]:
-    """Those that are a piece with the logarithm of its probability; some servers write null, or NaN."""
+    """The entries with a text and a log probability; some servers write null, or NaN."""
     return [entry for entry in entries or () if isinstance(entry.token, str) and within(entry.logprob, -math.inf)]
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a server answered.
+    """A server's answer.
 
-    `tokens` are the answer's pieces with their log probabilities, `likeliest` the alternatives at each piece; both are
-    empty where the server gives none. Counts are None where it does not tell.
+    `tokens` are the pieces of the answer with log probabilities, `likeliest` the alternatives at each piece; both are
+    empty if the server sends none. Counts are None if it does not send them.
     """
 
     text: str
@@ -185,7 +184,7 @@ class Answer:
 
     @property
     def verdict(self) -> tuple[Token, ...]:
-        """The alternatives at the first piece after any thoughts that means yes or no; () where there is none."""
+        """The alternatives at the first piece, after any thoughts, that means yes or no; () if there is none."""
         pieces = "".join(piece for piece, _ in self.tokens)
         bare, place = without_thoughts(pieces), 0
         for (piece, log), others in zip(self.tokens, self.likeliest, strict=True):

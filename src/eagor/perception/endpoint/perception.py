@@ -1,4 +1,4 @@
-"""The perception itself: one look at a panorama is a plan, its questions, their answers, and one response."""
+"""The perception: one look at a panorama is a plan, its questions, their answers, and one response."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from eagor.perception.vlm.prompts import phrase
 from eagor.perception.vlm.sizes import checked_picture, exact_size
 from eagor.perception.vlm.styles import Style, style_of
 
-_SECOND_TRY = 0.5  # temperature when an answer could not be read: at 0 it would be the same again
+_SECOND_TRY = 0.5  # temperature after an unreadable answer: at 0 the model would repeat it
 
 
 @dataclass(frozen=True)
 class Look:
-    """What came of one look: responses ``(Q, h, w)``, coverage ``(h, w)``, and what produced them.
+    """The result of one look: responses ``(Q, h, w)``, coverage ``(h, w)``, and their source.
 
-    `things`: what the boxes of all pictures mean, one list for each query; None where no boxes were asked for.
+    `things`: the detections of all pictures, one list per query; None where no boxes were asked for.
     """
 
     responses: np.ndarray
@@ -47,13 +47,13 @@ class Look:
 
 @dataclass(frozen=True, repr=False)
 class EndpointPerception(Asker):
-    """Asks a vision-language model that runs on an OpenAI-compatible server.
+    """Asks a vision-language model on an OpenAI-compatible server.
 
     Options: docs/models.md, and those of `eagor.perception.endpoint.server.Asker`. `calibration`: how responses become
-    evidence; None for the default of `Evidence`. With one, boxes are read as a response map, too. `detector`: how the
-    boxes err; None for `DetectorModel()`.
+    evidence; None for the default of `Evidence`. With one, boxes are read as a response map, too. `detector`: error
+    model of the boxes; None for `DetectorModel()`.
 
-    Raises `EagorError` for values that make no sense.
+    Raises `EagorError` for invalid values.
     """
 
     extractor: Literal["", "boxes", "views"] = ""
@@ -94,8 +94,8 @@ class EndpointPerception(Asker):
     def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for the thing that `query` names in `panorama` ``(H, W, 3)`` uint8, with its `source`.
 
-        Raises `QueryError` if the query is empty or the server lacks the model, `ImageError` for another image,
-        `ServerError` if the server cannot be reached or refuses, `AnswerError` if its answer is empty or unreadable.
+        Raises `QueryError` if the query is empty or the server lacks the model, `ImageError` for any other array,
+        `ServerError` if the server cannot be reached or refuses, `AnswerError` for an empty or unreadable answer.
         """
         look = self.look(panorama, [query])
         if look.things is not None and self.calibration is None:
@@ -105,14 +105,14 @@ class EndpointPerception(Asker):
         )
 
     def respond(self, panorama: np.ndarray, queries: Sequence[str]) -> np.ndarray:
-        """Responses ``(Q, h, w)`` float32 in [0, 1] on `grid` to several queries, asked side by side.
+        """Responses ``(Q, h, w)`` float32 in [0, 1] on `grid` to several queries, asked concurrently.
 
-        0 where nothing was seen, too (see `look`). Errors as for a call.
+        They are 0 also where nothing was looked at (see `look`). Errors as for a call.
         """
         return self.look(panorama, queries).responses
 
     def look(self, panorama: np.ndarray, queries: Sequence[str]) -> Look:
-        """`respond`, with the coverage and the source: model, pixels, tokens, requests, milliseconds."""
+        """`respond`, with coverage and source: model, pixels, tokens, requests, milliseconds."""
         started = time.perf_counter()
         image = checked_picture(panorama)
         words = [phrase(query) for query in queries]
@@ -128,15 +128,15 @@ class EndpointPerception(Asker):
         return self._look(plan, words, model, started)
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
-        """Evidence for what `query` names in one ordinary picture ``(h, w, 3)`` uint8, whose pixels `grid` describes.
+        """Evidence for what `query` names in one perspective picture ``(h, w, 3)`` uint8 with the pixels of `grid`.
 
-        It is on cells with the grid's pose (`eagor.perception.partial.ViewPerception`). Errors as for a call.
+        It is on cells with the pose of `grid` (`eagor.perception.partial.ViewPerception`). Errors as for a call.
         """
         started = time.perf_counter()
         words, model = phrase(query), self._connected.model()
         style = self.style(model)
         asked = "boxes" if self._extractor(style) == "boxes" else self.per_view
-        # What is fed panoramas as they are takes pictures as they are; what wants another shape wants it here, too.
+        # A model that takes panoramas in their own shape takes pictures so, too; others want their shape here as well.
         aspect = grid.width / grid.height if style.aspect == 2.0 else style.aspect
         plan = view_plan(image, grid, style, self._size(style, aspect), asked, self.image_format)
         look = self._look(plan, [words], model, started)
@@ -149,7 +149,7 @@ class EndpointPerception(Asker):
         return Evidence.from_response(look.responses[0], cells, self.calibration, stamp, coverage, source)
 
     def _look(self, plan: Plan, queries: list[str], model: str, started: float) -> Look:
-        """Ask what is planned, once more where an answer cannot be read."""
+        """Ask all questions of the plan; repeat those whose answer cannot be read once."""
         questions = plan.questions(queries, self.max_tokens)
         answers = self._connected.ask([asked for _, asked in questions])
         readings, again = [], []
@@ -166,17 +166,14 @@ class EndpointPerception(Asker):
         return Look(responses, coverage, source, plan.things(readings, len(queries)))
 
     def check(self) -> None:
-        """One look at a grey picture, before a long run: is there a server, and does it know model, key and pictures?
-
-        Raises what a look raises, but for an answer that cannot be read: there is nothing to see.
-        """
+        """Look at a grey picture, to test the setup before a long run; ignores an unreadable answer."""
         rows = self.rows
         with suppress(AnswerError):
             self.look(np.full((rows, 2 * rows, 3), 128, dtype=np.uint8), ["chair"])
 
     @property
     def rows(self) -> int:
-        """Rows of a panorama that shows the model as much as it is sent; errors as for a call if no model is named."""
+        """Rows of a panorama with as many pixels as are sent; errors as for a call if no model is named."""
         model = self._connected.model()
         style = self.style(model)
         if self._extractor(style) == "boxes":
@@ -189,12 +186,12 @@ class EndpointPerception(Asker):
         return GRID
 
     def style(self, model: str) -> Style:
-        """How `model` sees and answers: by its name, with what this perception was told."""
+        """The style of `model`, from its name and the options of this perception."""
         told = {name: getattr(self, name) for name in ("cell", "frame", "order") if getattr(self, name)}
         return replace(style_of(model), **told)
 
     def views(self, model: str) -> tuple[PerspectiveGrid, ...]:
-        """The views that ``views`` cuts for `model`."""
+        """The views that the extractor ``views`` cuts for `model`."""
         style = self.style(model)
         side, _ = exact_size(style.cell, self.pixels or style.view**2, 1.0)
         return tangent_views(side, *self._angles)
@@ -203,12 +200,12 @@ class EndpointPerception(Asker):
         return self.extractor or ("boxes" if style.grounded else "views")
 
     def _size(self, style: Style, aspect: float | None = None) -> tuple[int, int]:
-        """(height, width) of a picture as it is sent for boxes: of a panorama, unless its aspect is named."""
+        """(height, width) of a picture as sent for boxes; without `aspect`, of a panorama."""
         return exact_size(style.cell, self.pixels or style.pixels, aspect or style.aspect)
 
     @property
     def _angles(self) -> tuple[float, float, float]:
-        """Field, overlap and reach of the views, radians."""
+        """Field of view, overlap and reach of the views, radians."""
         return math.radians(self.hfov_deg), math.radians(self.overlap_deg), math.radians(self.reach_deg)
 
     @property
@@ -237,12 +234,12 @@ class EndpointPerception(Asker):
 
 
 def from_text(text: str = "", /, **options: Any) -> EndpointPerception:
-    """The perception that ``MODEL@ADDRESS[?option=value&...]`` names; options passed by name win.
+    """The perception named by ``MODEL@ADDRESS[?option=value&...]``; options passed by name take precedence.
 
-    Model and address may be missing: the only model of the server, and ``http://localhost:8000/v1``. An address without
-    a path gets ``/v1``. Options are the attributes of `EndpointPerception`.
+    The model defaults to the only one of the server, the address to ``http://localhost:8000/v1``; an address without a
+    path gets ``/v1``. Options are the attributes of `EndpointPerception`.
 
-    Raises `EagorError` for options that do not exist or cannot be read, several addresses, and without the packages.
+    Raises `EagorError` for unknown or unreadable options, several addresses, and missing packages.
     """
     return named(EndpointPerception, text, **options)
 
@@ -257,7 +254,7 @@ _CHOICES: dict[str, tuple[str, ...]] = {
 
 
 def _warn_if_shrunk(plan: Plan, model: str, answers: Sequence[Answer]) -> None:
-    """Boxes in pixels are off if the server resizes the picture; its count of tokens shows that."""
+    """Warn if the server's token count shows that it shrinks the picture: boxes in pixels are then wrong."""
     height, width = plan.size
     cells = height * width // plan.style.cell**2
     counted = [answer.prompt_tokens for answer in answers if answer.prompt_tokens]
@@ -272,6 +269,6 @@ def _warn_if_shrunk(plan: Plan, model: str, answers: Sequence[Answer]) -> None:
 
 
 def _sum(counts: Sequence[int | None]) -> int | None:
-    """The sum, None if the server did not tell all of them."""
+    """The sum; None if the server did not send all counts."""
     known = [count for count in counts if count is not None]
     return sum(known) if len(known) == len(counts) else None

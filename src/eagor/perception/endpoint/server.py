@@ -1,7 +1,7 @@
-"""A model on a server, and how it is asked: how many requests at once, how long, how often again.
+"""A model on a server, and the limits of asking it: concurrency, timeout, retries.
 
-Requests run on an event loop in a thread of their own: only there can a whole exchange be given one deadline, whatever
-the server does meanwhile (a byte now and then, headers without end), and be given up at any moment.
+Requests run on an event loop in a thread of its own. Only there can a whole exchange have one deadline, whatever the
+server does meanwhile (a byte now and then, endless headers), and be cancelled at any moment.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from eagor.perception.endpoint.faults import Asked, explained, message, refused_
 from eagor.perception.endpoint.messages import Answer, Request
 from eagor.perception.endpoint.transport import client_of
 
-LONGEST_REST = 30.0  # seconds between two tries at most, unless the server asks for more
-_LONGEST = 86400.0  # seconds to wait for an answer: sockets count them in few bits
+LONGEST_REST = 30.0  # seconds between two tries at most, unless the server asks for longer
+_LONGEST = 86400.0  # longest timeout, seconds: sockets store timeouts in few bits
 _CONNECTING = threading.Lock()
 
 
 @dataclass(frozen=True, repr=False)
 class Asker:
-    """A model on an OpenAI-compatible server, and how patiently it is asked; base of what asks one.
+    """A model on an OpenAI-compatible server, with timeout and retries; base class of everything that asks one.
 
-    Nothing is connected to before the first request. Threads share the connections; copies that are pickled, and
-    forked processes, connect anew.
+    It connects with the first request. Threads share the connections; pickled copies and forked processes connect anew.
 
-    `model`: its name there, empty for the only model that the server has. `servers`: the server's address, mostly
+    `model`: its name there, empty for the server's only model. `servers`: the server's address, mostly ending in
+    ``/v1``, in a tuple of one: several servers need a proxy. The rest: docs/models.md.
     ending in ``/v1``, in a tuple of one: several want a proxy before them. The rest: docs/models.md.
     """
 
@@ -73,7 +73,7 @@ class Asker:
         object.__setattr__(self, "servers", (checked_address(addresses[0]),))
 
     def _server(self, concurrency: int, max_tokens: int) -> Server:
-        """The connections, made once per process; at most `concurrency` requests at once, answers of `max_tokens`."""
+        """The connections, made once per process: at most `concurrency` requests at once, answers of `max_tokens`."""
         name = f"_connected_{os.getpid()}"
         with _CONNECTING:
             if name not in self.__dict__:
@@ -92,10 +92,10 @@ Named = TypeVar("Named", bound=Asker)
 
 
 def named(kind: type[Named], text: str, **options: Any) -> Named:
-    """What ``MODEL@ADDRESS[?option=value&...]`` names, of this kind; options passed by name win.
+    """The `kind` of asker named by ``MODEL@ADDRESS[?option=value&...]``; options passed by name take precedence.
 
-    Model and address may be missing. Options are the fields of `kind`. Raises `EagorError` for options that do not
-    exist or cannot be read, and without the packages.
+    Model and address may be missing. Options are the fields of `kind`. Raises `EagorError` for unknown or unreadable
+    options, and for missing packages.
     """
     need_client()
     place, _, written = text.partition("?")
@@ -104,7 +104,7 @@ def named(kind: type[Named], text: str, **options: Any) -> Named:
     given: dict[str, Any] = {"model": model} | ({"servers": addresses} if addresses else {})
     for name, value in parse_qsl(written, keep_blank_values=True):
         if name in ("servers", "calibration", "detector", "model"):
-            raise EagorError(f"{name} cannot be set after the ?; the model and the address stand before it")
+            raise EagorError(f"{name} cannot be set after the ?; write the model and the address before it")
         if name in given:
             raise EagorError(f"{name} comes twice in the name of a served model; wanted each option once")
         given[name] = _option(name, value, known.get(name))
@@ -115,7 +115,7 @@ def named(kind: type[Named], text: str, **options: Any) -> Named:
 
 
 def _option(name: str, value: str, default: Any) -> Any:
-    """An option as written in the text, in the type of its default."""
+    """An option from text, converted to the type of its default."""
     try:
         if isinstance(default, bool):
             return {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}[value.lower()]
@@ -125,10 +125,7 @@ def _option(name: str, value: str, default: Any) -> Any:
 
 
 class Server:
-    """The connections to one server. Safe to use from several threads, which then share the limits.
-
-    Raises `EagorError` without the packages, or if the environment variable with the key is not set.
-    """
+    """The connections to one server, shared by threads. Raises `EagorError` without the packages or the key."""
 
     def __init__(self, asker: Asker, concurrency: int, max_tokens: int) -> None:
         need_client()
@@ -137,24 +134,24 @@ class Server:
 
         key = os.environ.get(asker.key, "") if asker.key else ""
         if asker.key and not key:
-            variable = asker.key if asker.key.isupper() else "that key=... names"  # it may be the key itself
+            variable = asker.key if asker.key.isupper() else "that key=... names"  # it may hold the key itself
             raise EagorError(f"the environment variable {variable}, which should hold the server's key, is not set")
         (url,) = asker.servers
         self._model, self._timeout, self._retries = asker.model, asker.timeout, asker.retries
         self._shown = shown_address(url)
-        # What the client, and reading what it returns, raise where what came is not what was asked for.
+        # What the client raises, and what reading its result raises if the server sent something else.
         nonsense = (ValueError, AttributeError, TypeError, RecursionError)
         self._failures = (openai.OpenAIError, TimeoutError, *nonsense)
-        self._refused: set[str] = set()  # features that the server does not know
+        self._refused: set[str] = set()  # features that the server rejected
         self._room = asyncio.Semaphore(concurrency)
         backoff = tenacity.wait_exponential(asker.backoff, LONGEST_REST)
-        self._backoff = backoff + tenacity.wait_random(0, asker.backoff / 4)  # not all clients at once
+        self._backoff = backoff + tenacity.wait_random(0, asker.backoff / 4)  # so that clients do not retry in step
         self._client = client_of(url, key, asker.timeout, max_tokens, asker.ca)
         self._loop = _loop(os.getpid())
         weakref.finalize(self, _close, self._client).atexit = False
 
     def model(self) -> str:
-        """The model's name; where none was given, that of the only model that the server has.
+        """The model's name; if none was given, that of the server's only model.
 
         Raises `ServerError` if the server does not answer, `QueryError` if it has several models or none.
         """
@@ -163,15 +160,15 @@ class Server:
         return self._model
 
     def ask(self, requests: Sequence[Request]) -> list[Answer]:
-        """The answers to `requests`, in their order; as many at once as the limit allows.
+        """The answers to `requests`, in order; as many at once as the limit allows.
 
-        Raises the first error (`ServerError`, `QueryError`, `AnswerError`); what is not yet sent then stays unsent.
+        Raises the first error (`ServerError`, `QueryError`, `AnswerError`) and drops the requests not yet sent.
         """
         self.model()
         return self._awaited(self._all(requests))
 
     def _awaited(self, work: Coroutine[Any, Any, Any]) -> Any:
-        """What `work` returns; it is given up where the caller is interrupted."""
+        """The result of `work`; cancels it if the caller is interrupted."""
         future = asyncio.run_coroutine_threadsafe(work, self._loop)
         try:
             return future.result()
@@ -182,12 +179,12 @@ class Server:
         tasks = [asyncio.ensure_future(self._one(request)) for request in requests]
         try:
             return await asyncio.gather(*tasks)
-        finally:  # all done, or one failed, or nobody waits any more
+        finally:  # all done, one failed, or the caller was interrupted
             for task in tasks:
                 task.cancel()
 
     async def _one(self, request: Request) -> Answer:
-        """One answer, after as many tries as it takes and is allowed; who waits for the next try keeps its place."""
+        """One answer, with retries; a request that waits for its next try keeps its slot."""
         import tenacity
 
         tries = tenacity.AsyncRetrying(
@@ -204,7 +201,7 @@ class Server:
                 if isinstance(error, EagorError):
                     raise
                 served = None
-                # The failure may be about the names of the models.
+                # The failure may have to do with the model's name.
                 if getattr(error, "status_code", None) in (400, 404, 422) and "model" in message(error).lower():
                     with suppress(*self._failures):
                         served = await self._names()
@@ -214,7 +211,7 @@ class Server:
                 ) from error
 
     async def _completion(self, request: Request) -> Any:
-        """What the client returns to one request, without the features that the server refuses."""
+        """The client's result for one request, without the features that the server rejects."""
         import openai
 
         while True:
@@ -245,18 +242,18 @@ class Server:
 
 
 def need_client() -> None:
-    """Raise `MissingExtraError` without the packages of the extra."""
+    """Raise `MissingExtraError` if the packages of the extra are missing."""
     need("a served model", "endpoint", "openai", "tenacity")
 
 
 @lru_cache(maxsize=1)
 def _loop(_process: int) -> asyncio.AbstractEventLoop:
-    """The loop that all requests of this process run on: a forked one has no threads of its parent."""
+    """The event loop of all requests of this process; a forked process has none of its parent's threads."""
     loop = asyncio.new_event_loop()
     threading.Thread(target=loop.run_forever, name="eagor-servers", daemon=True).start()
     return loop
 
 
 def _close(client: Any) -> None:
-    """Give the connections back."""
+    """Close the connections."""
     asyncio.run_coroutine_threadsafe(client.close(), _loop(os.getpid()))

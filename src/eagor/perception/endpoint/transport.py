@@ -1,4 +1,4 @@
-"""The client of one server: what it may be told, and how many bytes it may answer, is bounded."""
+"""The HTTP client of one server, with bounds on what it reveals and on the size of answers."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from eagor.errors import EagorError
 from eagor.perception.endpoint.addresses import bare_address, login_of, query_of
 
 _CONNECT = 10.0  # seconds to reach a server
-_LEAST_BYTES = 4 << 20  # that any answer may have, and
-_PER_TOKEN = 2 << 10  # those of a token with ten alternatives
+_LEAST_BYTES = 4 << 20  # allowed for any answer, plus
+_PER_TOKEN = 2 << 10  # for each token with ten alternatives
 
 
 class Unfit(ValueError):
-    """What a server sent was given up: too long, or packed although that was not asked for."""
+    """An answer was rejected: too long, or compressed without request."""
 
 
 def client_of(url: str, key: str, timeout: float, max_tokens: int, authorities: str) -> Any:
-    """An `openai.AsyncOpenAI` for the server at `url` that tries once.
+    """An `openai.AsyncOpenAI` for the server at `url`, without retries.
 
-    `key`: empty for none. `timeout`: seconds for each step. `authorities`: a file of certificates, empty for the usual.
+    `key`: empty for none. `timeout`: seconds per step. `authorities`: a certificate file, empty for the usual ones.
     """
     import openai
 
@@ -41,7 +41,7 @@ def client_of(url: str, key: str, timeout: float, max_tokens: int, authorities: 
         request.headers["accept-encoding"] = "identity"
         if theirs:
             return
-        # The client adds what the environment says about an account with OpenAI, whoever it talks to.
+        # The client adds OpenAI account data from the environment for every server.
         written = os.environ.get("OPENAI_CUSTOM_HEADERS", "").split("\n")
         for name in ("openai-organization", "openai-project", *(line.partition(":")[0].strip() for line in written)):
             if name and name.lower() not in ("host", "content-length", "content-type"):
@@ -51,14 +51,14 @@ def client_of(url: str, key: str, timeout: float, max_tokens: int, authorities: 
     async def bound(response: Any) -> None:
         coding = response.headers.get("content-encoding", "identity")
         if coding.strip().lower() not in ("", "identity"):
-            raise Unfit(f"packed its answer ({coding[:40]}), although that was not asked for")
+            raise Unfit(f"compressed its answer ({coding[:40]}), although that was not asked for")
         below = import_module(type(response).__module__.partition(".")[0])  # httpx, or its successor
         response.stream = _whole(below.AsyncByteStream, response.stream, most)
 
     limit = openai.Timeout(timeout, connect=min(_CONNECT, timeout))
     http = openai.DefaultAsyncHttpxClient(
         timeout=limit,
-        trust_env=host not in ("localhost", "127.0.0.1", "::1"),  # a proxy knows no way to this machine itself
+        trust_env=host not in ("localhost", "127.0.0.1", "::1"),  # a proxy cannot reach this machine
         verify=_trusted(authorities),
         follow_redirects=False,  # another host gets neither key nor picture
         event_hooks={"request": [prepare], "response": [bound]},
@@ -74,7 +74,7 @@ def client_of(url: str, key: str, timeout: float, max_tokens: int, authorities: 
 
 
 def _whole(kind: type, stream: Any, most: int) -> Any:
-    """`stream` as one piece without secrets, which the server may have sent back; `Unfit` beyond `most` bytes."""
+    """`stream` in one piece, with secrets that the server echoes removed; raises `Unfit` beyond `most` bytes."""
 
     class Whole(kind):
         async def __aiter__(self) -> AsyncIterator[bytes]:
@@ -93,13 +93,13 @@ def _whole(kind: type, stream: Any, most: int) -> Any:
 
 
 def _trusted(authorities: str) -> ssl.SSLContext | bool:
-    """Whose certificates count: those in a file, in what ``SSL_CERT_FILE`` or ``SSL_CERT_DIR`` name, or the usual."""
+    """The trusted certificates: from a file, from ``SSL_CERT_FILE`` or ``SSL_CERT_DIR``, or the usual ones."""
     file = authorities or os.environ.get("SSL_CERT_FILE") or None
     folder = None if file else os.environ.get("SSL_CERT_DIR") or None
     if not (file or folder):
         return True
     try:
         return ssl.create_default_context(cafile=file, capath=folder)
-    except OSError as error:  # ssl.SSLError among them
+    except OSError as error:  # includes ssl.SSLError
         name = "ca" if authorities else "SSL_CERT_FILE" if file else "SSL_CERT_DIR"
         raise EagorError(f"{name} is {file or folder}, where no certificates can be read ({error})") from error

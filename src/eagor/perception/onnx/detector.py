@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import os
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -163,6 +162,7 @@ def from_text(text: str = "", /, **options: Any) -> Perception:
     `EagorError` for options that do not exist, and as `OnnxDetector` does.
     """
     from eagor.perception import parse_options
+    from eagor.perception.views import Views
 
     path, _, written = text.partition("?")
     if not path:
@@ -175,7 +175,7 @@ def from_text(text: str = "", /, **options: Any) -> Perception:
         given["labels"] = str(given["labels"])  # a file that is called 80, say
     detect = OnnxDetector(os.path.expanduser(path), **{name: given[name] for name in own if name in given})
     fields = {"size": max(detect.size)} | {new: given[old] for old, new in _OF_VIEWS.items() if old in given}
-    return import_module("eagor.perception.views").Views(detect, **fields)
+    return Views(detect, **fields)
 
 
 _OF_VIEWS = {"hfov": "hfov", "count": "count", "view": "size", "detector": "detector"}

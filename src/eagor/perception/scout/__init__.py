@@ -1,11 +1,10 @@
 """The embedded perception: a small network that finds things in the built-in apartments, on the CPU.
 
-It is there so that everything can be tried at once, without a download or a GPU. It was trained on rendered
-pictures of the built-in world and knows nothing else: on photographs it fails, and on imported scenes it guesses. For
-the real world take a perception with a real vision-language model.
+It lets you try everything at once, without a download or a GPU. It was trained on renderings of the built-in world
+only: it fails on photographs and guesses on imported scenes. For the real world use a vision-language model.
 
-The weights (``scout.onnx``) and the words (``vocabulary.json``) lie next to this file; how they were made is in
-``training/scout`` of the repository.
+The weights (``scout.onnx``) and the words (``vocabulary.json``) lie next to this file; ``training/scout`` of the
+repository made them.
 """
 
 from __future__ import annotations
@@ -32,25 +31,25 @@ from eagor.queries import parse_query
 __all__ = ["CALIBRATION", "ScoutPerception"]
 
 FOLDER = Path(__file__).parent
-ROWS = 160  # of the picture that the network sees
-STRIDE = 4  # pixels of that picture to a cell of the response
-# By `eagor calibrate` and comparison on development apartments (docs/results.md), with the defaults of `TrackerConfig`.
+ROWS = 160  # of the network's input
+STRIDE = 4  # input pixels per cell of the response
+# From `eagor calibrate` and comparison on development apartments (docs/results.md), with default `TrackerConfig`.
 CALIBRATION = Calibration(floor=0.279, neutral=0.0236, temperature=6.0, persistence=0.776, spread=0.061)
-COARSEST = 16  # rolls by a multiple of so many of its pixels roll the response
+COARSEST = 16  # rolling the input by a multiple of this many pixels rolls the response
 
 
 @dataclass(frozen=True)
 class ScoutPerception:
     """Finds "[colour] category" in panoramas of the built-in apartments; it fails on photographs.
 
-    The response of a cell is the network's heat there times its probability that the thing is in view at all. It is
-    high in the middle of a thing, not all over it, and low everywhere where the thing is not in view.
+    The response of a cell is the network's heat there times its probability that the thing is in view at all. It peaks
+    at the centre of a thing and is low everywhere if the thing is not in view.
 
     Attributes:
-        calibration: how responses become evidence (default: as fitted on development apartments).
+        calibration: how responses become evidence (default: fitted on development apartments).
 
-    Raises `EagorError` for another calibration, such as text after ``scout:``; `MissingExtraError` without onnxruntime,
-    which the extra ``sim`` brings.
+    Raises `EagorError` for any other type of calibration, such as text after ``scout:``; `MissingExtraError` without
+    onnxruntime, which the extra ``sim`` brings.
     """
 
     calibration: Calibration = CALIBRATION
@@ -61,7 +60,7 @@ class ScoutPerception:
 
     @property
     def rows(self) -> int:
-        """Rows of the panoramas that it works at; others are resized."""
+        """Rows of the panoramas that it works on; others are resized."""
         return ROWS
 
     @property
@@ -71,23 +70,19 @@ class ScoutPerception:
 
     @property
     def categories(self) -> tuple[str, ...]:
-        """What can be asked for (`eagor.queries` knows other words for some of it)."""
+        """The categories that it knows (`eagor.queries` maps other words to some of them)."""
         return _vocabulary()[0]
 
     def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for the thing that `query` names in `panorama` ``(H, 2 H, 3)``, uint8 sRGB.
 
-        Raises `QueryError`, which lists the words that are known, for other words; `ImageError` if the panorama is
-        not such an array.
+        Raises `QueryError`, which lists the known words, for other words; `ImageError` for any other array.
         """
         response = self.respond(panorama, [query])[0]
         return Evidence.from_response(response, self.grid, self.calibration, stamp)
 
     def respond(self, panorama: np.ndarray, queries: Sequence[str]) -> np.ndarray:
-        """Responses ``(Q, h, w)`` float32 in [0, 1] to several queries; the picture is looked at once for all.
-
-        Errors as for a call.
-        """
+        """Responses ``(Q, h, w)`` float32 in [0, 1] to several queries, from one pass. Errors as for a call."""
         categories, colours = _vocabulary()
         asked = [parse_query(query, categories) for query in queries]
         words = [[categories.index(q.category), colours.index(q.colour) if q.colour else len(colours)] for q in asked]
@@ -106,7 +101,7 @@ class ScoutPerception:
 
 @lru_cache(maxsize=1)
 def _vocabulary() -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The categories and the colours, in the order of the network's words."""
+    """The categories and the colours, in the order of the network's outputs."""
     stored = json.loads((FOLDER / "vocabulary.json").read_text(encoding="utf-8"))
     return tuple(stored["categories"]), tuple(stored["colours"])
 

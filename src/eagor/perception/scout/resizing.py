@@ -1,4 +1,4 @@
-"""Panoramas of any size to the size that a network sees, alike at all azimuths."""
+"""Resizes panoramas to the network's input, alike at all azimuths."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
 def resized(image: np.ndarray, rows: int) -> np.ndarray:
     """`image` ``(H, 2 H, 3)`` uint8 as ``(rows, 2 rows, 3)`` uint8.
 
-    Whole blocks are averaged where `rows` divides H. Otherwise each pixel is the mean under a triangle as wide as two
-    of its own or two of the image's pixels, whichever is wider; triangles reach around the seam and stop at the poles.
+    Whole blocks are averaged if `rows` divides H. Otherwise a triangle filter is used, two pixels of the coarser image
+    wide; it wraps around the seam and stops at the poles.
     """
     height = image.shape[0]
     if height == rows:
         return image
     if height % rows == 0:
         times = height // rows
-        # Columns first would read memory in strides.
+        # Columns first would access memory with strides.
         sums = image.reshape(rows, times, 2 * height, 3).sum(axis=1, dtype=np.uint32)
         sums = sums.reshape(rows, 2 * rows, times, 3).sum(axis=2)
         return ((sums + times * times // 2) // (times * times)).astype(np.uint8)

@@ -1,7 +1,7 @@
 """Local models through transformers: frozen vision-language models and open-vocabulary localisers as perceptions.
 
-A model is named by its hub name or by a folder with ``config.json``; its family (`families`) decides how it is fed and
-read. Importing this module needs no torch; making a perception does: ``pip install eagor[vlm]``.
+A model is named by its hub name or by a folder with ``config.json``; its family (`families`) decides how it is run.
+Importing this module needs no torch; making a perception does: ``pip install eagor[vlm]``.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ _VIEW_FIELD = math.radians(100)
 class _Shots:
     """The pictures of one look.
 
-    `seen`: the geometry of each and the fraction by which it was rolled; `cells`: of each one's response. `combine`
-    makes one response ``(Q, h, w)`` of those in the pictures, with its coverage (None: everything).
+    `seen`: the grid of each and the fraction by which it was rolled; `cells`: the grid of each response. `combine`
+    turns the responses of the pictures into one ``(Q, h, w)`` with its coverage (None: everything).
     """
 
     pictures: list[np.ndarray]
@@ -50,14 +50,14 @@ class _Shots:
 
 
 class TransformersPerception:
-    """Finds what a query names in panoramas, with a model that runs here.
+    """Finds what a query names in panoramas, with a model on this machine.
 
-    `model`: hub name, or folder with ``config.json``, weights, tokenizer and image processor; or a model that is loaded
-    already (`loading.load_model`): then only extractors, seam and calibration are options. `calibration`: how responses
+    `model`: hub name, or folder with ``config.json``, weights, tokenizer and image processor; or a loaded model
+    (`loading.load_model`), which leaves only extractors, seam and calibration as options. `calibration`: how responses
     become evidence; None for the default of `Evidence`. With one, boxes are read as a response map, too. `detector`:
-    how boxes err, where the extractor is ``boxes``; None for `DetectorModel()`. All else: docs/models.md; None stands
-    for the family's default, for relative attention (`heads`), for CUDA where there is any (`device`), and for bfloat16
-    on a GPU, else float32 (`dtype`).
+    error model of the extractor ``boxes``; None for `DetectorModel()`. For the others see docs/models.md; None means
+    the family's default, relative attention (`heads`), CUDA if there is any (`device`), and bfloat16 on a GPU, else
+    float32 (`dtype`).
 
     Raises `EagorError` if packages are missing, the model is of no known family, or an option does not fit it.
     """
@@ -104,14 +104,14 @@ class TransformersPerception:
 
     @property
     def rows(self) -> int:
-        """Rows of a panorama that shows the model as much as it can see."""
+        """Rows of a panorama at the model's full resolution."""
         return round(math.pi * self._cut()[0].focal) if self.extractor == "views" else self.looker.size(2.0)[0]
 
     def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for what `query` names in `panorama` ``(H, W, 3)`` uint8.
 
-        `Evidence.source` tells model, revision, extractor, pixels, token counts and milliseconds. Raises `QueryError`
-        if there are no words, `ImageError` for another image, `AnswerError` if the model's boxes cannot be read.
+        `Evidence.source` holds model, revision, extractor, pixels, token counts and milliseconds. Raises `QueryError`
+        for an empty query, `ImageError` for any other array, `AnswerError` if the model's boxes cannot be read.
         """
         shots, began = self._shots(panorama, [query])
         if self._boxed:
@@ -123,14 +123,14 @@ class TransformersPerception:
         return Evidence.from_response(response[0], grid, self.calibration, stamp, coverage=whole, source=source)
 
     def respond(self, panorama: np.ndarray, queries: Sequence[str]) -> np.ndarray:
-        """Responses ``(Q, h, w)`` float32 in [0, 1] to several queries; each image is run through the model once."""
+        """Responses ``(Q, h, w)`` float32 in [0, 1] to several queries; each image runs through the model once."""
         return self._response(self._shots(panorama, queries)[0], queries)[0]
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
-        """Evidence for what `query` names in one ordinary picture ``(h, w, 3)`` uint8, whose pixels `grid` describes.
+        """Evidence for what `query` names in one perspective picture ``(h, w, 3)`` uint8 with the pixels of `grid`.
 
-        It is on cells with the grid's pose (`eagor.perception.partial.ViewPerception`). Where the extractor is
-        ``views``, the picture is the view. Errors as for a call.
+        It is on cells with the pose of `grid` (`eagor.perception.partial.ViewPerception`). With the extractor
+        ``views``, the picture is the only view. Errors as for a call.
         """
         from eagor.perception.vlm.views import filled, framed
 
@@ -138,7 +138,7 @@ class TransformersPerception:
         phrase(query)
         aspect = grid.width / grid.height
         size, shape = self.looker.size(aspect), self.looker.cells(aspect, self._each)
-        if size[0] * shape[1] != size[1] * shape[0]:  # a model of one square size: its cells are square in a square
+        if size[0] * shape[1] != size[1] * shape[0]:  # the model sees only squares: its cells are square in a square
             size, shape = self.looker.size(1.0), self.looker.cells(1.0, self._each)
         picture, posed, inner = framed(image, grid, size)
         cells = replace(posed, height=shape[0], width=shape[1])
@@ -154,10 +154,10 @@ class TransformersPerception:
         return Evidence.from_response(response[0], cells, self.calibration, stamp, coverage=coverage, source=source)
 
     def find_heads(self, examples: Iterable[Labelled], take: int = 3) -> Heads:
-        """The localisation heads of this model, `take` at most, found on labelled panoramas as a call would look.
+        """The localisation heads of this model, `take` at most, found on labelled panoramas viewed as in a call.
 
-        Of nine panoramas or more every third is held out, and only tells how far the heads are off. Raises `EagorError`
-        for a model without attention to read, or if no head looks at the targets.
+        With nine panoramas or more, every third is held out to measure the error of the heads. Raises `EagorError`
+        for a model without readable attention, or if no head attends to the targets.
         """
         if "attention" not in self.family.extractors:
             raise EagorError(f"{self.family.title} has no attention heads to find; wanted a vision-language model")
@@ -175,12 +175,12 @@ class TransformersPerception:
 
     @property
     def _each(self) -> Extractor:
-        """What is done with each picture."""
+        """The extractor for each picture."""
         return self.per_view if self.extractor == "views" else self.extractor
 
     @property
     def _boxed(self) -> bool:
-        """Whether evidence is detections."""
+        """Whether the evidence consists of detections."""
         return self.calibration is None and self._each == "boxes"
 
     def _response(self, shots: _Shots, queries: Sequence[str]) -> tuple[np.ndarray, np.ndarray | None, Account]:
@@ -188,7 +188,7 @@ class TransformersPerception:
         return *shots.combine(found), cost
 
     def _things(self, shots: _Shots, query: str) -> tuple[list[list[Thing]], Account]:
-        """What the boxes for one query mean, per picture, and what they cost."""
+        """The detections in each picture for one query, and their cost."""
         boxes, cost = self.looker.boxes(shots.pictures, [query])
         return [things(ones[0], grid, roll) for ones, (grid, roll) in zip(boxes, shots.seen, strict=True)], cost
 
@@ -197,17 +197,17 @@ class TransformersPerception:
         return {**known, **shots.told, **cost.as_source(), "milliseconds": 1000 * (time.perf_counter() - began)}
 
     def _shots(self, panorama: np.ndarray, queries: Sequence[str]) -> tuple[_Shots, float]:
-        """The pictures of a look at a panorama, and when it began."""
+        """The pictures of a look at a panorama, and the time it began."""
         from eagor.perception.vlm.sizes import checked_picture
 
         began = time.perf_counter()
         for query in queries:
-            phrase(query)  # said before anything is run
+            phrase(query)  # raises for an empty query before anything runs
         image = checked_picture(panorama)
         return (self._views(image) if self.extractor == "views" else self._whole(image)), began
 
     def _whole(self, image: np.ndarray) -> _Shots:
-        """The panorama as the model sees it; with `seam` also rolled by half a turn."""
+        """The panorama at the model's size; with `seam` also rolled by half a turn."""
         from eagor.perception.vlm.seam import merged
         from eagor.perception.vlm.sizes import resized
 
@@ -218,7 +218,7 @@ class TransformersPerception:
         told: dict[str, object] = {"extractor": self.extractor, "pixels": list(size)}
         if not self.seam:
             return _Shots([picture], [(grid, 0.0)], [grid], lambda found: (found[0], None), told)
-        # Both looks in one batch: writing takes hardly longer for two than for one.
+        # Both pictures in one batch: generating for two takes hardly longer than for one.
         pictures = [picture, np.roll(picture, shift * (size[1] // grid.width), axis=1)]
         roll = shift / grid.width
 

@@ -1,7 +1,7 @@
-"""Attention of the last token, captured while the model runs as usual.
+"""Captures the attention of the last token while the model runs as usual.
 
-A registered attention function lets scaled dot-product attention do the work, and in chosen layers computes one row
-once more: the softmax of the last query over all keys, of which the image's are kept. No attention matrix ever exists.
+A registered attention function runs scaled dot-product attention. In chosen layers it also computes one row: the
+softmax of the last query over all keys, and keeps the image's part. It never builds a whole attention matrix.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ _ATTRIBUTE = "_eagor_capture"
 
 @dataclass
 class Capture:
-    """What was captured: `rows`, per layer the last token's attention ``(B, H, n)`` float32 to the keys at `columns`.
+    """The captured attention. `rows`: layer to the last token's attention ``(B, H, n)`` float32 to keys `columns`.
 
-    Only the first pass of each layer is recorded, so that inside ``generate()`` it is the prompt's.
+    Only the first pass of each layer is recorded: inside ``generate()`` that is the prompt's.
     """
 
     columns: torch.Tensor
@@ -63,7 +63,7 @@ def _attend(
     attention_mask: torch.Tensor | None,
     **kwargs: Any,
 ) -> tuple[torch.Tensor, None]:
-    """Scaled dot-product attention, with a row kept where `capturing` asks for it."""
+    """Scaled dot-product attention that also keeps the row which `capturing` asks for."""
     capture: Capture | None = getattr(module, _ATTRIBUTE, None)
     if capture is not None:
         layer: Any = module.layer_idx
@@ -72,14 +72,14 @@ def _attend(
 
 
 def prepare(model: Any) -> None:
-    """Make the language part of `model` run through the registered function; results stay those of sdpa."""
+    """Route the language part of `model` through the registered function; results stay those of sdpa."""
     AttentionInterface.register(NAME, _attend)
     AttentionMaskInterface.register(NAME, sdpa_mask)
     model.set_attn_implementation({"text_config": NAME})
 
 
 def full_layers(model: Any) -> list[int]:
-    """Layers of the language part that see the whole prompt (not through a sliding window)."""
+    """The layers of the language part that see the whole prompt (no sliding window)."""
     text = model.config.get_text_config()
     kinds = getattr(text, "layer_types", None) or ["full_attention"] * text.num_hidden_layers
     return [layer for layer, kind in enumerate(kinds) if kind == "full_attention"]
@@ -87,9 +87,9 @@ def full_layers(model: Any) -> list[int]:
 
 @contextmanager
 def capturing(model: Any, layers: Sequence[int], columns: torch.Tensor) -> Iterator[Capture]:
-    """While this is open, the first pass through each of `layers` leaves the last token's attention to `columns`.
+    """Within this context, the first pass through each of `layers` records the last token's attention to `columns`.
 
-    Raises `EagorError` for a layer that does not exist, or that sees the prompt through a sliding window.
+    Raises `EagorError` for a layer that does not exist or has a sliding window.
     """
     possible = full_layers(model)
     wrong = sorted(set(layers) - set(possible))

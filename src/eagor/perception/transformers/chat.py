@@ -1,7 +1,7 @@
-"""A local vision-language model that talks: conversations of several turns, with pictures in them.
+"""Conversations of several turns, with pictures, with a local vision-language model.
 
-A conversation is written as the checkpoint's own template says, else as its family was trained
-(`eagor.perception.vlm.families.Dialogue`). The reply is the likeliest token again and again (temperature 0).
+The prompt follows the checkpoint's own template, otherwise the format that its family was trained on
+(`eagor.perception.vlm.families.Dialogue`). Decoding is greedy (temperature 0).
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from eagor.perception.vlm.talk import MAX_TOKENS, Message, Said
 
 
 class LocalChat:
-    """A `eagor.perception.vlm.talk.Chat` of a model on this machine. Safe to use from several threads, one at a time.
+    """A `eagor.perception.vlm.talk.Chat` with a model on this machine. Thread-safe; calls run one at a time.
 
-    Arguments as of `eagor.perception.transformers.TransformersPerception`, but `pixels`: how many a picture has at
-    most; None for what the checkpoint's own processor takes. Gemma 3, LLaVA and Janus-Pro see one square of a size of
-    their own whatever comes.
+    Arguments as of `eagor.perception.transformers.TransformersPerception`, except `pixels`: the most pixels of a
+    picture; None for the limit of the checkpoint's processor. Gemma 3, LLaVA and Janus-Pro always see one square of
+    fixed size.
 
-    Raises `EagorError` if packages are missing, nothing can be loaded there, or the model is of no family that talks.
+    Raises `EagorError` if packages are missing, nothing can be loaded there, or the model's family cannot talk.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class LocalChat:
 
         self._max_tokens = counted("max_tokens", max_tokens, "512")
         _, family = read_family(model, revision)
-        if family.dialogue is None:  # said before weights are read
+        if family.dialogue is None:  # checked before weights are read
             raise EagorError(
                 f"{model} is {family.title}, which locates things and cannot talk; wanted a vision-language model such "
                 "as Qwen/Qwen2.5-VL-7B-Instruct (as a --perception of the agent eagor this one will do)"
@@ -49,10 +49,10 @@ class LocalChat:
         self._language: Any = load_model(model, extractor="attention", pixels=pixels, **how)
 
     def __call__(self, messages: Sequence[Message]) -> Said:
-        """The reply to `messages`, with its tokens counted.
+        """The reply to `messages`, with its token counts.
 
-        Raises `EagorError` if the conversation and a reply are longer than the model takes, `ImageError` for an image
-        that is no picture.
+        Raises `EagorError` if conversation and reply are longer than the model allows, `ImageError` for an image that
+        is not a picture.
         """
         import torch
 
@@ -92,9 +92,9 @@ class LocalChat:
 
 
 def conversation(tokenizer: Any, family: Family, messages: Sequence[Message]) -> str:
-    """`messages` as one text that ends where the reply begins, the family's expansion in place of each picture.
+    """`messages` as one text that ends where the reply begins, with the family's expansion in place of each picture.
 
-    It is written by the checkpoint's template, where that knows pictures and takes these messages.
+    It uses the checkpoint's template if that supports pictures and accepts these messages.
     """
     from eagor.perception.transformers.inputs import own_template, templated
 
@@ -131,9 +131,9 @@ def _by_family(family: Family, said: Sequence[tuple[str, Sequence[str | None]]])
 
 
 def _plain(part: str | np.ndarray, family: Family) -> str | None:
-    """Words in which nothing stands for a picture; None for a picture."""
+    """Text without the tokens that stand for pictures; None for a picture."""
     if not isinstance(part, str):
         return None
     for token in {family.placeholder, family.image_token}:
-        part = part.replace(token, token.strip("<|>"))  # somebody wrote it out; it would be taken for a picture
+        part = part.replace(token, token.strip("<|>"))  # written in the text, it would be taken for a picture
     return part

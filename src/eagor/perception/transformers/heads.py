@@ -1,8 +1,8 @@
-"""Localisation heads: the few attention heads of a frozen model that look at what is asked for.
+"""Localisation heads: the few attention heads of a frozen model that attend to what is asked for.
 
-Found as by Kang et al. (arXiv 2503.06287): heads that attend to the image at all (their mass on it reaches the elbow of
-the sorted masses) are ranked by how often their maps are among the least scattered (spatial entropy of the connected
-parts). Here directions are known as well, so the shortlist is put in order by how much attention lies on the target.
+They are found as by Kang et al. (arXiv 2503.06287). First, heads with enough attention on the image (at or above the
+elbow of the sorted sums) are ranked by how often their maps are among the least scattered (spatial entropy of the
+connected regions). Then, as directions are known here, the shortlist is sorted by the attention on the target.
 The result is a small JSON file per model.
 """
 
@@ -28,15 +28,15 @@ from eagor.sphere import angular_distance, unit
 TAKE = 3
 SHORTLIST = 10
 _EARLIEST = 2  # layers before this one attend to tokens, not yet to things
-_LEAST = 1.05  # times an even spread: what a head puts on the targets at least; below, it is rounding or luck
-_AIM = 0.7  # the response that a typical labelled target gets
+_LEAST = 1.05  # least attention on the targets, relative to uniform: anything lower is rounding or luck
+_AIM = 0.7  # response to a typical labelled target
 
 
 @dataclass(frozen=True)
 class Heads:
-    """Localisation heads (layer, head) of one model, best first; its `model_type` is that of its configuration.
+    """Localisation heads (layer, head) of one model, best first; `model_type` as in its configuration.
 
-    `saturation`: the excess over an even spread at which the response is one half. `found_by`: figures, for people.
+    `saturation`: the excess over uniform attention at which the response is one half. `found_by`: for information.
     """
 
     model: str
@@ -47,23 +47,23 @@ class Heads:
 
     @property
     def layers(self) -> tuple[int, ...]:
-        """The layers that the heads are in."""
+        """The layers of the heads."""
         return tuple(sorted({layer for layer, _ in self.heads}))
 
     def write(self, file: Path) -> None:
-        """Store it as JSON. Raises `StorageError` if the disk does not take it."""
+        """Store it as JSON. Raises `StorageError` if it cannot be written."""
         written(file, json.dumps(asdict(self), indent=1) + "\n")
 
 
 def read_heads(file: str | Path) -> Heads:
-    """The heads in a file. Raises `EagorError` if it cannot be read or is something else."""
+    """The heads in a file. Raises `EagorError` if it cannot be read or holds something else."""
     try:
         stored = parsed(Path(file).read_bytes())
         heads = tuple((whole(layer), whole(head)) for layer, head in stored["heads"])
         figures = {**stored.get("found_by", {})}
         found = Heads(str(stored["model"]), str(stored["model_type"]), heads, number(stored["saturation"]), figures)
     except OSError as error:
-        raise EagorError(f"the heads {file} cannot be read ({error}); `eagor calibrate heads` makes them") from error
+        raise EagorError(f"the heads {file} cannot be read ({error}); make them: `eagor calibrate heads`") from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise EagorError(
             f"{file} holds no localisation heads ({type(error).__name__}: {error}); wanted what "
@@ -76,10 +76,10 @@ def read_heads(file: str | Path) -> Heads:
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """What all heads did for one labelled panorama, or for the view of it that shows the target best.
+    """The attention of all heads for one labelled panorama, or for the view of it that shows the target best.
 
-    `maps`: layer to attention ``(H, h, w)`` per cell of `grid`. `mass`: layer to the share of attention ``(H,)`` that
-    went to the image. `direction` ``(3,)`` and `radius` (radians): of the target.
+    `maps`: layer to attention ``(H, h, w)`` per cell of `grid`. `mass`: layer to the share of attention ``(H,)`` on
+    the image. `direction` ``(3,)`` and `radius` (radians): of the target.
     """
 
     maps: dict[int, np.ndarray]
@@ -90,21 +90,21 @@ class Observed:
 
     @property
     def wrap(self) -> bool:
-        """Whether left and right of the picture meet."""
+        """Whether the left and right edge of the picture meet."""
         return isinstance(self.grid, PatchGrid)
 
     @lazy
     def near(self) -> np.ndarray:
-        """Which cells ``(h, w)`` the target lies in: those within its radius, the nearest at least."""
+        """The cells ``(h, w)`` of the target: those within its radius, at least the nearest."""
         angle = np.asarray(angular_distance(self.grid.directions, unit(np.asarray(self.direction, dtype=float))))
         return (angle <= self.radius) | (angle <= angle.min() + 1e-12)
 
     def mean(self, heads: Sequence[tuple[int, int]]) -> np.ndarray:
-        """The map ``(h, w)`` of some (layer, head) together, as the response sees it before it is bounded."""
+        """The mean map ``(h, w)`` of some (layer, head), before saturation."""
         return blurred(np.mean([densities(self.maps[layer][head]) for layer, head in heads], axis=0), self.wrap)
 
     def error(self, heads: Sequence[tuple[int, int]]) -> float:
-        """The angle (radians) between the target and where these heads look most."""
+        """The angle (radians) between the target and the maximum of the mean map of these heads."""
         cells = self.mean(heads)
         best = self.grid.directions[np.unravel_index(np.argmax(cells), cells.shape)]
         return float(angular_distance(best, unit(np.asarray(self.direction, dtype=float))))
@@ -113,11 +113,11 @@ class Observed:
 def fit_heads(observed: Iterable[Observed], model: str, model_type: str, take: int = TAKE) -> Heads:
     """The localisation heads in what `eagor.perception.transformers.language` observed on labelled panoramas.
 
-    Raises `EagorError` if there is nothing to look at, or no head attends to the targets more than to the rest.
+    Raises `EagorError` if there are no panoramas, or no head attends to the targets more than elsewhere.
     """
     looks = list(observed)
     if not looks:
-        raise EagorError("there are no labelled panoramas; localisation heads want some 20 or more")
+        raise EagorError("there are no labelled panoramas; give 20 or more")
     layers = [layer for layer in looks[0].maps if layer >= _EARLIEST] or list(looks[0].maps)
     names = [(layer, head) for layer in layers for head in range(len(looks[0].mass[layer]))]
     mass = np.array([np.mean([look.mass[layer][head] for look in looks]) for layer, head in names])
@@ -133,8 +133,8 @@ def fit_heads(observed: Iterable[Observed], model: str, model_type: str, take: i
     if not chosen:
         best = max(gains.values(), default=0.0)
         raise EagorError(
-            f"no head of {model} looks at the labelled targets more than elsewhere (best: {best:.2f} times an even "
-            f"spread, over {len(looks)} panoramas). More panoramas, larger pictures, or another extractor"
+            f"no head of {model} looks at the labelled targets more than elsewhere (best: {best:.2f} times uniform "
+            f"attention, over {len(looks)} panoramas). Try more panoramas, larger pictures, or another extractor"
         )
     peaks = [float(look.mean(chosen)[look.near].max()) for look in looks]
     saturation = max(float(np.median(peaks)) - 1.0, 0.1) * (1 - _AIM) / _AIM
@@ -144,7 +144,7 @@ def fit_heads(observed: Iterable[Observed], model: str, model_type: str, take: i
 
 
 def judged(found: Heads, held_out: Sequence[Observed]) -> Heads:
-    """`found` with how far these heads are off (degrees) on panoramas that they were not found on."""
+    """`found` with its error (degrees) on held-out panoramas."""
     if not held_out:
         return found
     errors = np.degrees([look.error(found.heads) for look in held_out])
@@ -153,7 +153,7 @@ def judged(found: Heads, held_out: Sequence[Observed]) -> Heads:
 
 
 def elbow(values: np.ndarray) -> float:
-    """The value at which sorted `values` bend most: farthest below the chord from the first to the last."""
+    """The value at the elbow of sorted `values`: farthest below the chord from the first to the last."""
     rising = np.sort(np.asarray(values, dtype=float))
     if len(rising) < 3 or rising[-1] <= rising[0]:
         return float(rising[0])
@@ -163,10 +163,10 @@ def elbow(values: np.ndarray) -> float:
 
 
 def spatial_entropy(cells: np.ndarray, wrap: bool = True) -> float:
-    """How scattered a map ``(h, w)`` over a panorama is: entropy (nats) of the shares of its connected parts.
+    """Scatter of a map ``(h, w)`` over a panorama: entropy (nats) of the shares of its connected regions.
 
-    Parts are what exceeds twice the mean, joined over corners and, with `wrap`, across the seam. Infinite for a
-    map that lights the bottom row most (a habit of some heads, whatever is asked) or has no part at all.
+    Regions exceed twice the mean; they connect diagonally and, with `wrap`, across the seam. Infinite for a map that is
+    highest in the bottom row (as of some heads whatever is asked) or has no region.
     """
     lit = np.maximum(cells - 2 * cells.mean(), 0.0)
     if not lit.any() or lit[-1].sum() > 0.5 * lit.sum():
@@ -176,5 +176,5 @@ def spatial_entropy(cells: np.ndarray, wrap: bool = True) -> float:
 
 
 def _gain(look: Observed, name: tuple[int, int]) -> float:
-    """The mean attention of a head on the target, in multiples of an even spread over the cells."""
+    """The mean attention of a head on the target, relative to uniform attention over the cells."""
     return float(densities(look.maps[name[0]][name[1]])[look.near].mean())

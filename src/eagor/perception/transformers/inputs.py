@@ -1,7 +1,7 @@
-"""What a model is fed: sizes, pixel values, tokens with their image span, and the type ids that must not be forgotten.
+"""Model inputs: sizes, pixel values, tokens with their image span, and the type ids that some families need.
 
-No processor class of transformers is used, since those of the Qwen families need torchvision: images are brought to
-their exact size here, and the image processor only normalises (and cuts patches).
+No processor class of transformers is used, since those of the Qwen families need torchvision. Images are resized to
+their exact size here; the image processor only normalises (and cuts patches).
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from eagor.perception.vlm.families import Family
 from eagor.perception.vlm.sizes import exact_size, nearest_size, resized
 
 _MOST_TILES = 12
-_MOST_STEPS = 2_000_000  # lines of a chat template: one of a hundred turns with pictures takes some ten thousand
+_MOST_STEPS = 2_000_000  # lines that a chat template may run: a hundred turns with pictures take about ten thousand
 _MARK = "QUESTION"
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How images of one aspect are fed to a model.
+    """How images of one aspect ratio are fed to a model.
 
-    `size`: (height, width) in pixels that the image is resized to; whole cells each way. `layout`: where its tokens
-    look. `square`: side of the square that the model sees (padded, squashed or tiled), None where it takes `size`.
+    `size`: (height, width) in pixels to resize the image to; whole cells each way. `layout`: where its tokens look.
+    `square`: side of the square that the model sees (padded, squashed or tiled), None if it takes `size`.
     """
 
     size: tuple[int, int]
@@ -47,7 +47,7 @@ class Plan:
 def plan(family: Family, config: Any, aspect: float, pixels: int | None = None) -> Plan:
     """How an image with `aspect` (width over height) is fed to a model with this configuration.
 
-    `pixels`: how many it has at most, where the family leaves a choice. Raises `ImageError` if no cell fits in them.
+    `pixels`: the most that it may have, if the family leaves a choice. Raises `ImageError` if no cell fits in them.
     """
     vision, most = config.vision_config, pixels or family.pixels
     if family.fit == "exact":
@@ -66,10 +66,10 @@ def plan(family: Family, config: Any, aspect: float, pixels: int | None = None) 
 def picture_plan(
     family: Family, config: Any, processor: Any, shape: tuple[int, int], pixels: int | None = None
 ) -> Plan:
-    """How an ordinary picture ``(height, width)`` is fed where nobody asks for directions in it.
+    """How a picture ``(height, width)`` is fed in a conversation, where directions do not matter.
 
-    It keeps its size as nearly as the model can take it: in the families that leave a choice as few and as many pixels
-    as the checkpoint's own processor allows, and at most `pixels`.
+    It keeps its size as nearly as the model allows: if the family leaves a choice, within the limits of the
+    checkpoint's own processor, and at most `pixels`.
     """
     vision = config.vision_config
     if family.fit == "exact":
@@ -85,15 +85,15 @@ def _exact(cell: int, size: tuple[int, int]) -> Plan:
 
 
 def _first(value: Any) -> int:
-    """A side that configurations give as a number or as a pair."""
+    """A side length that configurations give as a number or a pair."""
     return int(value[0] if isinstance(value, list | tuple) else value)
 
 
 def _padded(side: int, tokens: int, aspect: float) -> Plan:
-    """The image in the middle of the square; its cells are the rows of tokens that it fills."""
+    """The image centred in the square; its cells are the rows of tokens that it fills."""
     patch = side // tokens
     share = (min(1 / aspect, 1.0), min(aspect, 1.0))  # of the square's height and width
-    # Whole cells, as many above as below, so that every token lies inside or outside.
+    # Whole cells, as many above as below, so that no token crosses the border.
     rows, cols = (max(tokens - 2 * round(tokens * (1 - part) / 2), 1) for part in share)
     height, width = rows * patch, cols * patch
     top, left = ((side - length) // 2 for length in (height, width))
@@ -102,7 +102,7 @@ def _padded(side: int, tokens: int, aspect: float) -> Plan:
 
 
 def _tiled(side: int, tokens: int, aspect: float, pixels: int) -> Plan:
-    """Tiles of the aspect nearest to the image's, as many as the pixels allow, and the whole image behind them."""
+    """Tiles in the grid nearest to the image's aspect, as many as the pixels allow, then the whole image."""
     most = min(max(pixels // (side * side), 1), _MOST_TILES)
     grids = [(rows, cols) for rows in range(1, most + 1) for cols in range(1, most + 1) if rows * cols <= most]
     rows, cols = min(grids, key=lambda grid: (round(abs(math.log(grid[1] / grid[0] / aspect)), 6), -grid[0] * grid[1]))
@@ -116,7 +116,7 @@ def _tiled(side: int, tokens: int, aspect: float, pixels: int) -> Plan:
 
 
 def pictures(images: Sequence[np.ndarray], plan: Plan, processor: Any) -> dict[str, torch.Tensor]:
-    """The image tensors for images ``plan.size`` (already resized), by the names that the model takes."""
+    """The image tensors of images of size ``plan.size``, by the names that the model takes."""
     squares: list[np.ndarray] = []
     for image in images:
         if image.shape[:2] != plan.size:
@@ -129,7 +129,7 @@ def pictures(images: Sequence[np.ndarray], plan: Plan, processor: Any) -> dict[s
 
 
 def _squares(image: np.ndarray, plan: Plan, processor: Any) -> list[np.ndarray]:
-    """The squares that the model sees of one image."""
+    """The squares of one image that the model sees."""
     side, (height, width) = plan.square or 0, plan.size
     if height == width == side and len(plan.layout.blocks) == 1:
         return [image]
@@ -147,10 +147,7 @@ def _squares(image: np.ndarray, plan: Plan, processor: Any) -> list[np.ndarray]:
 
 @dataclass(frozen=True)
 class Prompt:
-    """Token ids of a prompt, cut behind its last image token into `prefix` ``(1, S)`` and `suffix` ``(1, T)``.
-
-    `columns`: positions ``(n,)`` of the image tokens in the prefix.
-    """
+    """Token ids: `prefix` ``(1, S)`` up to the last image, `suffix` ``(1, T)``; `columns` ``(n,)``: image tokens."""
 
     prefix: torch.Tensor
     columns: torch.Tensor
@@ -158,7 +155,7 @@ class Prompt:
 
 
 def prompt(tokenizer: Any, family: Family, template: str, text: str, image_token: int, count: int) -> Prompt:
-    """The tokens of `text` about an image of `count` tokens; the same text before the image gives the same prefix.
+    """The tokens of `text` about an image of `count` tokens; equal text before the image gives an equal prefix.
 
     `template` holds ``{text}`` and the family's placeholder once each. Raises `EagorError` if the tokenizer does not
     know the image token.
@@ -168,9 +165,9 @@ def prompt(tokenizer: Any, family: Family, template: str, text: str, image_token
 
 
 def tokens_of(tokenizer: Any, family: Family, written: str, image_token: int, counts: Sequence[int]) -> Prompt:
-    """The tokens of a prompt with one image token for each image, which become as many as `counts` tells.
+    """The tokens of a prompt in which each image token is repeated as often as `counts` says for that image.
 
-    Raises `EagorError` if it has another number of image tokens.
+    Raises `EagorError` if the prompt has another number of image tokens.
     """
     begins = tokenizer.bos_token is not None and written.startswith(tokenizer.bos_token)
     ids = tokenizer(written, add_special_tokens=not begins)["input_ids"]
@@ -194,25 +191,25 @@ def tokens_of(tokenizer: Any, family: Family, written: str, image_token: int, co
 
 
 def template_of(tokenizer: Any, family: Family) -> str:
-    """The checkpoint's own prompt around one image and a question (``{text}``), else the family's.
+    """The checkpoint's own prompt around one image and a question (``{text}``), otherwise the family's.
 
-    Checkpoints of one family differ in their system prompts; what they were trained with stands in their template.
+    Checkpoints of one family differ in their system prompts; their own template holds the one of their training.
     """
     written = own_template(tokenizer, family)
     if written is None or written.index(_MARK) < written.index(family.placeholder):
-        return family.template  # the image has to stand first, or nothing could be shared between questions
+        return family.template  # the image has to come first, so that questions can share the prefix
     return written.replace(_MARK, "{text}")
 
 
 def own_template(tokenizer: Any, family: Family) -> str | None:
-    """What the checkpoint's own template makes of one image and a mark; None without one that knows images."""
+    """One image and a mark, formatted by the checkpoint's template; None if it does not support images."""
     content = [{"type": "image"}, {"type": "text", "text": _MARK}]
     written = templated(tokenizer, [{"role": "user", "content": content}])
     return written if written.count(family.placeholder) == 1 and written.count(_MARK) == 1 else None
 
 
 def templated(tokenizer: Any, turns: Sequence[Mapping[str, Any]]) -> str:
-    """What the checkpoint's own template makes of `turns`; empty without one that takes them."""
+    """`turns` formatted by the checkpoint's own template; empty if there is none that accepts them."""
     if not getattr(tokenizer, "chat_template", None):
         return ""
     try:
@@ -223,20 +220,19 @@ def templated(tokenizer: Any, turns: Sequence[Mapping[str, Any]]) -> str:
             f"the chat template of {tokenizer.name_or_path!r} does not end: {error}. Fetch the checkpoint again, or "
             "take another"
         ) from None
-    except Exception:  # a template is a program: one for words alone, or without system messages, raises what it likes
+    except Exception:  # a template is a program; one without pictures or system messages may raise anything
         return ""
 
 
 def typed(family: Family, ids: torch.Tensor, image_token: int) -> dict[str, torch.Tensor]:
-    """The family's type ids ``(B, S)``: 1 where an image token stands, 0 elsewhere; nothing where it has none."""
+    """The family's type ids ``(B, S)``: 1 at image tokens, 0 elsewhere; empty for a family without them."""
     return {family.type_ids: (ids == image_token).long()} if family.type_ids else {}
 
 
 def check_typed(family: Family, feed: Mapping[str, Any], image_token: int) -> None:
-    """Raise `EagorError` unless the image tokens in `feed` are marked as the family wants it.
+    """Raise `EagorError` unless the image tokens in `feed` are marked as the family needs it.
 
-    Without these ids the models of some families run all the same, with other positions or another mask, and answer
-    wrongly without a word.
+    Without these ids some models run with wrong positions or a wrong mask, and answer wrongly without an error.
     """
     if family.type_ids is None or feed.get("pixel_values") is None:
         return
@@ -245,6 +241,6 @@ def check_typed(family: Family, feed: Mapping[str, Any], image_token: int) -> No
     if marked is None or marked.shape != wanted.shape or not torch.equal(marked.bool(), wanted):
         what = "are missing" if marked is None else "do not mark exactly the image tokens"
         raise EagorError(
-            f"{family.type_ids} {what}; without them {family.title} runs, but mistakes the image for text. Pass "
+            f"{family.type_ids} {what}; without them {family.title} takes the image for text. Pass "
             f"{family.type_ids}=(input_ids == {image_token})"
         )

@@ -1,4 +1,4 @@
-"""A vision-language model that looks at images of one size: attention, boxes, or both, for several queries at once."""
+"""A vision-language model on images of one size: attention, boxes, or both, for several queries at once."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class LanguageModel:
     """A loaded checkpoint of one of the vision-language families, a `looker.Looker`.
 
     `name`: hub name or folder. `revision`: commit of the hub, or a digest of a folder's configuration and weight files.
-    `model`: its language part runs through the capturing attention function. `heads`: None for relative attention,
-    which reads `layers` (None: at the family's depth). `saturation`: see `attention.saturated`; the heads' own where
-    there are heads. `most`: tokens that an answer may have. The rest as in the perception.
+    `model`: with the capturing attention function in its language part. `heads`: None for relative attention, which
+    reads `layers` (None: at the family's depth). `saturation`: see `attention.saturated`; heads bring their own.
+    `most`: tokens per answer. The others as in the perception.
     """
 
     name: str
@@ -59,7 +59,7 @@ class LanguageModel:
         possible, text = full_layers(self.model), self.model.config.get_text_config()
         if self.heads is not None:
             kind, count = self.model.config.model_type, text.num_attention_heads
-            if self.heads.model_type != kind:  # heads of another family may exist here, too, and look at anything
+            if self.heads.model_type != kind:  # the same head numbers may exist here and mean nothing
                 raise EagorError(
                     f"the heads were found for {self.heads.model}, a {self.heads.model_type}; {self.name} is a {kind}. "
                     "Calibrate heads for this model"
@@ -77,11 +77,11 @@ class LanguageModel:
 
     @property
     def read(self) -> tuple[int, ...]:
-        """The layers that are captured."""
+        """The captured layers."""
         return self.heads.layers if self.heads else (self.layers or ())
 
     def plan(self, aspect: float) -> Plan:
-        """How an image of this aspect (width over height) is fed."""
+        """How an image of this aspect ratio (width over height) is fed."""
         return plan(self.family, self.model.config, aspect, self.pixels)
 
     def size(self, aspect: float) -> tuple[int, int]:
@@ -99,10 +99,7 @@ class LanguageModel:
     def look(
         self, images: Sequence[np.ndarray], grids: Sequence[Grid], queries: Sequence[str], extractor: Extractor
     ) -> tuple[np.ndarray, Account]:
-        """Responses ``(B, Q, h, w)`` float32 in [0, 1] of images that all have the size that `size` gives.
-
-        `grids`: the cells of each image's response, of the shape that `cells` gives.
-        """
+        """Responses ``(B, Q, h, w)`` float32 in [0, 1] of images of the size from `size`, on the cells `grids`."""
         account = Account()
         found = np.zeros((len(images), len(queries), *grids[0].shape), dtype=np.float32)
         with self.lock:
@@ -114,7 +111,7 @@ class LanguageModel:
 
     @torch.inference_mode()
     def boxes(self, images: Sequence[np.ndarray], queries: Sequence[str]) -> tuple[list[list[list[Box]]], Account]:
-        """The boxes that the model writes per image and query, of images that all have the size that `size` gives."""
+        """The boxes that the model writes per image and query, of images of the size from `size`."""
         account = Account()
         found: list[list[list[Box]]] = []
         with self.lock:
@@ -125,7 +122,7 @@ class LanguageModel:
         return found or [[] for _ in images], account
 
     def ask_boxes(self, query: str) -> str:
-        """The question for boxes in the family's own coordinates. Raises `EagorError` if it has none."""
+        """The question for boxes in the family's own coordinates. Raises `EagorError` if it cannot write boxes."""
         if self.family.frame is None:
             raise EagorError(
                 f"{self.family.title} was not trained to write boxes; use extractor 'attention' or 'views' with it"
@@ -138,7 +135,7 @@ class LanguageModel:
         return prompt(self.tokenizer, self.family, self.template, text, image_token, planned.layout.count)
 
     def share(self, images: Sequence[np.ndarray], planned: Plan, account: Account | None = None) -> Prefix:
-        """Run everything up to the images (already resized), to be continued by questions."""
+        """Run everything up to the (resized) images, for questions to continue from."""
         tensors = pictures(images, planned, self.processor)
         tokens = self.prompt(GENERAL, planned)
         if account is not None:
@@ -148,16 +145,16 @@ class LanguageModel:
         return share(self.model, self.family, tokens, tensors, len(images), self.model.config.image_token_id)
 
     def yes(self, logits: torch.Tensor) -> np.ndarray:
-        """The probability of yes against no ``(B,)`` float32 in the logits ``(B, V)`` of an answer's first token."""
+        """The probability ``(B,)`` float32 of yes against no in the logits ``(B, V)`` of an answer's first token."""
         chances = logits.softmax(dim=-1)
         yes, no = chances[:, self._yes].sum(dim=-1), chances[:, self._no].sum(dim=-1)
         return ((yes + 1e-9) / (yes + no + 2e-9)).cpu().numpy().astype(np.float32)
 
     @torch.inference_mode()
     def observe(self, example: Labelled, view: PerspectiveGrid | None = None) -> Observed:
-        """What all heads of all layers of full attention do for a labelled panorama, or a view of it, for `fit_heads`.
+        """The attention of all heads in all full-attention layers to a labelled panorama or a view of it.
 
-        They are asked what `look` asks them with the extractor ``attention``.
+        The question is that of `look` with the extractor ``attention``. Input of `fit_heads`.
         """
         panorama = example.panorama
         planned = self.plan(1.0 if view is not None else panorama.shape[1] / panorama.shape[0])
@@ -182,7 +179,7 @@ class _Look:
         self._prefix = model.share(images, self._planned, account)
 
     def ask(self, text: str, layers: Sequence[int]) -> tuple[Running, torch.Tensor, Capture]:
-        """The run behind a question, the logits of the answer's first token, and the attention in `layers`."""
+        """The run after a question, the logits of the answer's first token, and the attention in `layers`."""
         suffix = self._model.prompt(text, self._planned).suffix
         self._account.prompt_tokens += suffix.shape[1] * self._prefix.batch
         running = self._prefix.continued()
@@ -190,7 +187,7 @@ class _Look:
         return running, logits, captured or Capture(self._prefix.columns)
 
     def responses(self, grids: Sequence[Grid], queries: Sequence[str], extractor: Extractor) -> list[np.ndarray]:
-        """The response ``(B, h, w)`` to each query, on cells `grids`."""
+        """The response ``(B, h, w)`` to each query, on the cells of `grids`."""
         model, layers = self._model, () if extractor == "boxes" else self._model.read
         general = None
         if layers and model.heads is None:
@@ -212,7 +209,7 @@ class _Look:
         return found
 
     def _heat(self, captured: Capture, general: np.ndarray | None, wrap: bool) -> np.ndarray:
-        """The response ``(B, h, w)`` of attention; `general`: that for the question of no content."""
+        """The response ``(B, h, w)`` from attention; `general`: attention for the question without content."""
         model, layout = self._model, self._planned.layout
         if model.heads is not None:
             return saturated(of_heads(captured.rows, model.heads.heads, layout), model.heads.saturation, wrap)
@@ -220,7 +217,7 @@ class _Look:
         return saturated(relative(mean_over_heads(captured.rows, layout), general), model.saturation, wrap)
 
     def boxes(self, running: Running, logits: torch.Tensor) -> list[list[Box]]:
-        """The boxes that the model goes on to write, per image."""
+        """The boxes in the continuation of the answer, per image."""
         model, frame = self._model, self._model.family.frame
         assert frame is not None
         answer = running.decode(logits, model.most, stops_of(model.model, model.tokenizer))
@@ -234,7 +231,7 @@ class _Look:
 
 
 def _answers(tokenizer: Any) -> tuple[list[int], list[int]]:
-    """First tokens of yes and of no, in the spellings that models use; what could begin either counts for none."""
+    """First tokens of yes and of no, in the usual spellings; tokens that could begin either are left out."""
 
     def first(word: str) -> set[int]:
         forms = [space + form for form in (word, word.capitalize(), word.upper()) for space in ("", " ")]

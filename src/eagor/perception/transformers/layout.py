@@ -1,4 +1,4 @@
-"""Where the image tokens of a model look: blocks of tokens in windows of the image, summed into one grid of cells."""
+"""Where the image tokens of a model look: blocks of tokens in windows of the image, summed on one grid of cells."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from eagor._lazy import lazy
 class Block:
     """Rows and columns of tokens, row by row, that cover a window of the image.
 
-    `window`: left, top, right, bottom in fractions of the image; it may reach past it (padding).
+    `window`: left, top, right, bottom as fractions of the image; it may extend beyond it (padding).
     """
 
     rows: int
@@ -40,7 +40,7 @@ class Layout:
 
     @lazy
     def _shares(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-        """Per block, which share of a row of tokens lies in each row of cells ``(h, rows)``, and for columns."""
+        """Per block, the share of each row of tokens in each row of cells ``(h, rows)``, and the same for columns."""
         height, width = self.shape
         found = []
         for block in self.blocks:
@@ -49,10 +49,7 @@ class Layout:
         return tuple(found)
 
     def cells(self, tokens: np.ndarray) -> np.ndarray:
-        """Values of tokens ``(..., count)`` as sums over cells ``(..., h, w)``.
-
-        A token's value is shared out evenly over its window; what lies outside of the image is dropped.
-        """
+        """Token values ``(..., count)``, spread evenly over their windows, as sums over cells ``(..., h, w)``."""
         tokens = np.asarray(tokens)
         if tokens.shape[-1] != self.count:
             raise ValueError(f"{tokens.shape[-1]} values came for {self.count} image tokens")

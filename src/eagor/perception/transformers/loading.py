@@ -1,4 +1,4 @@
-"""From a hub name or a folder to a loaded model, with errors that say what is missing."""
+"""Loads a model from a hub name or a folder, with errors that say what is missing."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def load_model(
     """The model with this hub name or in this folder, in evaluation mode on its device; options as in the perception.
 
     Warns of weights that the checkpoint lacks. Raises `EagorError` if packages are missing, nothing can be loaded
-    there, or it is of no known family.
+    there, or its family is unknown.
     """
     settings = {
         "presence": switched("presence", presence),
@@ -48,15 +48,15 @@ def load_model(
     import torch
     import transformers
 
-    # All that cannot be is said before gigabytes are read.
+    # All options are checked before gigabytes are read.
     how = chosen(extractor or family.default(heads), family, "extractor")
     each = chosen(per_view or family.per_view, family, "per_view")
     if heads and not family.localiser and (each if how == "views" else how) == "boxes":
-        raise EagorError(f"heads = {heads!r} came with the extractor {how!r}, which reads boxes; use attention or both")
+        raise EagorError(f"heads = {heads!r} with the extractor {how!r}, which reads boxes; use attention or both")
     foreign = {"heads": heads, "layers": layers} if family.localiser else {"threshold": threshold}
     if given := sorted(key for key, value in foreign.items() if value is not None):
         why = "has no attention to read" if family.localiser else "has none, only localisers do"
-        raise EagorError(f"{', '.join(given)} came for {family.title}, which {why}")
+        raise EagorError(f"{', '.join(given)} cannot be used with {family.title}, which {why}")
     from eagor.perception.transformers.heads import read_heads
 
     settings["pixels"] = None if pixels is None else counted("pixels", pixels, "980000 (700 x 1400)")
@@ -73,7 +73,7 @@ def load_model(
         options["device_map"] = "auto"
     load = getattr(transformers, _class_of(family)).from_pretrained
     model, told = _loaded(name, "weights", load, revision, output_loading_info=True, **options)
-    if lacking := sorted(told["missing_keys"]):  # transformers makes them up
+    if lacking := sorted(told["missing_keys"]):  # transformers fills them with random numbers
         warnings.warn(
             f"the files of {name!r} lack {len(lacking)} weights of the model, such as {lacking[0]}; they are random "
             "now. Fetch the checkpoint again",
@@ -109,9 +109,9 @@ def _class_of(family: Family) -> str:
 
 
 def read_family(name: str, revision: str | None = None) -> tuple[Any, Family]:
-    """The configuration of the model with this hub name or in this folder, and its family; weights are not read.
+    """The configuration and family of the model with this hub name or in this folder; weights are not read.
 
-    Raises `EagorError` if packages are missing, nothing can be loaded there, or it is of no known family.
+    Raises `EagorError` if packages are missing, nothing can be loaded there, or the family is unknown.
     """
     try:
         import torch  # noqa: F401
@@ -130,15 +130,15 @@ def read_family(name: str, revision: str | None = None) -> tuple[Any, Family]:
 
 
 def _loaded(name: str, what: str, load: Any, revision: str | None, **options: Any) -> Any:
-    """What `load` makes of `name`, without running code that lies there. Raises `EagorError` with the reason.
+    """The result of `load` for `name`, without running code from there. Raises `EagorError` with the reason.
 
-    What a library prints meanwhile goes to stderr: stdout is for results.
+    Output that a library prints meanwhile goes to stderr: stdout is for results.
     """
     options |= {"revision": revision} if revision else {}
     try:
         with redirect_stdout(sys.stderr):
             return load(name, trust_remote_code=False, **options)
-    except Exception as error:  # what is read raises whatever its damage leads it to
+    except Exception as error:  # damaged files may raise anything
         reason = " ".join(str(error).split())
         raise EagorError(
             f"the {what} of {name!r} cannot be loaded ({type(error).__name__}: {reason[:300]}). Wanted a hub name such "
@@ -167,7 +167,7 @@ def _dtype(torch: Any, name: str) -> Any:
 
 
 def _device(torch: Any, name: str | None) -> str:
-    """The device to run on. Raises `EagorError` for a name that is none, or a GPU that is not there."""
+    """The device to run on. Raises `EagorError` for an unknown name or a GPU that is not there."""
     if name == "auto":
         return name
     if not name:
@@ -178,22 +178,22 @@ def _device(torch: Any, name: str | None) -> str:
         raise EagorError(f"device = {name!r}; wanted cpu, cuda, cuda:1, mps or auto") from None
     try:
         torch.zeros(1, device=device).item()
-    except (RuntimeError, AssertionError):  # torch was built without it, or there are fewer; meta holds no numbers
+    except (RuntimeError, AssertionError):  # torch lacks support for it, or it does not exist; meta holds no numbers
         raise EagorError(
-            f"device = {name!r}, and torch finds none of that kind here; leave it out, or ask for cpu"
+            f"device = {name!r}, but torch finds no such device here; leave it out, or choose cpu"
         ) from None
     return name
 
 
 def counted(name: str, value: Any, example: str) -> int:
-    """The option `value` as a whole number from 1, perhaps typed as 1e6. Raises `EagorError` with the `example`."""
+    """The option `value` as a whole number from 1, also from 1e6. Raises `EagorError`, which shows `example`."""
     if not (within(value, 1) and float(value).is_integer()):
         raise EagorError(f"{name} = {value!r}; wanted a whole number from 1, such as {example}")
     return int(value)
 
 
 def switched(name: str, value: Any) -> bool:
-    """The option `value` as true or false. Raises `EagorError` for anything else, such as a word."""
+    """The option `value` as true or false. Raises `EagorError` for anything else."""
     if value not in (True, False):
         raise EagorError(f"{name} = {value!r}; wanted true or false")
     return bool(value)

@@ -26,16 +26,16 @@ from eagor.perception.vlm.prompts import phrase
 
 _FINEST = 180  # columns of the cells that boxes are drawn on, at most
 _MOST = 50  # boxes per picture and query
-_POOLED = 4  # pixels of a mask to a cell
+_POOLED = 4  # pixels of a mask per cell
 
 
 @dataclass(frozen=True)
 class Kind:
-    """How a family of localisers is asked.
+    """How a family of localisers is used.
 
-    `loaded_by`: its class in transformers. `sentence`: what a query becomes. `threshold`: the score below which the
-    model's own examples drop boxes. `together`: whether one run answers all queries (else words and image are mixed
-    early, and each query is a run of its own). `padding`, `longest`: of its tokens, by its configuration.
+    `loaded_by`: its class in transformers. `sentence`: turns a query into its text. `threshold`: the score below which
+    the model's own examples drop boxes. `together`: whether one run answers all queries (otherwise text and image are
+    fused early, and each query is a run of its own). `padding`, `longest`: of its tokens, from its configuration.
     """
 
     loaded_by: str
@@ -47,7 +47,7 @@ class Kind:
 
 
 def _photo(word: str) -> str:
-    """The sentence that CLIP models are asked with."""
+    """The sentence that CLIP models expect."""
     return f"a photo of a {re.sub(r'^(the|an|a) ', '', word.lower())}"
 
 
@@ -67,10 +67,7 @@ KINDS = {
 
 @dataclass
 class Localiser:
-    """A loaded localiser, a `looker.Looker`; attributes as in `language.LanguageModel`.
-
-    `threshold`: boxes with a lower score are dropped; None for the family's.
-    """
+    """A loaded localiser, a `looker.Looker`; drops boxes below `threshold` (None: the family's)."""
 
     name: str
     revision: str
@@ -94,7 +91,7 @@ class Localiser:
         longest = min(float(edges["longest_edge"]), float(edges["shortest_edge"]) * longer)
         if self.pixels is not None:
             longest = min(longest, (self.pixels * longer) ** 0.5)
-        # Whole cells that boxes can be drawn on: a width of many divisors.
+        # Whole cells to draw boxes on: a width with many divisors.
         width = longest if aspect >= 1 else longest * aspect
         width = width // _FINEST * _FINEST if width >= _FINEST else width // 12 * 12
         if width < 1:
@@ -117,7 +114,7 @@ class Localiser:
     def look(
         self, images: Sequence[np.ndarray], grids: Sequence[Grid], queries: Sequence[str], extractor: Extractor
     ) -> tuple[np.ndarray, Account]:
-        """Responses ``(B, Q, h, w)`` float32 in [0, 1] of images that all have the size that `size` gives."""
+        """Responses ``(B, Q, h, w)`` float32 in [0, 1] of images of the size from `size`."""
         found = np.zeros((len(images), len(queries), *grids[0].shape), dtype=np.float32)
         if extractor != "mask":
             boxes, account = self.boxes(images, queries)
@@ -133,7 +130,7 @@ class Localiser:
 
     @torch.inference_mode()
     def boxes(self, images: Sequence[np.ndarray], queries: Sequence[str]) -> tuple[list[list[list[Box]]], Account]:
-        """Boxes per image and query, of images that all have the size that `size` gives."""
+        """Boxes per image and query, of images of the size from `size`."""
         account = Account(images=len(images))
         found: list[list[list[Box]]] = [[] for _ in images]
         words = [phrase(query) for query in queries]
@@ -153,30 +150,30 @@ class Localiser:
 
     @property
     def least(self) -> float:
-        """The score that a box needs."""
+        """The least score of a box."""
         return KINDS[self.family.name].threshold if self.threshold is None else self.threshold
 
     @property
     def _side(self) -> int:
-        """Of the square that the model sees."""
+        """Side of the square that the model sees."""
         return int(self.model.config.vision_config.image_size)
 
     def _boxes(
         self, images: Sequence[np.ndarray], words: Sequence[str], share: tuple[float, float], account: Account
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Corners ``(B, n, 4)`` and scores ``(B, n, Q)`` of a run."""
+        """Corners ``(B, n, 4)`` and scores ``(B, n, Q)`` from one run."""
         pixels = self._pixels(images)
         out = self.model(pixel_values=pixels, **self._tokens(words, len(pixels), account))
         scores = out.logits.float().sigmoid()
         if KINDS[self.family.name].together:
             account.image_tokens += out.pred_boxes.shape[:2].numel()
-        else:  # one score for each token of the one query
+        else:  # one score per token of the single query
             account.image_tokens += out.encoder_last_hidden_state_vision.shape[:2].numel()
             scores = scores.amax(dim=-1, keepdim=True)
         return _corners(out.pred_boxes, share), scores.cpu().numpy()
 
     def _masks(self, images: Sequence[np.ndarray], words: Sequence[str], account: Account) -> np.ndarray:
-        """CLIPSeg's probabilities ``(B, Q, h, w)``, the mean over cells."""
+        """CLIPSeg's probabilities ``(B, Q, h, w)``, averaged over cells."""
         pixels = self._pixels(images)
         count, (height, width) = len(pixels), pixels.shape[-2:]
         account.image_tokens += count * (width // self.model.config.vision_config.patch_size) ** 2
@@ -188,7 +185,7 @@ class Localiser:
         return cut.reshape(count, len(words), rows, _POOLED, cols, _POOLED).mean(dim=(3, 5)).cpu().numpy()
 
     def _pixels(self, images: Sequence[np.ndarray]) -> torch.Tensor:
-        """Normalised pixels ``(B, 3, h, w)``; OWLv2's in the upper left corner of its black square."""
+        """Normalised pixels ``(B, 3, h, w)``; OWLv2 gets the picture in the upper left corner of a black square."""
         if self.family.fit == "pad":
             canvas = np.zeros((len(images), self._side, self._side, 3), dtype=np.uint8)
             for square, image in zip(canvas, images, strict=True):
@@ -209,7 +206,7 @@ class Localiser:
 
 
 def _corners(boxes: torch.Tensor, share: tuple[float, float]) -> np.ndarray:
-    """Corners, in fractions of the picture, of boxes ``(..., 4)``: centre x, y, width, height, fractions of a square.
+    """Corners, as fractions of the picture, of boxes ``(..., 4)``: centre x, y, width, height as fractions of a square.
 
     `share`: of the square's height and width that the picture fills, from its upper left corner.
     """
@@ -220,7 +217,7 @@ def _corners(boxes: torch.Tensor, share: tuple[float, float]) -> np.ndarray:
 
 
 def _kept(corners: np.ndarray, scores: np.ndarray, word: str, least: float) -> list[Box]:
-    """Boxes with area and a score of at least `least`, best first, and no more than can matter."""
+    """Boxes with area and a score of at least `least`, best first, at most `_MOST`."""
     good = np.flatnonzero((scores >= least) & (corners[:, 2] > corners[:, 0]) & (corners[:, 3] > corners[:, 1]))
     best = good[np.argsort(-scores[good], kind="stable")][:_MOST]
     found = [(*corners[i].tolist(), float(scores[i])) for i in best]

@@ -1,4 +1,4 @@
-"""What a perception asks of a loaded model, and what that cost."""
+"""The interface between a perception and a loaded model, with its cost."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from eagor.perception.vlm.families import Extractor, Family
 
 @dataclass
 class Account:
-    """Images, image tokens, and tokens of questions and answers that went through a model, added up."""
+    """Running totals of images, image tokens, and tokens of questions and answers."""
 
     images: int = 0
     image_tokens: int = 0
@@ -23,7 +23,7 @@ class Account:
     answer_tokens: int = 0
 
     def as_source(self) -> dict[str, int]:
-        """As it stands in `Evidence.source`."""
+        """As entries of `Evidence.source`."""
         return dict(vars(self))
 
 
@@ -35,7 +35,7 @@ class Looker(Protocol):
     family: Family
 
     def size(self, aspect: float) -> tuple[int, int]:
-        """(height, width) that images of this aspect (width over height) are resized to before they are looked at."""
+        """(height, width) to resize images of this aspect ratio (width over height) to."""
         ...
 
     def cells(self, aspect: float, extractor: Extractor) -> tuple[int, int]:

@@ -1,6 +1,6 @@
-"""One pass over the image, shared by all questions about it: each runs its own few tokens on a copy of the cache.
+"""One pass over the image for all questions: each question runs only its own tokens on a copy of the cache.
 
-The image stands before the question and attention is causal, so keys and values up to the image are the same for all.
+The image precedes the question and attention is causal, so keys and values up to the image are the same for all.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from eagor.perception.vlm.families import Family
 
 @dataclass
 class Decoded:
-    """What a model wrote: token ids and their log probabilities (natural), one list per image."""
+    """Generated token ids and their natural log probabilities, one list per image."""
 
     ids: list[list[int]]
     log_probabilities: list[list[float]]
@@ -28,11 +28,11 @@ class Decoded:
 
 @dataclass
 class Prefix:
-    """Keys and values of a batch of images and what stands before them.
+    """Keys and values of a batch of images with everything before them.
 
-    `columns`: positions ``(n,)`` of the image tokens, none where there is no image. `position`: that of the next token,
-    which after an image with rotary positions in rows and columns is not the number of tokens so far; None where the
-    model counts by itself. `cache`: never written to, but by the last run.
+    `columns`: positions ``(n,)`` of the image tokens, empty without images. `position`: of the next token; with
+    two-dimensional rotary positions that is not the number of tokens so far. None if the model counts by itself.
+    `cache`: only the last run may write to it.
     """
 
     model: Any
@@ -42,13 +42,13 @@ class Prefix:
     cache: Any
 
     def continued(self, last: bool = False) -> Running:
-        """A run that goes on behind the image, on a copy; `last`: on the cache itself, where nobody else needs it."""
+        """A run after the image, on a copy of the cache; `last`: on the cache itself, if no other run needs it."""
         return Running(self, self.cache if last else _copied(self.cache), self.position)
 
 
 @dataclass
 class Running:
-    """A run behind a shared prefix."""
+    """A run that continues a shared prefix."""
 
     prefix: Prefix
     cache: Any
@@ -74,9 +74,9 @@ class Running:
             return self.feed(ids), capture
 
     def decode(self, logits: torch.Tensor, most: int, stops: Sequence[int]) -> Decoded:
-        """The likeliest next token, again and again: at most `most`, until all images have met one of `stops`.
+        """Greedy decoding of at most `most` tokens, until all images have met one of `stops`.
 
-        `logits` are those of the first token, ``(B, V)``. The stop is not part of the answer.
+        `logits` are those of the first token, ``(B, V)``. The stop token is not part of the answer.
         """
         batch = self.prefix.batch
         answer = Decoded([[] for _ in range(batch)], [[] for _ in range(batch)])
@@ -100,7 +100,7 @@ def share(
 ) -> Prefix:
     """Run a prompt up to its last image, for `batch` prompts with images of the same sizes.
 
-    `tensors` are those of all images, one prompt after the other; empty where there are none.
+    `tensors` are those of all images, prompt by prompt; empty without images.
     """
     device = model.device
     ids = prompt.prefix.expand(batch, -1).to(device)
@@ -122,10 +122,7 @@ def share(
 
 
 def _copied(cache: Any) -> Any:
-    """A cache that can grow without changing `cache`.
-
-    Layers that grow by concatenation leave the old tensors alone, so their copy can share them; the rest is copied.
-    """
+    """A copy of `cache` that can grow without changing it; layers that grow by concatenation share their tensors."""
     new = copy.copy(cache)
     new.layers = [
         copy.copy(layer) if isinstance(layer, DynamicLayer) else copy.deepcopy(layer) for layer in cache.layers
@@ -134,6 +131,6 @@ def _copied(cache: Any) -> Any:
 
 
 def chunks(count: int, most: int, queries: Sequence[str]) -> Iterator[slice]:
-    """Slices of at most `most` that cover `count`; none where nothing is asked."""
+    """Slices of at most `most` that cover `count`; none without queries."""
     for start in range(0, count if queries else 0, most):
         yield slice(start, min(start + most, count))

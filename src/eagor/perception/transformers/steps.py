@@ -1,4 +1,4 @@
-"""A bound on programs that others wrote, such as chat templates: so many lines of Python, whatever they do."""
+"""Limits untrusted programs, such as chat templates, to a number of lines of Python."""
 
 from __future__ import annotations
 
@@ -10,15 +10,12 @@ from typing import Any
 
 
 class Endless(Exception):
-    """A program took more steps than it may."""
+    """A program exceeded its number of steps."""
 
 
 @contextmanager
 def limited_steps(most: int) -> Iterator[None]:
-    """Raise `Endless` in what runs inside, in this thread, once it has taken more than `most` lines of Python.
-
-    The interpreter's tracing counts them; a debugger that traces waits meanwhile.
-    """
+    """Raise `Endless` in the code inside (this thread) after `most` lines of Python. Suspends a debugger."""
     left = most
 
     def step(frame: FrameType, event: str, argument: Any) -> Any:

@@ -1,6 +1,6 @@
-"""What local and served vision-language models share: prompts, reading of answers, sizes, the seam, tangent views.
+"""Shared by local and served vision-language models: prompts, answer parsing, sizes, the seam, tangent views.
 
-NumPy, Pillow and the core only; nothing here needs torch or a server.
+It uses NumPy, Pillow and the core only, neither torch nor a server.
 """
 
 __all__: list[str] = []  # the names are those of the modules

@@ -1,9 +1,9 @@
-"""Boxes in what a model wrote: lenient reading of JSON, of lists in prose, and of the markup of some families.
+"""Boxes in a model's answer: lenient parsing of JSON, of lists in prose, and of the markup of some families.
 
-Understood are lists of objects with a box under any usual key (``bbox_2d``, ``box_2d``, ``bbox``, ``box``, ...), bare
-lists of four numbers, pairs of corners, corners by name, and InternVL's and Qwen2-VL's markup; within fences, prose
-or a model's thoughts, complete or cut off. What the numbers count is not guessed: the caller says it, since 0..1000 and
-the pixels of a picture look alike (pixels of the RESIZED picture for Qwen2.5-VL, Bai et al. 2025, arXiv:2502.13923).
+It reads lists of objects with a box under any usual key (``bbox_2d``, ``box_2d``, ``bbox``, ``box``, ...), bare lists
+of four numbers, pairs of corners, named corners, and InternVL's and Qwen2-VL's markup; within fences, prose or a
+model's thoughts, complete or cut off. The caller says what the coordinates count: 0..1000 and pixels look alike
+(Qwen2.5-VL counts pixels of the RESIZED picture, Bai et al. 2025, arXiv:2502.13923).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from eagor.perception.vlm.tokens import Token, Trace
 
 __all__ = ["AnswerError", "Box", "Frame", "Order", "Token", "parse_boxes", "without_thoughts"]
 
-Frame = Literal["pixels", "thousand", "unit"]  # pixels of the image that the model saw; 0..1000 of its sides; 0..1
+Frame = Literal["pixels", "thousand", "unit"]  # pixels of the image that the model saw; 0..1000 per side; 0..1
 Order = Literal["xyxy", "yxyx"]
 
 _BOX_KEYS = (
@@ -46,8 +46,8 @@ _ABSENT = re.compile(
 _THOUGHTS = re.compile(r"\A(?:(?!<think).)*</think(?:ing)?>|<think(?:ing)?>.*?(?:</think(?:ing)?>|\Z)", re.DOTALL)
 _LONGEST = 200_000  # characters of an answer: thousands of boxes
 _MOST_THOUGHTS = 1_000_000  # characters, with the answer
-_LEAST = 1e-6  # of the image's sides: what is smaller has no area
-_PAST = 1.1  # coordinates beyond so many image sides are in another frame, not just careless
+_LEAST = 1e-6  # of the image's sides: anything smaller has no area
+_PAST = 1.1  # coordinates beyond this many image sides are in another frame, not just inaccurate
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,10 @@ class Box:
 
 @dataclass(frozen=True)
 class _Found:
-    """Four coordinates as written, x0 y0 x1 y1, and the stretch of text in which it was decided to write them.
+    """Four coordinates as written, x0 y0 x1 y1, and the span of text in which the model decided to write them.
 
-    It begins where the list opened, or the box before ended, and ends with the entry's opening bracket. None: unknown.
+    The span begins at the list's opening or after the previous box, and ends with the opening bracket of this entry.
+    None: unknown.
     """
 
     numbers: tuple[Node, ...]
@@ -82,13 +83,13 @@ def parse_boxes(
 
     Args:
         text: the answer.
-        frame: what its coordinates count. Fractions below 1 are taken for fractions in every frame.
+        frame: what its coordinates count. Fractions below 1 are read as fractions in every frame.
         size: (height, width) of the image that the model saw, after any resizing.
-        order: of four bare numbers; corners that are named are what they are called.
-        tokens: the pieces of the answer with their log probabilities, which score boxes (`_confidence`); else 1.
+        order: of four bare numbers; named corners go by their names.
+        tokens: the pieces of the answer with log probabilities, which give the scores (`_confidence`); without them 1.
 
-    Boxes without area are left out, and so are second copies and boxes that lie far outside. Raises `AnswerError` if
-    nothing can be read, or if all coordinates run far past the frame.
+    Boxes without area, duplicates, and boxes far outside are left out. Raises `AnswerError` if nothing can be read,
+    or if all coordinates lie far outside the frame.
     """
     answer = spoken(text)
     nodes = values(answer)
@@ -118,7 +119,7 @@ def parse_boxes(
 
 
 def spoken(text: str) -> str:
-    """`text` without thoughts. Raises `AnswerError` if there is more of it than anybody asked for."""
+    """`text` without thoughts. Raises `AnswerError` if it is far too long."""
     answer = without_thoughts(text) if len(text) <= _MOST_THOUGHTS else text
     if len(answer.strip()) > _LONGEST:
         raise AnswerError(
@@ -129,7 +130,7 @@ def spoken(text: str) -> str:
 
 
 def without_thoughts(text: str) -> str:
-    """`text` with what stands between <think> tags blanked out, every other character left at its place."""
+    """`text` with everything between <think> tags blanked out; all other characters keep their places."""
     return _THOUGHTS.sub(lambda match: " " * len(match.group()), text)
 
 
@@ -140,7 +141,7 @@ def shortened(text: str, most: int = 200) -> str:
 
 
 def _numbers(node: Node) -> tuple[Node, ...]:
-    """The entries of a list of numbers, () if it is something else."""
+    """The entries of a list of numbers, () for anything else."""
     if not isinstance(node.value, list):
         return ()
     found = tuple(node.value)
@@ -148,7 +149,7 @@ def _numbers(node: Node) -> tuple[Node, ...]:
 
 
 def _joined(nodes: list[Node]) -> list[Node]:
-    """`nodes` with two pairs of numbers in a row, such as ``(12,30),(40,80)``, made one list of four."""
+    """`nodes` with two consecutive pairs of numbers, such as ``(12,30),(40,80)``, joined to one list of four."""
     joined: list[Node] = []
     for node in nodes:
         pair = _numbers(node)
@@ -161,7 +162,7 @@ def _joined(nodes: list[Node]) -> list[Node]:
 
 
 def _emptied(node: Node) -> bool:
-    """Whether a value is, or has somewhere in it, a complete list or object without entries."""
+    """Whether a value is or contains a complete list or object without entries."""
     if isinstance(node.value, dict | list):
         inner = node.value.values() if isinstance(node.value, dict) else node.value
         return (node.whole and not node.value) or any(_emptied(entry) for entry in inner)
@@ -169,7 +170,7 @@ def _emptied(node: Node) -> bool:
 
 
 def _boxes(node: Node, order: Order, label: str, since: int) -> Iterator[_Found]:
-    """The boxes in a value, however deep; `since` is where the decision to write its first one began."""
+    """The boxes in a value, at any depth; `since`: where the decision to write the first one began."""
     if isinstance(node.value, dict):
         yield from _boxes_of_object(node, order, label, since)
     elif isinstance(node.value, list):
@@ -182,13 +183,13 @@ def _boxes(node: Node, order: Order, label: str, since: int) -> Iterator[_Found]
             yield from _boxes(entry, order, label, since)
             since = entry.end
     elif isinstance(node.value, str) and node.value.lstrip()[:1] in ("[", "("):
-        for inner in values(node.value):  # a list written as a string: places within it are not those of the text
+        for inner in values(node.value):  # a list written as a string: its places are not those of the text
             for found in _boxes(inner, order, label, 0):
                 yield replace(found, decided=None)
 
 
 def _four(node: Node, order: Order) -> tuple[Node, ...]:
-    """x0 y0 x1 y1 of a list of four numbers (or five, the last a score) or of two corners; () if it is none."""
+    """x0 y0 x1 y1 of a list of four numbers (or five, the last a score) or of two corners; () for anything else."""
     flat = _numbers(node)
     if not flat and isinstance(node.value, list) and len(node.value) == 2:
         flat = (*_numbers(node.value[0]), *_numbers(node.value[1]))
@@ -232,7 +233,7 @@ def _named_corners(fields: dict[str, Node]) -> tuple[Node, ...]:
 
 
 def _score(written: object) -> float | None:
-    """A score in [0, 1]; percentages are divided, anything else is no score."""
+    """A score in [0, 1] (percentages are divided); None for anything else."""
     if isinstance(written, str):
         try:
             written = float(written.strip(" %"))
@@ -244,7 +245,7 @@ def _score(written: object) -> float | None:
 
 
 def _box(found: _Found, frame: Frame, size: tuple[int, int], trace: Trace | None) -> Box | str:
-    """The box in fractions, or why there is none: "outside" or "empty"."""
+    """The box in fractions, or the reason for none: "outside" or "empty"."""
     height, width = size
     written = [entry.value for entry in found.numbers]
     if not all(math.isfinite(number) for number in written):
@@ -265,9 +266,6 @@ def _box(found: _Found, frame: Frame, size: tuple[int, int], trace: Trace | None
 
 
 def _confidence(numbers: tuple[Node, ...], decided: tuple[int, int], trace: Trace) -> float:
-    """The probability of opening the entry (the model might have ended the list instead) times that of its numbers.
-
-    Of the numbers it is the geometric mean over the tokens that begin them.
-    """
+    """The probability of opening the entry times the geometric mean over the first tokens of its numbers."""
     begun = sum(trace.log_probability(number.start, number.start + 1) for number in numbers) / len(numbers)
     return math.exp(trace.log_probability(*decided) + begun)

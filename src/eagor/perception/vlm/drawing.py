@@ -1,4 +1,4 @@
-"""Boxes drawn as responses: a smooth bump around the direction that each box means."""
+"""Boxes drawn as responses: a smooth bump around the direction of each box."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def drawn(boxes: Sequence[Box], image: Grid, canvas: Grid, roll: float = 0.0) ->
     """The response ``canvas.shape`` float32 in [0, 1] of boxes in a picture with the geometry of `image`.
 
     `image` and `roll` as in `moments_of`. As in `Evidence.from_boxes`, each box becomes a Gaussian, widened by
-    `MIN_SPREAD`, times its score; the highest counts. A box all around counts alike everywhere. No box: zeros.
+    `MIN_SPREAD`, times its score; the highest counts. A box all around is uniform. No box: zeros.
     """
     response = np.zeros(canvas.shape)
     for box in boxes:

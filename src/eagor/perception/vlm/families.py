@@ -1,6 +1,6 @@
-"""What differs between the families of models, as data (families.toml): no family has code of its own.
+"""The differences between model families, as data (families.toml): no family has code of its own.
 
-Nothing here imports torch or transformers, so that ``eagor doctor`` can print what could run.
+This module imports neither torch nor transformers, so that ``eagor doctor`` can print which models could run.
 """
 
 from __future__ import annotations
@@ -27,22 +27,19 @@ class Checkpoint:
 
     @property
     def gigabytes(self) -> float:
-        """Memory (1e9 bytes) that it takes in 16 bits, with a fifth added for what runs beside the weights.
-
-        An estimate from the number of parameters; `benchmarks/vlm_latency.py` measures.
-        """
+        """Estimated memory (1e9 bytes) in 16 bits, plus a fifth (measure: `benchmarks/vlm_latency.py`)."""
         return 2.4 * self.billions
 
 
 @dataclass(frozen=True)
 class Served:
-    """How a family is asked where it runs on a server, which tells nothing about it but its name.
+    """How a family is asked on a server, which reveals only the model's name.
 
     - `pattern`: regular expression that finds the family in lower-case names such as ``qwen2.5vl:7b``.
-    - `cell`: pixels of one side of an image token; pictures are sent in multiples of it. `view`: of a square view.
-    - `aspect`: width / height of a panorama as it is sent. Where processors bring everything to a square, some by
-      cutting the sides off, the panorama is squeezed beforehand: cells are then twice as wide as high.
-    - `frame`: coordinates that a family which was not trained to write boxes is asked for; `order` of them.
+    - `cell`: side of an image token in pixels; pictures are sent in multiples of it. `view`: side of a square view.
+    - `aspect`: width / height of a panorama as sent. For processors that make everything square, some by cropping,
+      the panorama is squeezed beforehand: cells are then twice as wide as high.
+    - `frame`, `order`: of the coordinates to ask for if the family was not trained to write boxes.
     """
 
     pattern: str
@@ -55,13 +52,12 @@ class Served:
 
 @dataclass(frozen=True)
 class Dialogue:
-    """How a conversation is written, for checkpoints that bring no template of their own.
+    """The format of a conversation, for checkpoints without a template of their own.
 
-    - `user`, `assistant`, `system`: what such a message becomes; ``{text}`` stands for its words (and pictures). An
-      empty `system`: its words go before those of the first user.
-    - `begin`: what stands before everything; `reply`: before the next reply; `picture`: for a picture, the family's
-      placeholder in it.
-    - `helper`: the words of the system message where nobody gives any; empty for no such message.
+    - `user`, `assistant`, `system`: the form of such a message; ``{text}`` stands for its text (and pictures). With an
+      empty `system`, its text goes before that of the first user message.
+    - `begin`: before everything; `reply`: before the next reply; `picture`: around the family's placeholder.
+    - `helper`: default text of the system message; empty for no such message.
     """
 
     user: str
@@ -75,22 +71,22 @@ class Dialogue:
 
 @dataclass(frozen=True)
 class Family:
-    """A family of models; `title` is the name that people know, `checkpoints` are some published ones.
+    """A family of models; `title` is its common name, `checkpoints` are some published ones.
 
     - `model_types`: values of ``model_type`` in ``config.json`` that belong to it.
-    - `fit`: how an image becomes what the model sees. ``exact``: resized to whole cells, any aspect; ``squash``: to the
-      model's square; ``pad``: into the square, background around it; ``tiles``: cut into squares, and the whole once
-      more, smaller, behind them. `pixels`: how many an image has at most, where the family leaves a choice.
+    - `fit`: how an image becomes the model's input. ``exact``: resized to whole cells, any aspect; ``squash``: to the
+      model's square; ``pad``: into the square with background around it; ``tiles``: cut into squares, followed by the
+      whole image at a smaller scale. `pixels`: the most per image, if the family leaves a choice.
     - `extractor`: how directions are read by default: ``attention``, ``boxes`` that it writes, ``both`` from one call,
-      the ``mask`` that it paints, or ``views``: `per_view` in tangent views that cover the sphere.
-    - `frame`: coordinates of the boxes that it was trained to answer with; None where it was not.
-    - `type_ids`: the input that tells image tokens from text, without which the model runs and answers wrongly.
-    - `placeholder`: what the checkpoint's chat template writes where an image goes; it becomes the `expansion`, in
-      which the `image_token` is then repeated. `dialogue`: for checkpoints without a template.
+      its segmentation ``mask``, or ``views``: `per_view` in tangent views that cover the sphere.
+    - `frame`: coordinates of the boxes that it was trained to write; None if it was not.
+    - `type_ids`: the input that tells image tokens from text; without it the model runs and answers wrongly.
+    - `placeholder`: what the chat template writes for an image. It is replaced by the `expansion`, in which the
+      `image_token` is then repeated. `dialogue`: for checkpoints without a template.
     - `depth`: the layer whose attention is read by default, as a fraction of all layers. 22 of 28 for Qwen2.5-VL-7B
-      and 14 of 32 for LLaVA-1.5-7B are published (Zhang et al., arXiv 2502.17422); the rest are not measured.
-    - `localiser`: whether it locates things and cannot talk: boxes or masks come from heads of its own, not in words.
-    - `served`: how it is asked on a server; None where servers of chats do not run it.
+      and 14 of 32 for LLaVA-1.5-7B are published (Zhang et al., arXiv 2502.17422); the others are not measured.
+    - `localiser`: whether it has detection or segmentation heads and cannot talk.
+    - `served`: how it is asked on a server; None if chat servers do not run it.
     """
 
     name: str
@@ -113,7 +109,7 @@ class Family:
 
     @property
     def template(self) -> str:
-        """The prompt about one picture, with ``{text}`` for the question; empty where it holds no conversations."""
+        """The prompt about one picture, with ``{text}`` for the question; empty for a family without dialogue."""
         if self.dialogue is None:
             return ""
         said = self.dialogue
@@ -122,23 +118,23 @@ class Family:
 
     @property
     def view_pixels(self) -> int | None:
-        """How many pixels a view has at most, by default; None where the family leaves no choice."""
+        """The most pixels of a view by default; None if the family leaves no choice."""
         return self.served.view**2 if self.served else None
 
     def default(self, heads: str | None = None) -> Extractor:
-        """The extractor where none is named; with a file of localisation heads one that reads them."""
+        """The default extractor; with a file of localisation heads one that uses them."""
         return "attention" if heads and self.extractor == "boxes" and not self.localiser else self.extractor
 
     @property
     def extractors(self) -> tuple[Extractor, ...]:
-        """What can be asked of it."""
+        """The extractors that the family supports."""
         if self.localiser:
             return (self.per_view, "views")
         return ("attention", "boxes", "both", "views") if self.frame else ("attention", "views")
 
 
 def _family(entry: dict[str, Any]) -> Family:
-    """A family as families.toml describes it."""
+    """A family from its entry in families.toml."""
     for key, kind in (("served", Served), ("dialogue", Dialogue)):
         if key in entry:
             entry[key] = kind(**entry[key])
@@ -151,17 +147,14 @@ FAMILIES: tuple[Family, ...] = tuple(map(_family, tomllib.loads(_FILE.read_text(
 
 
 def chosen(name: str, family: Family, option: str) -> Extractor:
-    """`name` as an extractor of the family; `option` is for errors. Raises `EagorError`, which lists them."""
+    """`name` as an extractor of the family; errors name `option`. Raises `EagorError`, which lists the extractors."""
     if name not in family.extractors:
         raise EagorError(f"{option} = {name!r}; for {family.title} it can be {', '.join(family.extractors)}")
     return cast(Extractor, name)
 
 
 def family_of(config: Mapping[str, Any] | Any, source: str) -> Family:
-    """The family of a model's configuration (an object or the read ``config.json``); `source` is for errors.
-
-    Raises `EagorError`, which lists the families, for any other.
-    """
+    """The family of a configuration (object or parsed ``config.json``). Raises `EagorError`, which names `source`."""
     kind = config.get("model_type") if isinstance(config, Mapping) else getattr(config, "model_type", None)
     for family in FAMILIES:
         if kind in family.model_types:

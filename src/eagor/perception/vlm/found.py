@@ -1,4 +1,4 @@
-"""Boxes as one set of detections: those of one picture, or of several pictures of one moment that overlap."""
+"""Boxes as one set of detections, from one picture or from several overlapping pictures of one moment."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from eagor.perception.blobs import spread_evidence
 from eagor.perception.vlm.boxes import Box
 from eagor.sphere import angular_distance
 
-SAME = math.radians(5)  # boxes of one thing in two pictures lie no further apart than this, and than the thing reaches
-REACH = math.sqrt(3)  # half of a box over its standard deviation
-WHOLE = 0.95  # coverage from which on a direction counts as seen
+SAME = math.radians(5)  # largest distance between two boxes of one small thing; the extent of large things is added
+REACH = math.sqrt(3)  # half the width of a box over its standard deviation
+WHOLE = 0.95  # coverage from which on a direction counts as fully seen
 
 
 @dataclass(frozen=True, eq=False)
 class Thing:
-    """What a box means: its mean direction ``(3,)``, covariance ``(2, 2)`` about it (radians^2), and score.
+    """The direction of a box: mean ``(3,)``, covariance ``(2, 2)`` about it (radians^2), and score.
 
-    `depth`: how far from the border of its picture, where things are cut; larger is deeper.
+    `depth`: distance from the border of its picture, where things are cut off; larger is farther inside.
     """
 
     direction: np.ndarray
@@ -41,7 +41,7 @@ class Thing:
         return math.sqrt(float(np.trace(self.covariance)) / 2)
 
     def is_same(self, other: Thing) -> bool:
-        """Whether two boxes of different pictures are likely of one thing, in one of them perhaps cut."""
+        """Whether boxes of two pictures probably show one thing, which one of the pictures may cut off."""
         small, large = sorted((self.size, other.size))
         if large > 3 * small + SAME:
             return False
@@ -51,19 +51,19 @@ class Thing:
 def moments_of(box: Box, image: Grid, roll: float = 0.0) -> tuple[np.ndarray, np.ndarray] | None:
     """Mean direction ``(3,)`` and covariance ``(2, 2)`` of a box in a picture with the geometry of `image`.
 
-    A whole panorama is any grid of the whole sphere (its size does not matter). `roll`: the fraction of its width by
-    which it was rolled to the right before it was looked at. None for a box all around, which names no direction.
+    For a whole panorama, `image` is any grid of the whole sphere. `roll`: the fraction of its width by which it was
+    rolled to the right. None for a box all around, which has no direction.
     """
     height, width = image.shape
     corners = [(box.x0 - roll) * width, box.y0 * height, (box.x1 - roll) * width, box.y1 * height]
     try:
-        return moments(np.array(corners), image)  # columns go on beyond the seam
-    except ResponseError:  # all around: a `Box` has some area
+        return moments(np.array(corners), image)  # columns continue across the seam
+    except ResponseError:  # all around: every `Box` has some area
         return None
 
 
 def things(boxes: Sequence[Box], image: Grid, roll: float = 0.0) -> list[Thing]:
-    """What boxes in a picture mean, in the body frame; `image` and `roll` as in `moments_of`."""
+    """The boxes in a picture as directions in the body frame; `image` and `roll` as in `moments_of`."""
     found = []
     for box in boxes:
         centre, spread = moments_of(box, image, roll) or (np.array([1.0, 0.0, 0.0]), ANYWHERE**2 * np.eye(2))
@@ -76,7 +76,7 @@ def things(boxes: Sequence[Box], image: Grid, roll: float = 0.0) -> list[Thing]:
 
 
 def united(pictures: Iterable[Sequence[Thing]]) -> list[Thing]:
-    """What several pictures show, each thing once: as the picture has it in which it lies deepest."""
+    """The things in several pictures, each once: from the picture in which it lies farthest inside."""
     marked = [(thing, index) for index, found in enumerate(pictures) for thing in found]
     kept: list[tuple[Thing, int]] = []
     for thing, index in sorted(marked, key=lambda pair: -pair[0].depth):
@@ -93,7 +93,7 @@ def detected(
     coverage: np.ndarray | None = None,
     source: Mapping[str, object] | None = None,
 ) -> Evidence:
-    """The evidence of things found in what `grid` covers, as far as `coverage` ``(H, W)`` says (None: all of it)."""
+    """The evidence of `found` within `grid`, as far as `coverage` ``(H, W)`` says (None: all of it)."""
     seen = None if coverage is None or bool((coverage >= WHOLE).all()) else coverage
     parts = [(thing.direction, thing.covariance, thing.score) for thing in found]
     return replace(spread_evidence(parts, model, View(grid, seen), stamp), source=source)

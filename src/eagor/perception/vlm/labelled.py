@@ -1,4 +1,4 @@
-"""Labelled panoramas: where in a panorama the thing is that a query names. What calibration learns from.
+"""Labelled panoramas for calibration: where in a panorama the thing is that a query names.
 
 A file of them has one JSON object per line (JSON Lines, UTF-8)::
 
@@ -29,7 +29,7 @@ from eagor.sphere import direction
 
 @dataclass(frozen=True, eq=False)
 class Labelled:
-    """A panorama ``(H, W, 3)`` uint8, a query, the direction ``(3,)`` of what it names, and its angular radius."""
+    """A panorama ``(H, W, 3)`` uint8, a query, and the direction ``(3,)`` and angular radius of its target."""
 
     panorama: np.ndarray
     query: str
@@ -38,10 +38,7 @@ class Labelled:
 
 
 def labelled_lines(file: Path) -> list[tuple[int, dict[str, Any]]]:
-    """The lines of a file of labelled panoramas with their numbers, each checked but for its image.
-
-    Raises `FormatError`, which names the file and the line of what is wrong.
-    """
+    """The numbered lines of a file of labelled panoramas, checked except for the images. Raises `FormatError`."""
     try:
         text = Path(file).read_bytes().decode("utf-8-sig")
     except (OSError, ValueError) as error:
@@ -61,7 +58,7 @@ def labelled_lines(file: Path) -> list[tuple[int, dict[str, Any]]]:
 def read_labelled(file: Path, read: Callable[[Path], np.ndarray]) -> Iterator[Labelled]:
     """The labelled panoramas that a file lists, one image in memory at a time.
 
-    `read` gives the panorama ``(H, 2 H, 3)`` uint8 of a path (`eagor.worlds.panorama.read_panorama`). Raises
+    `read` loads the panorama ``(H, 2 H, 3)`` uint8 of a path (`eagor.worlds.panorama.read_panorama`). Raises
     `FormatError` for the file, and what `read` raises.
     """
     last: tuple[Path, np.ndarray] | None = None
@@ -85,7 +82,7 @@ def read_labelled(file: Path, read: Callable[[Path], np.ndarray]) -> Iterator[La
 
 
 def cap_radius(solid_angle: float) -> float:
-    """The angular radius (radians) of the cap that has so many steradians."""
+    """The angular radius (radians) of the cap with this solid angle (steradians)."""
     return math.acos(1 - min(max(solid_angle, 0.0), 4 * math.pi) / (2 * math.pi))
 
 

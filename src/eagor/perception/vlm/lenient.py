@@ -1,7 +1,7 @@
-"""A reader for what models write when asked for JSON: fences, prose around it, single quotes, missing ends.
+"""A lenient JSON parser for model output: fences, prose around it, single quotes, missing ends.
 
-It knows JSON, Python literals, tuples, unquoted words and comments at line ends, and it stops where the answer was cut
-off. Every value keeps the place in the text that it was read from, so that token probabilities can be found again.
+It accepts JSON, Python literals, tuples, unquoted words and comments at line ends, and stops where the answer was cut
+off. Every value keeps its place in the text, to look up token probabilities.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ _STRING = {quote: re.compile(rf"(?:[^{quote}\\]|\\.)*", re.DOTALL) for quote in 
 _ESCAPE = re.compile(r"\\(u[0-9a-fA-F]{4}|U00[0-9a-fA-F]{6}|x[0-9a-fA-F]{2}|.|\Z)", re.DOTALL)
 _CLOSING = {"[": "]", "(": ")", "{": "}"}
 _CONSTANTS = {"true": True, "false": False, "null": None, "none": None, "nan": None}
-_DEEPEST = 40  # lists within lists; deeper ones are no answer
+_DEEPEST = 40  # nesting of lists; deeper ones are not answers
 
 
 @dataclass(frozen=True)
 class Node:
     """A value and the half-open range of characters that it was read from.
 
-    `value` is a list of nodes, a dict of nodes by key, a string, a float, a bool or None. `whole` is False where the
-    text ended before the value did.
+    `value` is a list of nodes, a dict of nodes by key, a string, a float, a bool or None. `whole` is False if the text
+    ended before the value did.
     """
 
     value: Any
@@ -35,7 +35,7 @@ class Node:
 
 
 def values(text: str) -> list[Node]:
-    """All lists and objects that stand in `text` by themselves, in order."""
+    """All top-level lists and objects in `text`, in order."""
     found, place = [], 0
     while place < len(text):
         if text[place] in _CLOSING:
@@ -53,7 +53,7 @@ def _skip(text: str, place: int) -> int:
 
 
 def _value(text: str, place: int, depth: int) -> Node | None:
-    """The value that begins at `place`, None if nothing that is known begins there."""
+    """The value that begins at `place`, None if nothing known begins there."""
     if place >= len(text):
         return None
     first = text[place]
@@ -78,7 +78,7 @@ def _string(text: str, place: int) -> Node:
 
 
 def _unescaped(written: str) -> str:
-    """The letters that a string in JSON or Python means."""
+    """The text of a string literal of JSON or Python."""
     if "\\" not in written:
         return written
     meant = _ESCAPE.sub(_letter, written)
@@ -93,7 +93,7 @@ def _letter(match: re.Match[str]) -> str:
 
 
 def _collection(text: str, place: int, depth: int) -> Node:
-    """The list, tuple or object that opens at `place`; it ends early where the text stops making sense."""
+    """The list, tuple or object that opens at `place`; it ends early where the text is no longer valid."""
     opening = text[place]
     closing, keyed = _CLOSING[opening], opening == "{"
     entries: list[Node] = []
@@ -124,7 +124,7 @@ def _collection(text: str, place: int, depth: int) -> Node:
             break
     if not keyed:
         return Node(entries, place, at, whole)
-    # A key written several times holds all that is written, in one list.
+    # A key that occurs several times holds all its values, in one list.
     held = {key: Node(several, several[0].start, several[-1].end) for key, several in pairs.items()}
     single = {key: several[0] for key, several in pairs.items() if len(several) == 1}
     return Node(held | single, place, at, whole)

@@ -1,4 +1,4 @@
-"""Yes or no: the probability that a thing is in the picture, from an answer and, where given, its tokens."""
+"""Yes or no: the probability that a thing is in the picture, from an answer and, if available, its tokens."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _WORDS = re.compile(r"[^\W\d_]+")
 def parse_presence(text: str, first: Sequence[Token] | None = None) -> float:
     """The probability in [0, 1] that a model's answer to `prompts.ask_presence` means yes.
 
-    `first` holds the likeliest tokens at the place where the answer stands, with their log probabilities: then it is
-    the share of those that mean yes among those that mean yes or no; where only one side is listed, what is not listed
-    counts for the other. Else it is 1 for yes and 0 for no. Raises `AnswerError` if the answer is neither.
+    `first` holds the likeliest tokens at the place of the answer, with log probabilities. The result is then the share
+    of yes among yes and no; if only one side is listed, the other gets the rest of the probability. Without `first` it
+    is 1 for yes and 0 for no. Raises `AnswerError` if the answer is neither.
     """
     answer = spoken(text)
     shares, listed = [0.0, 0.0], 0.0
@@ -36,7 +36,7 @@ def parse_presence(text: str, first: Sequence[Token] | None = None) -> float:
         meant = means(word)
         if meant is not None:
             return float(meant)
-    raise AnswerError(f"the model answered {shortened(text)}; wanted yes or no. Does it see images, and follow orders?")
+    raise AnswerError(f"the model answered {shortened(text)}; wanted yes or no. Can it see images?")
 
 
 def means(word: str) -> bool | None:

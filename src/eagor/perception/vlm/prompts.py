@@ -1,4 +1,4 @@
-"""What a model is asked, in words."""
+"""The questions that a model is asked."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 from eagor.errors import QueryError
 from eagor.perception.vlm.boxes import Frame, Order
 
-# The question of no content in relative attention (Zhang et al., "MLLMs know where to look", ICLR 2025).
+# The question without content in relative attention (Zhang et al., "MLLMs know where to look", ICLR 2025).
 GENERAL = "Write a general description of the image."
 
 _FRAMES = {
@@ -19,7 +19,7 @@ _KEYS = {"xyxy": ("bbox_2d", "x1, y1, x2, y2"), "yxyx": ("box_2d", "y1, x1, y2, 
 
 
 def phrase(query: str) -> str:
-    """`query` as one line of words. Raises `QueryError` if there are none."""
+    """`query` on one line. Raises `QueryError` if it is empty."""
     words = " ".join(query.split()) if isinstance(query, str) else ""
     if not words:
         raise QueryError(f"the query is {query!r}; wanted words for what to look for, such as 'red chair'")
@@ -55,5 +55,5 @@ def boxes_schema(frame: Frame, order: Order = "xyxy") -> dict[str, Any]:
 
 
 def ask_presence(query: str) -> str:
-    """The question whether what `query` names is in the image, to be answered by yes or no."""
+    """The question whether the picture shows what `query` names, to be answered by yes or no."""
     return f"Does this image show the following: {phrase(query)}? Answer with one word, yes or no."

@@ -1,7 +1,7 @@
-"""Exact sizes: pictures whose sides are whole numbers of a model's cells, so that no server or processor resizes.
+"""Exact sizes: pictures whose sides are multiples of a model's cell, so that no server or processor resizes them.
 
-Processors round the sides of a picture apart (2:1 at 512 x 1024 becomes 504 x 1036 with cells of 28), which bends the
-sphere. A picture of exact size is left as it is, and the pixels of its boxes are ours.
+Processors round the sides separately (2:1 at 512 x 1024 becomes 504 x 1036 with cells of 28), which distorts the
+sphere. A picture of exact size is left as it is, and boxes in its pixels are in ours.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from PIL import Image
 
 from eagor.errors import ImageError
 
-_PAD = 8  # columns of the other side that are put beyond the seam before a panorama is resized
+_PAD = 8  # columns copied from the other side of the seam before a panorama is resized
 
 
 def exact_size(cell: int, pixels: int, aspect: float = 2.0) -> tuple[int, int]:
     """(height, width) of the largest picture of at most `pixels` pixels whose sides are multiples of `cell`.
 
-    width / height is exactly `aspect` where a picture of that shape fits (2 for a panorama, 1 for a view; other
-    shapes are taken to the nearest ratio of whole numbers up to 16), and as near to it as whole cells allow where none
-    fits. Raises `ImageError` if not even one cell fits.
+    width / height is exactly `aspect` if such a picture fits (2 for a panorama, 1 for a view; others are rounded to
+    the nearest ratio of whole numbers up to 16), otherwise as near to it as whole cells allow. Raises `ImageError` if
+    not even one cell fits.
     """
     cells = pixels // (cell * cell) if cell >= 1 else 0
     if cells < 1 or not (math.isfinite(aspect) and aspect > 0):
@@ -40,11 +40,11 @@ def exact_size(cell: int, pixels: int, aspect: float = 2.0) -> tuple[int, int]:
 
 
 def nearest_size(cell: int, shape: tuple[int, int], least: int, most: int) -> tuple[int, int]:
-    """(height, width) of whole cells nearest to `shape`, with `least` to `most` pixels: what a processor makes of it.
+    """(height, width) nearest to `shape` in whole cells, with `least` to `most` pixels, as a processor would choose it.
 
-    The rounding is that of the Qwen families' image processors, so that a conversation shows a model what a server
-    would show it. Sides are rounded apart, which bends the picture by up to half a cell each way: `exact_size` is for
-    what directions are read from. Raises `ImageError` if not even one cell fits.
+    The rounding is that of the Qwen families' image processors, so that a local conversation sees what a server would
+    show. Sides are rounded separately, which distorts the picture by up to half a cell each way: use `exact_size` where
+    directions are read. Raises `ImageError` if not even one cell fits.
     """
     height, width = shape
     if most < cell * cell or min(shape) < 1:
@@ -60,7 +60,7 @@ def nearest_size(cell: int, shape: tuple[int, int], least: int, most: int) -> tu
 
 
 def checked_picture(image: np.ndarray, name: str = "the panorama") -> np.ndarray:
-    """`image` once it is certain to be uint8 ``(H, W, 3)``. Raises `ImageError`."""
+    """`image`, checked to be uint8 ``(H, W, 3)``. Raises `ImageError`."""
     image = np.asarray(image)
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[-1] != 3 or image.size == 0:
         raise ImageError(
@@ -71,10 +71,10 @@ def checked_picture(image: np.ndarray, name: str = "the panorama") -> np.ndarray
 
 
 def resized(image: np.ndarray, size: tuple[int, int], wrap: bool = False) -> np.ndarray:
-    """`image` ``(H, W, 3)`` uint8 at `size` (height, width), bicubic, averaging where it shrinks.
+    """`image` ``(H, W, 3)`` uint8 at `size` (height, width), bicubic, antialiased if it shrinks.
 
-    With `wrap` the columns go on around the seam, as those of a panorama do, so that rolled panoramas give rolled
-    results. An image that has the size already is returned as it is. Raises `ImageError`.
+    With `wrap` the columns continue across the seam, so that rolled panoramas give rolled results. An image that has
+    the size already is returned as it is. Raises `ImageError`.
     """
     image = checked_picture(image, "the image")
     height, width = image.shape[:2]
@@ -86,6 +86,6 @@ def resized(image: np.ndarray, size: tuple[int, int], wrap: bool = False) -> np.
     if wrap:
         pad = _PAD * max(1, math.ceil(width / size[1]))
         image = image[:, np.arange(-pad, width + pad) % width]
-    box = (pad, 0, pad + width, height)  # the filter reads beyond the box, where there is something to read
+    box = (pad, 0, pad + width, height)  # the filter also reads the padding beyond the box
     picture = Image.fromarray(np.ascontiguousarray(image))
     return np.asarray(picture.resize((size[1], size[0]), Image.Resampling.BICUBIC, box))

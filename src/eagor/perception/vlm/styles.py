@@ -1,4 +1,4 @@
-"""How a model on a server is asked, by its name alone: the cell of its picture, frame and order of its coordinates."""
+"""How a served model is asked, by its name alone: cell size of its pictures, frame and order of its coordinates."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from eagor.perception.vlm.families import FAMILIES
 
 @dataclass(frozen=True)
 class Style:
-    """How the family of this name sees and answers; see `families.Served` for what is not said here.
+    """How the model of this name sees and answers; other fields as in `families.Served`.
 
-    `pixels` of a panorama, unless the caller says otherwise. `grounded`: whether it was trained to write boxes; the
-    others are better asked yes or no.
+    `pixels`: of a panorama, by default. `grounded`: whether it was trained to write boxes; others are better asked yes
+    or no.
     """
 
     family: str
@@ -27,7 +27,7 @@ class Style:
     grounded: bool = True
 
 
-# Qwen2-VL, which runs on servers only, and what is asked of models that no name tells anything about.
+# Qwen2-VL, which runs on servers only, and the default for names of no known family.
 _QWEN2_VL = re.compile(r"qwen[\W_]?2[\W_]?vl")
 OTHER = Style("other", 28, 700 * 1400, 560, "thousand")
 

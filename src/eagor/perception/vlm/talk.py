@@ -1,4 +1,4 @@
-"""What is said to models that talk, and by them: pictures and words in, words out."""
+"""Conversations with models: pictures and text in, text out."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import Literal, Protocol
 import numpy as np
 
 IMAGE = "<image>"  # in a message's text: the place of the next of its pictures
-MAX_TOKENS = 512  # of a reply, where nobody says
+MAX_TOKENS = 512  # default length of a reply
 
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """What one side says: `text` with an `IMAGE` for each of `images` ``(H, W, 3)`` uint8."""
+    """One message: `text` with an `IMAGE` for each of `images` ``(H, W, 3)`` uint8."""
 
     role: Literal["system", "user", "assistant"]
     text: str
     images: tuple[np.ndarray, ...] = ()
 
     def parts(self) -> list[str | np.ndarray]:
-        """Words and pictures in turn; words that are empty are left out."""
+        """Text and pictures in order; empty text is left out."""
         texts = self.text.split(IMAGE, len(self.images))
         found: list[str | np.ndarray] = []
         for index, text in enumerate(texts):
@@ -32,7 +32,7 @@ class Message:
 
 @dataclass(frozen=True)
 class Said:
-    """A model's reply, and what it cost where it is known."""
+    """A model's reply, and its cost if known."""
 
     text: str
     prompt_tokens: int | None = None
@@ -43,5 +43,5 @@ class Chat(Protocol):
     """A model that answers a conversation."""
 
     def __call__(self, messages: Sequence[Message]) -> Said:
-        """The reply to `messages`. Raises where there is none: that is a failed attempt, never a wrong answer."""
+        """The reply to `messages`. Raises if there is none: that is a failed attempt, never a wrong answer."""
         ...

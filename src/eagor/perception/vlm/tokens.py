@@ -6,7 +6,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 
 Token = tuple[str, float]  # a piece of the answer and the natural logarithm of its probability
-_AHEAD = 64  # characters within which lost track is found again
+_AHEAD = 64  # characters to search ahead to find the place again
 
 
 class Trace:
@@ -14,8 +14,8 @@ class Trace:
 
     Args:
         text: the answer.
-        tokens: its pieces in order. Special tokens that the text lacks may be among them, and pieces of letters that
-            take several tokens may be garbled; both are passed over.
+        tokens: its pieces in order. Special tokens that the text lacks, and garbled pieces of characters that take
+            several tokens, are skipped.
     """
 
     def __init__(self, text: str, tokens: Sequence[Token]) -> None:

@@ -21,15 +21,15 @@ _SAMPLES = 3  # along each side of a cell that responses are lifted to
 def framed(
     image: np.ndarray, grid: PerspectiveGrid, size: tuple[int, int]
 ) -> tuple[np.ndarray, PerspectiveGrid, tuple[int, int]]:
-    """A picture of `size` (height, width) with `image` whole in its middle, its grid, and how much `image` fills of it.
+    """A picture of `size` (height, width) with `image` in its middle, its grid, and the rows and columns of `image`.
 
-    Stretching to the size that a model wants would bend the view; so what is missing on two sides is the image's mean
-    colour. `grid` describes the image's pixels; what it fills is (rows, columns). Raises `ImageError`.
+    The rest has the image's mean colour; stretching to the model's size would distort the view. `grid` describes the
+    pixels of `image`. Raises `ImageError`.
     """
     image = checked_picture(image, "the view")
     height, width = size
     scale = min(height / grid.height, width / grid.width)
-    # As even or odd as the whole, so that the middle stays the middle.
+    # Of the same parity as the whole, so that the middle stays the middle.
     rows, cols = (
         min(whole, max(2 - whole % 2, whole - 2 * round((whole - scale * side) / 2)))
         for whole, side in ((height, grid.height), (width, grid.width))
@@ -43,7 +43,7 @@ def framed(
 
 
 def filled(shape: tuple[int, int], size: tuple[int, int], inner: tuple[int, int]) -> np.ndarray:
-    """How much of each cell ``(h, w)`` of a picture of `size` lies in the middle part of `inner` pixels, 0 to 1."""
+    """The fraction of each cell ``(h, w)`` of a picture of `size` that lies in the middle part of `inner` pixels."""
     shares = []
     for count, whole, part in zip(shape, size, inner, strict=True):
         edges = np.clip(np.arange(count + 1) * (whole / count), (whole - part) / 2, (whole + part) / 2)
@@ -54,16 +54,16 @@ def filled(shape: tuple[int, int], size: tuple[int, int], inner: tuple[int, int]
 def lift(
     responses: Sequence[np.ndarray], views: Sequence[PerspectiveGrid], grid: PatchGrid, margin: float = OVERLAP / 2
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One response on the sphere from one ``(Q, rows, cols)`` per view, and how far each cell was looked at.
+    """One response on the sphere from one ``(Q, rows, cols)`` per view, and its coverage.
 
     Args:
-        responses: per view the values in [0, 1] of its cells, which divide the view evenly; a single cell holds for
-            the whole view.
-        views: where they look.
+        responses: per view the values in [0, 1] of its cells, which divide the view evenly; a single cell covers the
+            whole view.
+        views: their poses.
         grid: the cells of the result.
-        margin: radians of a view's field, at each side, over which its weight rises from 0 to 1 (as sin^2).
+        margin: radians at each side of a view over which its weight rises from 0 to 1 (as sin^2).
 
-    Returns the response ``(Q, h, w)`` float32, where views overlap the mean by weight, and the coverage ``(h, w)`` in
+    Returns the response ``(Q, h, w)`` float32, the weighted mean where views overlap, and the coverage ``(h, w)`` in
     [0, 1], the weight of the view that sees the cell best. Where coverage is 0 nothing was seen (response 0): pass it
     to `Evidence.from_response`. Raises `ResponseError` if the responses do not fit the views.
     """
@@ -73,7 +73,7 @@ def lift(
     if any(array.ndim != 3 or array.shape[0] != arrays[0].shape[0] or array.size == 0 for array in arrays):
         shapes = sorted({array.shape for array in arrays})
         raise ResponseError(f"responses of views have shapes {shapes}; wanted (queries, rows, cols), queries alike")
-    # Points in each cell: borders of views run through cells, and cells of views may be finer than ours.
+    # Several points per cell: borders of views run through cells, and cells of views may be finer than ours.
     fine = PatchGrid(grid.rows * _SAMPLES, grid.cols * _SAMPLES)
     total = np.zeros((arrays[0].shape[0], *fine.shape))
     weights, coverage = np.zeros(fine.shape), np.zeros(fine.shape)
@@ -97,7 +97,7 @@ def lift(
 
 
 def bilinear(layers: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """`layers` ``(Q, rows, cols)`` of a view read at fractions (x, y) of it; constant beyond the outer centres."""
+    """`layers` ``(Q, rows, cols)`` of a view at fractions (x, y) of it; constant beyond the outer centres."""
     rows, cols = layers.shape[1:]
     u, v = np.clip(x * cols - 0.5, 0, cols - 1), np.clip(y * rows - 0.5, 0, rows - 1)
     left, top = np.floor(u).astype(np.intp), np.floor(v).astype(np.intp)

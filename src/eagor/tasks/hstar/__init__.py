@@ -1,7 +1,7 @@
-"""H*Bench: look around in a panorama through a camera that sees part of it, and name the direction of what is asked.
+"""H*Bench: look around in a panorama through a perspective camera, and name the direction of the target.
 
-Two halves: object search (HOS) and path search (HPS). `rules` and `camera` are the benchmark's own, quirks included;
-`data` reads its files; `search` is how we look around; `bench` is what `eagor bench` knows.
+It has two halves, object search (HOS) and path search (HPS). `rules` and `camera` are the benchmark's own, quirks
+included; `data` reads its files; `search` is our search; `bench` connects it to `eagor bench`.
 """
 
 from eagor.tasks.hstar.camera import View, render_view

@@ -1,6 +1,6 @@
-"""Who searches: ours, the fixed sweep, the model alone, those that answer from single views, those that do not look.
+"""The agents of H*Bench: ours, a fixed sweep, the model alone, single-view baselines, and blind ones.
 
-An agent is told where the camera looks, may look, and says what it does. At every turn it also says what it would
+An agent gets the current view, may look, and returns an action. At every turn it also returns the answer that it would
 submit if the episode ended there, so that success by turn needs no further runs.
 """
 
@@ -28,33 +28,33 @@ from eagor.tasks.hstar.search import Answer, Search, SearchRules
 from eagor.tasks.published import luck
 
 AGENTS = {
-    "eagor": "one belief over all directions from every view; looks where most is to be learnt, submits when sure",
+    "eagor": "one belief over all directions from all views; looks where it expects to learn most, submits when sure",
     "vlm": "the model alone, shown view after view, answers with actions",
-    "centroid": "submits the mean pixel of the first view that responds; turns on by a fixed sweep until then",
+    "centroid": "submits the mean pixel of the first view that responds; follows a fixed sweep until then",
     "cent-circ": "the same with a circular mean of the yaw",
     "grid": "a Bayes filter on a grid of directions, over the fixed sweep",
     "sweep": "ten views in a fixed order, then the best single response of them",
     "single": "submits what the first view says",
-    "oracle": "told the answer; submits it at once",
+    "oracle": "knows the answer; submits it at once",
     "random": "submits a random direction near the horizon at once",
     "constant": "submits straight ahead at once",
 }
 LOOKING = ("eagor", "centroid", "cent-circ", "grid", "sweep", "single")
 # Offsets in yaw from the start, and pitches, degrees: around the horizon first, then below, then above.
 SWEEP = ((0, 0), (90, 0), (180, 0), (270, 0), (0, -45), (120, -45), (240, -45), (0, 45), (120, 45), (240, 45))
-RESPONDS = 0.3  # of a response: what a per-view agent takes for a detection
+RESPONDS = 0.3  # response from which on a per-view agent counts a detection
 
 
 @dataclass(frozen=True)
 class Turn:
-    """What an agent does: an action (None: an invalid one), what it would submit now, and what to keep of it."""
+    """One turn: an action (None: an invalid one), the answer it would submit now, and notes for the record."""
 
     action: Action | None
     would: Answer
     notes: dict[str, Any] = field(default_factory=dict)
 
 
-Agent = Callable[[View, bool], Turn]  # the move at this view; True says that no other will follow
+Agent = Callable[[View, bool], Turn]  # the turn at this view; True: it is the last one
 
 
 def _submit(answer: Answer) -> Action:
@@ -62,12 +62,12 @@ def _submit(answer: Answer) -> Action:
 
 
 def _rotate(now: View, to: View) -> Action:
-    """The turn from one view to another, the short way around."""
+    """The rotation from one view to another, the short way around."""
     return Action("rotate", round((to.yaw - now.yaw + 180) % 360 - 180), round(to.pitch - now.pitch))
 
 
 class EagorAgent:
-    """Ours: see `eagor.tasks.hstar.search`."""
+    """Our agent: see `eagor.tasks.hstar.search`."""
 
     def __init__(self, episode: Episode, eye: Eye, rules: SearchRules) -> None:
         self._eye, self._rules = eye, rules
@@ -83,7 +83,7 @@ class EagorAgent:
 
 
 class VlmAgent:
-    """Asks a `Chat`. What it would submit before it does is where the camera looks: that is what it turned it to."""
+    """Asks a `Chat`. Until it submits, its answer is the camera's direction."""
 
     def __init__(self, episode: Episode, chat: Chat, form: str, window: int, resolution: int) -> None:
         self._talk, self._chat = Talk(episode, form, window, resolution), chat
@@ -109,7 +109,7 @@ class VlmAgent:
 
 
 def blind(yaw: float, pitch: float, probability: float = math.nan) -> Agent:
-    """Submits one direction at once."""
+    """Submits one direction immediately."""
     answer = Answer(round(yaw) % 360, round(pitch), probability)
     return lambda view, last: Turn(_submit(answer), answer)
 
@@ -118,7 +118,7 @@ Reading = Callable[[Look], tuple[np.ndarray, bool]]  # the answer ``(3,)`` in th
 
 
 class SweepAgent:
-    """Looks along `SWEEP`, keeps what `read` makes of it, and submits after `views` of them or when it is content."""
+    """Looks along `SWEEP`, passes each look to `read`, and submits after `views` looks or when `read` says so."""
 
     def __init__(self, episode: Episode, eye: Eye, read: Reading, views: int = len(SWEEP)) -> None:
         self._eye, self._read, self._start = eye, read, episode.start
@@ -137,7 +137,7 @@ class SweepAgent:
 
 
 class BestView:
-    """The strongest single response of all views so far; where there is none, the middle of the first view."""
+    """The strongest single response of all views so far; without any, the middle of the first view."""
 
     def __init__(self) -> None:
         self._best, self._direction = -1.0, np.zeros(3)
@@ -150,7 +150,7 @@ class BestView:
 
 
 class PerView:
-    """A per-frame baseline: content with the first view that responds."""
+    """A per-frame baseline; it stops at the first view that responds."""
 
     def __init__(self, baseline: DirectionFilter) -> None:
         self._baseline = baseline
@@ -187,7 +187,7 @@ _READINGS: dict[str, Callable[[], Reading]] = {
 
 
 def make_agent(name: str, episode: Episode, eye: Eye | None, rules: SearchRules, views: int, seed: int) -> Agent:
-    """The agent with this name, of those that ask no model, for one episode; those in `LOOKING` need an eye."""
+    """The agent with this name for one episode, for agents that ask no model; those in `LOOKING` need an eye."""
     if eye is not None:
         if name == "eagor":
             return EagorAgent(episode, eye, rules)
@@ -202,7 +202,7 @@ def make_agent(name: str, episode: Episode, eye: Eye | None, rules: SearchRules,
 
 
 def peak_of(look: Look) -> tuple[np.ndarray, float]:
-    """Where the response is highest ``(3,)``, in the world's frame, and how high; the middle of the view if flat."""
+    """Direction ``(3,)`` in the world frame and value of the response's maximum; the middle of the view if flat."""
     response = _response(look)
     if np.ptp(response[response >= 0]) < 1e-6:
         place = _middle(look)
@@ -236,14 +236,14 @@ def _response(look: Look) -> np.ndarray:
 
 
 def _middle(look: Look) -> tuple[int, int]:
-    """The cell in the middle of what was looked at."""
+    """The middle cell of the part that was looked at."""
     rows, columns = np.nonzero(_looked_at(look))
     nearest = int(np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2))
     return int(rows[nearest]), int(columns[nearest])
 
 
 def _without_floor(look: Look) -> Evidence:
-    """The evidence with its lowest response taken as nothing: per-view means would lean towards the middle else."""
+    """The evidence minus its lowest response; otherwise per-view means would be biased towards the middle."""
     response = _response(look)
     floor = float(response[response >= 0].min())
     cleared = np.where(response < max(0.5 * response.max(), floor + 1e-6), 0.0, response)

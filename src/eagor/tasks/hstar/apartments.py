@@ -1,7 +1,7 @@
-"""Episodes in H*Bench's format from the built-in apartments: as many as wanted, with boxes that are exactly right.
+"""Episodes in H*Bench's format from the built-in apartments: any number of them, with exact boxes.
 
-For each apartment a camera somewhere on its floor; the things that a query names, that are in sight and that are wide
-enough to be seen become targets. The same seed gives the same episodes.
+For each apartment a camera stands somewhere on its floor. Things in sight that a query names uniquely and that are
+large enough become targets. The same seed gives the same episodes.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from eagor.tasks.places import APARTMENT, Place, load_place
 from eagor.tasks.published import any_yaw, save_panorama
 from eagor.tasks.rules import Camera
 
-ROWS = 128  # of the ids that boxes are read from: 1.4 degrees
-SMALLEST = 12  # pixels of those
+ROWS = 128  # of the id image for the boxes: 1.4 degrees
+SMALLEST = 12  # pixels of that image
 HEIGHT = 1.25  # metres of the camera above the floor
 CLEARANCE = 0.4
 TRIES = 8
@@ -42,7 +42,7 @@ class Spot:
 
 
 def spot(seed: int, most: int = 4) -> Spot:
-    """A camera in the apartment of this seed, with at most `most` targets. Raises `WorldError` where there is none."""
+    """A camera in the apartment of this seed, with at most `most` targets. Raises `WorldError` if there is no room."""
     place = load_place(APARTMENT, seed, Camera().radius)
     rng = np.random.default_rng([seed, 0x5EA])
     best = Spot(f"apartment_{seed:04d}", place, np.zeros(3), 0.0, ())
@@ -58,10 +58,7 @@ def spot(seed: int, most: int = 4) -> Spot:
 
 
 def write_scene(spot: Spot, folder: Path, rows: int = 512) -> Path | None:
-    """Write one scene as published, with a picture of so many rows (0: a grey one, for studies that see no picture).
-
-    Returns its folder, None where the spot has no target.
-    """
+    """Write one published-format scene, `rows` high (0: a grey picture); its folder, or None without a target."""
     from PIL import Image
 
     if not spot.items:
@@ -92,7 +89,7 @@ def _items(
 
 
 def _box(mask: np.ndarray) -> tuple[float, float, float, float]:
-    """Yaw from and to, pitch from and to, degrees, of the pixels ``(H, W)`` of one thing."""
+    """Yaw and pitch ranges, degrees, of the pixels ``(H, W)`` of one thing."""
     height, width = mask.shape
     columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
     gaps = np.diff(np.append(columns, columns[0] + width))

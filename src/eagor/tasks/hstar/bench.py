@@ -1,4 +1,4 @@
-"""H*Bench as `eagor bench` knows it: object search (HOS) and path search (HPS)."""
+"""H*Bench for `eagor bench`: object search (HOS) and path search (HPS)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ OPTIONS = {
     "form": Option(FORMS[0], "of the model's replies", FORMS),
     "window": Option(WINDOW, "turns of conversation that the model is shown", tuple(range(1, 51))),
 }
-MOST_ROWS = 8640  # of a view: more is a mistake
+MOST_ROWS = 8640  # of a view: more is taken for a mistake
 EXPORTS = {
     "lmms-eval": "a folder of task files for lmms_eval --include_path, with the episodes and their panoramas' paths",
     "hstar-txt": "the published level file: level, successes, episodes; and at which step successes came",
@@ -114,7 +114,7 @@ HPS = HStar("hps", "H*Bench: path search (HPS)")
 def level_file(kind: Kind, records: Sequence[Record], folder: Path) -> list[Path]:
     """Write ``hstar_<kind>.txt``: per level its number, successes and episodes; then successes by step, 0 to 10.
 
-    The published evaluation writes these numbers; a success is counted at the turn of its submission. Raises
+    The published evaluation writes these numbers; it counts a success at the turn of its submission. Raises
     `EagorError` without records.
     """
     done = finished(records, "the level file counts a run's successes")
@@ -140,7 +140,7 @@ def _scored(way: str):
 
 
 def _submission(prediction: Mapping[str, Any], form: str) -> tuple[dict[str, int] | None, str | None]:
-    """What a prediction submits, or why it submits nothing."""
+    """The submission of a prediction, or the reason why there is none."""
     found = prediction.get("submit")
     if found is None and "yaw" in prediction:
         found = prediction["yaw"], prediction.get("pitch", 0)

@@ -1,6 +1,6 @@
-"""H*Bench's camera: 100 degrees wide, drawn pixel for pixel like the published environment draws it.
+"""H*Bench's camera: 100 degrees wide, rendered pixel for pixel like the published environment.
 
-Twice it is half a pixel away from our conventions: the ray of column j is (j - w / 2) / f, and a panorama's column
+In two places it is half a pixel off our conventions: the ray of column j is (j - w / 2) / f, and a panorama's column
 centres lie at whole numbers. `render_view` keeps both, since models are shown exactly this; `View.grid` describes the
 same pixels in our terms. Degrees in this module; yaw positive right, pitch positive up.
 """
@@ -24,7 +24,7 @@ HFOV_DEG = 100.0
 RESOLUTION = 1080  # rows; columns are rows // 9 * 16
 CROSS = (0, 255, 0)
 ARM = 10  # pixels of the cross to each side of the centre
-_BLOCK = 1 << 16  # pixels at a time: what is computed for them stays in the processor's cache
+_BLOCK = 1 << 16  # pixels at a time, so that intermediate values fit in the processor's cache
 
 
 def size_of(resolution: int = RESOLUTION) -> tuple[int, int]:
@@ -34,22 +34,22 @@ def size_of(resolution: int = RESOLUTION) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class View:
-    """Where the camera looks, degrees."""
+    """The camera's direction, degrees."""
 
     yaw: float
     pitch: float
 
     @lazy
     def world_R_view(self) -> np.ndarray:
-        """The pose ``(3, 3)``: our frame of the world has x at yaw 0, y to the left, z up."""
+        """The pose ``(3, 3)`` in our world frame: x at yaw 0, y to the left, z up."""
         return world_R_body(-math.radians(self.yaw), -math.radians(self.pitch))
 
     def grid(self, rows: int, columns: int) -> PerspectiveGrid:
-        """The view's cells in the world's frame."""
+        """The view's cells in the world frame."""
         return PerspectiveGrid(rows, columns, math.radians(HFOV_DEG), self.world_R_view)
 
     def after(self, action: Action | None) -> View:
-        """Where the camera looks after `action`: only ``rotate`` moves it."""
+        """The view after `action`; only ``rotate`` changes it."""
         if action is None or action.kind != "rotate":
             return self
         yaw, pitch = turned(self.yaw, self.pitch, action)
@@ -59,11 +59,11 @@ class View:
 def render_view(
     panorama: np.ndarray, yaw: float, pitch: float, resolution: int = RESOLUTION, cross: bool = True
 ) -> np.ndarray:
-    """What the camera sees of a panorama ``(H, W, 3)`` uint8 of any proportions: ``(rows, columns, 3)`` uint8.
+    """The camera's view ``(rows, columns, 3)`` uint8 of a panorama ``(H, W, 3)`` uint8 of any proportions.
 
     Bilinear, wrapped around both axes as published, and rounded, with the green cross at the middle. The published
     environment interpolates with weights in steps of 1/32, so single pixels differ from its own by a few levels.
-    Raises `ImageError` for another array.
+    Raises `ImageError` for any other array.
     """
     panorama = np.asarray(panorama)
     if panorama.ndim != 3 or panorama.shape[2] != 3 or panorama.dtype != np.uint8 or panorama.size == 0:
@@ -86,7 +86,7 @@ def render_view(
 
 
 def visible_share(view: View, yaw: tuple[float, float], pitch: tuple[float, float] | None) -> float:
-    """How much of a box (degrees; without pitch a window of 10 degrees at the horizon) is in the view, 0 to 1."""
+    """The visible fraction of a box (degrees; without pitch, of a window of 10 degrees at the horizon)."""
     return float(inside(view, box_points(yaw, pitch)).mean())
 
 

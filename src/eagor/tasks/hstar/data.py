@@ -1,8 +1,8 @@
-"""H*Bench's published data: scenes with one panorama and annotations, in folders or in the zip archives as they are.
+"""H*Bench's published data: scenes with one panorama and annotations, in folders or in the original zip archives.
 
-``<anything>/<scene>/annotation.json`` beside the scene's panorama, which is the first ``*.png`` by name, else the first
-``*.jpg``. An entry with ``pitch`` is an object to find (HOS), one without a way to take (HPS); there is one episode per
-entry and start.
+The layout is ``<anything>/<scene>/annotation.json`` beside the scene's panorama: the first ``*.png`` by name, otherwise
+the first ``*.jpg``. An entry with ``pitch`` is an object to find (HOS), one without is a path to take (HPS). There is
+one episode per entry and start.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Kind = Literal["hos", "hps"]
 Box = tuple[tuple[float, float], tuple[float, float] | None]  # yaw and pitch, from and to, degrees
 
 ANNOTATION = "annotation.json"
-STARTS = (0, 90, 180, 270)  # degrees of yaw, where an entry names none
+STARTS = (0, 90, 180, 270)  # degrees of yaw, for entries without any
 SHUFFLE = 42  # the published environment shuffles its episodes with this seed
 LEVELS = {"hos": ("easy", "medium", "hard"), "hps": ("easy", "medium", "hard", "extreme")}
 
@@ -45,13 +45,13 @@ class Stored:
     member: str = ""
 
     def read(self) -> bytes:
-        """What it holds. Raises whatever `zipfile` is led to by damage, `OSError`, or `FormatError` if it is a bomb."""
+        """Its content. Raises `OSError`, whatever `zipfile` raises for damage, or `FormatError` for a zip bomb."""
         if not self.member:
             return Path(self.path).read_bytes()
         archive = _archive(self.path)
         entry = archive.getinfo(self.member)
         most = most_unpacked(entry.compress_size)
-        if entry.file_size > most:  # zipfile reads no more than that
+        if entry.file_size > most:  # zipfile reads no more than the claimed size
             raise FormatError(
                 f"it claims {entry.file_size} bytes, packed in {entry.compress_size}; wanted at most {most}"
             )
@@ -71,16 +71,16 @@ class Scene:
 
     @lazy
     def items(self) -> tuple[Mapping[str, Any], ...]:
-        """The annotations as they stand in the file. Raises `FormatError` where they are not what was wanted."""
+        """The annotations as in the file. Raises `FormatError` if they are malformed."""
         return _items(self.annotation)
 
 
 @dataclass(frozen=True)
 class Episode:
-    """One start in front of one target; `id` is ``scene/entry/start``, `entry` its place in annotation.json.
+    """One start for one target; `id` is ``scene/entry/start``, `entry` its index in annotation.json.
 
-    `task`: the words. `yaw`, `pitch`: the annotated box, degrees, as written (pitch None in HPS). `start`: yaw of the
-    first view, whose pitch is 0. `level`: 0, 1, ..., None where it cannot be told. `others`: the scene's other boxes.
+    `task`: the instruction. `yaw`, `pitch`: the annotated box, degrees, as written (pitch None in HPS). `start`: yaw
+    of the first view, whose pitch is 0. `level`: 0, 1, ..., None if unknown. `others`: the scene's other boxes.
     """
 
     id: str
@@ -102,37 +102,37 @@ class Episode:
 
     @property
     def level_name(self) -> str:
-        """The level in words; "unknown" where there is none."""
+        """The level in words; "unknown" if there is none."""
         names = LEVELS[self.kind]
         return names[self.level] if self.level is not None and self.level < len(names) else "unknown"
 
     @property
     def cluster(self) -> str:
-        """What the starts in front of one target share."""
+        """The id that all starts for one target share."""
         return f"{self.scene}/{self.entry}"
 
     @property
     def first_view(self) -> View:
-        """Where the camera looks at the start."""
+        """The view at the start."""
         return View(float(self.start), 0.0)
 
     def as_json(self) -> dict[str, Any]:
-        """Plain JSON; `from_json` brings it back."""
+        """Plain JSON, for `from_json`."""
         return json.loads(json.dumps(asdict(self)))
 
     @classmethod
     def from_json(cls, found: Mapping[str, Any]) -> Episode:
-        """The episode that `as_json` wrote."""
+        """The episode from the output of `as_json`."""
         (yaw, pitch), *others = (_box(*each) for each in ((found["yaw"], found["pitch"]), *found["others"]))
         stored = Stored(**found["panorama"])
         return cls(**dict(found) | {"panorama": stored, "yaw": yaw, "pitch": pitch, "others": tuple(others)})
 
 
 def find_scenes(data: Path) -> list[Scene]:
-    """All scenes in the folder (or archive) `data`, by name; those without a picture are left out, as published.
+    """All scenes in the folder (or archive) `data`, by name; scenes without a picture are left out, as published.
 
-    Scenes go by the name of their folder alone where that is unique, so that it does not depend on what is above.
-    Raises `FormatError` where there is none at all. Annotations are not read yet.
+    A scene is named by its folder alone if that is unique, so that parent folders do not matter. Raises `FormatError`
+    if there is none. Annotations are not read yet.
     """
     data = Path(data)
     if not data.exists():
@@ -146,7 +146,7 @@ def find_scenes(data: Path) -> list[Scene]:
             found.append(Scene(name, Stored(str(folder / picture)), Stored(str(folder / ANNOTATION))))
     extracted = {Path(scene.name).parts[0] for scene in found}
     for archive in sorted(data.rglob("*.zip")) if data.is_dir() else [data]:
-        if not (data.is_dir() and archive.stem in extracted):  # else its folder lies beside it
+        if not (data.is_dir() and archive.stem in extracted):  # otherwise its folder lies beside it
             found += _in_archive(archive)
     if not found:
         raise FormatError(
@@ -162,8 +162,8 @@ def _in_archive(archive: Path) -> Iterator[Scene]:
     try:
         with zipfile.ZipFile(archive) as file:
             names = sorted(name for name in file.namelist() if not name.startswith("__MACOSX"))
-    except Exception as error:  # zipfile raises whatever the damage leads it to
-        raise FormatError(f"{archive} is no zip archive that can be read ({error}); fetch it again") from error
+    except Exception as error:  # zipfile may raise anything for damaged files
+        raise FormatError(f"{archive} cannot be read as a zip archive ({error}); fetch it again") from error
     folders: dict[str, list[str]] = {}
     for name in names:
         folder, slash, last = name.rpartition("/")
@@ -189,16 +189,16 @@ def _archive(path: str) -> zipfile.ZipFile:
 
 @lru_cache(maxsize=2)
 def open_panorama(panorama: Stored) -> np.ndarray:
-    """The picture ``(H, W, 3)`` uint8, whatever its proportions: columns span 360 degrees, rows 180.
+    """The picture ``(H, W, 3)`` uint8 of any proportions: columns span 360 degrees, rows 180.
 
-    Read-only: it is kept. Raises `ImageError` if it is not there or no picture.
+    Read-only, as it is cached. Raises `ImageError` if it is missing or not a picture.
     """
     from eagor.worlds.panorama import read_image
 
     try:
         data = panorama.read()
         image = read_image(io.BytesIO(data), len(data))
-    except Exception as error:  # decoders raise whatever the damage leads them to
+    except Exception as error:  # decoders may raise anything for damaged files
         raise ImageError(
             f"the panorama {panorama} cannot be read ({type(error).__name__}: {error}); fetch it again"
         ) from error
@@ -207,7 +207,7 @@ def open_panorama(panorama: Stored) -> np.ndarray:
 
 
 def read_scenes(data: Path) -> list[Scene]:
-    """`find_scenes`, with annotations that can be read. Raises `FormatError` also where one is not what was wanted."""
+    """`find_scenes` with all annotations read. Raises `FormatError` also for malformed annotations."""
     scenes = find_scenes(data)
     for scene in scenes:
         _ = scene.items
@@ -229,7 +229,7 @@ def read_episodes(data: Path, kind: Kind) -> list[Episode]:
 
 
 def info(data: Path) -> dict[str, Any]:
-    """What the folder holds: counts, sizes of pictures, and what is unusual about it. Raises `FormatError`."""
+    """The content of the folder: counts, picture sizes, and oddities. Raises `FormatError`."""
     scenes = read_scenes(data)
     episodes = [episode for scene in scenes for episode in _episodes(scene)]
     items = [item for scene in scenes for item in scene.items]
@@ -261,7 +261,7 @@ def _size(stored: Stored) -> tuple[int, int] | None:
         return picture_size(Path(stored.path))
     try:
         return picture_size(io.BytesIO(stored.read()))
-    except Exception:  # zipfile raises whatever the damage leads it to
+    except Exception:  # zipfile may raise anything for damaged files
         return None
 
 
@@ -285,7 +285,7 @@ def _box(yaw: Iterable[float], pitch: Iterable[float] | None) -> Any:
 
 
 def _starts(item: Mapping[str, Any]) -> list[tuple[float, int | None]]:
-    """Starts with their levels; the shorter of two lists decides, as published."""
+    """Starts with their levels; the shorter of the two lists decides, as published."""
     given, level = item.get("initial yaw", list(STARTS)), item.get("level")
     if not isinstance(given, list):
         raise FormatError(f"initial yaw is {shown(given)}; wanted a list of angles in degrees")
@@ -306,14 +306,14 @@ def _rank(level: Any) -> int:
 def _items(where: Stored) -> tuple[Mapping[str, Any], ...]:
     try:
         text = where.read()
-    except Exception as error:  # zipfile raises whatever the damage leads it to
+    except Exception as error:  # zipfile may raise anything for damaged files
         raise FormatError(f"{where} cannot be read ({type(error).__name__}: {error}); fetch it again") from None
     try:
         found = parsed(text.decode("utf-8-sig"))
     except ValueError as error:
-        raise FormatError(f"{where} is no JSON ({error}); restore it from the published archive") from None
+        raise FormatError(f"{where} is not JSON ({error}); restore it from the published archive") from None
     if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):
-        raise FormatError(f"{where} is no list of objects; wanted [{{task, yaw, pitch, initial yaw, level}}, ...]")
+        raise FormatError(f"{where} is not a list of objects; wanted [{{task, yaw, pitch, initial yaw, level}}, ...]")
     for index, item in enumerate(found):
         try:
             if not isinstance(item.get("task"), str):

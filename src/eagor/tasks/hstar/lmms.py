@@ -1,8 +1,8 @@
 """H*Bench as a task of lmms-eval (`output_type: generate_until_agentic`): its files, and the functions that they call.
 
-lmms-eval shows its model one text and some pictures at a time, so every turn carries the whole conversation that the
-model may see: the system message, then the last turns, whose pictures come first and are named in the text. Nothing is
-remembered between calls; where the camera looks follows from the replies so far.
+lmms-eval shows its model one text and some pictures at a time. So every turn repeats the visible conversation: the
+system message, then the last turns, whose pictures come first and are named in the text. Nothing is stored between
+calls; the camera's direction follows from the replies so far.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def write(kind: Kind, settings: Mapping[str, Any], folder: Path) -> list[Path]:
     levels = list(LEVELS[kind])
     kept = {key: settings[key] for key in ("turns", "window", "form", "resolution", "scoring") if key in settings}
     documents = (
-        # The episode as text: a table of nested lists would have to agree on their types over all rows.
+        # The episode is stored as text: a table of nested lists needs the same types in all rows.
         {"id": episode.id, "task": episode.task, "level": episode.level_name, "levels": levels, **kept}
         | {"episode": json.dumps(episode.as_json())}
         for episode in read_episodes(Path(settings["data"]), kind)
@@ -53,9 +53,9 @@ def doc_to_text(
     previous_round_info: Any = None,
     **_: Any,
 ) -> Any:
-    """The first text; or, after a reply, (pictures, next text, whether it is over, outputs, state).
+    """The first text; after a reply, (pictures, next text, whether it is over, outputs, state).
 
-    When it is over the last output is JSON: {"submit": [yaw, pitch] or null, "turns", "replies", "success"}.
+    At the end the last output is JSON: {"submit": [yaw, pitch] or null, "turns", "replies", "success"}.
     """
     if not round_idx or not previous_output:
         return _flat(_talked(doc, ())[0])[1]
@@ -73,7 +73,7 @@ def doc_to_text(
 
 
 def doc_to_target(doc: Doc) -> str:
-    """The target's box as JSON, for people who read the samples."""
+    """The target's box as JSON, for human readers of the samples."""
     episode = _episode(doc)
     return json.dumps({"yaw": episode.yaw, "pitch": episode.pitch})
 
@@ -83,7 +83,7 @@ def process_results(doc: Doc, results: Sequence[str]) -> dict[str, Any]:
     episode = _episode(doc)
     try:
         yaw, pitch = map(number, parsed(results[0])["submit"])
-    except (ValueError, TypeError, LookupError):  # nothing was submitted, or it is not our JSON but a model's words
+    except (ValueError, TypeError, LookupError):  # nothing was submitted, or it is a model's text and not our JSON
         good = 0.0
     else:
         good = float(submit_succeeds(episode.item, yaw, pitch, _scoring(doc)))
@@ -93,7 +93,7 @@ def process_results(doc: Doc, results: Sequence[str]) -> dict[str, Any]:
 
 
 def mean(values: Sequence[float | None]) -> float:
-    """The mean of those that are not None, in per cent; 0 where there are none."""
+    """The mean of all values except None, in per cent; 0 without any."""
     there = [value for value in values if value is not None]
     return 100 * sum(there) / len(there) if there else 0.0
 
@@ -124,7 +124,7 @@ def _talked(doc: Doc, replies: Sequence[str]) -> tuple[Talk, list[Action | None]
 
 
 def _flat(talk: Talk) -> tuple[list[Any], str]:
-    """The pictures of a conversation, and all of its text, which names them."""
+    """The pictures of a conversation, and its whole text, which names them."""
     from PIL import Image
 
     parts: list[str] = []

@@ -1,4 +1,4 @@
-"""What looks at a view: any perception, or `truth`, a detector of known quality that is made from the annotations."""
+"""Perception of a view: any perception, or `truth`, a simulated detector of known quality based on the annotations."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from eagor.tasks.hstar.data import Episode, open_panorama
 from eagor.tasks.hstar.words import head_of, phrase_of, thing_of
 from eagor.tasks.published import luck
 
-# Found on development apartments (benchmarks/search.py --fit).
+# Tuned on development apartments (benchmarks/search.py --fit).
 CALIBRATION = Calibration(floor=0.125, neutral=0.124, temperature=2.59)
 LENS = PerspectiveGrid(27, 48, math.radians(HFOV_DEG))  # the cells of truth's response: 2 degrees in the middle
-WHOLE = 0.5  # share of a box in view from which on it is found as well as if it were whole
+WHOLE = 0.5  # visible share of a box from which on it is detected as well as a whole one
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """What one look says: the evidence, and the pose ``(3, 3)`` of the frame that it is in."""
+    """The evidence of one look, and the pose ``(3, 3)`` of its frame."""
 
     evidence: Evidence
     world_R_capture: np.ndarray
@@ -43,9 +43,9 @@ Eye = Callable[[View], Look]  # looks at the views of one episode
 
 
 def open_perception(spec: str) -> Perception | Noise:
-    """What `spec` names: a perception, or the noise of ``truth``, ``truth:ideal``, ``truth:miss=0.3,spread=4``.
+    """A perception, or the noise of ``truth``, ``truth:ideal``, ``truth:miss=0.3,spread=4``.
 
-    A perception is made once per process. Raises `EagorError` if it cannot be made, and what a server has against it.
+    A perception is made once per process. Raises `EagorError` if it cannot be made, and errors of its server.
     """
     name, _, text = spec.partition(":")
     return Noise.parse(text) if name == "truth" else shared(spec)
@@ -58,10 +58,7 @@ def open_eye(
     resolution: int,
     read: Callable[[Evidence], Evidence] = lambda evidence: evidence,
 ) -> Eye:
-    """`perception`, as `open_perception` returned it, for one episode; `seed` is of truth's mistakes.
-
-    `read` changes how its evidence is calibrated. Raises `EagorError` where it is neither.
-    """
+    """`perception` (from `open_perception`) for one episode; `seed`: of truth's mistakes, `read`: recalibrates."""
     if isinstance(perception, Noise):
         look = annotated(TruthEye(episode.yaw, episode.pitch, perception, luck(seed, episode.id)))
     elif isinstance(perception, Perception):
@@ -79,7 +76,7 @@ def open_eye(
 class PixelEye:
     """A perception that is shown the view, drawn as the benchmark draws it, without the cross.
 
-    It is asked for the thing in the task's words; one that knows only single nouns is asked for less and less.
+    It is asked for the target in the task's words; a perception that knows only single nouns gets shorter phrases.
     """
 
     def __init__(self, perception: Perception, episode: Episode, resolution: int) -> None:
@@ -100,16 +97,16 @@ class PixelEye:
 
 
 def annotated(eye: TruthEye) -> Eye:
-    """`eye` as an agent uses one; nothing is drawn for it."""
+    """`eye` as an agent uses one; nothing is rendered for it."""
     return lambda view: Look(eye.look(view), view.world_R_view)
 
 
 class TruthEye:
     """A detector of known quality in one episode, which remembers its mistakes from look to look.
 
-    The noise is that of simulated worlds (`eagor.perception.noise.Noise`), but what counts is how much of the target's
-    box a view shows, and a false alarm is somewhere in the view, and stays there in the world for as long as it lasts.
-    Each look draws the same amount of randomness whatever it shows: agents that look elsewhere meet the same luck.
+    The noise is that of simulated worlds (`eagor.perception.noise.Noise`), with two differences. Detection depends on
+    the visible fraction of the target's box, and a false alarm lies anywhere in the view and stays there in the world.
+    Each look draws the same number of random values: agents that look elsewhere get the same draws.
     """
 
     def __init__(
@@ -127,7 +124,7 @@ class TruthEye:
         self._luck = np.zeros((2, 2))  # of the target and of the false alarm: reported or not, and the score
         self._error = np.zeros((2, 3))  # standard normal, in the world's axes
         self._place = np.zeros(2)  # of the false alarm in its view, 0 to 1
-        self._alarm: np.ndarray | None = None  # where it is in the world, once a view had it
+        self._alarm: np.ndarray | None = None  # its direction in the world, once a view had it
 
     def look(self, view: View) -> Evidence:
         """The next look: evidence on `LENS`, in the view's own frame."""
@@ -135,7 +132,7 @@ class TruthEye:
         return Evidence.from_response(response, LENS, self._calibration)
 
     def reports(self, view: View) -> list[Report]:
-        """The next look as the list of what is reported, in the view's own frame."""
+        """The next look as a list of reports, in the view's own frame."""
         self._advance()
         noise, found = self._noise, []
         shown = inside(view, self._points)
@@ -154,7 +151,7 @@ class TruthEye:
         return found
 
     def _advance(self) -> None:
-        """Go on by one look: mistakes are kept, or drawn anew."""
+        """Advance by one look: mistakes are kept or drawn anew."""
         drawn_now, error = self._rng.random((2, 5)), self._rng.standard_normal((2, 3))
         anew = drawn_now[:, 0] >= self._noise.persistence if self._started else np.ones(2, dtype=bool)
         self._luck[anew], self._error[anew] = drawn_now[anew, 1:3], error[anew]
@@ -164,7 +161,7 @@ class TruthEye:
 
     def _report(self, kind: str, row: int, centre: np.ndarray, covariance: np.ndarray, error: np.ndarray) -> Report:
         placed, carry = displaced(centre, error)
-        width = self._noise.spread**2 + MIN_SPREAD**2  # as detections are drawn: less is lost to a belief
+        width = self._noise.spread**2 + MIN_SPREAD**2  # as detections are drawn; a belief cannot resolve less
         covariance = carry @ covariance @ carry.T + width * (np.eye(3) - np.outer(placed, placed))
         score = self._noise.weakest + (1 - self._noise.weakest) * float(self._luck[row, 1])
         return Report(kind, None, placed, covariance, score)

@@ -1,4 +1,4 @@
-"""One episode from its first view to its submission, the record of it, and why it failed."""
+"""Plays one episode, writes its record, and finds the cause of a failure."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from eagor.tasks.hstar.search import SearchRules
 from eagor.tasks.hstar.words import head_of, tag_of
 from eagor.tasks.published import reader
 
-# In the order in which they are asked; the first that fits is the cause.
+# In order of precedence: the first that applies is the cause.
 CAUSES = {
     "format": "no valid submission: replies could not be read",
     "budget": "no submission within the turns",
@@ -32,11 +32,11 @@ CAUSES = {
     "missed": "the target was in view and nothing responded there",
     "false_detection": "something else responded, or was taken for it",
 }
-NEAR = 25.0  # degrees from an answer: a response there is what was taken for the target
+NEAR = 25.0  # degrees from the answer: a response there counts as taken for the target
 
 
 def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
-    """What a worker does for each episode of a run with these settings; the perception is made once."""
+    """The function that plays each episode of a run with these settings; the perception is made once."""
     agent = settings["agent"]
     perception = open_perception(settings["perception"]) if agent in LOOKING else None
     chat = shared_chat(settings["model"]) if agent == "vlm" else None
@@ -58,13 +58,13 @@ def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str,
 def play(
     episode: Episode, agent: Agent, scoring: str = "official", turns: int = MAX_TURNS, siblings: Any = ()
 ) -> dict[str, Any]:
-    """The record of one episode; see `eagor.tasks.benchmark.Benchmark` for what every record has.
+    """The record of one episode; see `eagor.tasks.benchmark.Benchmark` for the common keys.
 
-    `scoring` is what "score" and "by_turn" go by ("scores" has both); `turns`: views at most; `siblings`: the scene's
-    other entries of annotation.json, for causes and tags.
+    `scoring` decides "score" and "by_turn" ("scores" has both); `turns`: views at most; `siblings`: the scene's other
+    entries of annotation.json, for causes and tags.
 
-    Each step has "turn", "view" (yaw, pitch), "shown" (how much of the target is in view), "action" (as text, None:
-    invalid), "would" (what it would submit: yaw, pitch, official, strict, p), "ms", and what the agent noted.
+    Each step has "turn", "view" (yaw, pitch), "shown" (visible fraction of the target), "action" (as text, None if
+    invalid), "would" (its answer at this turn: yaw, pitch, official, strict, p), "ms", and the agent's notes.
     """
     way, view = checked_scoring(scoring), episode.first_view
     steps: list[dict[str, Any]] = []
@@ -108,7 +108,7 @@ def judged(
     steps: Sequence[Mapping[str, Any]],
     reason: str | None = None,
 ) -> dict[str, Any]:
-    """The part of a record that goes by the submission (None: none, for the `reason`), with the errors in degrees."""
+    """The part of a record about the submission (None: none, for the `reason`), with the errors in degrees."""
     scores = dict.fromkeys(SCORINGS, 0.0)
     errors: dict[str, float | None] = {"yaw_error": None, "pitch_error": None, "error": None}
     if answer is not None:
@@ -149,7 +149,7 @@ def cause_of(
     """The cause of a failure, one of `CAUSES`.
 
     `item` and `others` are entries of annotation.json, the target and the rest of its scene; `steps` and `answer` (None
-    if there was none) those of the record.
+    if there was none) are those of the record.
     """
     if answer is None:
         return "format" if any(step.get("valid") is False for step in steps) else "budget"

@@ -1,9 +1,9 @@
-"""What the model is told, in the three published forms of replies, and how much of the conversation it is shown.
+"""The prompts for the model, in the three published forms of replies, and the part of the conversation that it sees.
 
-What the protocol dictates is kept to the letter: the names of the actions and their arguments, the tags, the order of
-a turn's parts, "Human Instruction:", what the environment says about an action. The explanations around them and
-the worked example are in our own words (a kettle instead of a coffee machine, the same three actions in the same
-angles), so figures of models that were tuned on the published wording can differ a little: say so beside them.
+Everything that the protocol defines is verbatim: names of the actions and their arguments, tags, order of a turn's
+parts, "Human Instruction:", and the environment's feedback. The explanations and the worked example are in our own
+words (a kettle instead of a coffee machine, the same three actions with the same angles). Figures of models that were
+tuned on the published wording can therefore differ a little: report that with them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from eagor.tasks.hstar.camera import View, render_view
 from eagor.tasks.hstar.data import Episode, open_panorama
 from eagor.tasks.hstar.rules import Reply, parse_action
 
-WINDOW = 5  # turns of conversation that the published runner keeps; its paper finds two to be enough
+WINDOW = 5  # turns of conversation that the published runner keeps; its paper finds that two suffice
 
 _FORMAT = {
     "free_think": "<think>...</think><answer>...</answer>",
@@ -57,7 +57,7 @@ class Talk:
 
     def __init__(self, episode: Episode, form: str, window: int, resolution: int) -> None:
         self.episode, self.form, self.window, self.resolution = episode, form, window, resolution
-        self._shown: list[tuple[View, str]] = []  # for each turn where the camera looks, and what is said with it
+        self._shown: list[tuple[View, str]] = []  # for each turn the view, and the text with it
         self._pictures: dict[int, np.ndarray] = {}
         self._said: list[str] = []
         self._last: Reply | None = None
@@ -69,13 +69,13 @@ class Talk:
         self._shown.append((view, text))
 
     def hear(self, said: str) -> Reply:
-        """The reply to the `messages`, understood."""
+        """The parsed reply to the `messages`."""
         self._said.append(said)
         self._last = parse_action(said, self.form)
         return self._last
 
     def messages(self) -> list[Message]:
-        """The system message and the last `window` turns, the present one included."""
+        """The system message and the last `window` turns, including the current one."""
         found = [Message("system", system_text(self.episode.kind, self.form))]
         for turn in range(max(0, len(self._shown) - self.window), len(self._shown)):
             view, text = self._shown[turn]
@@ -86,7 +86,7 @@ class Talk:
         return found
 
     def picture(self, view: View) -> np.ndarray:
-        """What the model is shown of a view ``(rows, columns, 3)``."""
+        """The picture ``(rows, columns, 3)`` of a view for the model."""
         return render_view(open_panorama(self.episode.panorama), view.yaw, view.pitch, self.resolution)
 
 
@@ -104,12 +104,12 @@ def system_text(kind: str, form: str) -> str:
 
 
 def first_text(task: str, form: str) -> str:
-    """What is said with the first view."""
+    """The text with the first view."""
     return f"[initial observation]:\n{_instruction(task, form)}"
 
 
 def next_text(task: str, form: str, reply: Reply, view: View) -> str:
-    """What is said with a later view: what was understood of the reply, what came of it, where the camera looks now."""
+    """The text with a later view: the action as understood, its outcome, and the camera's direction now."""
     valid, said = "[]", "Last action is not executed successfully."
     if reply.action is not None:
         valid, said = f"[{reply.actions[0]!r}]", succeeded(f"({view.yaw:g},{view.pitch:g})")
@@ -120,7 +120,7 @@ def next_text(task: str, form: str, reply: Reply, view: View) -> str:
 
 
 def succeeded(pose: str) -> str:
-    """The environment's words after a turn."""
+    """The environment's feedback after a successful turn."""
     return f"Last action executed successfully, your current direction (yaw,pitch) is {pose}"
 
 
@@ -129,7 +129,7 @@ def _instruction(task: str, form: str) -> str:
 
 
 def _form_text(form: str) -> str:
-    """How replies have to look; stands at the end of every turn."""
+    """The required form of replies, which ends every turn."""
     rules = f"You can take 1 action(s) at a time.\n{_MANNER[form]}"
     return f"{rules}\nYour response should be in the format of:\n{_FORMAT[form]}"
 

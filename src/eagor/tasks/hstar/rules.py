@@ -1,8 +1,8 @@
-"""The rules of H*Bench: what counts as success, which replies count as actions, and how the camera obeys them.
+"""The rules of H*Bench: which submissions succeed, which replies count as actions, and how the camera moves.
 
 Yaw in degrees: 0 is the middle of the panorama, positive to the RIGHT, 0 to 360. Pitch in degrees, positive up, -90 to
-90. Written after the behaviour of the published environment (H*Bench, humanoid-vstar/hstar at 7a52247), quirks
-included, and held to vectors that it produced.
+90. It reproduces the published environment (H*Bench, humanoid-vstar/hstar at 7a52247), quirks included, and is tested
+against vectors that it produced.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ SCORINGS: tuple[Scoring, ...] = get_args(Scoring)
 FORMS = ("free_think", "no_think", "grounding")
 
 MAX_TURNS = 10
-YAW_TOLERANCE = {"hos": 30, "hps": 10}  # degrees to both sides of a narrower target's middle
+YAW_TOLERANCE = {"hos": 30, "hps": 10}  # degrees to both sides of the middle, for narrower targets
 PITCH_TOLERANCE = 20
 SEPARATOR = "|"
-FARTHEST = 3600.0  # degrees in an annotation; more is a mistake
+FARTHEST = 3600.0  # degrees in an annotation; more is taken for a mistake
 FARTHEST_ANSWER = 10**6  # degrees in an answer
 
 
@@ -52,8 +52,7 @@ class Window:
     def contains(self, yaw: float, pitch: float, scoring: Scoring = "official") -> bool:
         """Whether submitting (yaw, pitch) succeeds.
 
-        ``official`` leaves the pitch out of account where the window wraps, as the published environment does;
-        ``strict`` never does.
+        ``official`` ignores the pitch if the window wraps, as the published environment does; ``strict`` never does.
         """
         yaw = normalised(yaw)
         high_enough = self.pitch[0] <= pitch <= self.pitch[1]
@@ -64,7 +63,7 @@ class Window:
 
 @dataclass(frozen=True)
 class Action:
-    """What a reply asks for: ``rotate`` by, or ``submit``, (yaw, pitch) in whole degrees."""
+    """An action: ``rotate`` by, or ``submit``, (yaw, pitch) in whole degrees."""
 
     kind: Literal["rotate", "submit"]
     yaw: int
@@ -76,10 +75,7 @@ class Action:
 
 @dataclass(frozen=True)
 class Reply(Mapping[str, Any]):
-    """What the parser makes of a reply: the thought, the actions' texts, and whether the form was kept.
-
-    Also a mapping with exactly these names, as the published parser returns.
-    """
+    """A parsed reply: the thought, the actions, whether the form was kept; also a mapping of these names."""
 
     think_content: str
     actions: list[str]
@@ -87,7 +83,7 @@ class Reply(Mapping[str, Any]):
 
     @property
     def action(self) -> Action | None:
-        """The one action, None if there is not exactly one or it cannot be carried out."""
+        """The single action; None if there is not exactly one or it cannot be carried out."""
         return read_action(self.actions[0]) if len(self.actions) == 1 else None
 
     def __getitem__(self, key: str) -> Any:
@@ -106,9 +102,9 @@ def normalised(yaw: float) -> float:
 
 
 def window_of(item: Mapping[str, Any]) -> Window:
-    """Where submissions succeed for one entry of annotation.json; without ``pitch`` it is one of HPS.
+    """The window of successful submissions for one entry of annotation.json; without ``pitch`` it is one of HPS.
 
-    A target narrower than the tolerances is widened about its middle. Raises `FormatError` if the angles are no pairs
+    A target narrower than the tolerances is widened about its middle. Raises `FormatError` if the angles are not pairs
     of finite numbers.
     """
     path = item.get("pitch") is None
@@ -135,14 +131,14 @@ def submit_succeeds(item: Mapping[str, Any], yaw: float, pitch: float, scoring: 
 
 
 def checked_scoring(scoring: str) -> Scoring:
-    """`scoring`, once it is certain to be one. Raises `EagorError`."""
+    """`scoring`, checked. Raises `EagorError`."""
     if scoring not in SCORINGS:
         raise EagorError(f"scoring = {scoring!r}; wanted {' or '.join(SCORINGS)}")
     return scoring  # type: ignore[return-value]
 
 
-# What the published patterns have between their lazy dots, in order. One search after the other finds what the whole
-# pattern would, in time that grows with the text alone: where the first of a mark leads nowhere, no later one does.
+# The marks between the lazy dots of the published patterns, in order. Searching for one after the other finds the same
+# as the whole pattern, in linear time: if the first occurrence of a mark fails, no later one succeeds.
 _MARKS = {
     "free_think": ("<think>", r"</think>\s*<answer>"),
     "no_think": ("<answer>",),
@@ -153,10 +149,10 @@ _END = "</answer>"
 
 
 def parse_action(text: str, form: str = "free_think") -> Reply:
-    """What a model's reply says, in one of the three published forms.
+    """The parsed reply of a model, in one of the three published forms.
 
-    ``free_think`` takes the first ``<answer>`` wherever it stands; the others want their form kept. Of several actions
-    (parted by ``|``) the first counts. Raises `EagorError` for another form.
+    ``free_think`` takes the first ``<answer>`` anywhere; the other forms are strict. Of several actions (separated by
+    ``|``) the first counts. Raises `EagorError` for an unknown form.
     """
     if form not in FORMS:
         raise EagorError(f"the form of replies is {form!r}; wanted one of {', '.join(FORMS)}")
@@ -178,7 +174,7 @@ def parse_action(text: str, form: str = "free_think") -> Reply:
 
 
 def _along(text: str, marks: tuple[str, ...], at_start: bool = False) -> list[re.Match[str]] | None:
-    """The first place of each mark after the one before; None where one is missing."""
+    """The first place of each mark after the one before; None if one is missing."""
     found: list[re.Match[str]] = []
     for mark in marks:
         pattern = re.compile(mark)
@@ -194,16 +190,16 @@ def _between(text: str, marks: list[re.Match[str]] | None, first: str = "", last
     end = -1 if marks is None else text.find(_END, marks[-1].end())
     if marks is None or end < 0:
         return None
-    # In free_think the thought ends where the second of three marks begins, in grounding where the last does.
+    # In free_think the thought ends at the second of three marks, in grounding at the last.
     close = marks[-1 if last else -2] if len(marks) > 1 else None
     thought = "" if close is None else text[marks[0].end() - len(first) : close.start() + len(last)]
     return thought, text[marks[-1].end() : end]
 
 
 def read_action(text: str) -> Action | None:
-    """The action that `text` names, such as ``rotate(-45,0)``; None where the environment could not carry it out.
+    """The action in `text`, such as ``rotate(-45,0)``; None if the environment could not carry it out.
 
-    Names are case-sensitive and numbers whole; spaces inside the brackets and a plus sign do no harm.
+    Names are case-sensitive and numbers whole; spaces inside the brackets and a plus sign are allowed.
     """
     for kind in ("rotate", "submit"):
         if text.startswith(kind):
@@ -219,7 +215,7 @@ def read_action(text: str) -> Action | None:
 
 
 def turned(yaw: float, pitch: float, action: Action) -> tuple[float, float]:
-    """Where the camera looks after ``rotate``: yaw wraps, pitch stops at straight up and straight down."""
+    """The camera's direction after ``rotate``: yaw wraps, pitch is clamped to straight up and straight down."""
     return normalised(yaw + action.yaw), max(-90, min(90, pitch + action.pitch))
 
 
@@ -227,7 +223,7 @@ def _pair(item: Mapping[str, Any], key: str) -> tuple[float, float]:
     value = item.get(key)
     try:
         low, high = map(number, value if isinstance(value, list | tuple) else ())
-    except ValueError:  # not two, or no numbers
+    except ValueError:  # not two values, or not numbers
         raise FormatError(f"an item has {key} = {shown(value)}; wanted two angles in degrees, finite numbers") from None
     if max(abs(low), abs(high)) > FARTHEST:
         raise FormatError(f"an item has {key} = {shown(value)}; wanted two angles of at most {FARTHEST:g} degrees")

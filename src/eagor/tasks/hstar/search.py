@@ -1,9 +1,8 @@
-"""The search: one belief about the target in the world's frame, what was looked at, and where to look next.
+"""The search: a belief about the target in the world frame, the directions looked at, and where to look next.
 
-Every look is added to a `Belief` where it points; what was looked at and did not answer loses belief, what nobody
-looked at keeps what it had. Beside the belief a grid counts how often each direction was looked at. The next view is
-the one whose outcome tells most about where the target is (mutual information between the outcome of the look and the
-target's direction, under the belief), the submission the window with the most belief in it.
+Every look updates a `Belief`: directions that were looked at without a response lose belief, others keep theirs. A grid
+records which directions were looked at. The next view maximises the mutual information between the outcome of the look
+and the target's direction. The submission is the window with the most belief.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from eagor.perception.partial import coverage
 from eagor.tasks.hstar.camera import HFOV_DEG, View, size_of
 from eagor.tasks.hstar.rules import PITCH_TOLERANCE, YAW_TOLERANCE
 
-STEP = 5  # degrees: cells of the map that is planned and decided on
+STEP = 5  # degrees: cells of the map for planning and decisions
 CELLS = PatchGrid(180 // STEP, 360 // STEP)
 YAWS = np.arange(0, 360, 15)
 PITCHES = (-60, -30, 0, 30, 60)
@@ -32,21 +31,21 @@ PITCHES = (-60, -30, 0, 30, 60)
 
 @dataclass(frozen=True)
 class SearchRules:
-    """How the search believes and decides.
+    """Parameters of the belief and the decisions.
 
     - `degree`: of the harmonics.
     - `sure`: probability of success from which on it submits.
-    - `hit`, `alarm`: what planning expects of a look: the probability that a target in view answers, and that
-      something else does.
-    - `repeats`: how much of a look repeats the look before it where both look, since the errors of a model stay where
-      they are for a while. Of the look before that one it repeats `repeats` squared, and so on.
-    - `tilt`, `height`: standard deviation and mean of the target's elevation beforehand, degrees; `elsewhere` of that
-      density lies anywhere. `tilt` 0: every direction is as likely.
-    - `shift`, `slope`: what is stated for a window that holds the share p of the belief, logit(stated) = shift + slope
-      logit(p) (Platt 1999): looks are read cautiously, so that belief is less sure than it might be.
+    - `hit`, `alarm`: model of a look for planning: the probabilities of a detection of a target in view, and of a false
+      alarm.
+    - `repeats`: share of a look that repeats the look before it where both look, since a model's errors persist for a
+      while. Of the look before that one it repeats `repeats` squared, and so on.
+    - `tilt`, `height`: standard deviation and mean of the prior of the target's elevation, degrees; the share
+      `elsewhere` of that density is uniform. `tilt` 0: a uniform prior.
+    - `shift`, `slope`: calibration of the probability stated for a window with the share p of the belief,
+      logit(stated) = shift + slope logit(p) (Platt 1999): looks are read cautiously, so the belief is underconfident.
 
-    The defaults were found on development apartments (random trials, as ``benchmarks/search.py --fit`` makes them),
-    `shift` and `slope` by the log score of what was stated at each of ten turns.
+    The defaults were tuned on development apartments (random trials, as in ``benchmarks/search.py --fit``), `shift`
+    and `slope` by the log score of the probability stated at each of ten turns.
 
     Raises `EagorError` for numbers out of range.
     """
@@ -78,14 +77,14 @@ class SearchRules:
         require(self, wanted)
 
     def stated(self, share: float) -> float:
-        """The probability that the window with this share of the belief is the right one."""
+        """The calibrated probability that the window with this share of the belief is right."""
         share = min(max(share, 1e-6), 1 - 1e-6)
         return 1 / (1 + math.exp(-self.shift - self.slope * math.log(share / (1 - share))))
 
 
 @dataclass(frozen=True)
 class Answer:
-    """A submission in whole degrees, and the probability that it succeeds, by the belief."""
+    """A submission in whole degrees, and its probability of success according to the belief."""
 
     yaw: int
     pitch: int
@@ -94,10 +93,10 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What is known after some looks. Immutable: `seen` returns a new one.
+    """The state after some looks. Immutable: `seen` returns a new one.
 
-    Per cell of `CELLS`: `shown` tells how much of it was in some view, 0 to 1; `stale` how much the next look at it
-    would repeat. A look counts for less towards the border of its view, as its evidence does there
+    Per cell of `CELLS`: `shown` is the visible fraction so far, 0 to 1; `stale` the fraction of the next look that
+    repeats earlier ones. A look counts for less towards the border of its view, as its evidence does there
     (`eagor.evidence.coverage.taper`).
     """
 
@@ -109,19 +108,19 @@ class Search:
 
     @classmethod
     def begin(cls, kind: str, rules: SearchRules | None = None) -> Search:
-        """Nothing seen yet; `kind` is ``hos`` or ``hps``."""
+        """The state before the first look; `kind` is ``hos`` or ``hps``."""
         rules = rules or SearchRules()
         return cls(kind, rules, Belief.uniform(rules.degree), np.zeros(CELLS.shape), np.zeros(CELLS.shape))
 
     def seen(self, evidence: Evidence, world_R_capture: np.ndarray, view: View) -> Search:
-        """With one more look: its evidence, the pose of the evidence's frame, and what the camera showed."""
+        """The state after one more look: its evidence, the pose of the evidence's frame, and the view."""
         pitch = round(view.pitch)
         shown = np.maximum(self.shown, _rolled(_shares(pitch), view.yaw))
         stale = self.rules.repeats * np.maximum(self.stale, _rolled(_weights(pitch, self.rules.degree), view.yaw))
         return Search(self.kind, self.rules, self._with_new_part(evidence, world_R_capture), shown, stale)
 
     def _with_new_part(self, evidence: Evidence, world_R_capture: np.ndarray) -> Belief:
-        """The belief with a look, weakened where one was a short while ago: errors of a model stay where they are."""
+        """The belief with a look, weakened where it repeats recent looks: a model's errors persist."""
         if not self.stale.any():
             return self.belief.update(evidence, world_R_capture)
         if evidence.detections is None:
@@ -133,23 +132,23 @@ class Search:
         return self.belief.plus(basis.rotate(basis.analyse(said * new, grid), world_R_capture))
 
     def _new_at(self, directions: np.ndarray) -> np.ndarray:
-        """The share ``(...)`` of a look at directions ``(..., 3)`` of the world that repeats no other."""
+        """The fraction ``(...)`` of a look at directions ``(..., 3)`` of the world that is new."""
         x, y, _ = CELLS.project(directions)
         rows = np.clip(y.astype(np.intp), 0, CELLS.height - 1)
         return 1 - self.stale[rows, x.astype(np.intp) % CELLS.width]
 
     @lazy
     def probability(self) -> np.ndarray:
-        """Of each cell of `CELLS` ``(H, W)``; sums to 1.
+        """The probability of each cell of `CELLS` ``(H, W)``; sums to 1.
 
-        The belief counts where something was looked at: what its finite degree rings beyond is nobody's observation.
+        The belief counts only where something was looked at: elsewhere it is ringing from its finite degree.
         """
         field = np.asarray(self.belief.log_ratio(CELLS)) * self.shown
         found = np.exp(field - field.max()) * _prior(self.rules, self.kind)
         return found / found.sum()
 
     def answer(self) -> Answer:
-        """The submission whose window holds most of the belief, centred on what it holds."""
+        """The submission whose window holds most of the belief, centred on that belief."""
         p = self.probability
         mass = _window_mass(p, self.kind)
         best = mass >= mass.max() - 1e-9
@@ -166,13 +165,13 @@ class Search:
         return Answer(round(yaw) % 360, pitch, self.rules.stated(float(mass[row, column])))
 
     def information(self) -> np.ndarray:
-        """Nats that the outcome of each view would tell about where the target is, ``(len(PITCHES), len(YAWS))``."""
+        """Expected information of each view about the target's direction, nats, ``(len(PITCHES), len(YAWS))``."""
         p, rules, new = self.probability, self.rules, 1 - self.stale
         shown = [_weights(pitch, rules.degree) for pitch in PITCHES]
         return np.stack([_information(p, new, weights, rules.hit, rules.alarm) for weights in shown])
 
     def next_view(self, now: View) -> View:
-        """The view that tells most; of equals the one nearest to where the camera looks `now`."""
+        """The view with the most information; of equal ones the nearest to `now`."""
         told = self.information()
         turn = np.abs((YAWS[None] - now.yaw + 180.0) % 360.0 - 180.0) + np.abs(np.array(PITCHES)[:, None] - now.pitch)
         pitch, yaw = np.unravel_index(int(np.argmax(told - 1e-5 * turn)), told.shape)
@@ -180,10 +179,10 @@ class Search:
 
 
 def _information(p: np.ndarray, new: np.ndarray, shown: np.ndarray, hit: float, alarm: float) -> np.ndarray:
-    """Mutual information (nats) of a look, for each of `YAWS`; `shown` is what it shows of each cell from yaw 0.
+    """Mutual information (nats) of a look, for each of `YAWS`; `shown`: the fraction of each cell in view from yaw 0.
 
-    The outcome of a look is a report somewhere in view, or none. A target at cell i in view is reported with
-    probability h_i, there; otherwise there is a false report with probability `alarm`, anywhere in view alike.
+    The outcome of a look is a report somewhere in view, or none. A target at cell i in view is reported there with
+    probability h_i; otherwise there is a false report with probability `alarm`, uniform over the view.
     I = H(outcome) - sum_i p_i H(outcome | target at i).
     """
     rows, columns = np.nonzero(shown)
@@ -195,10 +194,10 @@ def _information(p: np.ndarray, new: np.ndarray, shown: np.ndarray, hit: float, 
     there = here * share + (1 - reported) * alarm * np.exp(even)
     silent = (1 - reported[:, 0]) * (1 - alarm)
     outcome = -(there * np.log(there)).sum(axis=1) - silent * np.log(silent)
-    spread = -float((np.exp(even) * even).sum())  # entropy of where a false report is
+    spread = -float((np.exp(even) * even).sum())  # entropy of a false report's place
 
     def without(left: np.ndarray) -> np.ndarray:
-        """Entropy of what is said when no true report comes, which is as likely as `left`: nothing, or a false one."""
+        """Entropy of the outcome without a true report, which has the probability `left`: no report, or a false one."""
         return -_xlog(left * (1 - alarm)) - _xlog(left * alarm) + left * alarm * spread
 
     false = (1 - share) * alarm * np.exp(even[None])  # in the cell of the true report
@@ -212,15 +211,15 @@ def _xlog(x: np.ndarray) -> np.ndarray:
 
 
 def _shares(pitch: int) -> np.ndarray:
-    """How much of each cell ``(H, W)`` a view at yaw 0 and this pitch shows, 0 to 1."""
+    """The fraction of each cell ``(H, W)`` that a view at yaw 0 and this pitch shows."""
     return coverage(*CELLS.shape, *size_of(), math.radians(HFOV_DEG), math.radians(pitch))
 
 
 @lru_cache(maxsize=256)
 def _weights(pitch: int, degree: int) -> np.ndarray:
-    """How much a look from yaw 0 at this pitch says about each cell ``(H, W)``, 0 to 1: less towards the border.
+    """The weight of a look from yaw 0 at this pitch in each cell ``(H, W)``, 0 to 1.
 
-    The evidence of a view rises from its border as sin^2 and is whole pi / (degree + 1) inside.
+    The evidence of a view rises from its border as sin^2 and is full pi / (degree + 1) inside.
     """
     rays = CELLS.directions.reshape(-1, 3) @ View(0.0, pitch).world_R_view
     rows, columns = size_of()
@@ -235,7 +234,7 @@ def _weights(pitch: int, degree: int) -> np.ndarray:
 
 
 def _rolled(shares: np.ndarray, yaw: float) -> np.ndarray:
-    """`shares` of a view at yaw 0 for one at `yaw` degrees (columns grow to the right), between whole cells."""
+    """`shares` of a view at yaw 0 moved to `yaw` degrees (columns grow to the right), interpolated between cells."""
     steps = yaw / STEP
     low = math.floor(steps)
     part = steps - low
@@ -245,7 +244,7 @@ def _rolled(shares: np.ndarray, yaw: float) -> np.ndarray:
 
 @lru_cache(maxsize=16)
 def _prior(rules: SearchRules, kind: str) -> np.ndarray:
-    """Probability of each cell before the first look, times a constant."""
+    """Prior probability of each cell, up to a factor."""
     if rules.tilt <= 0 or kind == "hps":
         return CELLS.weights
     latitude = (np.degrees(CELLS.latitudes) - rules.height) / rules.tilt
@@ -253,7 +252,7 @@ def _prior(rules: SearchRules, kind: str) -> np.ndarray:
 
 
 def _reach(kind: str) -> tuple[int, int]:
-    """Cells to each side of the middle that a window of the least size holds: rows, columns."""
+    """Half size of the smallest window in cells: rows, columns."""
     return (CELLS.height if kind == "hps" else PITCH_TOLERANCE // STEP), YAW_TOLERANCE[kind] // STEP
 
 
@@ -269,7 +268,7 @@ def _window_mass(p: np.ndarray, kind: str) -> np.ndarray:
 
 
 def _blurred(p: np.ndarray) -> np.ndarray:
-    """`p` averaged over neighbours: which of equal windows has its belief in the middle."""
+    """`p` averaged over neighbours, to choose among equal windows the one with its belief in the middle."""
     wide = p + np.roll(p, 1, axis=1) + np.roll(p, -1, axis=1)
     padded = np.pad(wide, ((1, 1), (0, 0)))
     return padded[:-2] + padded[1:-1] + padded[2:]

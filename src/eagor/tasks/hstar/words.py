@@ -1,4 +1,4 @@
-"""What a task's words ask for, and what about a target makes it hard, known before any run."""
+"""The target in a task's words, and what makes it hard, known before any run."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from eagor.queries import singular
 
 FINE = 4.0  # degrees: a box smaller than this in both directions is fine detail
-# Things that any detector has seen by the thousand: everyday nouns of homes, offices, shops and streets.
+# Things that any detector knows well: everyday nouns of homes, offices, shops and streets.
 COMMON = frozenset(
     """
     air conditioner airplane apple armchair backpack bag ball banana barrel basin basket bathtub bed bench bicycle
@@ -40,7 +40,7 @@ _TEXT = re.compile(
 
 
 def thing_of(task: str) -> str:
-    """What a task such as "Find the red chair by the door." asks for: "red chair by the door"."""
+    """The target of a task such as "Find the red chair by the door.": "red chair by the door"."""
     text = " ".join(task.split()).rstrip(".!? ")
     text = re.sub(f"^{_VERBS}", "", text, flags=re.IGNORECASE)
     text = re.sub(_ARTICLES, "", text, flags=re.IGNORECASE)
@@ -48,20 +48,20 @@ def thing_of(task: str) -> str:
 
 
 def phrase_of(task: str) -> str:
-    """The thing without its surroundings: "red chair"."""
+    """The target without its surroundings: "red chair"."""
     return _BREAKS.split(thing_of(task), maxsplit=1)[0].strip() or thing_of(task)
 
 
 def head_of(task: str) -> str:
-    """The noun that names the thing, singular and lower case: "chair"."""
+    """The noun of the target, singular and lower case: "chair"."""
     words = re.findall(r"[a-z][a-z-]*", phrase_of(task).lower())
     return singular(words[-1]) if words else thing_of(task).lower()
 
 
 def tag_of(item: Mapping[str, Any], others: Sequence[Mapping[str, Any]] = ()) -> str:
-    """The one tag of a target; `others` are the scene's other entries. The paper names the tags; the rules are ours.
+    """The tag of a target; `others` are the scene's other entries. The paper names the tags; the rules are ours.
 
-    ``ocr_fine``: the words quote or name text, numbers, a brand (a capital inside the words), or the box is tiny.
+    ``ocr_fine``: the words quote or name text, numbers or a brand (a capital inside the words), or the box is tiny.
     ``multi_instance``: another entry of the scene has the same noun. ``rare``: the noun is not among `COMMON`.
     """
     task = str(item["task"])

@@ -1,7 +1,7 @@
-"""OSR-Bench: questions about one panorama, answered and scored by the benchmark's own rules.
+"""OSR-Bench: questions about one panorama, scored by the benchmark's own rules.
 
-`score` and `direction_label` are its scorer and its label generator. The published left and right are mirrored: see
-`eagor.tasks.osr.layout`.
+`score` and `direction_label` are its scorer and its label generator. Left and right are mirrored in the published
+labels: see `eagor.tasks.osr.layout`.
 """
 
 from eagor.tasks.osr.layout import direction_label, distance_label, swapped

@@ -1,4 +1,4 @@
-"""Who answers the questions of OSR-Bench: `eagor` from geometry, a model, and the marks to measure by."""
+"""The agents of OSR-Bench: `eagor` from geometry, a model, and reference agents."""
 
 from __future__ import annotations
 
@@ -25,40 +25,40 @@ from eagor.tasks.published import luck
 AGENTS = {
     "eagor": "bearings from a belief, ranges from floor contacts, and geometry",
     "vlm": "asks the model, with the map or without it (--set suffix=...)",
-    "constant": "says the same to every question of a kind",
-    "majority": "says what is most often right in the other scenes",
-    "random": "draws an answer of the right form",
-    "oracle": "knows the label (the official one, where both are asked for)",
+    "constant": "gives the same answer to every question of a kind",
+    "majority": "gives the most frequent right answer of the other scenes",
+    "random": "draws a random answer of the right form",
+    "oracle": "knows the label (the official one, if both are asked for)",
 }
 LOOKING = ("eagor",)
 
 
 @dataclass(frozen=True)
 class Reply:
-    """An answer as it is scored; `stated`: the probability that it is right, by who gave it; and notes on how."""
+    """An answer for scoring; `stated`: the agent's probability that it is right; and notes for the record."""
 
     text: str
     stated: float | None = None
     notes: dict[str, Any] = field(default_factory=dict)
 
 
-# Answers one question about one scene. Raises where there is no reply: a failed attempt is no wrong answer.
+# Answers one question about one scene. Raises if there is no reply: a failed attempt is not a wrong answer.
 Agent = Callable[[Scene, Question], Reply]
 
 
 def map_text(layout: Layout) -> str:
-    """A layout in the form that the benchmark asks for: {"name": [[x, y], ...]}, x the column and y the row."""
+    """A layout in the benchmark's format: {"name": [[x, y], ...]}, x the column and y the row."""
     return json.dumps({name: [[column, row] for row, column in where] for name, where in layout.items()})
 
 
 def oracle(labels: str, scene: Scene, question: Question) -> Reply:
-    """Says the label."""
+    """Answers with the label."""
     truth = question.truth(labels)
     return Reply(map_text(layout_of(truth)) if question.skill == MAP else str(truth))
 
 
 def constant(negative: bool, scene: Scene, question: Question) -> Reply:
-    """Says the likeliest thing without looking; with absent categories about (`negative`), that something is absent."""
+    """A fixed answer, without looking; with absent categories (`negative`), that something is absent."""
     if question.skill == MAP:
         return Reply(map_text({name: [[5, 5]] for name in question.names or scene.categories}))
     if question.skill == DIRECTION:
@@ -81,7 +81,7 @@ def random(seed: int, scene: Scene, question: Question) -> Reply:
 
 @dataclass(frozen=True, eq=False)
 class Majority:
-    """Says what is the most frequent answer to such questions in the other scenes; of choices, the likeliest."""
+    """The most frequent answer to such questions in the other scenes; for choices, the likeliest choice."""
 
     scenes: Sequence[Scene]
     labels: str = "official"
@@ -109,11 +109,11 @@ class Majority:
 
 
 class Vlm:
-    """Asks a model as the benchmark's runner does; where the scene asks for a map, after it has drawn one."""
+    """Asks a model as the benchmark's runner does; if the scene asks for a map, after the model has drawn it."""
 
     def __init__(self, chat: Chat, form: str = "vanilla") -> None:
         self._chat, self._form = chat, form
-        self._drawn: tuple[str, list[Message], str] | None = None  # the last scene's map: it is asked for once
+        self._drawn: tuple[str, list[Message], str] | None = None  # the last scene's map, which is asked for once
 
     def __call__(self, scene: Scene, question: Question) -> Reply:
         from eagor.worlds.panorama import read_panorama
@@ -134,7 +134,7 @@ class Vlm:
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """One scene as it was seen: things on the floor, and layouts drawn of them."""
+    """One scene as seen: things on the floor, and layouts drawn from them."""
 
     scene: str
     seen: Seen
@@ -147,7 +147,7 @@ class Around:
         return sorted(found, key=lambda k: -self.placed[k].weight)
 
     def notes(self, names: Sequence[str]) -> dict[str, Any]:
-        """How the things with these names were seen and placed."""
+        """Where the things with these names were seen and placed."""
         found = [
             {
                 "name": name,
@@ -168,7 +168,7 @@ class Around:
 
 
 def laid_out(scene: str, seen: Seen, ranges: str = "floor", seed: int = 0) -> Around:
-    """What was seen in the scene of this name, on the floor and drawn; `ranges` as in `Eagor`."""
+    """The things seen in this scene, placed on the floor and drawn as layouts; `ranges` as in `Eagor`."""
     if ranges == "unit":
         seen = replace(seen, walls=None)
     placed = place_on_circle(seen.things) if ranges == "unit" else place(seen.things, seen.height, seen.walls)
@@ -176,14 +176,14 @@ def laid_out(scene: str, seen: Seen, ranges: str = "floor", seed: int = 0) -> Ar
 
 
 class Eagor:
-    """Answers from geometry what `look` sees.
+    """Answers from the geometry of what `look` sees.
 
-    - `reading`: "cells": the likeliest label under the benchmark's rounding (`eagor.tasks.osr.drawing`); "metres": the
-      answer of the places as they are; "auto": cells where the foot of the walls is known, metres else (nobody knows
-      then how a layout would lie in the room, and guessing it costs more than rounding does).
-    - `ranges`: "floor" or "depth": as `place` has it, with a depth cue where the looker gives one; "unit": all things
-      equally far away, which is what directions alone can tell.
-    - `negative`: whether questions may ask about what is not there; only then are errors answered.
+    - `reading`: "cells": the likeliest label under the benchmark's rounding (`eagor.tasks.osr.drawing`); "metres": from
+      the places as they are; "auto": cells if the foot of the walls is known, otherwise metres (the layout's axes are
+      then unknown, and guessing them costs more than rounding does).
+    - `ranges`: "floor" or "depth": as `place` computes them, with depth values if the looker gives any; "unit": all
+      things at the same distance, which is all that directions alone can tell.
+    - `negative`: whether questions may ask about absent things; only then does it answer with errors.
     """
 
     def __init__(
@@ -217,13 +217,13 @@ class Eagor:
         return Reply(*self._closest(around, names[0], names[1:]), notes)
 
     def around(self, scene: Scene) -> Around:
-        """The scene as it is seen: looked at once, for all names in its questions."""
+        """The scene as seen: looked at once, for all names in its questions."""
         if self._kept is None or self._kept.scene != scene.id:
             self._kept = laid_out(scene.id, self._look(scene, scene.categories), self._ranges, self._seed)
         return self._kept
 
     def where(self, around: Around, P: str, O: str, Q: str) -> tuple[str, float | None, dict[str, float]]:
-        """Where the nearest Q is for one at P who faces the nearest O; how sure that is; and the share of each label.
+        """The direction of the nearest Q from P facing the nearest O; its probability; and the share of each label.
 
         All three must be there; of several P the likeliest is taken.
         """
@@ -239,14 +239,14 @@ class Eagor:
         return self._chosen(around, plain, around.drawings.nearest(start, groups))
 
     def _chosen(self, around: Around, plain: str, shares: dict[str, float]) -> tuple[str, float | None]:
-        """The answer of the places as they are, or that of most drawings, and its share."""
+        """The answer from the places as they are, or that of most layouts, and its share."""
         rounded = self._reading == "cells" or (self._reading == "auto" and around.seen.walls is not None)
         best = max(shares, key=lambda word: (shares[word], word == plain)) if rounded and shares else plain
         return best, shares.get(best)
 
 
 def _guess(question: Question) -> str:
-    """An answer to a question about what was not seen: ahead, on either side; the first choice; none."""
+    """An answer about things that were not seen: ahead, on either side; the first choice; none."""
     if question.skill == DIRECTION:
         return ("Front Left", "Front Right")[zlib.crc32(question.id.encode()) % 2]
     return question.names[1] if question.skill == DISTANCE and len(question.names) > 1 else "0"

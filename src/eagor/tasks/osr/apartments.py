@@ -1,7 +1,7 @@
-"""Scenes of OSR-Bench made from the built-in apartments: a room, the camera in it, what it sees, the questions.
+"""OSR-Bench scenes from the built-in apartments: a room, the camera in it, what it sees, and the questions.
 
-The layout follows what the published ones show: cells are square, the larger side of the area that the things take is
-ten of them, the axes are those of the building and not of the camera, and left and right are exchanged.
+The layout follows the published ones: cells are square, the longer side of the area with things is ten of them, the
+axes are those of the building and not of the camera, and left and right are exchanged.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from eagor.worlds.raycast import Raycaster, make_raycaster
 
 # Walls, floor and ceiling are the room itself; a ceiling lamp touches neither floor nor wall.
 UNNAMED = ("wall", "floor", "ceiling", "ceiling lamp")
-LEAST = 5  # categories: the benchmark asks about distances and directions only where there are so many
+LEAST = 5  # categories: with fewer the benchmark does not ask about distances and directions
 VISIBLE = 6  # pixels of a panorama of 64 x 128 from which on a thing counts as seen
 ROWS = 64
 CLEARANCE = 0.35  # metres around the camera
-TRIES = 6  # places in a room
+TRIES = 6  # spots tried per room
 WALL_RAYS = 360
-SKIRTING = 0.3  # metres above the floor: where the walls are looked for, below all window sills
+SKIRTING = 0.3  # metres above the floor at which the walls are sensed, below all window sills
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +51,14 @@ class View:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many things of each category are there."""
+        """The number of things of each category."""
         return dict(Counter(body.name for body in self.room.bodies))
 
 
 def views(seed: int, height: float = 1.5) -> Iterator[View]:
-    """One view of every room of this apartment in which a camera sees at least `LEAST` categories; `height` metres.
+    """One view of every room of this apartment with at least `LEAST` visible categories; `height` metres.
 
-    The same seed gives the same views. Raises `WorldError` for a seed that no apartment has.
+    The same seed gives the same views. Raises `WorldError` for a seed without an apartment.
     """
     place = load_place(APARTMENT, seed, Camera().radius)
     for number, room in enumerate(place.scene.rooms):
@@ -74,10 +74,10 @@ def views(seed: int, height: float = 1.5) -> Iterator[View]:
 
 
 def write_scene(view: View, folder: Path, rows: int = 512, questions: int = 5, seed: int = 0) -> Path:
-    """Write a view in the published format, its picture and its truth; returns the scene's folder.
+    """Write a view in the published format, with its picture and its truth; returns the scene's folder.
 
-    `rows` of the picture, 0 for none. `questions`: at most so many of each kind, drawn with `seed`. Files with and
-    without the map's question are written, and those with absent categories too.
+    `rows`: of the picture, 0 for none. `questions`: at most this many of each kind, drawn with `seed`. Files with and
+    without the map's question are written, also those with absent categories.
     """
     name = f"EagorApartment-{view.id}"
     target = folder / name
@@ -105,8 +105,8 @@ def conversation(
 ) -> Iterator[dict[str, object]]:
     """The turns about one layout: the map, then at most `most` questions of each kind over `names`.
 
-    As published: who is stood by, or measured from, is of a category with one thing where there is one; where all names
-    are there, questions that would be answered by an error are not asked.
+    As published, the positioning object is of a category with one thing, if there is one. If all `names` are present,
+    questions that an error would answer are not asked.
     """
     names = list(names)
     asked: list[tuple[str, str, object]] = [(MAP, mapping(names), grid_of(layout))]
@@ -133,12 +133,12 @@ def conversation(
 
 
 def counting(name: str) -> str:
-    """The published question how many there are."""
+    """The published question about the number of things."""
     return f"How many {name}(s) are in this room?"
 
 
 def distance(name: str, choices: Sequence[str]) -> str:
-    """The published question which of the choices is nearest."""
+    """The published question about the nearest of the choices."""
     return (
         f"Measuring from the closest point of each object, which of these objects ({', '.join(choices)}) is the "
         f"closest to the {name} in this PANORAMA?"
@@ -146,7 +146,7 @@ def distance(name: str, choices: Sequence[str]) -> str:
 
 
 def direction(P: str, O: str, Q: str) -> str:
-    """The published question in which direction Q lies for one who stands by P and faces O."""
+    """The published question about the direction of Q for someone who stands by P and faces O."""
     return (
         f"If I am standing by the {P} and facing the closest {O}, is the closest {Q} to my front, back, left, right, "
         "front-left, front-right, back-left, or back-right in this PANORAMA?"
@@ -154,7 +154,7 @@ def direction(P: str, O: str, Q: str) -> str:
 
 
 def mapping(names: Sequence[str]) -> str:
-    """The question for the map, in our words, with the list of categories and the format as the benchmark has them."""
+    """The question for the map, in our words, with the benchmark's list of categories and format."""
     return (
         "[Task] This PANORAMA shows a room all around. Draw its plan: say where the middle of each object lies on a "
         "10x10 grid that covers the whole room. [Rule] Care only about the categories in this scene: "
@@ -193,7 +193,7 @@ def _view(place: Place, room: str, spot: np.ndarray, height: float, yaw: float, 
 
 
 def _walls(place: Place, position: np.ndarray, turn: np.ndarray) -> FloorLine:
-    """The foot of the walls around, in the body frame, as it would be without furniture and doors."""
+    """The foot of the surrounding walls, in the body frame, ignoring furniture and doors."""
     azimuth = (np.arange(WALL_RAYS) + 0.5) / WALL_RAYS * 2 * math.pi
     ways = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=1)
     origins = np.broadcast_to([position[0], position[1], SKIRTING], ways.shape).astype(np.float32)

@@ -1,4 +1,4 @@
-"""OSR-Bench as `eagor bench` knows it."""
+"""OSR-Bench for `eagor bench`."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ OPTIONS = {
     ),
     "suffix": Option(SUFFIXES[0], "which of the published files", SUFFIXES),
     "skill": Option("all", "questions of one kind only", ("all", *SKILLS)),
-    "prompt": Option(FORMS[0], "what the model is asked for: a brief answer, or its thoughts first", FORMS),
-    "range": Option("floor", "where eagor takes ranges from; unit: nowhere", ("floor", "depth", "unit")),
+    "prompt": Option(FORMS[0], "what the model is asked for: a brief answer, or its reasoning first", FORMS),
+    "range": Option("floor", "where eagor takes ranges from; unit: no ranges", ("floor", "depth", "unit")),
     "reading": Option(
         "auto",
-        "eagor says the likeliest label after rounding (cells), or what the places say; auto: cells where the walls "
+        "eagor answers with the likeliest label after rounding (cells), or from the places; auto: cells if the walls "
         "are known",
         ("auto", "cells", "metres"),
     ),
-    "camera_height": Option(HEIGHT, "metres above the floor; it scales the room, and matters beside a depth cue"),
+    "camera_height": Option(HEIGHT, "metres above the floor; it scales the room, and matters with depth values"),
     "degree": Option(15, "of eagor's harmonics", tuple(range(3, 64))),
 }
 EXPORTS = {
@@ -95,7 +95,7 @@ class OsrBench:
     )
 
     def info(self, data: Path) -> dict[str, Any]:
-        """Counts and oddities of each kind of file that is there."""
+        """Counts and oddities of each kind of file in the data."""
         found: dict[str, Any] = {}
         seen: dict[str, Scene] = {}
         for suffix in SUFFIXES:
@@ -114,7 +114,7 @@ class OsrBench:
                 "not_understood": sum(not question.names for question in questions),
             }
         if not found:
-            load(Path(data))  # says what is wrong
+            load(Path(data))  # raises with the reason
         return {
             "files": found,
             "pictures": dict(Counter(_size(scene.image) for scene in seen.values())),
@@ -164,7 +164,7 @@ def csv_files(records: Sequence[Record], settings: Mapping[str, Any], folder: Pa
     """Write ``<scene>_<suffix>_results.csv`` with the columns of the published runner; returns the files.
 
     Scores are those of the run's labels. Raises `EagorError` without records, `FormatError` for a record whose scene
-    can be no part of a file's name.
+    cannot be part of a file name.
     """
     model = settings.get("model") or settings["agent"]
     by_scene: dict[str, list[Record]] = {}
@@ -182,11 +182,11 @@ def csv_files(records: Sequence[Record], settings: Mapping[str, Any], folder: Pa
 
 
 def _scene(record: Record) -> str:
-    """The scene of a record: part of a file's name, and never of another folder's."""
+    """The scene of a record, checked to be a plain part of a file name."""
     scene = record["cluster"]
     if not isinstance(scene, str) or not scene.isprintable() or "/" in scene or "\\" in scene:
         raise FormatError(
-            f"the record {record['key']!r} has the cluster {shown(scene)}; wanted a scene's name, which a file can have"
+            f"the record {record['key']!r} has the cluster {shown(scene)}; wanted a name that can be in a file name"
         )
     return scene
 
@@ -207,7 +207,7 @@ def _size(image: Path | None) -> str:
 
 
 def _check_files(found: Mapping[str, Any]) -> None:
-    """Raise `FormatError` where scenes lack a file that all of them would be answered from."""
+    """Raise `FormatError` if scenes lack a file that the settings need."""
     truth = found["perception"].partition(":")[0] == TRUTH
     wanted = FILE if truth else DEPTH_FILE if found["range"] == "depth" else None
     if wanted is None:
@@ -218,5 +218,5 @@ def _check_files(found: Mapping[str, Any]) -> None:
         why = "the perception truth reads" if truth else "range=depth reads"
         raise FormatError(
             f"{len(without)} of {len(scenes)} scenes have no {wanted}, which {why}, such as {without[0]}; "
-            "give the folder of those that have it, or choose another way"
+            "give the folder of those that have it, or choose another setting"
         )

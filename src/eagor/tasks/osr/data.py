@@ -1,8 +1,8 @@
-"""The published files of OSR-Bench: folders of scenes with JSON, or one CSV; and what their questions ask.
+"""OSR-Bench's published files, folders of scenes with JSON or one CSV, and the parser of their questions.
 
 ``<scene>/rgb.png``, ``<scene>/cognitive_map.json`` and ``<scene>/<scene>_<suffix>.json`` with a suffix of `SUFFIXES`,
-at any depth below the folder that is given. The data set's hosted edition puts the questions into CSV files (columns
-image_id, turn_id, question, answer and, perhaps, skills_tested), which are read too.
+at any depth below the given folder. The hosted edition of the data has the questions in CSV files (columns image_id,
+turn_id, question, answer and, optionally, skills_tested), which are read too.
 
 Questions with an empty answer are left out, as the benchmark's authors do.
 """
@@ -29,7 +29,7 @@ from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS
 
 SUFFIXES = ("qa_without_cogmap", "qa", "qa_with_negative", "qa_with_negative_without_cogmap")
 WITHOUT = "_without_cogmap"
-# The words of each kind of question, with the names of things in groups: one name, or several parted by commas.
+# The text of each kind of question, with names of things in groups: one name, or several separated by commas.
 _WORDS = {
     DIRECTION: r"standing by the (.+?) and facing the closest (.+?), is the closest (.+?) to my front",
     DISTANCE: r"which of these objects \((?P<several>[^)]*)\) is the closest to the (?P<first>.+?) in this PANO",
@@ -40,10 +40,7 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Question:
-    """One question of one picture, with the published answer: text, or the grid of a map.
-
-    `id`: of the scene, the kind of file and the turn, such as "scene/qa/18".
-    """
+    """One question about a picture, with the published answer: text, or a map's grid; `id` as "scene/qa/18"."""
 
     id: str
     scene: str
@@ -54,7 +51,7 @@ class Question:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What it is about; none where the words are not those of the benchmark.
+        """The names in it; empty if the text is not the benchmark's.
 
         The category counted; the category and then the choices; P, O and Q; or all categories of the map.
         """
@@ -63,18 +60,18 @@ class Question:
 
     @property
     def corrected(self) -> Any:
-        """The answer that is right in the room: with left and right exchanged, which the published ones have wrong."""
+        """The answer with left and right exchanged, which is right in the room; the published one is mirrored."""
         if self.skill == MAP:
             return mirrored(self.answer)
         return swapped(self.answer) if self.skill == DIRECTION else self.answer
 
     def truth(self, labels: str) -> Any:
-        """The answer by the labels "official" or "corrected"."""
+        """The answer according to the labels "official" or "corrected"."""
         return self.corrected if labels == "corrected" else self.answer
 
 
 def read(text: str) -> tuple[str, tuple[str, ...]] | None:
-    """The skill that `text` asks for, and the names in it; None where it is no question of this benchmark."""
+    """The skill that `text` asks for, and the names in it; None if it is not a question of this benchmark."""
     for skill, words in _WORDS.items():
         if found := re.search(words, text):
             groups = found.groupdict()
@@ -87,7 +84,7 @@ def read(text: str) -> tuple[str, tuple[str, ...]] | None:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One picture and its questions. `image` is None where there is no picture; `skipped` questions had no answer."""
+    """One picture and its questions. `image` is None without a picture; `skipped` questions had no answer."""
 
     id: str
     folder: Path
@@ -97,17 +94,17 @@ class Scene:
 
     @lazy
     def by_id(self) -> dict[str, Question]:
-        """The questions by their ids."""
+        """The questions by id."""
         return {question.id: question for question in self.questions}
 
     @lazy
     def categories(self) -> tuple[str, ...]:
-        """All names in the questions, in the order in which they first come."""
+        """All names in the questions, in order of first appearance."""
         return tuple(dict.fromkeys(name for question in self.questions for name in question.names))
 
     @lazy
     def layout(self) -> dict[str, list[list[int]]] | None:
-        """The published layout, None where the folder has none. Raises `FormatError` if it is not one."""
+        """The published layout, None if the folder has none. Raises `FormatError` if it is malformed."""
         path = self.folder / "cognitive_map.json"
         if not path.is_file():
             return None if self.map_question is None else layout_of(self.map_question.answer)
@@ -118,22 +115,22 @@ class Scene:
 
     @property
     def picture(self) -> Path:
-        """`image`. Raises `FormatError` where there is none."""
+        """`image`. Raises `FormatError` if there is none."""
         if self.image is None:
             raise FormatError(f"the scene {self.id} has no picture (rgb.png); the data set is incomplete")
         return self.image
 
     @property
     def map_question(self) -> Question | None:
-        """The question of turn 0 that asks for the map, where this kind of file has it."""
+        """The question of turn 0 that asks for the map; None if this kind of file has none."""
         return next((question for question in self.questions if question.skill == MAP), None)
 
 
 def load(data: Path, suffix: str = SUFFIXES[0]) -> tuple[Scene, ...]:
     """All scenes with questions in `data`, by name.
 
-    Files without the map's question are made of those with it where only those are there (they are the same questions).
-    Raises `FormatError` where there are none, or one cannot be read.
+    If there are only files with the map's question, files without it are derived from them (the questions are the
+    same). Raises `FormatError` if there are none, or one cannot be read.
     """
     if suffix not in SUFFIXES:
         raise FormatError(f"there is no kind of file {suffix!r}; known are {', '.join(SUFFIXES)}")
@@ -146,7 +143,7 @@ def load(data: Path, suffix: str = SUFFIXES[0]) -> tuple[Scene, ...]:
     scenes = sorted([_scene(path, suffix) for path in files] or _tables(data, suffix), key=lambda scene: scene.id)
     if not scenes:
         there = sorted(kind for kind in SUFFIXES if _found(data, kind))
-        hint = f"it has files of the kind {', '.join(there)}: choose with --set suffix=KIND"
+        hint = f"it has files of the kind {', '.join(there)}: choose one with --set suffix=KIND"
         raise FormatError(
             f"{data} has no <scene>_{suffix}.json and no CSV with questions; {hint if there else 'is it OSR-Bench?'}"
         )
@@ -158,7 +155,7 @@ def load(data: Path, suffix: str = SUFFIXES[0]) -> tuple[Scene, ...]:
 
 @lru_cache(maxsize=2)
 def load_kept(data: str, suffix: str) -> tuple[Scene, ...]:
-    """`load`, kept: workers ask for it again with each picture."""
+    """`load`, cached: workers call it again for each picture."""
     return load(Path(data), suffix)
 
 
@@ -179,7 +176,7 @@ def _scene(path: Path, suffix: str) -> Scene:
 def _questions(
     turns: Iterable[tuple[str, int, Any]], scene: str, suffix: str, path: Path
 ) -> tuple[tuple[Question, ...], int]:
-    """The questions, and how many had no answer; `turns` with where in the file they stand, and their number."""
+    """The questions, and how many had no answer; `turns`: place in the file, number and content of each."""
     found: list[Question] = []
     skipped, taken = 0, {}
     for where, number, turn in turns:
@@ -229,16 +226,16 @@ def _layout_in(grid: Any, where: str) -> dict[str, list[list[int]]]:
 
 
 def _image(folder: Path, image_id: str) -> Path | None:
-    """rgb.png beside the questions, else where `image_id` says, seen from a folder above."""
+    """rgb.png beside the questions, otherwise the path `image_id` from a folder above."""
     choices = [folder / "rgb.png", folder / PurePosixPath(image_id).name]
     if image_id:
         choices += [above / image_id for above in (folder, *folder.parents[:3])]
         choices += [above / PurePosixPath(image_id).parent.name / "rgb.png" for above in (folder, *folder.parents[:2])]
-    return next((path for path in choices if os.path.isfile(path)), None)  # False for names that no file can have
+    return next((path for path in choices if os.path.isfile(path)), None)  # False for invalid file names
 
 
 def _tables(data: Path, suffix: str) -> Iterator[Scene]:
-    """The scenes of CSV files: those named after the suffix, or else all that have the right columns."""
+    """The scenes of CSV files: those named after the suffix, otherwise all that have the right columns."""
     paths = sorted(data.rglob(f"*{suffix}.csv")) if data.is_dir() else [data]
     if data.is_dir() and suffix == "qa":
         paths = [path for path in paths if path.stem == "qa" or path.stem.endswith("_qa")]

@@ -1,9 +1,9 @@
-"""Places on the floor drawn as the benchmark's layouts, and the answer that is the likeliest label.
+"""Places on the floor drawn as the benchmark's layouts, and the likeliest label as the answer.
 
-The labels of OSR-Bench are read off layouts of whole cells. Near the border between two answers rounding decides: who
-knew all places exactly would meet the published answers (left and right corrected) nineteen times in twenty. So the
-rounding is modelled: layouts are drawn along the walls in each of the four ways (any way where no wall is known), with
-places that are uncertain drawn anew each time. The label that most have is the answer, its share how sure it is.
+The labels of OSR-Bench derive from layouts of whole cells, so rounding decides near the border between two answers.
+Even with all places known exactly, 19 of 20 published answers (left and right corrected) would be met. So the rounding
+is modelled: layouts are drawn along the walls in each of the four orientations (any orientation if no wall is known),
+with uncertain places drawn anew each time. The most frequent label is the answer, its share the probability.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from eagor.tasks.osr.geometry import FloorLine, Placed
 from eagor.tasks.osr.layout import SIZE, named, products, swapped
 
-DRAWS = 16  # for each of the four ways
+DRAWS = 16  # for each of the four orientations
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class Drawings:
     cells: np.ndarray
 
     def directions(self, P: int, O: Sequence[int], Q: Sequence[int]) -> dict[str, float]:
-        """The share of each answer, left and right as in the room, for the thing P and those that are O and Q."""
+        """The share of each answer, left and right as in the room, for the thing P and the candidates O and Q."""
         start = self.cells[:, P]
         facing, asked = self._nearest(start, O), self._nearest(start, Q)
         signs = np.sign(products(facing.T, asked.T)).astype(int).T
@@ -41,22 +41,22 @@ class Drawings:
         return {label: count / total for label, count in found.most_common()}
 
     def nearest(self, P: int, groups: Mapping[str, Sequence[int]]) -> dict[str, float]:
-        """The share of layouts in which each of the `groups` of things is the nearest to P (the first, if equal)."""
+        """The share of layouts in which each of `groups` is the nearest to P (the first of equal ones)."""
         start = self.cells[:, P]
         away = np.stack([(self._nearest(start, members) ** 2).sum(axis=1) for members in groups.values()])
         first = np.bincount(away.argmin(axis=0), minlength=len(groups)) / len(self.cells)
         return dict(zip(groups, first.tolist(), strict=True))
 
     def _nearest(self, start: np.ndarray, things: Sequence[int]) -> np.ndarray:
-        """Steps ``(M, 2)`` to the nearest of the things; of equally near ones that with the smallest angle."""
+        """Steps ``(M, 2)`` to the nearest of the things; of equally near ones to that with the smallest angle."""
         steps = self.cells[:, list(things)] - start[:, None]
         angle = np.arctan2(steps[..., 0], steps[..., 1]) % (2 * math.pi)
-        rank = (steps**2).sum(axis=-1) + angle / 7  # squares are whole numbers, so that angles only part equal ones
+        rank = (steps**2).sum(axis=-1) + angle / 7  # squares are whole numbers, so angles only break ties
         return steps[np.arange(len(steps)), rank.argmin(axis=1)]
 
 
 def draw(placed: Sequence[Placed], walls: FloorLine | None, rng: np.random.Generator, draws: int = DRAWS) -> Drawings:
-    """`draws` layouts in each of the four ways. One of each is enough where every place is certain and walls known."""
+    """`draws` layouts in each of the four orientations; one each if every place is certain and the walls are known."""
     if not placed:
         return Drawings((), np.zeros((0, 0, 2), dtype=int))
     xy = np.array([each.xy for each in placed])
@@ -64,7 +64,7 @@ def draw(placed: Sequence[Placed], walls: FloorLine | None, rng: np.random.Gener
     if walls is not None and not spread.any():
         draws = 1
     away = np.maximum(np.hypot(*xy.T), 1e-9)
-    # Errors are those of ranges: along the ray.
+    # Only ranges have errors: along the ray.
     error = rng.standard_normal((draws, len(placed))) * spread
     moved = xy * np.maximum(1 + error / away, 0.1)[..., None]
     axes = np.full(draws, walls.axis) if walls is not None else rng.uniform(0, math.pi / 2, draws)
@@ -78,7 +78,7 @@ def draw(placed: Sequence[Placed], walls: FloorLine | None, rng: np.random.Gener
 def layout_from(
     placed: Mapping[str, Sequence[tuple[float, float]]], mirror: bool = False
 ) -> dict[str, list[list[int]]]:
-    """The layout of places (x ahead, y left) on a grid of square cells that just holds them all.
+    """The layout of places (x ahead, y left) on the smallest grid of square cells that holds them all.
 
     Row 0 is ahead; columns grow to the right, or, with `mirror`, to the left as in the published layouts.
     """

@@ -1,10 +1,10 @@
-"""From what is seen around one camera to places on the floor, and from those to answers.
+"""Places on the floor from what one camera sees, and answers from these places.
 
-"Standing by P and facing O, where is Q?" cannot be answered from directions alone: it takes ranges. On a level floor
-they come from where things touch it. A camera at the height h that sees a foot at the elevation e (negative) is
-h / tan(-e) away from it. Answers do not depend on h, which scales the whole room, as long as all ranges come from feet.
+"Standing by P and facing O, where is Q?" needs ranges, not directions alone. On a level floor they come from contact
+points: a camera at height h that sees one at elevation e (negative) is h / tan(-e) away from it. The answers do not
+depend on h, which scales the whole room, as long as all ranges come from contact points.
 
-What does not touch the floor stands on something that does, or hangs on a wall; each takes the range of that.
+A thing without floor contact stands on another thing, or hangs on a wall, and takes the range from that.
 
 Frame: the camera's body, x forward, y left, z up; metres on the floor, the camera above the origin; angles in radians.
 """
@@ -24,18 +24,18 @@ from eagor.tasks.osr.layout import named, products
 
 Source = Literal["depth", "contact", "support", "wall", "height", "beyond", "guess"]
 SURE: tuple[Source, ...] = ("depth", "contact", "support", "wall")
-FARTHEST = 20.0  # metres: a foot hardly below the horizon tells nothing beyond
-SLACK = 0.25  # share by which what stands on a thing may seem to lie beyond that one's rims
-# What hangs on a wall or is part of it, in the words of the benchmark and of our apartments.
+FARTHEST = 20.0  # metres: beyond, contact points are too near the horizon to give a range
+SLACK = 0.25  # tolerance, as a share, for a thing that seems to stand beyond the rims of its support
+# Things that hang on a wall or are part of it, in the words of the benchmark and of our apartments.
 HANGING = frozenset(
     "window picture painting mirror curtain blinds whiteboard clock switch vent wall_light".split()  # noqa: SIM905
 )
-MIDDLE = 0.45  # metres above the floor: the middle of what stands there, where its foot was not made out
-OUTSIDE = 1.15  # a foot that seems so many times as far away as the wall behind is none
-MARGIN = 0.3  # metres from the middles of things that stand at a wall to the wall
-GUESS = 3.0  # metres, where nothing at all tells a range
-WIDEST = math.radians(60)  # half width of what is so near that its outline no longer tells its depth
-DEPTH, DEEPEST = 0.85, 0.4  # a thing's half depth: this share of its half width, and at most so many metres
+MIDDLE = 0.45  # metres above the floor: assumed middle of a standing thing without a visible contact
+OUTSIDE = 1.15  # a contact this many times as far away as the wall behind it is rejected
+MARGIN = 0.3  # metres from the middle of a thing at a wall to the wall
+GUESS = 3.0  # metres, if there is no other range
+WIDEST = math.radians(60)  # half width of things so near that their outline no longer gives their depth
+DEPTH, DEEPEST = 0.85, 0.4  # a thing's half depth: this share of its half width, and at most this many metres
 RECESS = {"window": 0.1}  # metres by which the middle of a thing lies behind the face of the wall
 # Standard deviation of a range: metres, by what it was taken from, and the share of the range for outlines.
 SPREAD = {"depth": 0.1, "contact": 0.0, "support": 0.15, "wall": 0.05, "height": 0.6, "beyond": 0.4, "guess": 1.5}
@@ -44,12 +44,12 @@ OUTLINE_SPREAD, OUTLINE_SHARE = 0.15, 0.05
 
 @dataclass(frozen=True)
 class Sighting:
-    """One thing as it is seen: its category, and the azimuth and elevation of its middle.
+    """One thing as seen: its category, and the azimuth and elevation of its middle.
 
-    - `bottom`, `top`: elevations of its lowest and highest edge; `half_width`: half of the angle that it spans.
-    - `foot`: the elevation at which its middle meets the floor, where that is known better than `bottom`.
+    - `bottom`, `top`: elevations of its lowest and highest edge; `half_width`: half of its angular width.
+    - `foot`: the elevation at which its middle meets the floor, if known better than `bottom`.
     - `contact`: whether its lowest edge touches the floor. `depth`: metres along the ray to its middle.
-    - `weight`: how strongly it is believed, relative to others.
+    - `weight`: its strength of belief, relative to others.
     """
 
     name: str
@@ -77,7 +77,7 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Placed:
-    """A thing on the floor: `xy`, metres, what its range was taken from, and the standard deviation of it, metres."""
+    """A thing on the floor: `xy` in metres, the source of its range, and the range's standard deviation in metres."""
 
     name: str
     xy: tuple[float, float]
@@ -88,7 +88,7 @@ class Placed:
 
 @dataclass(frozen=True, eq=False)
 class FloorLine:
-    """Where the walls meet the floor, as a room-layout estimator gives it: `points` ``(n, 2)`` metres, all around."""
+    """The foot of the walls, as from a room-layout estimator: `points` ``(n, 2)`` metres, all around."""
 
     points: np.ndarray
 
@@ -102,15 +102,15 @@ class FloorLine:
 
     @property
     def axis(self) -> float:
-        """The direction (radians, in [-pi/4, pi/4)) along which most of the walls run, or across."""
+        """The direction (radians, in [-pi/4, pi/4)) of most walls, up to quarter turns."""
         way = np.roll(self.points, -1, axis=0) - self.points
         length = np.hypot(*way.T)
-        usual = length <= max(3 * float(np.median(length)), 1e-9)  # longer ones jump to what lies behind an opening
+        usual = length <= max(3 * float(np.median(length)), 1e-9)  # longer ones jump across an opening
         turns = np.exp(4j * np.arctan2(way[:, 1], way[:, 0]))
         return float(np.angle((np.where(usual, length**2, 0.0) * turns).sum()) / 4)
 
     def range_at(self, azimuth: float) -> float | None:
-        """Metres to the wall at `azimuth`: the nearest edge of the line on that side; None where it is open."""
+        """Metres to the wall at `azimuth`: the nearest edge of the line on that side; None if it is open there."""
         ahead = np.array([math.cos(azimuth), math.sin(azimuth)])
         start, way = self.points, np.roll(self.points, -1, axis=0) - self.points
         cross = ahead[0] * way[:, 1] - ahead[1] * way[:, 0]
@@ -130,11 +130,11 @@ def floor_range(elevation: float, height: float) -> float | None:
 
 
 def contact_range(sighting: Sighting, height: float) -> float | None:
-    """Metres on the floor to the middle of a thing that touches it, None where its foot tells nothing.
+    """Metres on the floor to the middle of a thing with floor contact, None if the contact gives no range.
 
-    From `foot` as it is. From the lowest edge, which is the near one, by adding half of the thing's depth, which is
-    taken to be `DEPTH` of its half width (for a round outline and `DEPTH` 1, d becomes d / (1 - sin w)), and at most
-    `DEEPEST`: furniture is wider than deep.
+    `foot` gives it directly. The lowest edge is the near one: half of the thing's depth is added, which is assumed to
+    be `DEPTH` of its half width (for a round outline and `DEPTH` 1, d becomes d / (1 - sin w)), and at most `DEEPEST`:
+    furniture is wider than deep.
     """
     if sighting.foot is not None:
         return floor_range(sighting.foot, height)
@@ -148,10 +148,10 @@ def contact_range(sighting: Sighting, height: float) -> float | None:
 def place(sightings: Sequence[Sighting], height: float, walls: FloorLine | None = None) -> list[Placed]:
     """Every sighting on the floor, in the same order; `height` of the camera in metres.
 
-    Ranges come from, in this order: a depth cue; the contact with the floor; the contact of what the thing stands on;
-    the wall that it hangs on. Where the foot of a standing thing was not made out, its middle is taken to be at the
-    height `MIDDLE`. Where the walls are not known, what hangs there is put on a rectangle around what stands on the
-    floor ("beyond", `enclosing`), else at the middle range of the others ("guess").
+    Ranges come from, in this order: a depth value; the contact with the floor; the contact with the supporting thing;
+    the wall behind. The middle of a standing thing without a visible contact is assumed at the height `MIDDLE`. If
+    the walls are not known, hanging things are put on a rectangle around the standing ones ("beyond", `enclosing`),
+    otherwise at the median range of the others ("guess").
     """
     measured = [(each, _measured(each, height, walls)) for each in sightings]
     standing = [(each, found[0]) for each, found in measured if found and found[1] == "contact"]
@@ -166,7 +166,7 @@ def place(sightings: Sequence[Sighting], height: float, walls: FloorLine | None 
 
 
 def place_on_circle(sightings: Sequence[Sighting]) -> list[Placed]:
-    """Every sighting at the same range: what can be done with directions alone."""
+    """Every sighting at the same range: all that directions alone allow."""
     return [Placed(each.name, _on_floor(each.azimuth, 1.0), "guess", each.weight) for each in sightings]
 
 
@@ -214,24 +214,24 @@ def _inferred(
 def _range_on(each: Sighting, other: Sighting, away: float, height: float) -> float | None:
     """Metres on the floor to `each` if it stands on `other`, which is `away`; None if it cannot.
 
-    The upper edge of what is lower than the camera is its far rim, which tells how high its top is; there, between the
-    two rims, a thing on it touches as others touch the floor.
+    The upper edge of a thing below the camera is its far rim, which gives the height of its top. A thing between its
+    two rims touches that top as others touch the floor.
     """
     if each.bottom is None or other.top is None or other is each or other.top >= 0:
         return None
     if abs(float(wrap(np.float64(each.azimuth - other.azimuth)))) > other.half_width:
         return None
     reach = away * math.sin(min(other.half_width, WIDEST))
-    above = (away + reach) * math.tan(-other.top)  # the camera, above the top
+    above = (away + reach) * math.tan(-other.top)  # height of the camera above the top
     found = contact_range(replace(each, foot=None), above)
     near, far = (1 - SLACK) * (away - reach), (1 + SLACK) * (away + reach)
     return found if above < height and found is not None and near <= found <= far else None
 
 
 def enclosing(known: Sequence[tuple[float, float]]) -> FloorLine | None:
-    """The walls that things at these azimuths (radians) and ranges (metres) suggest: the smallest rectangle, and a bit.
+    """Walls estimated from things at these azimuths (radians) and ranges (metres): the smallest rectangle, widened.
 
-    Things stand along walls, `MARGIN` before them with their middles. None where they do not surround the camera.
+    Things stand along walls, with their middles `MARGIN` away. None if they do not surround the camera.
     """
     points = np.array([_on_floor(azimuth, away) for azimuth, away in known])
     if len(points) < 3:
@@ -243,7 +243,7 @@ def enclosing(known: Sequence[tuple[float, float]]) -> FloorLine | None:
     except QhullError:  # all in one line
         return None
     found, least = None, math.inf
-    for dx, dy in np.roll(hull, -1, axis=0) - hull:  # one side of the smallest rectangle is one of the hull's
+    for dx, dy in np.roll(hull, -1, axis=0) - hull:  # one side of the smallest rectangle lies on one of the hull
         turn = np.array([[dx, dy], [-dy, dx]]) / math.hypot(dx, dy)
         low, high = (hull @ turn.T).min(axis=0), (hull @ turn.T).max(axis=0)
         if (area := float(np.prod(high - low))) < least:
@@ -260,6 +260,6 @@ def nearest(start: Placed, others: Sequence[Placed]) -> Placed:
 
 
 def direction_between(P: Placed, O: Sequence[Placed], Q: Sequence[Placed]) -> str:
-    """Where the nearest Q lies for one who stands at P and faces the nearest O: "Front Left", and so on."""
+    """The direction of the nearest Q from P facing the nearest O: "Front Left", and so on."""
     facing, asked = (np.subtract(nearest(P, things).xy, P.xy).tolist() for things in (O, Q))
     return named(*products(facing, asked))

@@ -1,12 +1,12 @@
-"""The maps of OSR-Bench, and the answers that follow from them by the benchmark's own rules.
+"""OSR-Bench's maps, and the answers that follow from them by the benchmark's own rules.
 
 A layout lists the cells of each category on a grid of 10 x 10: ``{name: [[row, column], ...]}``; row 0 is at the top.
-All answers of the benchmark are read off such a layout (Dongfang et al., arXiv 2505.11907, and the code published
-with it): a label is a matter of cells, not of metres.
+All answers of the benchmark derive from such a layout (Dongfang et al., arXiv 2505.11907, and the code published with
+it), so labels depend on cells, not on metres.
 
 The published layouts are mirrored against the pictures: what lies to the left in the room is drawn to the right. The
-published answers follow the layouts, so that left and right are exchanged in them. `swapped` gives the answer that is
-right in the room.
+published answers follow the layouts, so left and right are exchanged in them. `swapped` gives the answer that is right
+in the room.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _SIDES = {"Left": "Right", "Right": "Left"}
 def direction_label(map: Layout, P: str, O: str, Q: str) -> str:
     """The published answer to "standing by P and facing the closest O, where is the closest Q?".
 
-    With v1 and v2 the steps (rows, columns) from P to the nearest O and Q: "Front" where v1 . v2 > 0, "Back" where it
-    is negative, "Left" where r1 c2 - c1 r2 > 0, "Right" where it is negative; both words, or the one that is not zero.
-    Empty where both vanish (an object in the cell of P); the benchmark leaves such questions out. "Unique" counts
-    cells, not things. Where nothing can be said, one of `ERRORS`. Raises `FormatError` for what is no layout.
+    With v1 and v2 the steps (rows, columns) from P to the nearest O and Q: "Front" if v1 . v2 > 0, "Back" if it is
+    negative, "Left" if r1 c2 - c1 r2 > 0, "Right" if it is negative; both words, or the one that is not zero. Empty if
+    both are zero (an object in the cell of P); the benchmark leaves such questions out. "Unique" counts cells, not
+    things. If there is no answer, one of `ERRORS`. Raises `FormatError` for an invalid layout.
     """
     found = steps(map, P, O, Q)
     return found if isinstance(found, str) else named(*products(*found))
@@ -54,7 +54,7 @@ def steps(layout: Layout, P: str, O: str, Q: str) -> tuple[Cell, Cell] | str:
 
 
 def products(v1: Any, v2: Any) -> tuple[Any, Any]:
-    """Dot product and cross product r1 c2 - c1 r2 of two steps (rows, columns): numbers, or arrays of them."""
+    """Dot product and cross product r1 c2 - c1 r2 of two steps (rows, columns), numbers or arrays."""
     return v1[0] * v2[0] + v1[1] * v2[1], v1[0] * v2[1] - v1[1] * v2[0]
 
 
@@ -66,10 +66,7 @@ def named(dot: float, cross: float) -> str:
 
 
 def distance_label(layout: Layout, category: str, choices: Iterable[str]) -> str:
-    """The published answer to "which of the choices is the closest to the category?": the first of the nearest.
-
-    Raises `FormatError` for what is no layout.
-    """
+    """The published answer to "which of the choices is the closest to the category?": the first of the nearest."""
     start = _position(layout, category)
     if isinstance(start, str):
         return start
@@ -100,7 +97,7 @@ def cells(layout: Layout, name: str) -> list[Cell]:
 
 
 def _position(layout: Layout, name: str) -> Cell | str:
-    """The one cell of `name`, or the error that is the answer if there is none or more than one."""
+    """The only cell of `name`, or the error that is the answer if there is none or more than one."""
     found = cells(layout, name)
     if len(found) == 1:
         return found[0]
@@ -108,7 +105,7 @@ def _position(layout: Layout, name: str) -> Cell | str:
 
 
 def _ranked(start: Cell, where: Iterable[Cell]) -> list[Cell]:
-    """The steps from `start` to each of `where`, the nearest first; of equally near ones that with the smallest angle.
+    """The steps from `start` to each of `where`, nearest first; equally near ones by angle.
 
     Angles go from the direction of growing columns to that of growing rows, from 0 up to a full turn.
     """
@@ -126,7 +123,7 @@ def swapped(answer: str) -> str:
 
 
 def mirrored(grid: Grid) -> Grid:
-    """The grid with left and right exchanged: the room as it is, from a published one."""
+    """The grid with left and right exchanged: the real room, from a published grid."""
     return [row[::-1] for row in grid]
 
 
@@ -145,7 +142,7 @@ def layout_of(grid: Any) -> dict[str, list[list[int]]]:
 
 
 def grid_of(layout: Layout, size: int = SIZE) -> Grid:
-    """The grid of a layout; what lies outside of it is left out."""
+    """The grid of a layout, without what lies outside it."""
     grid: Grid = [[[] for _ in range(size)] for _ in range(size)]
     for name, where in layout.items():
         for row, column in where:

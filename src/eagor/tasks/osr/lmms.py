@@ -21,8 +21,8 @@ BY_LABELS = ("direction_official", "direction_corrected")
 def write(settings: Mapping[str, Any], folder: Path) -> list[Path]:
     """Write the task ``eagor_osr`` into `folder` (`eagor.tasks.task_files`); returns the files.
 
-    Each question is asked alone, so that files with a map give their map's question as one of them. The questions hold
-    the paths of their pictures on this machine. Raises `FormatError` where a picture is missing.
+    Each question is asked alone; in files with a map, the map's question is one of them. The questions hold the paths
+    of their pictures on this machine. Raises `FormatError` if a picture is missing.
     """
     pictures = {scene: str(scene.picture.resolve()) for scene in load(Path(settings["data"]), settings["suffix"])}
     documents = (
@@ -47,7 +47,7 @@ def doc_to_visual(doc: Mapping[str, Any]) -> list[Any]:
 
 
 def doc_to_text(doc: Mapping[str, Any], settings: Mapping[str, Any] | None = None) -> str:
-    """The words of the question, with the instructions for the form of the answer."""
+    """The question with the instructions for the form of the answer."""
     text = doc["question"] if doc["skill"] == MAP else plain_text(doc["question"], doc["prompt"])
     return text.replace(IMAGE, "").strip()
 
@@ -58,7 +58,7 @@ def doc_to_target(doc: Mapping[str, Any]) -> str:
 
 
 def process_results(doc: Mapping[str, Any], results: Sequence[str]) -> dict[str, float]:
-    """The scores of one reply, under the names of the metrics that it belongs to."""
+    """The scores of one reply, by the names of its metrics."""
     skill, think = doc["skill"], doc["prompt"] == "think"
     truth = json.loads(doc["answer"]) if skill == MAP else doc["answer"]
     if skill != DIRECTION:
@@ -69,5 +69,5 @@ def process_results(doc: Mapping[str, Any], results: Sequence[str]) -> dict[str,
 
 
 def mean(values: Sequence[float]) -> float:
-    """The mean; 0 of nothing."""
+    """The mean; 0 without values."""
     return sum(values) / len(values) if values else 0.0

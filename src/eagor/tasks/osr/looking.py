@@ -1,7 +1,7 @@
-"""What is seen in a scene's picture: sightings of every category, from a belief per category, or from the truth.
+"""Sightings of every category in a scene's picture, from a belief per category, or from the truth.
 
-The truth is a file physical_truth.json in the scene's folder. It is no part of the benchmark; scenes that we make have
-it, and so may others::
+The truth is the file physical_truth.json in the scene's folder. It is not part of the benchmark; our generated scenes
+have it, and others may have it, too::
 
     {"frame": "x right, y forward (ERP centre), camera at origin, metres",
      "camera": 1.5,                                     height above the floor, optional
@@ -38,21 +38,21 @@ from eagor.tasks.published import reader
 FILE = "physical_truth.json"
 TRUTH = "truth"
 DEPTH_FILE = "depth.npy"
-HEIGHT = 1.5  # metres of the camera above the floor, where nobody says
-TOUCHING = 0.05  # metres above the floor: what begins below stands on it
+HEIGHT = 1.5  # metres of the camera above the floor, by default
+TOUCHING = 0.05  # metres above the floor: a thing that begins below stands on it
 MOST = 9  # things of one category
 PROMINENCE = 0.5  # nats by which one thing has to stand out from the next
-SKIRT = 0.35  # the part of a response around a peak that is taken for the thing: down to this share of the peak
+SKIRT = 0.35  # share of a peak's height down to which the response around it belongs to the thing
 NEAR = math.radians(50)
-CELLS = 6  # as many numbers as a bump has
-_FARTHEST = 1e6  # metres from the camera; more is a mistake
+CELLS = 6  # the number of parameters of a bump
+_FARTHEST = 1e6  # metres from the camera; more is taken for a mistake
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What is around: `things`, the foot of the walls where known, and the camera's height above the floor (metres).
+    """What is around: `things`, the foot of the walls if known, and the camera's height above the floor (metres).
 
-    `strange`: names that meant nothing to the perception.
+    `strange`: names that the perception did not understand.
     """
 
     things: tuple[Sighting, ...]
@@ -65,7 +65,7 @@ Looker = Callable[[Scene, Sequence[str]], Seen]  # looks at a scene for things w
 
 
 def open_looker(perception: str, settings: Mapping[str, Any]) -> Looker:
-    """What looks: truth (true places, where the data has them; truth:outline without feet), or any perception."""
+    """The looker for truth (true places from the data; truth:outline without contacts), or for any perception."""
     name, _, how = perception.partition(":")
     if name == TRUTH:
         if how not in ("", "exact", "outline"):
@@ -80,11 +80,11 @@ def open_looker(perception: str, settings: Mapping[str, Any]) -> Looker:
 
 @dataclass(frozen=True, eq=False)
 class BeliefLooker:
-    """Sightings from a perception: its evidence for a category makes a belief, whose peaks are the things.
+    """Sightings from a perception: its evidence for a category gives a belief, whose peaks are the things.
 
-    `degree` of the belief; `height` of the camera above the floor, metres; `depth`: take ranges (metres along the ray,
-    an equirectangular array (H, W), 0 or infinite where nobody knows) from depth.npy in the scene's folder;
-    `read` changes how looks are calibrated.
+    `degree`: of the belief; `height`: of the camera above the floor, metres; `depth`: take ranges from depth.npy in the
+    scene's folder (metres along the ray, an equirectangular array (H, W), 0 or infinite if unknown); `read`:
+    recalibrates looks.
     """
 
     perception: Perception
@@ -114,7 +114,7 @@ class BeliefLooker:
 
 
 def sightings_in(evidence: Evidence, name: str, degree: int) -> list[Sighting]:
-    """The things that one evidence about `name` shows: peaks of its belief at which they are likelier than not."""
+    """The things in the evidence about `name`: peaks of its belief at which they are likelier than not."""
     belief = Belief.uniform(degree).update(evidence)
     directions, weights = belief.modes(MOST, PROMINENCE)
     above = to_numpy(belief.log_ratio(directions)) > 0
@@ -133,14 +133,14 @@ def sightings_in(evidence: Evidence, name: str, degree: int) -> list[Sighting]:
 def extent(evidence: Evidence, where: np.ndarray) -> tuple[float, float] | None:
     """Half width and half height (radians) of the thing whose response peaks near `where` ``(3,)``; None if too coarse.
 
-    The response around the peak is taken for the bump of a box: a Gaussian whose variances are those of the box, a
+    The response around the peak is modelled as the bump of a box: a Gaussian whose variances are those of the box, a
     third of its squared half sides, widened by `MIN_SPREAD`. Its logarithm is fitted by a quadratic.
     """
     response = np.asarray(to_numpy(evidence.response), dtype=np.float64).reshape(-1)
     cells = evidence.grid.directions.reshape(-1, 3)
     up = np.array([0.0, 0.0, 1.0]) - where[2] * where
     if np.linalg.norm(up) < 0.1:
-        return None  # straight above or below, sides have no direction
+        return None  # straight above or below, width and height have no direction
     up /= np.linalg.norm(up)
     side = np.cross(up, where)
     ahead = cells @ where
@@ -167,8 +167,8 @@ def read_depth(folder: Path) -> np.ndarray | None:
     if not path.is_file():
         return None
     try:
-        found = np.lib.format.open_memmap(path, mode="r")  # mapped: a header may claim more than is there
-    except Exception as error:  # its header is Python, which may be wrong in many ways
+        found = np.lib.format.open_memmap(path, mode="r")  # mapped: the header may claim more than the file holds
+    except Exception as error:  # the header is Python and may fail in many ways
         raise FormatError(f"{path} cannot be read as a NumPy array ({type(error).__name__}: {error})") from None
     if found.ndim != 2 or found.dtype.kind not in "fiu" or not found.size:
         raise FormatError(f"{path} has shape {found.shape}, {found.dtype}; wanted ranges (H, W) in metres")
@@ -176,7 +176,7 @@ def read_depth(folder: Path) -> np.ndarray | None:
 
 
 def depth_at(ranges: np.ndarray, thing: Sighting) -> float | None:
-    """The median range (metres along the ray) over the middle of a thing; None where nothing was measured."""
+    """The median range (metres along the ray) over the middle of a thing; None without measurements there."""
     x, y, _ = ErpGrid(*ranges.shape).project(thing.direction)
     tall = (thing.top - thing.bottom) / 4 if thing.top is not None and thing.bottom is not None else math.radians(1)
     rows = max(1, round(tall / math.pi * ranges.shape[0]))
@@ -202,7 +202,7 @@ class Body:
 
     @property
     def centre(self) -> np.ndarray:
-        """The middle of the footprint's bounds ``(2,)``."""
+        """The centre ``(2,)`` of the footprint's bounds."""
         return (self.footprint.min(axis=0) + self.footprint.max(axis=0)) / 2
 
     @property
@@ -213,7 +213,7 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """What is around a camera, its height above the floor (metres), and the foot of the walls where it is known."""
+    """The things around a camera, its height above the floor (metres), and the foot of the walls if known."""
 
     bodies: tuple[Body, ...]
     camera: float = HEIGHT
@@ -229,10 +229,10 @@ def true_places(scene: Scene, names: Sequence[str], exact: bool) -> Seen:
 
 
 def sightings(room: Room, names: Sequence[str] | None = None, exact: bool = True) -> list[Sighting]:
-    """How the things (with these names) look from the camera, without any error.
+    """The things (with these names) as the camera sees them, without any error.
 
-    With `exact`, the foot is the floor point below the middle, as a labelled contact would be; else only the outline of
-    the box is told, as a detector's box would, and the range has to be worked out from its lower edge.
+    With `exact`, the foot is the floor point below the middle, as a labelled contact would be. Otherwise only the
+    outline of the box is given, as from a detector, and the range has to be derived from its lower edge.
     """
     return [_sighting(body, room.camera, exact) for body in room.bodies if names is None or body.name in names]
 
@@ -245,7 +245,7 @@ def _sighting(body: Body, camera: float, exact: bool) -> Sighting:
     way = np.roll(rim, -1, axis=0) - rim
     along = np.clip(-(rim * way).sum(axis=1) / np.maximum((way * way).sum(axis=1), 1e-12), 0, 1)
     near, far = float(np.hypot(*(rim + along[:, None] * way).T).min()), float(np.hypot(*rim.T).max())
-    # Seen from above, the near rim is the lower; from below, the far one.
+    # Seen from above, the near rim is the lower one; from below, the far one.
     bottom = math.atan2(body.low - camera, near if body.low < camera else far)
     top = math.atan2(body.high - camera, far if body.high < camera else near)
     left, right = float(np.max(sides)), float(np.min(sides))
@@ -257,7 +257,7 @@ def _sighting(body: Body, camera: float, exact: bool) -> Sighting:
 
 
 def read_room(folder: Path) -> Room | None:
-    """The room of a scene's folder; None without the file. Raises `FormatError` if it is not as above."""
+    """The room of a scene's folder; None without the file. Raises `FormatError` if it is not as described above."""
     path = folder / FILE
     if not path.is_file():
         return None
@@ -271,7 +271,7 @@ def read_room(folder: Path) -> Room | None:
             raise ValueError(f"camera {camera:g}; wanted metres above the floor, above 0")
         return Room(bodies, camera, line)
     except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
-        raise FormatError(f"{path} is no room ({type(error).__name__}: {error}); see {__name__}") from None
+        raise FormatError(f"{path} is not a room ({type(error).__name__}: {error}); see {__name__}") from None
 
 
 def write_room(room: Room, folder: Path) -> Path:
@@ -315,12 +315,12 @@ def _points(written: Any) -> np.ndarray:
     """Points ``(n, 2)`` in metres. Raises `ValueError` for anything else."""
     points = [[number(value) for value in point] for point in written]
     if not points or any(len(point) != 2 or max(map(abs, point)) > _FARTHEST for point in points):
-        raise ValueError(f"{shown(written)} where points [x, y] in metres were wanted")
+        raise ValueError(f"the points are {shown(written)}; wanted [x, y] in metres")
     return np.array(points)
 
 
 def _turned(points: np.ndarray) -> np.ndarray:
-    """From x right, y forward to x forward, y left ``(n, 2)``; the way back is a quarter turn too: its negative."""
+    """From x right, y forward to x forward, y left ``(n, 2)``; the negative of the result is the way back."""
     return np.stack([points[:, 1], -points[:, 0]], axis=1)
 
 

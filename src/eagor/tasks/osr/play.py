@@ -1,4 +1,4 @@
-"""One question of OSR-Bench answered and judged: what a worker does."""
+"""Answers and scores one question of OSR-Bench: the work of a worker."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TITLES = {COUNTING: "Counting", DISTANCE: "Distance", DIRECTION: "Direction", MA
 
 
 def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
-    """What does one case: payload {"scene", "question"} (ids) -> record. Made once per process."""
+    """The function for one case: payload {"scene", "question"} (ids) -> record. Made once per process."""
     scenes = {scene.id: scene for scene in load(Path(settings["data"]), settings["suffix"])}
     agent = open_agent(settings, tuple(scenes.values()))
 
@@ -32,7 +32,7 @@ def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str,
 
 
 def open_agent(settings: Mapping[str, Any], scenes: tuple[Scene, ...]) -> Agent:
-    """The agent of these settings. Raises `EagorError` if there is no such agent, or it cannot be made."""
+    """The agent of these settings. Raises `EagorError` if it does not exist or cannot be made."""
     name, seed, negative = settings["agent"], settings["seed"], "with_negative" in settings["suffix"]
     labels = "corrected" if settings["labels"] == "corrected" else "official"
     makers: dict[str, Callable[[], Agent]] = {
@@ -80,10 +80,10 @@ def judged(scene: Scene, question: Question, reply: Reply, settings: Mapping[str
 
 
 def tags(scene: Scene, question: Question) -> list[str]:
-    """What makes a question hard, known before it is asked; direction questions alone have any.
+    """What makes a question hard, known before it is asked; only direction questions have any.
 
-    "absent": the label says that something is not there; "near a border": the dot or the cross product is at most one
-    squared cell, else "clear"; "tied": several things are equally near; "several": more than one thing has the name.
+    "absent": the label says that something is absent; "near a border": the dot or the cross product is at most one
+    squared cell, otherwise "clear"; "tied": several things are equally near; "several": several things have the name.
     """
     if question.skill != DIRECTION:
         return []
@@ -100,7 +100,7 @@ def tags(scene: Scene, question: Question) -> list[str]:
 
 
 def cause(question: Question, reply: Reply, labels: str, think: bool) -> str:
-    """Why the answer is not right."""
+    """The cause of a wrong answer."""
     if reply.notes.get("problem"):
         return "missed"
     if question.skill == DIRECTION:

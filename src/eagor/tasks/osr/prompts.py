@@ -1,9 +1,9 @@
-"""What the `vlm` agent says to a model.
+"""The prompts of the `vlm` agent.
 
-The questions are the data's own. The published runner puts a sentence before a question that comes without a map, and
-instructions for the form of the answer after it, "vanilla" (brief) or "think" (reasoning and answer between tags).
-Here these are in our words; what they ask for is the same: the same tags, the same eight directions, an integer, a
-name, or "the exact error message if applicable" without saying which messages there are.
+The questions are the data's own. The published runner puts a sentence before a question without a map, and instructions
+for the form of the answer after it: "vanilla" (brief) or "think" (reasoning and answer between tags). Ours are worded
+differently but ask for the same: the same tags, the same eight directions, an integer, a name, or "the exact error
+message if applicable" without saying which messages there are.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ _AFTER = {
 
 
 def plain_text(question: str, form: str) -> str:
-    """The words for a question without a map."""
+    """The prompt for a question without a map."""
     return f"{_BEFORE} {next_text(question, form)}"
 
 
 def next_text(question: str, form: str) -> str:
-    """The words for a question after the map was asked for and given."""
+    """The prompt for a question after the map was asked for and given."""
     return f"{question} {_AFTER[form]}"
 
 
 def with_picture(text: str, image: np.ndarray) -> list[Message]:
-    """The conversation that shows the panorama and asks for one thing."""
+    """The conversation that shows the panorama with one prompt."""
     return [Message("user", f"{text}\n{IMAGE}", (image,))]

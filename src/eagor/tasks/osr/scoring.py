@@ -1,7 +1,7 @@
-"""How OSR-Bench scores an answer, by its own rules (`evaluation_re` and the map's score of the published code).
+"""OSR-Bench's own scoring of an answer (`evaluation_re` and the map's score of the published code).
 
-One deviation, where the published code depends on the order of a set: it stops updating the totals of a map's score at
-the last category that both maps have, whichever that happens to be. Here all categories count.
+One deviation: the published code stops updating the totals of a map's score at the last category that both maps have,
+which depends on the order of a set. Here all categories count.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from eagor.tasks.osr.layout import DIRECTIONS, SIZE, Grid, grid_of, layout_of
 
 COUNTING, DISTANCE, DIRECTION, MAP = "object_counting", "relative_distance", "relative_direction", "cognitive_map"
 SKILLS = (COUNTING, DISTANCE, DIRECTION, MAP)
-NEAR = 2.0  # cells: a thing of a map is right if it is at most so far from its place
+NEAR = 2.0  # cells: a thing of a map is right if it is at most this far from its place
 FAR = 15.0  # cells: the mean distance of a map without any match
 _HYPHENS = {f"{a} {b}": f"{a}-{b}" for a in ("front", "back") for b in ("left", "right")}
 
 
 def score(skill: str, truth: Any, answer: str, think: bool = False) -> float:
-    """The score in [0, 1] of `answer`, the model's words, where `truth` is the published answer.
+    """The score in [0, 1] of `answer`, the model's words, given the published answer `truth`.
 
     - object_counting: 1 - |difference| / larger of the first whole number in the answer and the truth (0 without one).
-    - relative_distance: 1 if the whole answer is the truth, letter case and spaces around it aside.
+    - relative_distance: 1 if the whole answer is the truth, except for letter case and spaces around it.
     - relative_direction: the same, with "front left" and "front-left" alike. A full stop is one character too many.
     - cognitive_map: F1 of the map, see `score_map`; `truth` is the grid.
 
-    `think`: take what stands between <answer> and </answer>, where that is there. Raises `FormatError` for an unknown
-    skill, or a truth that is none.
+    `think`: use the text between <answer> and </answer>, if there is any. Raises `FormatError` for an unknown skill or
+    an invalid truth.
     """
     if skill == MAP:
         return score_map(truth, answer).f1
@@ -47,7 +47,7 @@ def score(skill: str, truth: Any, answer: str, think: bool = False) -> float:
 
 
 def extracted(answer: str, think: bool) -> str:
-    """What counts of an answer: with `think`, the text between the tags, or all of it where there are none."""
+    """The part of an answer that counts: with `think`, the text between the tags, or all of it without tags."""
     _, opened, rest = answer.partition("<answer>")
     said, closed, _ = rest.partition("</answer>")
     return said if think and opened and closed else answer
@@ -56,7 +56,7 @@ def extracted(answer: str, think: bool) -> str:
 def lenient(skill: str, truth: Any, answer: str) -> float:
     """The score of what was probably meant: the last direction, or the first choice, named anywhere in the answer.
 
-    Not the benchmark's; it tells mistakes of format from mistakes about the room. For other skills it is `score`.
+    Not the benchmark's; it separates mistakes of format from mistakes about the room. For other skills it is `score`.
     """
     if skill not in (DIRECTION, DISTANCE):
         return score(skill, truth, answer, think=True)
@@ -69,7 +69,7 @@ def lenient(skill: str, truth: Any, answer: str) -> float:
 
 
 def is_direction(answer: str) -> bool:
-    """Whether the scorer can take the answer for a direction at all."""
+    """Whether the scorer can read the answer as a direction at all."""
     said = answer.strip().lower()
     return said in {word.lower() for word in DIRECTIONS} or said in _HYPHENS.values()
 
@@ -78,7 +78,7 @@ def _counted(said: str, true: str) -> float:
     number = re.search(r"\d+", said)
     if not re.fullmatch(r"[+-]?\d{1,9}", true):
         raise FormatError(f"the true count is {shown(true)}; wanted a whole number")
-    if number is None or len(number.group()) > 4000:  # more digits than Python reads: as good as infinitely many
+    if number is None or len(number.group()) > 4000:  # more digits than Python reads: practically infinite
         return 0.0
     count, wanted = int(number.group()), int(true)
     return 1.0 if count == wanted else max(0.0, 1 - abs(count - wanted) / max(count, wanted))
@@ -86,9 +86,9 @@ def _counted(said: str, true: str) -> float:
 
 @dataclass(frozen=True)
 class MapScore:
-    """How well a map agrees with the truth: things at most `NEAR` cells from one of their category are found.
+    """Agreement of a map with the truth: things at most `NEAR` cells from one of their category are found.
 
-    `distance`: mean over pairs, cells. `hallucinated`: share of the named categories that are not there (CHAIR_i);
+    `distance`: mean over pairs, cells. `hallucinated`: share of the named categories that are absent (CHAIR_i);
     `hallucinated_things`: of the things. `rotation`: degrees clockwise by which the map was turned.
     """
 
@@ -104,10 +104,10 @@ class MapScore:
 def score_map(truth: Grid, reply: str) -> MapScore:
     """The score of the map in a reply, ``{"name": [[x, y], ...]}`` with x the column and y the row.
 
-    The last JSON object of the reply counts, turned by the multiple of 90 degrees with the highest F1 (of equal ones
-    the smallest); no reflection is tried. Things of a category are paired so that the sum of their distances is the
-    smallest. A reply without a usable map, or without any category that is there, scores 0. Raises `FormatError`
-    if `truth` is no grid.
+    The last JSON object of the reply counts. It is turned by the multiple of 90 degrees with the highest F1 (of equal
+    ones the smallest), but not mirrored. Things of a category are paired with the smallest sum of distances. A reply
+    without a usable map, or without any category that is present, scores 0. Raises `FormatError` for an invalid
+    `truth`.
     """
     there = layout_of(truth)
     said = read_map(reply)
@@ -140,15 +140,15 @@ def read_map(reply: str) -> dict[str, list[list[int]]] | None:
             if not (isinstance(point, list) and len(point) == 2 and all(isinstance(k, int | float) for k in point)):
                 return None
             if any(not 0 <= k < SIZE for k in point):
-                continue  # the published code drops what lies outside,
+                continue  # the published code drops cells outside the grid
             if any(not isinstance(k, int) for k in point):
-                return None  # and gives up at fractions
+                return None  # and rejects fractions
             found.setdefault(name, []).append([int(point[1]), int(point[0])])
     return found
 
 
 def turned(grid: Grid, quarters: int) -> Grid:
-    """The grid turned clockwise by so many quarters."""
+    """The grid turned clockwise by this many quarters."""
     for _ in range(quarters):
         grid = [list(column) for column in zip(*grid[::-1], strict=True)]
     return grid

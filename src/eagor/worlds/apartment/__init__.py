@@ -1,6 +1,6 @@
 """Apartments from a seed: floor plans of several families, furnished, painted and lit.
 
-`generate(seed)` is the way in. The same seed and `VERSION` give the same scene, byte for byte.
+The entry point is `generate`. The same seed and `VERSION` give the same scene, byte for byte.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ CATEGORIES = (*STRUCTURE, *sorted(KINDS))  # all that an apartment can have; it 
 def generate(seed: int) -> Scene:
     """A furnished apartment of 45 to 110 square metres with three to seven rooms, metres, z = 0 the floor.
 
-    The outer walls are along x and y. Everything in `REQUIRED` is there. One can walk up to all that stands on the
-    floor: ways are at least 0.5 m wide, and the `Ground` has free cells within 0.75 m of it. At least three solid
-    pieces have a name (colour and category) of their own though there are others of their category, and at least one
-    name belongs to several pieces. `facts["family"]` names the kind of floor plan.
+    The outer walls are along x and y. Everything in `REQUIRED` is there. Everything on the floor can be approached:
+    passages are at least 0.5 m wide, and the `Ground` has free cells within 0.75 m of it. At least three solid pieces
+    have a unique name (colour and category) although there are others of their category, and at least one name belongs
+    to several pieces. `facts["family"]` names the kind of floor plan.
     Raises `WorldError` for a negative seed, or if nothing can be built from it.
     """
     return build(seed, f"apartment {VERSION} seed {seed}")[1]

@@ -1,8 +1,8 @@
-"""What textures are drawn with: named colours, a canvas of linear light, noise that repeats, ridges, brushes.
+"""Drawing tools for textures: named colours, a canvas of linear light, periodic noise, ridges, brushes.
 
-Named colours are as furniture wears them, cloth, paint and wood rather than pure primaries; the names are those of
-`eagor.queries.COLOURS`. Each has a few tones, and every call of `sRGB` shifts the tone a little, so that two red chairs
-are both red and still not alike. All other colours are linear RGB ``(3,)``.
+Named colours are tones of cloth, paint and wood rather than pure primaries; the names are those of
+`eagor.queries.COLOURS`. Each has a few tones, and every call of `sRGB` varies the tone a little, so that two red
+chairs are both red but not identical. All other colours are linear RGB ``(3,)``.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from eagor.queries import COLOURS
 RGB = tuple[float, float, float]
 Point = tuple[float, float]
 
-# sRGB, 0 to 255. Chosen to keep their name from full light down to a third of it, as far as the name allows: beige
-# and pink in deep shade are brown and purple to anyone, white is grey.
+# sRGB, 0 to 255. Each keeps its name from full light down to a third of it, as far as possible: beige and pink in deep
+# shade look brown and purple to anyone, white looks grey.
 TONES: dict[str, tuple[tuple[int, int, int], ...]] = {
     "black": ((32, 32, 34), (27, 26, 28), (35, 33, 32)),
     "white": ((243, 241, 236), (238, 238, 236), (245, 244, 241)),
@@ -37,12 +37,12 @@ TONES: dict[str, tuple[tuple[int, int, int], ...]] = {
 
 
 def sRGB(colour: str, rng: np.random.Generator) -> RGB:
-    """A believable tone of a named colour, sRGB in [0, 1]. Raises `WorldError` for a name outside `COLOURS`."""
+    """A tone of a named colour, sRGB in [0, 1]. Raises `WorldError` for a name outside `COLOURS`."""
     if colour not in TONES:
         raise WorldError(f"there is no colour {colour!r}; wanted one of {', '.join(COLOURS)}")
     tones = TONES[colour]
     tone = np.array(tones[rng.integers(len(tones))]) / 255
-    hue = 0.005 if colour in ("black", "white", "grey") else 0.015  # white that drifts further is pink or green
+    hue = 0.005 if colour in ("black", "white", "grey") else 0.015  # more would turn white into pink or green
     shifted = tone * rng.uniform(0.95, 1.05) * rng.uniform(1 - hue, 1 + hue, size=3)
     r, g, b = np.clip(shifted, 0.0, 0.97)
     return float(r), float(g), float(b)
@@ -54,9 +54,9 @@ def linear(rgb: tuple[int, int, int]) -> np.ndarray:
 
 
 def noise(rng: np.random.Generator, shape: tuple[int, int], slope: float = 1.0, stretch: float = 1.0) -> np.ndarray:
-    """Noise ``(rows, columns)`` that repeats without a seam: mean 0, deviation 1, amplitude 1 / frequency ** slope.
+    """Periodic noise ``(rows, columns)``: mean 0, standard deviation 1, amplitude 1 / frequency ** slope.
 
-    `stretch` > 1 draws it out along the columns (u), < 1 along the rows.
+    `stretch` > 1 stretches it along the columns (u), < 1 along the rows.
     """
     rows, columns = shape
     v, u = np.meshgrid(np.fft.fftfreq(rows, 1 / rows), np.fft.rfftfreq(columns, 1 / columns), indexing="ij")
@@ -70,9 +70,9 @@ def noise(rng: np.random.Generator, shape: tuple[int, int], slope: float = 1.0, 
 
 @dataclass(frozen=True, eq=False)
 class Canvas:
-    """A picture in the making: `rgb` ``(h, w, 3)`` linear light, drawn on in place.
+    """A picture being drawn: `rgb` ``(h, w, 3)`` linear light, changed in place.
 
-    `x` to the right from 0 to w/h and `y` up from 0 to 1, each ``(h, w)``: a circle is a circle.
+    `x` to the right from 0 to w/h and `y` up from 0 to 1, each ``(h, w)``, so circles are round.
     """
 
     rgb: np.ndarray
@@ -154,7 +154,7 @@ _ACCENTS = ("red", "orange", "yellow", "green", "blue", "purple", "pink", "brown
 
 
 def accent(rng: np.random.Generator) -> np.ndarray:
-    """A colour of any name."""
+    """A random named colour."""
     tones = TONES[_ACCENTS[rng.integers(len(_ACCENTS))]]
     return linear(tones[rng.integers(len(tones))])
 

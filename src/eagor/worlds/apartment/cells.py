@@ -1,4 +1,4 @@
-"""A plan carved from a grid of cells as wide as its lines ask for.
+"""A plan on a grid of cells whose widths follow its lines.
 
 Each cell is air of a room, air outside, or solid. The rooms' rectangles and the free stretches of wall are read from
 it here, the surfaces of the building in `eagor.worlds.apartment.shell`.
@@ -16,7 +16,7 @@ from eagor.worlds.scene import Room
 
 SOLID = -2
 _OUTWARDS = OUTER_WALL - HALF_WALL
-NICHE = 0.06  # how deep the closed front door sits in its wall
+NICHE = 0.06  # depth of the closed front door in its wall
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Cells:
 class WallFace:
     """A free stretch of wall from the floor up, seen from its room: at `line`, from `start` to `end` along `axis`.
 
-    The room lies on the high side where `side` is 1, on the low side where it is -1.
+    `side` is 1 if the room lies on the high side, -1 if it lies on the low side.
     """
 
     room: int
@@ -49,7 +49,7 @@ class WallFace:
 
 
 def carve(plan: Plan, levels: tuple[float, ...] = ()) -> Cells:
-    """The cells of a plan, cut at further `levels` of z where the look of a wall changes."""
+    """The cells of a plan, split at further `levels` of z where the look of a wall changes."""
     width, depth = plan.extent
     holes: tuple[Opening, ...] = (*plan.doorways, *plan.windows)
     cuts: tuple[set[float], set[float]] = (set(), set())
@@ -137,7 +137,7 @@ def _corners_of_walls(plan: Plan) -> set[tuple[float, float]]:
 
 
 def _reach(hole: Opening) -> tuple[float, float, float, float]:
-    """The rectangle that is really cut: the front door is a niche, all others go through the wall."""
+    """The rectangle that is cut out: the front door is a niche, all others go through the wall."""
     boundary = hole.boundary
     if OUTSIDE in boundary.rooms and hole.sill == 0.0:
         inner = HALF_WALL if boundary.rooms[0] == OUTSIDE else -HALF_WALL

@@ -63,7 +63,7 @@ def cushion(low: Triple, high: Triple, puff: float = 0.03, radius: float = 0.05)
     away = place - anchor
     length = np.linalg.norm(away, axis=1, keepdims=True)
     round_place = anchor + away * (radius / np.maximum(length, 1e-12)) * (length > 0)
-    # A face swells like the product of two parabolas, so that its edges stay where they are.
+    # A face swells like the product of two parabolas, so its edges stay in place.
     bump = 1 - (round_place / core) ** 2
     swell = np.stack([bump[:, 1] * bump[:, 2], bump[:, 2] * bump[:, 0], bump[:, 0] * bump[:, 1]], axis=1)
     swelled = round_place + puff * np.clip(swell, 0, 1) * round_place / core
@@ -138,9 +138,9 @@ def tube(path: Sequence[Triple] | np.ndarray, radius: float | Sequence[float] | 
     side = np.cross(legs[0], np.eye(3)[np.abs(legs[0]).argmin()])
     rings = np.empty((len(path), sides, 3))
     for i, leg in enumerate(legs):
-        if i > 0:  # by the smallest rotation from leg to leg, or the bar would twist
+        if i > 0:  # the smallest rotation from leg to leg, as otherwise the bar would twist
             both = legs[i - 1] + leg
-            side = side - both * (2 * (side @ both) / (both @ both))  # what it does to a direction square to the legs
+            side = side - both * (2 * (side @ both) / (both @ both))  # applied to a direction normal to the legs
             side = side - leg * (side @ leg)
         side = side / np.linalg.norm(side)
         around = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * np.cross(leg, side)
@@ -181,7 +181,7 @@ def slab(points: np.ndarray, thickness: float) -> Mesh:
     points = np.asarray(points, dtype=np.float64)
     normal = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
     behind = points - thickness * normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
-    # The same cells and diagonals as in front, seen from the other side, or the two would cross where they are uneven.
+    # The same cells and diagonals as in front, seen from the other side; otherwise uneven faces would cross.
     back = Mesh(behind.reshape(-1, 3).astype(np.float32), front.triangles[:, ::-1].copy(), front.uv[:, ::-1].copy())
 
     def rim(grid: np.ndarray) -> np.ndarray:

@@ -37,9 +37,9 @@ class Apartment:
 
 
 def build(seed: int, source: str) -> tuple[Apartment, Scene]:
-    """The apartment of a seed and its scene: new plans are drawn until one takes all that has to be in it.
+    """The apartment of a seed and its scene: new plans are drawn until one fits everything that is required.
 
-    A person, as `Ground` knows one, can walk up to all of its furniture. Raises `WorldError` for a negative seed, or if
+    A person (the body of `Ground`) can walk up to all of its furniture. Raises `WorldError` for a negative seed, or if
     nothing can be built from it.
     """
     if seed < 0:
@@ -67,7 +67,7 @@ def build(seed: int, source: str) -> tuple[Apartment, Scene]:
 
 
 def _out_of_reach(apartment: Apartment, scene: Scene) -> list[Piece]:
-    """The solid pieces that no free ground is beside."""
+    """The solid pieces without free ground beside them."""
     ground = Ground.from_scene(scene)
     things = scene.instances[len(scene.instances) - len(apartment.pieces) :]
     return [

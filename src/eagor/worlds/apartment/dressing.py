@@ -1,4 +1,4 @@
-"""What comes last: rugs, paintings, small things on tables, lamps at the ceiling."""
+"""The last items: rugs, paintings, small things on tables, ceiling lamps."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from eagor.worlds.apartment.furnisher import Furnisher, NoRoom, Piece
 from eagor.worlds.apartment.placement import footprint, from_rectangle, untouched
 from eagor.worlds.apartment.sites import Sites, advanced, before, in_room, joined, on_face, relative
 
-_TOPS = {"table": 0.6, "coffee table": 0.6, "desk": 0.6, "dresser": 0.8, "nightstand": 0.5}  # chance of something on it
+_TOPS = {"table": 0.6, "coffee table": 0.6, "desk": 0.6, "dresser": 0.8, "nightstand": 0.5}  # chance of an item on it
 _EYE_LEVEL = 1.52
 
 
@@ -93,7 +93,7 @@ def small_things(f: Furnisher, categories: tuple[str, ...]) -> None:
 
 
 def ceiling_lamps(f: Furnisher, room: int) -> None:
-    """One lamp in the middle of each part of a room, two in a large or long one; `NoRoom` where none has a place."""
+    """One lamp in the middle of each part of a room, two in a large or long one; `NoRoom` if none fits."""
     made = f.make("ceiling lamp")
     depth, width, height = (float(length) for length in made.size)
     ceiling = f.floor.plan.height

@@ -1,7 +1,7 @@
-"""The families of floor plans: which rooms lie where, and which of them join.
+"""The families of floor plans: the arrangement of the rooms, and the connections between them.
 
-A layout is drawn on the centre lines of the walls, in metres, in the rectangle from (0, 0); `eagor.worlds.apartment.
-plans` mirrors and turns it, cuts doors and windows, and rejects the ones whose rooms came out too small or too large.
+A layout is drawn on the centre lines of the walls, in metres, in the rectangle from (0, 0). `eagor.worlds.apartment.
+plans` mirrors and turns it, cuts doors and windows, and rejects layouts with rooms that are too small or too large.
 """
 
 from __future__ import annotations
@@ -17,10 +17,7 @@ Rooms = list[tuple[str, tuple[Rectangle, ...]]]  # kinds, and what they consist 
 
 @dataclass(frozen=True)
 class Layout:
-    """Rooms as `(kind, rectangles)`; `doors` and `openings` (no wall between) as pairs of places in `rooms`.
-
-    `entrance` is the room with the front door.
-    """
+    """Rooms as `(kind, rectangles)`; `doors`, `openings` as pairs of room indices; `entrance`: the front door's."""
 
     rooms: tuple[tuple[str, tuple[Rectangle, ...]], ...]
     doors: tuple[tuple[int, int], ...]
@@ -177,7 +174,7 @@ _WIDTHS = {
 
 
 def _draw(rng: np.random.Generator, low: float, high: float) -> float:
-    return _snap(rng.uniform(min(low, high), high))  # where nothing fits, the plan is rejected for its room sizes
+    return _snap(rng.uniform(min(low, high), high))  # if nothing fits, the plan is rejected for its room sizes
 
 
 def _snap(metres: float) -> float:
@@ -196,7 +193,7 @@ def _row(kinds: list[str], widths: list[float], y0: float, y1: float) -> Rooms:
 
 def _divided(rng: np.random.Generator, wing: int, rectangle: Rectangle, hall: Rectangle) -> tuple[Rectangle, Rectangle]:
     """A wing of the pinwheel cut in two: the part at the hall, and the part at the corner of the building."""
-    axis = wing % 2  # along which it is cut
+    axis = wing % 2  # the axis along which it is cut
     low, high, start, end = rectangle[axis], rectangle[axis + 2], hall[axis], hall[axis + 2]
     first, last = list(rectangle), list(rectangle)
     if wing < 2:

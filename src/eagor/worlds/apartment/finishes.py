@@ -1,4 +1,4 @@
-"""How the rooms of an apartment are painted, tiled and floored, and how strong their ceiling lamps have to be."""
+"""Paint, tiles and floors of an apartment's rooms, and the power of their ceiling lamps."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ _WHITES = ((240, 234, 222), (238, 236, 230), (236, 228, 214))
 _TINTS = ((222, 230, 216), (214, 224, 232), (238, 222, 204), (232, 216, 214), (226, 220, 236), (240, 230, 196))
 
 
-# A room in which one ceiling lamp of the power that it is built with is right: square metres of floor, walls and
-# ceiling, and the share of the light that they swallow.
+# The reference room, for which one ceiling lamp of default power is right: square metres of floor, walls and ceiling,
+# and the share of the light that they absorb.
 _SURFACE, _ABSORPTION = 60.0, 0.45
-_SHARES = (0.2, 1.7)  # of that power: no lamp is much weaker or stronger than those on sale
-_FURNISHED = 0.15  # share of the surface that furniture and open doors hide
-_DARK = 0.75  # what those swallow
+_SHARES = (0.2, 1.7)  # range of that power, as of real lamps
+_FURNISHED = 0.15  # share of the surface that furniture and open doors cover
+_DARK = 0.75  # absorption of those
 
 
 @dataclass(frozen=True, eq=False)
 class Finish:
-    """The surfaces of a room; `tiled`: from which to which height all of its walls have `tiles`."""
+    """The surfaces of a room; `tiled`: the range of height in which all of its walls have `tiles`."""
 
     wall: Look
     tiles: Look | None
@@ -77,7 +77,7 @@ def draw_finishes(plan: Plan, rng: np.random.Generator) -> tuple[Finish, ...]:
 
 
 def _tinted(look: Material, tone: tuple[int, int, int], rng: np.random.Generator) -> Material:
-    """`look` in a tone (sRGB, 0 to 255) of its own, moved a little."""
+    """`look` in a slightly varied tone (sRGB, 0 to 255)."""
     linear = to_linear(np.array(tone) / 255 * rng.uniform(0.98, 1.02))
     if look.texture is not None:
         linear = linear / to_linear(look.texture[::4, ::4] / 255).mean(axis=(0, 1))
@@ -86,9 +86,9 @@ def _tinted(look: Material, tone: tuple[int, int, int], rng: np.random.Generator
 
 
 def lit(pieces: Sequence[Piece], rooms: Sequence[Room], finishes: Sequence[Finish], height: float) -> list[Piece]:
-    """The same pieces, the ceiling lamps as strong as their rooms want it; `height` of the rooms in metres.
+    """The same pieces with ceiling lamps of a power that suits their rooms; `height` of the rooms in metres.
 
-    The light between walls is the power of the lamps over what the surfaces swallow (the integrating sphere).
+    The light between walls is the power of the lamps over the absorption of the surfaces (the integrating sphere).
     """
     count = Counter(piece.room for piece in pieces if piece.category == "ceiling lamp")
     shares = {
@@ -99,7 +99,7 @@ def lit(pieces: Sequence[Piece], rooms: Sequence[Room], finishes: Sequence[Finis
 
 
 def _swallowed(room: Room, finish: Finish, height: float) -> float:
-    """Square metres of black that would swallow as much light as floor, walls and ceiling of a room do."""
+    """The absorption of a room's floor, walls and ceiling, as square metres of black."""
     x0, y0, x1, y1 = room.rectangles.T
     walls = float((2 * (x1 - x0 + y1 - y0)).sum()) * height
     low, high = (float(np.clip(level, 0, height)) for level in finish.tiled)

@@ -1,4 +1,4 @@
-"""Kitchen rows and bathrooms: pieces that stand side by side at walls."""
+"""Kitchen units and bathrooms: pieces side by side at walls."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _ROWS = (
 
 
 def kitchen(f: Furnisher, room: int) -> bool:
-    """A row of units along one wall, as many as it takes; what is not in the row stands elsewhere, if it can."""
+    """A row of units along one wall, as many as fit; the others stand elsewhere if there is room."""
     start = f.mark()
 
     def width(model: Model) -> float:
@@ -38,7 +38,7 @@ def kitchen(f: Furnisher, room: int) -> bool:
     cabinets = sorted([first, *(f.make("cabinet", first.colour) for _ in range(2))], key=width)
     for row in _ROWS:
         if row.count("cabinet") == 2:
-            choices = [[made, made] for made in (cabinets[1], cabinets[0])]  # under one kind of worktop
+            choices = [[made, made] for made in (cabinets[1], cabinets[0])]  # both with the same worktop
         else:
             choices = [cabinets[i : i + 1] for i in (2, 1, 0)] if "cabinet" in row else [[]]
         for choice in choices:
@@ -65,7 +65,7 @@ def bathroom(f: Furnisher, room: int) -> bool:
 
 
 def splashback(piece: Piece, plan: Plan, tiles: Look) -> Part | None:
-    """Tiles on the wall above a kitchen unit, up to a window if there is one; None where no unit stands at a wall."""
+    """Tiles on the wall above a kitchen unit, up to a window if there is one; None if no unit stands at a wall."""
     if piece.category not in ("cabinet", "sink", "stove") or plan.spaces[piece.room].kind != "kitchen":
         return None
     sills = [w.sill for w in plan.windows if overlaps(piece.box, from_rectangle(w.approach(0.4, 0.05)))[0, 0]]
@@ -82,7 +82,7 @@ def _at_wall(f: Furnisher, room: int, made: Model, front: float, side: float = 0
 
 
 def _row(f: Furnisher, room: int, units: list[Model]) -> bool:
-    """Set units down side by side, flush with each other, at the longest wall that takes them."""
+    """Place units side by side, flush with each other, at the longest wall that is long enough."""
     widths = np.array([float(model.size[1]) for model in units]) + 0.004
     starts = np.cumsum([0.0, *widths])
     faces = [face for face in f.floor.faces if face.room == room]
@@ -93,7 +93,7 @@ def _row(f: Furnisher, room: int, units: list[Model]) -> bool:
         for turned in f.rng.permutation(2):
             for offset in (0.0, free, float(f.rng.uniform(0, free))):
                 middle = face.start + GAP + offset + starts[:-1] + widths / 2
-                if turned:  # the row read from its other end
+                if turned:  # the row in reverse order
                     middle = face.start + face.end - middle
                 boxes = [on_face(face, middle[[i]], GAP, model.size) for i, model in enumerate(units)]
                 zone = before(np.concatenate(boxes), 0.7)
@@ -106,6 +106,6 @@ def _row(f: Furnisher, room: int, units: list[Model]) -> bool:
 
 
 def _unit_fits(f: Furnisher, room: int, model: Model, box: np.ndarray) -> bool:
-    """Whether a unit has its place ``(1, 5)`` in a row; before a window only a sink, where a tap may stand."""
+    """Whether a unit fits into its place ``(1, 5)`` in a row; only a sink, with its tap, may stand before a window."""
     sill = 1.0 if model.category == "sink" else model.height
     return bool(f.floor.fits(room, box, (0.0, model.height), 0.004)[0] and f.floor.beside_windows(box, sill)[0])

@@ -1,4 +1,4 @@
-"""Which furniture goes into which room."""
+"""The choice of furniture for each room."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from eagor.worlds.apartment.sites import along_walls
 
 REQUIRED = ("chair", "bed", "plant", "toilet", "tv", "sofa", "table", "sink")
 
-# What else stands in a room of each kind: category, chance, and how many square metres of the room each further one
-# takes; the free floor before it in metres.
+# Further furniture per kind of room: category, probability, square metres of the room for each further piece, and free
+# floor before it in metres.
 _MORE: dict[str, tuple[tuple[str, float, float, float], ...]] = {
     "living room": (
         ("bookshelf", 0.8, 20, 0.6), ("dresser", 0.45, 30, 0.5), ("plant", 1.0, 11, 0.0), ("lamp", 0.8, 16, 0.0),
@@ -40,7 +40,7 @@ _RUGS = {"living room": 0.85, "bedroom": 0.7, "study": 0.5, "dining room": 0.5, 
 
 
 def furnish(floor: Floor, rng: np.random.Generator) -> list[Piece]:
-    """Furniture for all rooms. Raises `NoRoom` where something that every apartment has finds no place."""
+    """Furniture for all rooms. Raises `NoRoom` if a required piece does not fit."""
     f = Furnisher(floor, rng)
     f.habits["chair"] = str(rng.choice(KINDS["chair"].colours))
     kinds = [space.kind for space in floor.plan.spaces]
@@ -52,7 +52,7 @@ def furnish(floor: Floor, rng: np.random.Generator) -> list[Piece]:
             if not any(rule(f, room) for _ in range(4)):
                 raise NoRoom(f"the {kind} is too small for what belongs there")
     _meals(f, kinds)
-    for room in _of(kinds, "kitchen"):  # a small table more, where there is space
+    for room in _of(kinds, "kitchen"):  # one more small table, if there is space
         if floor.rooms[room].area > 9.5 and not f.of("table", room) and rng.random() < 0.7:
             groups.dining(f, room, 2, 3)
     for room in _of(kinds, "bedroom"):
@@ -120,7 +120,7 @@ def _one_more(f: Furnisher, room: int, category: str, front: float) -> bool:
 
 
 def _at_least(f: Furnisher, category: str, count: int) -> None:
-    """More of a category in any rooms where it is at home, until there are `count`, if they find places."""
+    """Add pieces of a category to its usual rooms until there are `count`, as far as they fit."""
     rooms = [i for i, space in enumerate(f.floor.plan.spaces) if space.kind in KINDS[category].rooms]
     for _ in range(3):
         for room in f.rng.permutation(rooms).tolist():

@@ -1,4 +1,4 @@
-"""Pieces of furniture that have found their place, and the one who sets them down."""
+"""Placed pieces of furniture, and the `Furnisher` that places them."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from eagor.worlds.apartment.placement import Floor
 from eagor.worlds.apartment.sites import Sites, before
 
 _LEAST_UNIQUE = 3
-# Never in a colour of their own: fixtures come in the colour of their room, the units of a kitchen in one.
+# Without a colour of their own: fixtures take the colour of their room, and all units of a kitchen share one.
 _FIXED = ("sink", "toilet", "bathtub", "cabinet", "refrigerator", "stove")
 
 
 class NoRoom(Exception):
-    """A piece that every apartment has found no place."""
+    """A required piece does not fit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A model in its place.
+    """A placed model.
 
-    `room`: its place in the plan; `box`: its footprint ``(5,)``; `position` ``(3,)`` of the model's origin; `solid`: it
-    stands in the way.
+    `room`: its index in the plan; `box`: its footprint ``(5,)``; `position` ``(3,)`` of the model's origin; `solid`:
+    whether it is an obstacle.
     """
 
     room: int
@@ -57,7 +57,7 @@ class Piece:
 
 @dataclass
 class Furnisher:
-    """Builds pieces and sets them down (mutable): `pieces` are those that stand."""
+    """Builds pieces and places them (mutable); `pieces` are the placed ones."""
 
     floor: Floor
     rng: np.random.Generator
@@ -65,7 +65,7 @@ class Furnisher:
     pieces: list[Piece] = field(default_factory=list)
 
     def make(self, category: str, colour: str | None = None) -> Model:
-        """A new model. Without a colour, it has most often the one that its kind has in this home."""
+        """A new model. Without a colour, mostly in the usual one of its kind in this home."""
         seed = int(self.rng.integers(2**31))
         colours = KINDS[category].colours
         if colour is None and colours:
@@ -74,21 +74,21 @@ class Furnisher:
         return replace(build(category, colour, np.random.default_rng(seed)), seed=seed)
 
     def fits(self, room: int, boxes: np.ndarray, model: Model) -> np.ndarray:
-        """Which footprints ``(n, 5)`` have room for a model on the floor, and stand before no window too low for it."""
+        """The footprints ``(n, 5)`` with room for a model on the floor, and not before a window that it would cover."""
         good = self.floor.fits(room, boxes, (0.0, model.height))
         return good & self.floor.beside_windows(boxes, model.height)
 
     def open_before(self, room: int, zone: np.ndarray) -> np.ndarray:
-        """Which pieces of floor ``(n, 5)`` are free and lie in the room or in those that are open to it."""
+        """The pieces of floor ``(n, 5)`` that are free and lie in the room or in those that are open to it."""
         return self.floor.clear(zone) & self.floor.open_inside(room, zone)
 
     def record(self, model: Model, room: int, box: np.ndarray, z: float = 0.0, solid: bool = True) -> Piece:
-        """Note a piece whose place has been checked."""
+        """Add a piece whose place has been checked."""
         self.pieces.append(Piece(room, model, box, np.array([box[0], box[1], z]), solid))
         return self.pieces[-1]
 
     def set_down(self, group: list[tuple[Model, np.ndarray]], room: int) -> list[Piece] | None:
-        """Set models down together on the floor, if one can still walk everywhere; else None."""
+        """Place models together on the floor if one can still walk everywhere; otherwise None."""
         if not self.floor.put([box for _, box in group], [model.height for model, _ in group]):
             return None
         return [self.record(model, room, box) for model, box in group]
@@ -96,7 +96,7 @@ class Furnisher:
     def settle(
         self, model: Model, room: int, sites: Sites, *, front: float = 0.5, reserve: bool = True
     ) -> Piece | None:
-        """Set a model down on the best site with `front` metres of free floor before it; None if there is none.
+        """Place a model on the best site with `front` metres of free floor before it; None if there is none.
 
         `reserve` keeps that floor free from then on.
         """
@@ -113,12 +113,12 @@ class Furnisher:
         return None
 
     def mark(self) -> tuple[np.ndarray, int, int, int, int]:
-        """The state to which `back_to` returns."""
+        """The state, for `back_to`."""
         floor = self.floor
         return floor.near.copy(), len(floor.solid), len(floor.kept), len(floor.around), len(self.pieces)
 
     def back_to(self, mark: tuple[np.ndarray, int, int, int, int]) -> None:
-        """Take away everything that was set down since `mark`."""
+        """Remove everything placed since `mark`."""
         floor = self.floor
         floor.near = mark[0].copy()
         for things, count in zip((floor.solid, floor.kept, floor.around, self.pieces), mark[1:], strict=True):
@@ -130,10 +130,10 @@ class Furnisher:
 
 
 def tell_apart(f: Furnisher) -> None:
-    """Give single pieces, mostly a chair, another colour, so that "the red chair" among others is a question.
+    """Recolour single pieces, mostly a chair, so that "the red chair" is one of several chairs.
 
-    Afterwards at least three solid pieces have a name of their own although their category occurs more than once, and
-    at least one name occurs several times. Raises `NoRoom` if that fails.
+    Afterwards at least three solid pieces have a unique name although their category occurs more than once, and at
+    least one name occurs several times. Raises `NoRoom` if that fails.
     """
     chairs = f.of("chair")
     odd = int(f.rng.choice([0, 1, 2], p=[0.12, 0.7, 0.18])) if len(chairs) > 3 else 0
@@ -146,7 +146,7 @@ def tell_apart(f: Furnisher) -> None:
         repeated = [p for p in solid if names[p.name] > 1]
         if len(unique) >= _LEAST_UNIQUE and repeated:
             return
-        # Of chairs at least two stay alike.
+        # At least two chairs stay alike.
         pool = [p for p in repeated if p.category not in _FIXED and (p.category != "chair" or names[p.name] > 2)]
         if not pool:
             break
@@ -155,7 +155,7 @@ def tell_apart(f: Furnisher) -> None:
 
 
 def _recolour(f: Furnisher, piece: Piece) -> None:
-    """Build `piece` again in a colour that no other of its category has; its size has to stay."""
+    """Build `piece` again in a colour that no other of its category has, if its size stays the same."""
     taken = {other.model.colour for other in f.of(piece.category)}
     colours = [colour for colour in KINDS[piece.category].colours if colour not in taken]
     for colour in f.rng.permutation(colours).tolist():

@@ -1,4 +1,4 @@
-"""Pieces that belong together: sofa and television, table and chairs, bed and nightstands, desk and chair."""
+"""Groups of pieces: sofa and television, table and chairs, bed and nightstands, desk and chair."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def lounge(f: Furnisher, room: int) -> bool:
     between[:, :2] = (screen[:, :2] + seat[:, :2]) / 2
     between[:, 2], between[:, 3] = gap / 2 - 0.01, 0.55
     good = f.fits(room, screen, television) & f.fits(room, seat, sofa) & f.open_before(room, between)
-    # A sofa stands at a wall, or else far enough from it to walk behind.
+    # A sofa stands at a wall, or far enough from it to walk behind.
     behind = reversed_(seat)
     good &= ~f.floor.open_inside(room, before(behind, 0.12)) | f.floor.open_inside(room, before(behind, 0.65))
     deep = float(low_table.size[0])
@@ -50,7 +50,7 @@ def lounge(f: Furnisher, room: int) -> bool:
 
 
 def easy_seat(f: Furnisher, room: int) -> Piece | None:
-    """An armchair beside the coffee table, turned to it, or else one that stands at a wall."""
+    """An armchair beside the coffee table, turned to it, or one at a wall."""
     chair = f.make("armchair")
     size = chair.size
     sites = along_walls(f.floor, room, size, f.rng, corner=0.4, side=0.1, gap=0.08)
@@ -118,8 +118,8 @@ def workplace(f: Furnisher, room: int) -> bool:
 
 
 def sleeping(f: Furnisher, room: int) -> bool:
-    """A bed with its head to a wall and what nightstands find a place beside it."""
-    for _ in range(3):  # beds are of very different widths
+    """A bed with its head to a wall, and nightstands beside it if they fit."""
+    for _ in range(3):  # beds vary a lot in width
         made = f.make("bed")
         double = made.size[1] > 1.3
         corner, middle = (0.0, 0.4) if double else (0.5, 0.0)
@@ -142,7 +142,7 @@ def sleeping(f: Furnisher, room: int) -> bool:
 
 
 def _round_table(f: Furnisher, table: np.ndarray, chair: np.ndarray, wanted: int) -> np.ndarray:
-    """Places ``(n, 5)`` for chairs of a size round a table, the most natural first."""
+    """Places ``(n, 5)`` for chairs of one size round a table, the most natural first."""
     depth, width = float(chair[0]), float(chair[1])
     hx, hy = float(table[2]), float(table[3])
     square = abs(hx - hy) < 0.1
@@ -186,7 +186,7 @@ def _facing_pairs(f: Furnisher, room: int, tv: np.ndarray, sofa: np.ndarray) -> 
 
 
 def _opposite(face: WallFace, other: WallFace) -> bool:
-    """Whether two walls of a room look at each other."""
+    """Whether two walls of a room face each other."""
     facing = face.room == other.room and face.axis == other.axis and face.side == -other.side
     return (
         facing and (other.line - face.line) * face.side > 0 and min(face.end, other.end) > max(face.start, other.start)

@@ -1,9 +1,9 @@
-"""Meshes: what one is, moving and joining them, covering them with a material; solids with flat faces.
+"""Meshes: moving and joining them, covering them with a material; solids with flat faces.
 
 Model frame: x forward, y left, z up, right-handed, metres. Triangles run counter-clockwise seen from outside. Corners
-that share a vertex are meant to be shaded smoothly, hard edges have vertices of their own. Texture coordinates are
-metres along the surface until `part` divides them by the size of one repeat; textures with a direction (the grain of
-wood) run along u. `eagor.worlds.apartment.curved` has the round and soft shapes.
+that share a vertex are shaded smoothly; hard edges have separate vertices. Texture coordinates are metres along the
+surface until `part` divides them by the size of one repeat; textures with a direction (wood grain) run along u.
+`eagor.worlds.apartment.curved` has the round and soft shapes.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Part(Mesh):
 
 
 def part(mesh: Mesh, material: Material, repeat: float | tuple[float, float] = 1.0) -> Part:
-    """`mesh` covered with `material`, of whose texture one repeat measures `repeat` metres (or (u, v) metres)."""
+    """`mesh` covered with `material`; one repeat of its texture measures `repeat` metres (or (u, v) metres)."""
     uv = mesh.uv / np.broadcast_to(np.asarray(repeat, dtype=np.float32), (2,))
     return Part(mesh.vertices, mesh.triangles, uv.astype(np.float32), material)
 
@@ -70,14 +70,14 @@ def turned(mesh: Mesh, rotation: np.ndarray, about: Triple = (0.0, 0.0, 0.0)) ->
 
 
 def mirrored(mesh: Mesh, axis: int) -> Mesh:
-    """`mesh` flipped through the plane where coordinate `axis` is zero; outside stays outside."""
+    """`mesh` mirrored in the plane where coordinate `axis` is zero; its outside stays the outside."""
     sign = np.ones(3, dtype=np.float32)
     sign[axis] = -1
     return Mesh(mesh.vertices * sign, mesh.triangles[:, ::-1].copy(), mesh.uv[:, ::-1].copy())
 
 
 def merged(*meshes: Mesh) -> Mesh:
-    """All the meshes as one; they stay as they are, nothing is welded."""
+    """All meshes as one; no vertices are merged."""
     if len(meshes) == 1:
         return meshes[0]
     if not meshes:
@@ -131,7 +131,7 @@ def planar_uv(vertices: np.ndarray, triangles: np.ndarray, grain: int | None = N
 
 
 def reshaped(mesh: Mesh, change: Callable[[np.ndarray], np.ndarray]) -> Mesh:
-    """`mesh` with its vertices ``(V, 3)`` put where `change` sends them (float64); the texture stays on its corners."""
+    """`mesh` with its vertices ``(V, 3)`` mapped by `change` (float64); each corner keeps its texture coordinates."""
     return Mesh(np.asarray(change(mesh.vertices.astype(np.float64)), dtype=np.float32), mesh.triangles, mesh.uv)
 
 
@@ -146,7 +146,7 @@ def checked_bounds(low: Triple, high: Triple, what: str) -> tuple[np.ndarray, np
 
 
 def quad_triangles(count: int) -> np.ndarray:
-    """Two triangles for each of so many faces with four corners of their own ``(2 count, 3)``."""
+    """Two triangles for each of `count` faces with four corners of their own ``(2 count, 3)``."""
     return (np.arange(count)[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3).astype(np.int32)
 
 
@@ -169,7 +169,7 @@ def whole(triangles: np.ndarray) -> np.ndarray:
 
 
 def grid_triangles(index: np.ndarray) -> np.ndarray:
-    """Two triangles for each cell of a grid of vertex numbers (rows, columns), less those with a repeated corner."""
+    """Two triangles for each cell of a grid of vertex numbers (rows, columns), without those with a repeated corner."""
     triangles = halves(index).reshape(-1, 3)
     return triangles[whole(triangles)].astype(np.int32)
 
@@ -236,7 +236,7 @@ def bevelled(low: Triple, high: Triple, radius: float, segments: int = 1, grain:
 
 
 def prism(outline: np.ndarray, low: float, high: float, axis: int = 2, grain: int | None = None) -> Mesh:
-    """A convex outline ``(n, 2)``, counter-clockwise, drawn out from `low` to `high` along `axis`.
+    """A convex outline ``(n, 2)``, counter-clockwise, extruded from `low` to `high` along `axis`.
 
     The outline's coordinates are (x, y) for axis 2, (y, z) for axis 0 and (z, x) for axis 1.
     """
@@ -265,7 +265,7 @@ def loft(rings: np.ndarray, smooth: bool = False) -> Mesh:
     """A bar through rings of corners ``(n, k, 3)``, counter-clockwise seen from its far end.
 
     Its ends are flat and must be visible as a whole from the mean of their corners. u runs along the bar. `smooth`
-    rounds the edges that run along it in the shading; else only its bends are.
+    shades the edges along it smoothly; otherwise only its bends are.
     """
     rings = np.asarray(rings, dtype=np.float64)
     if rings.ndim != 3 or rings.shape[2] != 3 or rings.shape[0] < 2 or rings.shape[1] < 3:

@@ -1,7 +1,7 @@
 """Wall lines between rooms, and the holes in them: doorways and windows.
 
-Lines are the centre lines of the inner walls; an outer wall has its inner face as far from the line as an inner wall,
-and grows outwards. Frame: x, y of the world, metres.
+Lines are the centre lines of the inner walls. An outer wall has its inner face at the same distance from the line as an
+inner wall, and grows outwards. Frame: x, y of the world, metres.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ OUTER_WALL = 0.25
 LINING = 0.03  # thickness of a door's lining, within the hole
 DOOR_HEAD = 2.08
 OUTSIDE = -1
-# Windows, metres: the least and the most width, and the heights of sills to choose from.
+# Windows, metres: range of width, and the heights of sills to choose from.
 _WINDOWS: dict[str, tuple[float, float, list[float]]] = {
     "bathroom": (0.5, 0.7, [1.45]), "living room": (1.2, 2.0, [0.45, 0.95]), "bedroom": (0.9, 1.5, [0.85, 0.95, 1.1]),
 }  # fmt: skip
@@ -41,8 +41,8 @@ class Space:
 class Boundary:
     """A straight piece of wall line between two rooms.
 
-    `axis` 0: along x at y = `line`; 1: along y at x = `line`; from `start` to `end`; `rooms`: the places of the rooms
-    on its low and on its high side, `OUTSIDE` where there is none.
+    `axis` 0: along x at y = `line`; 1: along y at x = `line`; from `start` to `end`; `rooms`: the indices of the rooms
+    on its low and on its high side, `OUTSIDE` if there is none.
     """
 
     axis: int
@@ -75,16 +75,16 @@ class Opening:
         return self.boundary.box(self.start, self.end, low, -high)
 
     def approach(self, depth: float, margin: float = 0.0) -> Rectangle:
-        """The floor before and behind it: `depth` metres from the line, `margin` wider on either side."""
+        """The floor on both sides: `depth` metres from the line, `margin` wider at either end."""
         low, high = (0.0 if room == OUTSIDE else depth for room in self.boundary.rooms)
         return self.boundary.box(self.start - margin, self.end + margin, -low, high)
 
 
 @dataclass(frozen=True)
 class Doorway(Opening):
-    """A doorway. `leaf`: the angle in degrees at which its leaf stands open, 0 closed, or None: it has no leaf.
+    """A doorway. `leaf`: the opening angle of its leaf in degrees, 0 for closed, or None without a leaf.
 
-    The leaf hangs at `start` or else at the end of the hole (`hinge`), and opens to the low (-1) or high (1) side.
+    The leaf hangs at the `start` or the end of the hole (`hinge`), and opens to the low (-1) or high (1) side.
     """
 
     leaf: float | None
@@ -93,14 +93,14 @@ class Doorway(Opening):
 
     @lazy
     def leaf_box(self) -> Rectangle | None:
-        """Bounds of the open leaf on the floor; None without one, or where it is closed."""
+        """Bounds of the open leaf on the floor; None without one, or if it is closed."""
         if not self.leaf:
             return None
         corners = np.array([self.at(along, across) for along in (0.0, self.end - self.start) for across in (0.0, 0.07)])
         return (*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist())
 
     def at(self, along: float, across: float) -> np.ndarray:
-        """The point ``(2,)`` `along` the open leaf from its hinge, and `across` it towards the wall it leans to."""
+        """The point ``(2,)`` `along` the open leaf from its hinge, and `across` it towards the wall behind it."""
         angle = np.radians(self.leaf or 0.0)
         outwards = self.side * (HALF_WALL + (0.05 if self.leaf and self.leaf > 120 else 0.0))
         direction = 1.0 if self.hinge else -1.0
@@ -140,7 +140,7 @@ def find_boundaries(spaces: tuple[Space, ...]) -> tuple[Boundary, ...]:
 def cut_doorways(
     layout: Layout, spaces: tuple[Space, ...], boundaries: tuple[Boundary, ...], rng: np.random.Generator
 ) -> tuple[Doorway, ...] | None:
-    """A doorway for every pair of rooms in `layout.doors`, and the front door; None if one finds no place."""
+    """A doorway for every pair of rooms in `layout.doors`, and the front door; None if one does not fit."""
     doorways: list[Doorway] = []
     for low, high in [(layout.entrance, OUTSIDE), *layout.doors]:
         between = [b for b in boundaries if set(b.rooms) == {low, high}]
@@ -163,7 +163,7 @@ def cut_windows(
         outer = [b for b in boundaries if set(b.rooms) == {place, OUTSIDE}]
         if space.kind in ("bathroom", "hall"):
             outer = [b for b in outer if rng.random() < (0.6 if space.kind == "bathroom" else 0.3)][:1]
-        elif space.kind == "living room" and len(outer) > 1:  # one wall stays blind, for the television
+        elif space.kind == "living room" and len(outer) > 1:  # one wall without windows, for the television
             long = [b for b in outer if b.end - b.start > 2.4]
             if long:
                 outer.remove(long[rng.integers(len(long))])
@@ -174,7 +174,7 @@ def cut_windows(
             sill = float(rng.choice(sills)) if len(sills) > 1 else sills[0]
             count = 2 if space.kind == "living room" and free >= 2 * width + 0.8 else 1
             if space.kind == "kitchen":
-                sill = 1.2  # above the worktop and what stands on it
+                sill = 1.2  # above the worktop and the things on it
             if boundary is not outer[0] and rng.random() < 0.35:
                 continue
             width = round(min(width, free), 2)
@@ -193,7 +193,7 @@ def cut_windows(
 
 
 def _doorway(between: list[Boundary], spaces: tuple[Space, ...], rng: np.random.Generator) -> Doorway | None:
-    """One try of a doorway in one of the boundaries."""
+    """One attempt at a doorway in one of the boundaries."""
     if not between:
         return None
     boundary = between[rng.integers(len(between))]
@@ -224,14 +224,14 @@ def _doorway(between: list[Boundary], spaces: tuple[Space, ...], rng: np.random.
 
 
 def _leaning(boundary: Boundary, space: Space, at: float, width: float, hinge: bool, side: int) -> float | None:
-    """The angle at which a leaf that hangs `at` this end of the hole stands against a wall of `space`, or None."""
+    """The angle at which a leaf, hung `at` this end of the hole, leans against a wall of `space`; None if it cannot."""
     away = -1.0 if hinge else 1.0
 
     def inside(along: float, across: float) -> bool:
         u, v = at + away * along, boundary.line + side * across
         return space.contains(*((u, v) if boundary.axis == 0 else (v, u)))
 
-    if not inside(0.35, 0.1):  # a corner next to the hinge: the leaf stands against the other wall
+    if not inside(0.35, 0.1):  # a corner next to the hinge: the leaf leans against the other wall
         return 92.0 if inside(-0.1, width + 0.15) else None
     if all(inside(x, 0.1) and not inside(x, -0.1) for x in np.linspace(0.0, width + 0.12, 8)):
         return 171.0

@@ -1,4 +1,4 @@
-"""Paintings: abstracts, flowers, still lifes and landscapes, and which of them suit which leading colour."""
+"""Paintings: abstracts, flowers, still lifes and landscapes, and which of them suit which main colour."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SHAPES = ((192, 256), (256, 192), (208, 208))
 
 
 def paint(rng: np.random.Generator, colour: str, variant: int) -> np.ndarray:
-    """A painting in which `colour` leads, linear RGB ``(h, w, 3)``; `variant` selects among the colour's motifs."""
+    """A painting dominated by `colour`, linear RGB ``(h, w, 3)``; `variant` selects among the colour's motifs."""
     motifs = MOTIFS_OF[colour]
     draw, shapes = _MOTIFS[motifs[variant % len(motifs)]]
     height, width = _SHAPES[shapes[int(rng.integers(len(shapes)))]]
@@ -241,7 +241,7 @@ def _pines(rng: np.random.Generator, c: Canvas, main: np.ndarray) -> None:
 
 
 _WIDE, _TALL, _ANY = (0, 0, 2), (1,), (0, 1, 2)
-# What draws each motif, and the formats that suit it.
+# The function that draws each motif, and the formats that suit it.
 _MOTIFS: dict[str, tuple[Callable[[np.random.Generator, Canvas, np.ndarray], None], tuple[int, ...]]] = {
     "blocks": (_blocks, _ANY), "fields": (_fields, (1, 2)), "circles": (_circles, _ANY), "waves": (_waves, _ANY),
     "strokes": (_strokes, _ANY), "vase": (_vase, _TALL), "fruit": (_fruit, _WIDE), "botanical": (_botanical, _TALL),

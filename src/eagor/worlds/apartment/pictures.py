@@ -1,7 +1,4 @@
-"""Coloured textures, drawn whole: rugs, book spines, screens; and paintings' registry.
-
-All are linear RGB ``(h, w, 3)`` with their first row at the top.
-"""
+"""Coloured textures (rugs, book spines, screens, paintings): linear RGB ``(h, w, 3)``, first row at the top."""
 
 from __future__ import annotations
 
@@ -19,10 +16,7 @@ SPINES = 15
 
 @dataclass(frozen=True)
 class Picture:
-    """A kind of picture: the colours it comes in (empty: it has none), its variants, and what draws one.
-
-    `draw(rng, colour, variant)` returns linear RGB ``(h, w, 3)``.
-    """
+    """A kind of picture: colours (empty: none), variants, `draw(rng, colour, variant)`: linear RGB ``(h, w, 3)``."""
 
     colours: tuple[str, ...]
     variants: int
@@ -30,7 +24,7 @@ class Picture:
     emission: float = 0.0
 
 
-# What goes with the main colour of a rug: a second colour, and one for small motifs.
+# For each main colour of a rug: a second colour, and one for small motifs.
 _PARTNERS: dict[str, tuple[str, str]] = {
     "red": ("beige", "blue"), "blue": ("beige", "red"), "beige": ("brown", "grey"), "grey": ("white", "black"),
     "green": ("beige", "brown"), "brown": ("beige", "orange"), "orange": ("beige", "brown"),

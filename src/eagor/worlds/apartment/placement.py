@@ -1,6 +1,6 @@
-"""What stands where, while an apartment is furnished: overlaps, floor to keep clear, and whether one can still walk.
+"""The floor while an apartment is being furnished: overlaps, floor to keep clear, and whether one can still walk.
 
-A footprint is a turned rectangle ``(5,)``: centre x, y, half depth, half width, and the angle of its front (radians,
+A footprint is a rotated rectangle ``(5,)``: centre x, y, half depth, half width, and the angle of its front (radians,
 counter-clockwise from +x); metres.
 """
 
@@ -18,8 +18,8 @@ from eagor.worlds.apartment.plans import Plan
 from eagor.worlds.scene import Room
 
 CELL = 0.05
-BODY = 0.25  # half of the width that ways are kept free for
-REACH = 0.55  # the middle of a body has to come this near to every piece
+BODY = 0.25  # half of the width of passages
+REACH = 0.55  # largest distance from the middle of a body to every piece
 
 
 def footprint(x: float, y: float, depth: float, width: float, angle: float) -> np.ndarray:
@@ -28,7 +28,7 @@ def footprint(x: float, y: float, depth: float, width: float, angle: float) -> n
 
 
 def from_rectangle(rectangle: tuple[float, float, float, float]) -> np.ndarray:
-    """The footprint of an upright rectangle x0, y0, x1, y1."""
+    """The footprint of an axis-aligned rectangle x0, y0, x1, y1."""
     x0, y0, x1, y1 = rectangle
     return np.array([(x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 2, (y1 - y0) / 2, 0.0])
 
@@ -70,7 +70,7 @@ def distances(box: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _within(rectangles: np.ndarray, boxes: np.ndarray) -> np.ndarray:
-    """Whether footprints ``(n, 5)`` lie in the union of upright rectangles ``(m, 4)``: ``(n,)`` bool."""
+    """Whether footprints ``(n, 5)`` lie in the union of axis-aligned rectangles ``(m, 4)``: ``(n,)`` bool."""
     points = corners(boxes, 6)
     x0, y0, x1, y1 = (rectangles.T + np.array([[-1e-3], [-1e-3], [1e-3], [1e-3]]))[..., None, None]
     hit = (points[..., 0] >= x0) & (points[..., 0] <= x1) & (points[..., 1] >= y0) & (points[..., 1] <= y1)
@@ -88,9 +88,9 @@ def untouched(boxes: np.ndarray, others: list[np.ndarray]) -> np.ndarray:
 class Floor:
     """The floor of an apartment while it is being furnished (mutable).
 
-    `solid` lists footprints with their lowest and highest z ``(7,)``; `kept` footprints that stay free of solids;
-    `near` ``(rows, columns)``: where the middle of a body cannot be; `owner`, the room of each of those cells; `space`:
-    for each room those that are open to it, itself among them.
+    `solid`: footprints with their lowest and highest z ``(7,)``; `kept`: footprints that stay free of solids; `near`
+    ``(rows, columns)``: where the middle of a body cannot be; `owner`: the room of each of those cells; `space`: for
+    each room the rooms that are open to it, including itself.
     """
 
     plan: Plan
@@ -115,25 +115,25 @@ class Floor:
         return _within(np.concatenate([self.rooms[place].rectangles for place in self.space[room]]), boxes)
 
     def beside_windows(self, boxes: np.ndarray, height: float) -> np.ndarray:
-        """Which footprints ``(n, 5)`` do not stand before a window whose sill is lower than `height`."""
+        """The footprints ``(n, 5)`` that do not stand before a window whose sill is lower than `height`."""
         low = [from_rectangle(w.approach(0.4)) for w in self.plan.windows if w.sill < height + 0.03]
         return untouched(boxes, low)
 
     def fits(
         self, room: int, boxes: np.ndarray, z: tuple[float, float], margin: float = 0.02, kept: bool = True
     ) -> np.ndarray:
-        """Which footprints ``(n, 5)`` from z[0] to z[1] are in the room, hit nothing and leave free what is kept."""
+        """The footprints ``(n, 5)`` from z[0] to z[1] in the room that hit nothing and keep clear of `kept`."""
         grown = boxes + np.array([0.0, 0.0, margin, margin, 0.0])
         solid = [other[:5] for other in self.solid if other[5] < z[1] and other[6] > z[0]]
         good = self.inside(room, boxes) & untouched(grown, solid)
         return good & untouched(boxes, self.kept) if kept else good
 
     def clear(self, boxes: np.ndarray) -> np.ndarray:
-        """Which footprints ``(n, 5)`` no solid that stands on the floor reaches into: ``(n,)`` bool."""
+        """Which footprints ``(n, 5)`` are clear of all solids on the floor: ``(n,)`` bool."""
         return untouched(np.atleast_2d(boxes), [solid[:5] for solid in self.solid if solid[5] < 1.0])
 
     def put(self, boxes: list[np.ndarray], heights: list[float]) -> bool:
-        """Set solids down on the floor together, if all rooms and pieces can then still be reached; else do nothing."""
+        """Place solids on the floor together if all rooms and pieces stay reachable; otherwise do nothing."""
         before, count = self.near.copy(), len(self.around)
         for box in boxes:
             self._block(box)
@@ -146,7 +146,7 @@ class Floor:
         return True
 
     def walkable(self) -> bool:
-        """Whether one walk leads through all doorways, into all rooms and near to all pieces."""
+        """Whether one walk leads through all doorways, into all rooms and near all pieces."""
         free = np.empty(self.near.shape, dtype=np.int32)
         ndimage.label(~self.near, output=free)
         marks = free[tuple(self.anchors.T)]
@@ -174,7 +174,7 @@ class Floor:
         self.near[rows, columns] |= away < BODY
 
     def _ring(self, box: np.ndarray) -> np.ndarray:
-        """Flat places of the cells round a footprint from which it counts as reached: none behind a wall."""
+        """Flat indices of the cells round a footprint from which it counts as reached: none behind a wall."""
         rows, columns, away = self._window(box, REACH)
         middle = np.floor((box[:2] - self.origin) / CELL).astype(int)
         around = np.isin(self.owner[rows, columns], self.space[self.owner[tuple(middle)]])
@@ -183,7 +183,7 @@ class Floor:
 
 
 def empty_floor(plan: Plan, cells: Cells, rooms: tuple[Room, ...]) -> Floor:
-    """The floor before anything stands on it: walls and open doors are in place, ways through the doors kept clear."""
+    """The empty floor, with walls and open doors in place and passages through the doors kept clear."""
     width, depth = plan.extent
     origin = np.array([-0.3, -0.3])
     x, y = (origin[0] + (np.arange(math.ceil((end + 0.6) / CELL)) + 0.5) * CELL for end in (width, depth))

@@ -19,7 +19,7 @@ from eagor.worlds.apartment.openings import (
     find_boundaries,
 )  # fmt: skip
 
-# Smallest side, and area in square metres, between centre lines.
+# Shortest side, and range of area in square metres, between centre lines.
 _SIZES = {
     "living room": (3.2, 13.0, 42.0), "bedroom": (2.6, 8.6, 20.0), "kitchen": (2.1, 5.6, 17.0),
     "bathroom": (1.7, 3.9, 9.5), "hall": (1.2, 2.2, 18.0), "study": (2.1, 5.5, 15.0), "dining room": (2.4, 7.0, 17.0),
@@ -29,7 +29,7 @@ _NET_AREA = (45.0, 110.0)
 
 @dataclass(frozen=True)
 class Plan:
-    """A floor plan; `open_to` holds the pairs of rooms without a wall between, the smaller place first."""
+    """A floor plan; `open_to` holds the pairs of rooms without a wall between, the smaller index first."""
 
     family: str
     spaces: tuple[Space, ...]

@@ -1,7 +1,7 @@
 """Walls, floors and ceilings of a plan.
 
-The surface of the building is every face between air and solid in its grid of cells, so it is closed by construction,
-whatever the plan. Faces that lie side by side and look alike are merged into rectangles.
+The surface of the building is every face between air and solid in its grid of cells, so it is always closed. Adjacent
+faces that look alike are merged into rectangles.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from eagor.worlds.scene import Lamp
 
 @dataclass(frozen=True, eq=False)
 class Thing:
-    """What becomes one `Instance`: its name, the room it is in, and its parts and lamps in the world frame."""
+    """One future `Instance`: its name, the room it is in, and its parts and lamps in the world frame."""
 
     category: str
     colour: str | None
@@ -77,7 +77,7 @@ def structure(plan: Plan, rooms: tuple[dict[str, list[Part]], ...]) -> list[Thin
 
 
 def _faces(cells: Cells, axis: int, sign: int, tiled: np.ndarray) -> np.ndarray:
-    """Room and surface, coded in one number (0: no face), of each face that looks along `sign` times `axis`."""
+    """Room and surface, coded in one number (0: no face), of each face that points along `sign` times `axis`."""
     air = np.moveaxis(cells.air, axis, 0)
     hole = np.moveaxis(cells.hole, axis, 0)
     owner = np.moveaxis(np.broadcast_to(cells.owner[:, :, None], cells.air.shape), axis, 0)
@@ -105,7 +105,7 @@ def _faces(cells: Cells, axis: int, sign: int, tiled: np.ndarray) -> np.ndarray:
 
 
 def _corners(cells: Cells, axis: int, sign: int, k: int, rectangle: list[int]) -> Mesh:
-    """The rectangle of cells in plane `k` as two triangles that look along `sign` times `axis`."""
+    """The rectangle of cells in plane `k` as two triangles that point along `sign` times `axis`."""
     first, second = (other for other in range(3) if other != axis)
     lines = cells.lines
     a0, b0, a1, b1 = rectangle

@@ -1,4 +1,4 @@
-"""Where a piece of furniture might go: candidate footprints, each with a score, before anything is checked."""
+"""Candidate places for a piece of furniture: footprints with scores, before any check."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Sites:
     scores: np.ndarray
 
     def best(self, good: np.ndarray, most: int) -> np.ndarray:
-        """Places of the `most` best ones among those that are `good` ``(n,)``, best first."""
+        """Indices of the `most` best ones among those that are `good` ``(n,)``, best first."""
         places = np.flatnonzero(good)
         return places[np.argsort(-self.scores[places], kind="stable")][:most]
 
@@ -34,7 +34,7 @@ def joined(*several: Sites) -> Sites:
 
 
 def facing(face: WallFace) -> float:
-    """The angle of what stands with its back to a wall."""
+    """The angle of a piece with its back to a wall."""
     if face.axis == 0:
         return math.copysign(math.pi / 2, face.side)
     return 0.0 if face.side > 0 else math.pi
@@ -53,10 +53,7 @@ def along_walls(
     floor: Floor, room: int, size: np.ndarray, rng: np.random.Generator, *,
     corner: float = 0.0, middle: float = 0.0, gap: float = GAP, side: float = 0.04,
 ) -> Sites:  # fmt: skip
-    """Backs to the walls of a room: at both ends of each wall (score `corner`), in its middle, and between.
-
-    `side` metres are left free at the ends of a wall.
-    """
+    """Backs to walls: in the corners (score `corner`), the `middle`, and between; `side` metres free at the ends."""
     found = []
     for face in floor.faces:
         if face.room != room or face.end - face.start - size[1] - 2 * side < 0:
@@ -69,7 +66,7 @@ def along_walls(
 
 
 def in_room(floor: Floor, room: int, size: np.ndarray, rng: np.random.Generator, count: int = 60) -> Sites:
-    """Anywhere in a room, upright or turned by a quarter, better near to its middle."""
+    """Anywhere in a room, axis-aligned or turned by a quarter, preferably near its middle."""
     rectangles = floor.rooms[room].rectangles
     area = (rectangles[:, 2] - rectangles[:, 0]) * (rectangles[:, 3] - rectangles[:, 1])
     picked = rectangles[rng.choice(len(rectangles), count, p=area / area.sum())]
@@ -84,14 +81,14 @@ def in_room(floor: Floor, room: int, size: np.ndarray, rng: np.random.Generator,
 
 
 def relative(box: np.ndarray, forward: float, left: float, size: np.ndarray, turn: float = 0.0) -> np.ndarray:
-    """The footprint of something `forward` of and to the `left` of another's middle, turned against it (radians)."""
+    """The footprint of something `forward` and to the `left` of another's middle, turned relative to it (radians)."""
     c, s = math.cos(box[4]), math.sin(box[4])
     x, y = box[0] + forward * c - left * s, box[1] + forward * s + left * c
     return np.array([x, y, size[0] / 2, size[1] / 2, math.remainder(box[4] + turn, 2 * math.pi)])
 
 
 def advanced(boxes: np.ndarray, reach: np.ndarray | float) -> np.ndarray:
-    """Footprints ``(n, 5)`` moved `reach` metres the way they face."""
+    """Footprints ``(n, 5)`` moved `reach` metres forward."""
     boxes = np.atleast_2d(boxes).copy()
     boxes[:, 0] += reach * np.cos(boxes[:, 4])
     boxes[:, 1] += reach * np.sin(boxes[:, 4])

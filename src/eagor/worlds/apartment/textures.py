@@ -1,8 +1,8 @@
-"""Materials of a home: cloth, wood, tiles, plaster and the rest, drawn by rule and repeating without a seam.
+"""Procedural, periodic materials of a home: cloth, wood, tiles, plaster and others.
 
-`material` is all that furniture and walls need. Textures are grey where one drawing serves every colour (the colour
-of the `Material` tints them) and coloured where the drawing is the point: rugs, paintings, books, screens. Each is
-drawn once per process, from a generator of its own, so that it depends on its name alone.
+Furniture and walls only need `material`. Textures are grey if one drawing serves every colour (the colour of the
+`Material` tints them), and coloured for rugs, paintings, books and screens. Each is drawn once per process, from a
+generator of its own, so that it depends on its name alone.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from eagor.worlds.apartment.canvas import noise, sRGB
 from eagor.worlds.apartment.pictures import PICTURES
 from eagor.worlds.scene import Material
 
-# Metres that one repeat covers, u and v alike. What is drawn `WHOLE` is one thing from edge to edge, and its builders
-# set uv from 0 to 1.
+# Metres that one repeat covers, in u and v. A `WHOLE` drawing is one thing from edge to edge, and its builders set uv
+# from 0 to 1.
 WHOLE = frozenset({"leaf", "rug", "art", "screen", "books", "lampshade"})
 REPEAT: dict[str, float] = {
     "fabric": 0.4, "leather": 0.6, "wood": 1.0, "metal": 0.5, "plastic": 1.0, "ceramic": 1.0, "paint": 1.0,
@@ -28,7 +28,7 @@ REPEAT: dict[str, float] = {
     "earth": 0.3, "leaf": 1.0, "rug": 1.0, "art": 1.0, "screen": 1.0, "books": 1.0, "lampshade": 1.0,
 }  # fmt: skip
 
-# What a kind is made of where no colour is asked for: a named colour, or sRGB tones (0 to 255).
+# Default colour of a kind: a named colour, or sRGB tones (0 to 255).
 _NATURAL: dict[str, tuple[str | tuple[int, int, int], ...]] = {
     "fabric": ("grey", "beige", "blue"), "leather": ("brown", "black"), "plastic": ("white", "black"),
     "ceramic": ("white",), "paint": ("white",), "leaf": ("green",), "earth": ((72, 54, 42),),
@@ -43,10 +43,10 @@ _NATURAL: dict[str, tuple[str | tuple[int, int, int], ...]] = {
 
 
 def material(kind: str, colour: str | None = None, rng: np.random.Generator | None = None) -> Material:
-    """A material of a kind of `REPEAT`, in a tone of a named colour; None leaves the colour to the kind.
+    """A material of a kind of `REPEAT`, in a tone of a named colour; None for the kind's default.
 
-    The texture is shared between all materials that drew the same variant; it is not to be written to. Raises
-    `WorldError` for an unknown kind or colour.
+    All materials of the same variant share the texture; do not write to it. Raises `WorldError` for an unknown kind or
+    colour.
     """
     if kind not in REPEAT:
         raise WorldError(f"there is no material {kind!r}; wanted one of {', '.join(sorted(REPEAT))}")
@@ -62,13 +62,13 @@ def material(kind: str, colour: str | None = None, rng: np.random.Generator | No
         texture = _picture(kind, colour, int(rng.integers(picture.variants)))
         return Material(name, (1.0, 1.0, 1.0), texture, picture.emission)
     tone = np.array(_tone(kind, colour, rng))
-    # A coloured shade at full strength would bleach to a primary.
+    # At full strength a coloured shade would saturate to a primary.
     emission = 0.0 if kind != "lampshade" else 1.5 if colour in (None, "white", "beige") else 0.9
     if kind not in SURFACES:
         return Material(name, (float(tone[0]), float(tone[1]), float(tone[2])), None, emission)
     variants, _ = SURFACES[kind]
     texture, mean = _surface(kind, int(rng.integers(variants)))
-    linear = to_linear(tone) / mean  # so that the mean of both together is the tone
+    linear = to_linear(tone) / mean  # so that the mean of texture times colour is the tone
     r, g, b = np.where(linear < 1, to_coded(linear), 1.0)
     return Material(name, (float(r), float(g), float(b)), texture, emission)
 
@@ -98,7 +98,7 @@ def _surface(kind: str, variant: int) -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def _picture(kind: str, colour: str | None, variant: int) -> np.ndarray:
-    """A coloured texture, brightness as drawn."""
+    """A coloured texture with its brightness as drawn."""
     return _coded(PICTURES[kind].draw(_generator(f"{kind} {colour}", variant), colour, variant))
 
 
@@ -212,7 +212,7 @@ def _lampshade(rng: np.random.Generator, variant: int) -> np.ndarray:
 
 
 def _layers(size: int, *layers: tuple[float, ...]) -> Callable[[np.random.Generator, int], np.ndarray]:
-    """What draws a sum of layers of noise: how strong each is, its slope, and how far it is stretched."""
+    """A function that draws a sum of layers of noise: amplitude, slope and stretch of each."""
 
     def draw(rng: np.random.Generator, variant: int) -> np.ndarray:
         return np.exp(sum(strength * noise(rng, (size, size), *shape) for strength, *shape in layers))

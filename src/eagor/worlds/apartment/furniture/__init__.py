@@ -52,10 +52,7 @@ KINDS: dict[str, Kind] = {
 
 
 def build(category: str, colour: str | None, rng: np.random.Generator) -> Model:
-    """A piece of furniture; `colour` None: `rng` picks one, if its kind has any. Equal generators give equal pieces.
-
-    Raises `WorldError` for a category or a colour that there is not.
-    """
+    """A piece of furniture; `colour` None: `rng` picks one. Raises `WorldError` for an unknown kind or colour."""
     if category not in KINDS:
         raise WorldError(f"no furniture is called {category!r}; wanted one of {', '.join(sorted(KINDS))}")
     kind = KINDS[category]

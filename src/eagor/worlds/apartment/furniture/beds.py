@@ -31,7 +31,7 @@ def bed(colour: str, rng: np.random.Generator) -> list[Part]:
         box((-x, -y + 0.02, rail - 0.06), (x, y - 0.02, rail), grain=0),
         legs((-x + 0.1, -y + 0.04, x - 0.01, y - 0.04), rail - 0.05, 0.06, 0.045),
     ]
-    board = wood == colour and rng.random() < 0.5  # in another colour it would outshine the cover
+    board = wood == colour and rng.random() < 0.5  # in another colour it would dominate the cover
     if board:
         frame.append(bevelled((x, -y, rail - 0.1), (x + 0.04, y, height + rng.uniform(0.05, 0.16)), 0.012, 2, grain=1))
     else:
@@ -39,7 +39,7 @@ def bed(colour: str, rng: np.random.Generator) -> list[Part]:
     parts.append(joiner(*frame))
     white = finish("fabric", "white", rng)
     mattress = bevelled((-x + 0.005, -width / 2, rail), (x - 0.005, width / 2, height), 0.035, 2)
-    # The sides hang over the rails, so that most of what is seen of a bed is its cover.
+    # The sides hang over the rails, so that the cover is most of what is visible.
     start, overhang = -x + rng.uniform(0.48, 0.6), min(height - rail + rng.uniform(0.02, 0.1), 0.7 * height)
     cloth = finish("fabric", colour, rng)
     parts.append(cloth(_cover(width, height, start, x, overhang, not board, rng.uniform(-1, 1, (10, 9)))))
@@ -93,12 +93,12 @@ def _cover(
         x[-3:] = end - 0.06, end - 0.02, end - 0.005
     points = np.empty((10, 9, 3))
     points[..., 0], points[..., 1] = x, y[:, None]
-    # Where both sides hang, at the corners of the foot, cloth hangs lower than either.
+    # At the corners of the foot, where both sides hang, cloth hangs lower than either.
     both = np.minimum(drop[:, None], along) * (0.35 if hangs else 0.0)
     points[..., 2] = height + 0.045 - np.maximum(drop[:, None], along) - both
     flat = (drop[:, None] == 0) & (along == 0)
     points[..., 2] += np.where(flat, 0.012 * wave, 0.0)
-    # One wave for both rows of a hanging side, or they would cross at the corners.
+    # One wave for both rows of a hanging side, as otherwise they would cross at the corners.
     points[..., 1] += np.where(drop[:, None] > 0, 0.008 * (1 + wave[3]) * np.sign(y)[:, None], 0.0)
     points[..., 0] += np.where((along > 0) & hangs, 0.012 * (1 + wave[:, 3:4]), 0.0)
     points[..., 2] += np.where((drop[:, None] == overhang) & (along == 0), 0.015 * wave, 0.0)

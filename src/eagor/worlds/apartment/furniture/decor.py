@@ -1,7 +1,7 @@
 """Lamps, rugs, paintings and vases.
 
-Point lights stand a little outside their shades (above that of a floor lamp, below that of a ceiling lamp): inside,
-the shade would keep their light from the room, and close to it half of the room would lie in its shadow.
+Point lights are placed a little outside their shades (above that of a floor lamp, below that of a ceiling lamp).
+Inside, the shade would block their light; close to it, half of the room would lie in its shadow.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def rug(colour: str, rng: np.random.Generator) -> list[Part]:
 
 
 def painting(colour: str, rng: np.random.Generator) -> list[Part]:
-    """A picture in a frame, with or without a mount, or on bare canvas; `colour` leads in it."""
+    """A picture in a frame, with or without a mount, or on bare canvas; `colour` dominates in it."""
     look, face = material("art", colour, rng), 0.022
     rows, columns = look.texture.shape[:2] if look.texture is not None else (1, 1)
     scale = math.sqrt(rng.uniform(0.16, 0.7) / (rows * columns))

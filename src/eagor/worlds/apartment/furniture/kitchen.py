@@ -1,7 +1,7 @@
 """Refrigerators, stoves and sinks.
 
-A white sink stands in a bathroom, on a pedestal or a small cabinet; a grey one is a kitchen unit with a steel top.
-What is under the basin is part of the sink and has its colour.
+A white sink is for a bathroom, on a pedestal or a small cabinet; a grey one is a kitchen unit with a steel top. The
+part below the basin belongs to the sink and has its colour.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def stove(colour: str, rng: np.random.Generator) -> list[Part]:
 
 
 def sink(colour: str, rng: np.random.Generator) -> list[Part]:
-    """See the module: white for the bathroom, grey for the kitchen."""
+    """A sink: white for the bathroom, grey for the kitchen."""
     if colour == "grey":
         return _kitchen_sink(rng)
     return (_pedestal_sink if rng.random() < 0.6 else _cabinet_sink)(colour, rng)

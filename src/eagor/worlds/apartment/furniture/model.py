@@ -1,4 +1,4 @@
-"""What a piece of furniture is, and what joiners' work has in common: wood, legs, drawer fronts and handles."""
+"""The model of a piece of furniture, and common joinery: wood, legs, drawer fronts and handles."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from eagor.worlds.apartment.textures import REPEAT, material
 from eagor.worlds.scene import Lamp
 
 PLACEMENTS = ("wall", "corner", "free", "hung", "flat", "top", "ceiling")
-WOODS = ("brown", "white", "black", "beige")  # colours that furniture of wood comes in
+WOODS = ("brown", "white", "black", "beige")  # colours of wooden furniture
 
-# From one of its kind's colours (str), or None where there are none, to what the piece is made of.
+# Maps one of its kind's colours (str), or None if it has none, to the parts of a piece.
 Builder = Callable[[Any, np.random.Generator], Iterable[Part | Lamp]]
 Rectangle = tuple[float, float, float, float]  # x0, y0, x1, y1
 
@@ -27,10 +27,9 @@ Rectangle = tuple[float, float, float, float]  # x0, y0, x1, y1
 class Model:
     """A piece of furniture: `parts` and `lamps` in the model frame, metres; its front faces +x, z is up.
 
-    The origin is the centre of the footprint on the floor; for things that are hung on a wall the centre of their back
-    face (parts at x >= 0, z about 0), for those that hang from the ceiling the centre of their top (z <= 0).
-    `colour`, its main colour as a plain word, or None; `size` ``(3,)``, extents along x, y, z; `seed`: what it was
-    built from.
+    The origin is the centre of the footprint on the floor; for things on a wall, the centre of their back face (parts
+    at x >= 0, z about 0); for things on the ceiling, the centre of their top (z <= 0). `colour`: its main colour as a
+    plain word, or None; `size` ``(3,)``: extents along x, y, z; `seed`: of its generator.
     """
 
     category: str
@@ -48,11 +47,11 @@ class Model:
 
 @dataclass(frozen=True)
 class Kind:
-    """What is known about a category before a piece is built, and `make`, which builds one.
+    """A category: its properties, and `make`, which builds a piece.
 
     `placement`: "wall" (back to a wall), "corner", "free" (anywhere), "hung" (on a wall), "flat" (on the floor, no
-    obstacle), "top" (stands on a surface) or "ceiling". `rooms`: the room kinds where it is at home. `colours`: those
-    that it comes in, none where no one colour is what one sees of it.
+    obstacle), "top" (stands on a surface) or "ceiling". `rooms`: the kinds of rooms that it is usual in. `colours`: its
+    choice of main colours, empty if no colour dominates.
     """
 
     placement: str
@@ -62,7 +61,7 @@ class Kind:
 
 
 def assembled(category: str, colour: str | None, made: Iterable[Part | Lamp], placement: str = "free") -> Model:
-    """The model of these parts and lamps, shifted as a whole to where `placement` wants its origin."""
+    """The model of these parts and lamps, shifted so that its origin fits `placement`."""
     if placement not in PLACEMENTS:
         raise WorldError(f"placement {placement!r}; wanted one of {', '.join(PLACEMENTS)}")
     made = tuple(made)
@@ -102,7 +101,7 @@ def fittings(rng: np.random.Generator) -> Callable[..., Part]:
 
 
 def polar(radius: Any, angle: float, z: Any) -> tuple[Any, Any, Any]:
-    """A point (or points, where they are arrays) `radius` from the z axis, `angle` radians from +x, at the height z."""
+    """A point (or points, for arrays) `radius` from the z axis, `angle` radians from +x, at the height z."""
     return radius * math.cos(angle), radius * math.sin(angle), z
 
 
@@ -134,7 +133,7 @@ def panel(x: float, y0: float, y1: float, z0: float, z1: float, thickness: float
 
 def facing(mesh: Mesh, at: tuple[float, float, float]) -> Mesh:
     """A shape made about the z axis, laid over so that its top faces +x, at a point."""
-    return moved(Mesh(mesh.vertices[:, [2, 0, 1]], mesh.triangles, mesh.uv), at)  # a turn, so outside stays outside
+    return moved(Mesh(mesh.vertices[:, [2, 0, 1]], mesh.triangles, mesh.uv), at)  # a rotation keeps the outside
 
 
 def knob(x: float, y: float, z: float, size: float = 0.015) -> Mesh:

@@ -16,7 +16,7 @@ _SPREAD = 0.48  # metres from the middle that leaves may reach
 
 
 def polars(radius: np.ndarray | float, azimuth: np.ndarray, z: np.ndarray | float) -> np.ndarray:
-    """Points ``(n, 3)`` so far from the z axis, in these directions, at these heights."""
+    """Points ``(n, 3)`` at these distances from the z axis, azimuths and heights."""
     return np.stack(np.broadcast_arrays(radius * np.cos(azimuth), radius * np.sin(azimuth), z), axis=-1)
 
 
@@ -26,9 +26,9 @@ def foliage(
 ) -> Mesh:  # fmt: skip
     """Leaves as bent strips, all at once; 4 * steps - 4 triangles each. Metres and radians, ``(n,)`` each.
 
-    `base` ``(n, 3)``: where they are attached; `azimuth`: where they point; `pitch`: how steeply they rise there, of
-    which they lose `bend` on the way to the tip; `width` across the widest place, which is nearer to the base for
-    `blunt` below 1; `steps`: pieces along the midrib; `fold`: how far the edges stand above it, in half widths.
+    `base` ``(n, 3)``: points of attachment; `azimuth`: direction; `pitch`: slope at the base, which falls by `bend`
+    towards the tip; `width` at the widest place, which is nearer to the base for `blunt` below 1; `steps`: pieces along
+    the midrib; `fold`: height of the edges above it, in half widths.
     """
     n = len(base)
     t = np.linspace(0, 1, steps + 1)
@@ -85,7 +85,7 @@ def _pot(radius: float, height: float, rng: np.random.Generator) -> tuple[list[P
 
 
 def _around(n: int, rng: np.random.Generator) -> np.ndarray:
-    """Directions in the golden angle, as leaves grow, with some disorder."""
+    """Directions at multiples of the golden angle, as leaves grow, with some disorder."""
     return rng.uniform(0, 6.3) + np.arange(n) * 2.39996 + rng.normal(0, 0.2, n)
 
 
@@ -177,7 +177,7 @@ def _rosette(top: float, tall: float, rng: np.random.Generator) -> Grown:
     return [], [foliage(base, azimuth, pitch[::-1], length, 0.2 * length + 0.012, 0.25, steps=4, fold=0.6, blunt=0.65)]
 
 
-# What grows; its height in metres from and to; the radius of its pot.
+# What grows; its range of height in metres; the radius of its pot.
 _GROWTHS = (
     (_broad, 0.7, 1.25, 0.16), (_rubber, 0.9, 1.6, 0.16), (_palm, 1.1, 1.8, 0.17), (_swords, 0.65, 1.1, 0.14),
     (_tree, 1.2, 1.8, 0.16), (_rosette, 0.5, 0.75, 0.15),
@@ -191,7 +191,7 @@ def plant(colour: str, rng: np.random.Generator) -> list[Part]:
     parts, top = _pot(radius, radius * rng.uniform(1.15, 1.6), rng)
     stems, leaves = grow(top, tall, rng)
     spread = max(float(np.abs(mesh.vertices[:, :2]).max()) for mesh in leaves)
-    if spread > _SPREAD:  # it stands in a corner: drawn in, as if pruned
+    if spread > _SPREAD:  # it stands in a corner: pulled in, as if pruned
         narrow = np.array([_SPREAD / spread, _SPREAD / spread, 1.0])
         stems, leaves = ([reshaped(mesh, lambda at: at * narrow) for mesh in group] for group in (stems, leaves))
     shades = finish("leaf", colour, rng), finish("leaf", colour, rng)

@@ -170,7 +170,7 @@ def nightstand(colour: str, rng: np.random.Generator) -> list[Part]:
 def tv(colour: None, rng: np.random.Generator) -> list[Part]:
     """A flat screen on a low stand, on its foot or hung on the wall above it; off, or showing a dim picture.
 
-    It has no colour: the set is black, and its stand, which shows more of itself, is not.
+    It has no colour: the set is black, but its stand, which is larger, is not.
     """
     case, stand = finish("plastic", "black", rng), timber(str(rng.choice(["brown", "white", "black", "beige"])), rng)
     metal, wide = finish("metal", None, rng), rng.uniform(0.95, 1.4)
