@@ -395,9 +395,12 @@ def test_locate_replays_what_a_detector_wrote(room, tmp_path):
     ("words", "says"),
     [
         (["nowhere.png", "red"], "no file"),
-        (["ROOM", "chair"], "names no colour"),
+        (["ROOM", "chair", "--perception", "colour"], "names no colour"),
         (["ROOM", "  "], "no words"),
-        (["ROOM", "red", "--perception", "clairvoyance"], "known are colour, endpoint, replay, scout, truth, folders"),
+        (
+            ["ROOM", "red", "--perception", "clairvoyance"],
+            "known are coco, colour, endpoint, onnx, replay, scout, truth, folders",
+        ),
         (["ROOM", "red", "--perception", "replay"], "replay:FILE.jsonl"),
         (["ROOM", "red", "--perception", "replay:nowhere.jsonl"], "cannot be read"),
         (["ROOM", "red", "--degree", "0"], "1 to 63"),
@@ -408,6 +411,22 @@ def test_locate_replays_what_a_detector_wrote(room, tmp_path):
 )
 def test_what_cannot_be_located_is_refused_in_one_line(room, words, says):
     assert says in refused("locate", *[room if word == "ROOM" else word for word in words])
+
+
+def test_without_a_detector_a_query_without_a_colour_says_how_to_get_one(room, tmp_path):
+    done = eagor("locate", room, "door", env={"EAGOR_CACHE": str(tmp_path)})
+    assert done.returncode == 2
+    assert "names no colour" in done.stderr
+    assert "eagor models get coco" in done.stderr
+    assert "[photos]" in done.stderr
+
+
+@pytest.mark.registry
+def test_with_the_detector_a_query_without_a_colour_is_answered_by_it(room, coco_model):
+    found = answer("locate", room, "chair")
+    assert found["perception"] == "coco"
+    assert answer("locate", room, "red chair")["perception"] == "colour"
+    assert "names none of this detector's" in refused("locate", room, "door")
 
 
 def test_a_corrupt_image_is_refused_and_debug_shows_where(tmp_path):
@@ -615,7 +634,7 @@ def test_track_refuses_what_it_cannot_use(three, tmp_path):
     assert "cannot be read" in refused("track", images, "red", "--poses", tmp_path / "nowhere.csv")
     assert ".csv or .jsonl" in refused("track", images, "red", "--poses", poses, "--out", tmp_path / "x.txt")
     assert "no file" in refused("track", tmp_path / "a.png", tmp_path / "b.png", "red", "--poses", poses)
-    done = eagor("track", images, "chair", "--poses", poses)  # the header is out already
+    done = eagor("track", images, "chair", "--poses", poses, "--perception", "colour")  # the header is out already
     assert done.returncode == 2
     assert "names no colour" in done.stderr
 

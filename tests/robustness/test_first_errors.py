@@ -44,7 +44,7 @@ WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
         (("track", "folder", "red", "--poses", "poses.csv", "--picture", "folder"), "--picture folder is an input"),
         (("locate", "a.png", "red", "--calibration", "bad.json"), "bad.json is not JSON"),
         (("locate", "a.png", "red", "--calibration", "folder"), "folder cannot be read"),
-        ((*TRACK, "chair", "--poses", "poses.csv", "--out", "new.csv"), "names no colour"),
+        ((*TRACK, "chair", "--poses", "poses.csv", "--out", "new.csv", "--perception", "colour"), "names no colour"),
         ((*TRACK, "red", "--poses", "poses.csv", "--floor", "nan"), "--floor nan"),
         ((*TRACK, "red", "--poses", "poses.csv", "--out", "nowhere/new.csv"), "no folder"),
         ((*TRACK, "red", "--poses", "folder"), "folder cannot be read"),
@@ -101,7 +101,7 @@ def test_a_folder_that_may_not_be_read_is_refused_as_input(place, capsys, monkey
 
 def test_a_table_that_is_there_is_not_lost_to_a_query_that_means_nothing(place, capsys):
     (place / "old.csv").write_text("yesterday's")
-    assert main([*TRACK, "chair", "--poses", "poses.csv", "--out", "old.csv"]) == 2
+    assert main([*TRACK, "chair", "--poses", "poses.csv", "--out", "old.csv", "--perception", "colour"]) == 2
     assert (place / "old.csv").read_text() == "yesterday's"
 
 

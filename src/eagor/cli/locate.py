@@ -18,6 +18,7 @@ from eagor.cli.looking import (
     keep_picture,
     look,
     make_perception,
+    perception_for,
     read_frame,
     tracker_config,
     warn_of_detector,
@@ -36,13 +37,14 @@ NEAR = 15  # degrees: the error that still leads a person to the object
 def locate(options: Locate) -> int:
     """Run the command; returns its exit code."""
     query = checked_query(options.query)
+    spec = perception_for(query, options.perception)
     if options.modes < 1:
         raise terminal.UsageError(f"--modes {options.modes}; wanted 1 or more")
     check_not_read(options.picture, "--picture", [options.panorama])
-    config = tracker_config(options.degree, options.perception, options.calibration, options.detector, options.force)
+    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
     if options.picture is not None:
         checked_picture(options.picture)
-    perception = make_perception(options.perception)
+    perception = make_perception(spec)
     stamp = first_stamp(perception, query) if options.stamp is None else options.stamp
     panorama = read_frame(options.panorama, options.force)
     tracker = DirectionTracker(config)
@@ -55,17 +57,17 @@ def locate(options: Locate) -> int:
     if options.picture is not None:
         _draw(options, options.picture, panorama, estimate)
     if options.json:
-        terminal.emit(_as_json(options, estimate) | _sources(looks))
+        terminal.emit(_as_json(options, spec, estimate) | _sources(looks))
     else:
-        _print(options, estimate)
+        _print(options, spec, estimate)
     return terminal.OK
 
 
-def _as_json(options: Locate, estimate: Estimate) -> dict[str, Any]:
+def _as_json(options: Locate, spec: str, estimate: Estimate) -> dict[str, Any]:
     known = estimate.direction is not None
     return {
         "query": options.query,
-        "perception": options.perception,
+        "perception": spec,
         "azimuth_deg": degrees(estimate.azimuth),
         "elevation_deg": degrees(estimate.elevation),
         "credible_angle_deg": degrees(estimate.credible_angle) if known else None,
@@ -99,8 +101,8 @@ def degrees(angle: float | None) -> float | None:
     return None if angle is None else round(math.degrees(angle), 4)
 
 
-def _print(options: Locate, estimate: Estimate) -> None:
-    print(f"{options.query}, in {options.panorama.name}, as {short_name(options.perception)} sees it")
+def _print(options: Locate, spec: str, estimate: Estimate) -> None:
+    print(f"{options.query}, in {options.panorama.name}, as {short_name(spec)} sees it")
     print(f"  status          {estimate.status}: {STATUS[estimate.status]}")
     print(f"  direction       {answer_in_words(estimate)}")
     if estimate.direction is not None:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from eagor._extras import how_to_install
 from eagor._files import written
 from eagor.cli.terminal import UsageError, warning
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
@@ -21,6 +22,7 @@ from eagor.evidence.detector import parse_model
 from eagor.perception import Perception, load, short_name
 from eagor.perception import look as one_look
 from eagor.perception.calibrated import Calibrated, read_calibrated
+from eagor.perception.colour import colour_in
 from eagor.perception.replay import ReplayPerception
 from eagor.tracking.config import TrackerConfig
 from eagor.worlds.panorama import read_panorama
@@ -104,6 +106,27 @@ def keep_picture(picture: Image.Image, path: Path) -> None:
     buffer = io.BytesIO()
     picture.save(buffer, Image.registered_extensions()[path.suffix.lower()])
     written(path, buffer.getvalue())
+
+
+def perception_for(query: str, spec: str | None) -> str:
+    """The perception to use: ``--perception``, or the one that suits the query.
+
+    By default a query that names a colour is answered by ``colour``, any other by the detector ``coco``. Raises
+    `QueryError` if that is not installed.
+    """
+    if spec is not None:
+        return spec
+    if colour_in(query) is not None:
+        return "colour"
+    from eagor.perception.coco.store import COCO
+
+    if COCO.path.is_file():
+        return "coco"
+    raise QueryError(
+        f"the query {query!r} names no colour, and no detector is installed that knows other things. A small one for "
+        f"everyday things: {how_to_install('photos')}; then eagor models get coco. Or name a model with --perception: "
+        "eagor doctor lists them, docs/models.md says more"
+    )
 
 
 def make_perception(spec: str) -> Perception:

@@ -102,9 +102,10 @@ class Locate(Common):
     """An equirectangular image; its centre is forward."""
     query: Annotated[str, Positional, arg(metavar="QUERY")]
     """What to look for, in words."""
-    perception: Name = "colour"
+    perception: Annotated[str | None, _bare("NAME")] = None
     (
-        "The detector: colour (the colour that the query names), coco (a small network, `eagor models get coco`), "
+        "The detector (default: colour if the query names one, otherwise coco): colour (the colour that the query "
+        "names), coco (a small network for everyday things, `eagor models get coco`), "
         "replay:FILE.jsonl (output of any detector), onnx:MODEL.onnx (a detector's file, options after ?), a model "
         "(FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, endpoint:MODEL@http://HOST:PORT/v1, options after ?), or an installed "
         "one; `eagor doctor` lists them."
@@ -136,8 +137,8 @@ class Track(Common):
         "The camera's poses: a CSV file with the columns stamp,qw,qx,qy,qz (world_R_body) or "
         "stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch nose DOWN); also x,y,z (metres) and frame (file name)."
     )
-    perception: Name = "colour"
-    """The detector: colour, coco, replay:FILE.jsonl, onnx:MODEL.onnx, a model (as for locate), or an installed one."""
+    perception: Annotated[str | None, _bare("NAME")] = None
+    """The detector: colour, coco, replay:FILE.jsonl, onnx:MODEL.onnx, a model, or an installed one (as for locate)."""
     floor: Annotated[float | None, _bare("Z")] = None
     """Height of the floor in the poses' world, metres. Objects stand on it, so distances are known sooner."""
     calibration: Annotated[Path | None, _bare("FILE.json")] = None

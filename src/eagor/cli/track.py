@@ -27,6 +27,7 @@ from eagor.cli.looking import (
     find_frames,
     keep_picture,
     make_perception,
+    perception_for,
     tracker_config,
     warn_of_detector,
 )
@@ -49,16 +50,17 @@ def track(options: Track) -> int:
     if len(options.words) < 2:
         raise terminal.UsageError(f"got {' '.join(options.words)!r}; wanted FRAMES (a folder or images), then QUERY")
     query = checked_query(options.words[-1])
+    spec = perception_for(query, options.perception)
     places = [Path(word) for word in options.words[:-1]]
     check_not_read(options.out, "--out", [options.poses])
     check_not_read(options.picture, "--picture", places)
     images = find_frames(places)
     steps = pair(read_poses(options.poses), images, options.poses)
-    config = tracker_config(options.degree, options.perception, options.calibration, options.detector, options.force)
+    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
     floor, drift = _checked_floor(options.floor, steps), _checked_drift(options.drift)
     config = replace(config, floor_height=floor, drift=drift)
-    perception = make_perception(options.perception)
-    rivals = make_rivals(options.perception) if options.compare else {}
+    perception = make_perception(spec)
+    rivals = make_rivals(spec) if options.compare else {}
     entries, bad, looked = [], 0, 0
     with ExitStack() as stack:
         write = stack.enter_context(_table(options.out, options.compare)) if options.out else None
@@ -83,13 +85,13 @@ def track(options: Track) -> int:
                 print(_line(result), flush=True)
             advance()
     if options.json:
-        summary = {"query": query, "perception": options.perception, "frames": entries, "left_out": bad}
+        summary = {"query": query, "perception": spec, "frames": entries, "left_out": bad}
         terminal.emit(summary)
     if bad == len(images):
         raise terminal.RunError(f"none of the {bad} frames could be used; the reasons are above")
     if looked == 0:
         raise terminal.RunError(
-            f"{options.perception} has no record for any of the {len(images)} frames; its stamps must use the clock of "
+            f"{spec} has no record for any of the {len(images)} frames; its stamps must use the clock of "
             f"{options.poses} ({steps[0].pose.stamp:g} to {steps[-1].pose.stamp:g} s)"
         )
     if bad:

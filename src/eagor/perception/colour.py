@@ -137,16 +137,23 @@ class ColourPerception:
 
 def parse_colour(query: str) -> Colour:
     """The first colour named in `query`, with "dark" or "light" before it. Raises `QueryError` if there is none."""
-    words: list[str] = re.findall(r"[a-z]+", query.lower()) if isinstance(query, str) else []
-    for previous, word in zip(["", *words], words, strict=False):
-        shade, _, name = SYNONYMS.get(word, word).rpartition(" ")
-        if name in COLOURS:
-            return _shaded(COLOURS[name], _SHADES.get(previous, shade))
+    if (found := colour_in(query)) is not None:
+        return found
     known = ", ".join([*COLOURS, *SYNONYMS])
     raise QueryError(
         f"the query {query!r} names no colour, and this perception sees only colours. Add one, such as "
         f"'the red chair' or 'dark green'; known are {known}"
     )
+
+
+def colour_in(query: str) -> Colour | None:
+    """The first colour named in `query`, with "dark" or "light" before it; None if there is none."""
+    words: list[str] = re.findall(r"[a-z]+", query.lower()) if isinstance(query, str) else []
+    for previous, word in zip(["", *words], words, strict=False):
+        shade, _, name = SYNONYMS.get(word, word).rpartition(" ")
+        if name in COLOURS:
+            return _shaded(COLOURS[name], _SHADES.get(previous, shade))
+    return None
 
 
 def _shaded(colour: Colour, shade: str) -> Colour:
