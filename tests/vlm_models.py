@@ -12,10 +12,10 @@ import transformers
 from tokenizers import Tokenizer, decoders, models, pre_tokenizers, processors
 
 from eagor.grids import ErpGrid
+from eagor.perception.pictures import resized
 from eagor.perception.transformers.language import LanguageModel
 from eagor.perception.transformers.layout import Layout
 from eagor.perception.transformers.loading import load_model
-from eagor.perception.vlm.sizes import resized
 from eagor.sphere import angular_distance, direction
 
 LANGUAGE = ("qwen2_5_vl", "qwen3_vl", "gemma3", "llava", "janus", "internvl")

@@ -10,10 +10,11 @@ import vlm_models
 from transformers.models.qwen2_vl.image_processing_pil_qwen2_vl import smart_resize
 
 from eagor.errors import EagorError, ImageError
+from eagor.perception.pictures import resized
 from eagor.perception.transformers import inputs
 from eagor.perception.transformers.chat import LocalChat, conversation
 from eagor.perception.vlm.families import FAMILIES
-from eagor.perception.vlm.sizes import nearest_size, resized
+from eagor.perception.vlm.sizes import nearest_size
 from eagor.perception.vlm.talk import IMAGE, Message
 from eagor.tasks.chat import load_chat, shared_chat
 from eagor.tasks.eyes import release

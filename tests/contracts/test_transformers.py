@@ -21,6 +21,7 @@ from eagor.errors import AnswerError, EagorError, ImageError, QueryError
 from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
 from eagor.perception import check_perception, load, parse_options
+from eagor.perception.pictures import resized
 from eagor.perception.transformers import TransformersPerception, family_of, inputs, prefix
 from eagor.perception.transformers.attention import densities, relative, saturated
 from eagor.perception.transformers.capture import Capture, capturing, full_layers
@@ -32,7 +33,6 @@ from eagor.perception.transformers.prefix import Decoded, Running
 from eagor.perception.vlm.boxes import Box
 from eagor.perception.vlm.families import FAMILIES
 from eagor.perception.vlm.labelled import Labelled
-from eagor.perception.vlm.sizes import resized
 from eagor.perception.vlm.talk import IMAGE, Message
 from eagor.sphere import angular_distance, direction
 

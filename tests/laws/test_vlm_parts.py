@@ -15,12 +15,13 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.perception.cutting import cut, tangent_views
+from eagor.perception.pictures import resized
 from eagor.perception.vlm.boxes import Box, parse_boxes
 from eagor.perception.vlm.drawing import drawn
 from eagor.perception.vlm.lenient import values
 from eagor.perception.vlm.presence import parse_presence
 from eagor.perception.vlm.prompts import GENERAL, ask_boxes, ask_presence, boxes_schema
-from eagor.perception.vlm.sizes import exact_size, resized
+from eagor.perception.vlm.sizes import exact_size
 from eagor.perception.vlm.styles import style_of
 from eagor.perception.vlm.tokens import Trace
 from eagor.perception.vlm.views import filled, framed, lift

@@ -14,7 +14,7 @@ import numpy as np
 from eagor._extras import need
 from eagor.errors import GridError
 from eagor.grids import Lens, PerspectiveGrid, forward_view, lens_of
-from eagor.perception.vlm.sizes import checked_picture
+from eagor.perception.pictures import checked_picture
 from eagor.sphere import direction, world_R_body
 
 OVERLAP = math.radians(10)

@@ -19,7 +19,7 @@ from eagor.evidence.detections import View
 from eagor.evidence.shapes import canvas_of
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
 from eagor.perception import Perception, rows_of
-from eagor.perception.vlm.sizes import checked_picture
+from eagor.perception.pictures import checked_picture
 from eagor.perception.vlm.views import bilinear
 from eagor.sphere import world_R_body
 

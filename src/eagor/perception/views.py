@@ -18,8 +18,8 @@ from eagor.grids import PerspectiveGrid
 from eagor.perception.adapters import boxes_of
 from eagor.perception.blobs import spread_evidence
 from eagor.perception.cutting import cut, tangent_views
+from eagor.perception.pictures import checked_picture
 from eagor.perception.pieces import Piece, things
-from eagor.perception.vlm.sizes import checked_picture
 from eagor.perception.words import meant
 from eagor.sphere import azimuth_elevation, check_rotation, world_R_body
 

@@ -16,13 +16,13 @@ from eagor.evidence.shapes import WHOLE_SPHERE, canvas_of
 from eagor.grids import Grid, PerspectiveGrid
 from eagor.perception.cutting import cut
 from eagor.perception.endpoint.messages import Answer, Picture, Request, question
+from eagor.perception.pictures import resized
 from eagor.perception.vlm.boxes import Box, parse_boxes
 from eagor.perception.vlm.drawing import drawn
 from eagor.perception.vlm.found import Thing, things, united
 from eagor.perception.vlm.presence import parse_presence
 from eagor.perception.vlm.prompts import ask_boxes, ask_presence, boxes_schema
 from eagor.perception.vlm.seam import merged
-from eagor.perception.vlm.sizes import resized
 from eagor.perception.vlm.styles import Style
 from eagor.perception.vlm.views import filled, framed, lift
 

@@ -174,7 +174,9 @@ def from_text(text: str = "", /, **options: Any) -> Perception:
     if isinstance(given.get("labels"), int | float):
         given["labels"] = str(given["labels"])  # a file that is called 80, say
     detect = OnnxDetector(os.path.expanduser(path), **{name: given[name] for name in own if name in given})
-    fields = {"size": max(detect.size)} | {new: given[old] for old, new in _OF_VIEWS.items() if old in given}
+    fields: dict[str, Any] = {"size": max(detect.size)} | {
+        new: given[old] for old, new in _OF_VIEWS.items() if old in given
+    }
     return Views(detect, **fields)
 
 

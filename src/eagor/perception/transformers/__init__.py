@@ -198,7 +198,7 @@ class TransformersPerception:
 
     def _shots(self, panorama: np.ndarray, queries: Sequence[str]) -> tuple[_Shots, float]:
         """The pictures of a look at a panorama, and the time it began."""
-        from eagor.perception.vlm.sizes import checked_picture
+        from eagor.perception.pictures import checked_picture
 
         began = time.perf_counter()
         for query in queries:
@@ -208,8 +208,8 @@ class TransformersPerception:
 
     def _whole(self, image: np.ndarray) -> _Shots:
         """The panorama at the model's size; with `seam` also rolled by half a turn."""
+        from eagor.perception.pictures import resized
         from eagor.perception.vlm.seam import merged
-        from eagor.perception.vlm.sizes import resized
 
         aspect = image.shape[1] / image.shape[0]
         size = self.looker.size(aspect)

@@ -16,10 +16,11 @@ import numpy as np
 import torch
 
 from eagor.errors import EagorError, ImageError
+from eagor.perception.pictures import resized
 from eagor.perception.transformers.layout import Block, Layout
 from eagor.perception.transformers.steps import Endless, limited_steps
 from eagor.perception.vlm.families import Family
-from eagor.perception.vlm.sizes import exact_size, nearest_size, resized
+from eagor.perception.vlm.sizes import exact_size, nearest_size
 
 _MOST_TILES = 12
 _MOST_STEPS = 2_000_000  # lines that a chat template may run: a hundred turns with pictures take about ten thousand

@@ -13,6 +13,7 @@ import torch
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
 from eagor.perception.cutting import cut
+from eagor.perception.pictures import resized
 from eagor.perception.transformers.attention import SATURATION, mean_over_heads, of_heads, relative, saturated
 from eagor.perception.transformers.capture import Capture, full_layers, prepare
 from eagor.perception.transformers.heads import Heads, Observed
@@ -24,7 +25,6 @@ from eagor.perception.vlm.drawing import drawn
 from eagor.perception.vlm.families import Extractor, Family
 from eagor.perception.vlm.labelled import Labelled
 from eagor.perception.vlm.prompts import GENERAL, ask_boxes, ask_presence
-from eagor.perception.vlm.sizes import resized
 
 
 @dataclass
