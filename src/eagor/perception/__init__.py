@@ -13,13 +13,16 @@ import re
 from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from eagor import plugins
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import Evidence
+
+if TYPE_CHECKING:
+    from eagor.perception.views import Views
 
 __all__ = [
     "Perception",
