@@ -12,6 +12,7 @@ import sys
 import tarfile
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -292,12 +293,17 @@ def test_an_interrupted_fetch_leaves_nothing(own_npm, tmp_path, sign, code):
     tmp_path.joinpath("tmp").mkdir()
     environment = os.environ | {"EAGOR_CACHE": str(tmp_path / "cache"), "TMPDIR": str(tmp_path / "tmp")}
     command = [sys.executable, "-m", "eagor", "models", "get", "coco"]
-    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+    heed = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # a shell's background ignores it
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, env=environment, preexec_fn=heed, **pipes) as process:
         while not shelf.joinpath("begun").exists():
             assert process.poll() is None, process.communicate()
             time.sleep(0.02)
         process.send_signal(sign)
-        _, said = process.communicate(timeout=60)
+        try:
+            _, said = process.communicate(timeout=60)
+        finally:
+            process.kill()
     assert process.returncode == code, said
     assert not list(tmp_path.joinpath("tmp").iterdir())
     assert in_cache(tmp_path) == []
