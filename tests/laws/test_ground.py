@@ -366,7 +366,7 @@ def test_a_path_down_the_field_of_a_footprint_ends_beside_it():
     assert length(path) + last == pytest.approx(float(field.distance(path[0])), abs=CELL)
     with pytest.raises(WorldError, match="not free"):
         ground.path([5.5, 2.5], [1.0, 1.0])
-    with pytest.raises(WorldError, match="no way"):
+    with pytest.raises(WorldError, match="no path"):
         ground.path([1.0, 1.0], [5.5, 2.5])
 
 

@@ -102,7 +102,7 @@ def test_nothing_is_unpacked():
     with HostileServer(
         lambda connection, *_: connection.sendall(whole(packed, OK + b"content-encoding: gzip\r\n"))
     ) as server:
-        with pytest.raises(ServerError, match=r"packed its answer \(gzip\)"):
+        with pytest.raises(ServerError, match=r"compressed its answer \(gzip\)"):
             look(server.url)
         assert b"accept-encoding: identity" in server.requests[0].lower()
 

@@ -19,7 +19,10 @@ from eagor.tasks import benchmark, task
 
 PACKAGES = ("numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich")
 USES = {**machine.USES, "ray": "runs on a cluster"}
-OPTIONAL = {name: f"{USES[extra]}: the extra '{extra}'" for extra, names in EXTRAS.items() for name in names}
+OPTIONAL = {
+    name: "; ".join(f"{USES[extra]}: the extra '{extra}'" for extra, names in EXTRAS.items() if name in names)
+    for name in dict.fromkeys(name for names in EXTRAS.values() for name in names)
+}
 OPTIONAL |= {"embreex": "faster rays in simulated worlds: the extra 'sim'"}
 WANTS = {
     "endpoint": "endpoint",
