@@ -71,11 +71,6 @@ class Belief(Readable):
         return math.isqrt(self.coefficients.shape[-1]) - 1
 
     @property
-    def basis(self) -> RealHarmonics:
-        """The basis of the coefficients."""
-        return RealHarmonics(self.degree)
-
-    @property
     def batch_shape(self) -> tuple[int, ...]:
         """The leading dimensions."""
         return tuple(self.coefficients.shape[:-1])

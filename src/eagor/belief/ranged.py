@@ -85,11 +85,6 @@ class RangedBelief(Readable):
         return math.isqrt(self.shells.shape[-1]) - 1
 
     @property
-    def basis(self) -> RealHarmonics:
-        """The basis of the shells."""
-        return RealHarmonics(self.degree)
-
-    @property
     def batch_shape(self) -> tuple[int, ...]:
         """The leading dimensions, without that of the shells."""
         return tuple(self.shells.shape[:-2])

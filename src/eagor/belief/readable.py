@@ -13,6 +13,7 @@ from eagor._lazy import lazy
 from eagor._reprs import where
 from eagor.belief.posterior import CELLS_FOR_REGIONS, MIN_WEIGHT, PROMINENCE, CredibleRegion, Field, Posterior
 from eagor.errors import EagorError
+from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import FLAT, decoding_grid
 from eagor.sphere import azimuth_elevation
 
@@ -27,6 +28,11 @@ class Readable:
     def degree(self) -> int:
         """The highest degree of the harmonics."""
         raise NotImplementedError
+
+    @property
+    def basis(self) -> RealHarmonics:
+        """The basis of the coefficients."""
+        return RealHarmonics(self.degree)
 
     @property
     def batch_shape(self) -> tuple[int, ...]:

@@ -12,7 +12,7 @@ otherwise a small thing would nearly vanish.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -82,6 +82,25 @@ class Evidence:
         """Evidence from a set of detections; `grid` is what its values are drawn on."""
         stamp = None if stamp is None else checked_stamp(stamp)
         return cls(None, grid, _DEFAULT, stamp, detections=detections)
+
+    @classmethod
+    def from_moments(
+        cls,
+        found: Sequence[tuple[np.ndarray, np.ndarray]],
+        scores: np.ndarray | None,
+        view: View,
+        detector: DetectorModel | None = None,
+        stamp: float | None = None,
+    ) -> Evidence:
+        """Evidence from detections with mean directions ``(3,)`` and covariances ``(2, 2)`` about them, in `view`.
+
+        Each is widened by the spread of `detector` (default: `DetectorModel()`). `scores` ``(n,)`` in [0, 1].
+        """
+        model = detector or DetectorModel()
+        points = np.array([centre for centre, _ in found]).reshape(-1, 3)
+        covariances = np.array([spread for _, spread in found]).reshape(-1, 2, 2) + model.spread**2 * np.eye(2)
+        detections = Detections.around(model, points, anisotropic(points, covariances), scores, view)
+        return cls.from_detections(detections, canvas_of(view.grid), stamp)
 
     @property
     def log_ratio(self) -> Array:
@@ -153,7 +172,7 @@ class Evidence:
         if calibration is None or detector is not None:
             found = [mask_moments(mask, grid) for mask in masks if mask.any()]
             kept = None if scores is None else weights[[bool(mask.any()) for mask in masks]]
-            return _detected(detector, found, kept, grid, stamp)
+            return cls.from_moments(found, kept, View(grid), detector, stamp)
         response = np.zeros(grid.shape)
         for mask, weight in zip(masks, weights, strict=True):
             response = np.maximum(response, weight * widened(mask, grid, min_spread))
@@ -187,7 +206,7 @@ class Evidence:
         weights = _checked_scores(scores, len(table))
         if calibration is None or detector is not None:
             found = [moments(box, grid) for box in table]
-            return _detected(detector, found, None if scores is None else weights, grid, stamp)
+            return cls.from_moments(found, None if scores is None else weights, View(grid), detector, stamp)
         canvas = canvas_of(grid)
         response = np.zeros(canvas.shape)
         for box, weight in zip(table, weights, strict=True):
@@ -315,21 +334,6 @@ class Evidence:
 
 
 _DEFAULT = Calibration()
-
-
-def _detected(
-    detector: DetectorModel | None,
-    found: list[tuple[np.ndarray, np.ndarray]],
-    scores: np.ndarray | None,
-    grid: Grid,
-    stamp: float | None,
-) -> Evidence:
-    """Evidence from detections with mean directions and covariances about them."""
-    model = detector or DetectorModel()
-    points = np.array([centre for centre, _ in found]).reshape(-1, 3)
-    covariances = np.array([spread for _, spread in found]).reshape(-1, 2, 2) + model.spread**2 * np.eye(2)
-    detections = Detections.around(model, points, anisotropic(points, covariances), scores, View(grid))
-    return Evidence.from_detections(detections, canvas_of(grid), stamp)
 
 
 def _rows(values: Array, columns: int, name: str) -> np.ndarray:

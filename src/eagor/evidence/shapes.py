@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -45,17 +46,20 @@ def moments(box: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
             f"box {box.tolist()} has no area inside the {width} x {height} image; wanted x0, y0, x1, y1 in its pixels "
             "(not x, y, width, height, and not 0 to 1)"
         )
+    points, areas = box_samples((x0, y0, x1, y1), grid)
+    if float(np.linalg.norm(areas @ points)) < 1e-9 * areas.sum():
+        raise ResponseError(f"box {box.tolist()} spans the whole sphere, so it has no direction")
+    return moments_of(points, areas)
+
+
+def box_samples(box: Sequence[float] | np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """Directions ``(n, 3)`` that fill a box, and their solid angles ``(n,)``: Gauss-Legendre nodes along each side."""
+    x0, y0, x1, y1 = box
     nodes, weights = np.polynomial.legendre.leggauss(12)
     x = x0 + (x1 - x0) * (nodes + 1) / 2
     y = (y0 + (y1 - y0) * (nodes + 1) / 2)[:, None]
-    share = grid.density(x, y) * weights * weights[:, None]
-    points = grid.unproject(x, y)
-    centre = np.einsum("ij,ijk->k", share, points)
-    length = np.linalg.norm(centre)
-    if length < 1e-9 * share.sum():
-        raise ResponseError(f"box {box.tolist()} spans the whole sphere, so it has no direction")
-    offsets = _tangent(points, centre / length)
-    return centre / length, np.einsum("ij,ijk,ijl->kl", share, offsets, offsets) / share.sum()
+    areas = grid.density(x, y) * weights * weights[:, None] * ((x1 - x0) * (y1 - y0) / 4)
+    return grid.unproject(x, y).reshape(-1, 3), areas.reshape(-1)
 
 
 def bump(directions: np.ndarray, centre: np.ndarray, spread: np.ndarray) -> np.ndarray:

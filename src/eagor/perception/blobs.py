@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from eagor.evidence import Evidence
-from eagor.evidence.detections import Detections, View, anisotropic
+from eagor.evidence.detections import View
 from eagor.evidence.detector import DetectorModel
-from eagor.evidence.shapes import canvas_of, moments_of
+from eagor.evidence.shapes import moments_of
 from eagor.grids import ErpGrid, Grid, PatchGrid
 
 
@@ -43,12 +43,8 @@ def spread_evidence(
     stamp: float | None = None,
 ) -> Evidence:
     """The evidence of detections (mean direction, covariance, score) in `view`, widened by the spread of `model`."""
-    model = model or DetectorModel()
-    points = np.array([centre for centre, _, _ in found]).reshape(-1, 3)
-    spreads = np.array([spread for _, spread, _ in found]).reshape(-1, 2, 2) + model.spread**2 * np.eye(2)
     scores = np.array([score for _, _, score in found])
-    detections = Detections.around(model, points, anisotropic(points, spreads), scores, view)
-    return Evidence.from_detections(detections, canvas_of(view.grid), stamp)
+    return Evidence.from_moments([(centre, spread) for centre, spread, _ in found], scores, view, model, stamp)
 
 
 def connected(inside: np.ndarray, seam: bool, poles: bool = False) -> np.ndarray:

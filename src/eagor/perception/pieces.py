@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eagor.evidence.shapes import moments_of
+from eagor._lazy import lazy
+from eagor.evidence.shapes import box_samples, moments_of
 from eagor.grids import PerspectiveGrid
 from eagor.sphere import unit
 
-NODES = 12  # along each side of a box: where its solid angle is sampled
 BORDER = 0.01  # of a view's side: a box that ends nearer to the border than that is cut
 SAME = 0.5  # of the smaller box, where both views look: with more in common, two boxes are of one thing
 # The visible part of a thing that is cut at a random place is on average (in the median) half of it.
@@ -27,13 +27,12 @@ HIDDEN = 1.0  # of the visible length: by how much a thing goes on behind an ope
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A box ``(4,)`` of a view, in its pixels, with score and label; the view is number `view` of those that look."""
+    """A box ``(4,)`` of a view, in its pixels, with its score; the view is number `view` of those that look."""
 
     view: int
     grid: PerspectiveGrid
     box: np.ndarray
     score: float
-    label: str | None = None
 
     @property
     def cut(self) -> np.ndarray:
@@ -42,13 +41,10 @@ class Piece:
         near = BORDER * size
         return np.concatenate([self.box[:2] <= near, self.box[2:] >= size - near])
 
-    def sampled(self, box: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Directions ``(n, 3)`` in the body frame that fill the box (or another one), and their solid angles."""
-        x0, y0, x1, y1 = self.box if box is None else box
-        at = (np.arange(NODES) + 0.5) / NODES
-        x, y = np.meshgrid(x0 + (x1 - x0) * at, y0 + (y1 - y0) * at)
-        weights = self.grid.density(x, y) * (x1 - x0) * (y1 - y0) / NODES**2
-        return self.grid.unproject(x, y).reshape(-1, 3), weights.reshape(-1)
+    @lazy
+    def samples(self) -> tuple[np.ndarray, np.ndarray]:
+        """Directions ``(n, 3)`` in the body frame that fill the box, and their solid angles ``(n,)``."""
+        return box_samples(self.box, self.grid)
 
     def holds(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which of the directions ``(n, 3)`` lie in the box, and which in the view."""
@@ -60,7 +56,7 @@ class Piece:
         """Whether it shows the same thing as a box of another view, judged by what both views see."""
         shared, seen = [], []
         for one, two in ((self, other), (other, self)):
-            directions, weights = one.sampled()
+            directions, weights = one.samples
             held, visible = two.holds(directions)
             shared.append(float(weights[held].sum()))
             seen.append(float(weights[visible].sum()))
@@ -98,10 +94,10 @@ def _thing(group: Sequence[Piece]) -> Thing:
     score = group[0].score
     whole = next((piece for piece in group if not piece.cut.any()), None)
     if whole is not None:
-        return Thing(*moments_of(*whole.sampled()), score)
+        return Thing(*moments_of(*whole.samples), score)
     directions, weights = [], []
     for number, piece in enumerate(group):
-        found, areas = piece.sampled(_opened(piece, group))
+        found, areas = box_samples(_opened(piece, group), piece.grid)
         new = np.ones(len(found), dtype=bool)
         for place, other in enumerate(group):
             held, seen = other.holds(found)
@@ -112,7 +108,7 @@ def _thing(group: Sequence[Piece]) -> Thing:
         directions.append(found[new])
         weights.append(areas[new])
     if not sum(len(found) for found in directions):
-        return Thing(*moments_of(*group[0].sampled()), score)
+        return Thing(*moments_of(*group[0].samples), score)
     return Thing(*moments_of(unit(np.concatenate(directions)), np.concatenate(weights)), score)
 
 

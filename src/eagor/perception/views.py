@@ -126,7 +126,7 @@ class Views:
                 continue
             inside = np.clip(box, 0, size)
             if (inside[2:] - inside[:2] > 1e-6 * size[:2]).all():
-                found.append(Piece(number, grid, inside, float(score), label))
+                found.append(Piece(number, grid, inside, float(score)))
         return found
 
 

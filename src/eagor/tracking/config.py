@@ -111,6 +111,10 @@ class TrackerConfig:
             target_motion=replace(self.target_motion, **forgetting),
         )
 
+    def shells(self, position: np.ndarray | None) -> np.ndarray | None:
+        """The `ranges` ``(K,)`` if the belief is over distance too: only where a position is known."""
+        return None if position is None or self.ranges is None else np.asarray(self.ranges, dtype=np.float64)
+
     def above_floor(self, position: np.ndarray | None) -> float | None:
         """The camera's height above the floor, if known, to the centimetre, since a walking camera bobs."""
         if self.floor_height is None or position is None:

@@ -47,8 +47,7 @@ class State:
     @classmethod
     def blank(cls, config: TrackerConfig, stamp: float, position: np.ndarray | None) -> State:
         """Before any look."""
-        ranges = None if position is None or config.ranges is None else np.asarray(config.ranges, dtype=np.float64)
-        standing = Standing.uniform(config.degree, ranges, config.above_floor(position))
+        standing = Standing.uniform(config.degree, config.shells(position), config.above_floor(position))
         return cls(stamp, position, Cases.prior(config.target_motion, standing))
 
     def at(self, now: float, position: np.ndarray | None, config: TrackerConfig) -> State:
@@ -75,11 +74,10 @@ class State:
     def _carried(self, now: float, position: np.ndarray | None, config: TrackerConfig) -> Cases:
         """The cases at a later time, seen from another place."""
         cases, height, step = self.cases, config.above_floor(position), None
-        if position is not None and config.ranges is not None:
+        if (ranges := config.shells(position)) is not None:
             if not isinstance(cases.standing.coarse, RangedBelief):  # positions are known from here on
-                ranges = np.asarray(config.ranges, dtype=np.float64)
                 cases = replace(cases, standing=cases.standing.ranged(ranges, height))
-            if self.position is not None:
+            if position is not None and self.position is not None:
                 step = position - self.position
         return cases.after(now - self.stamp, config.target_motion, config.drift, step, height)
 
