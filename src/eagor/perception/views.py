@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -15,7 +15,7 @@ from eagor.errors import EagorError, GridError, QueryError
 from eagor.evidence import DetectorModel, Evidence, View
 from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import PerspectiveGrid
-from eagor.perception.adapters import boxes_of
+from eagor.perception.adapters import Boxes, boxes_of
 from eagor.perception.blobs import spread_evidence
 from eagor.perception.cutting import cut, tangent_views
 from eagor.perception.pictures import checked_picture
@@ -95,18 +95,33 @@ class Views:
         Raises `QueryError` if the words mean nothing to the detector, `ImageError` if the panorama is none, and
         `EagorError` if the detector returns something else than boxes.
         """
-        wanted = self._wanted(query)
+        return self.looks(panorama, (query,), stamp=stamp, world_R_body=world_R_body)[0]
+
+    def looks(
+        self,
+        panorama: np.ndarray,
+        queries: Sequence[str],
+        *,
+        stamp: float | None = None,
+        world_R_body: np.ndarray | None = None,
+    ) -> tuple[Evidence, ...]:
+        """One look for each of several queries; a detector with `classes` sees each view once for all of them."""
+        wanted = [self._wanted(query) for query in queries]
         panorama = checked_picture(panorama)
         grids = self.views(world_R_body)
-        pieces = []
+        found: list[list[Piece]] = [[] for _ in queries]
         for number, (grid, picture) in enumerate(zip(grids, cut(panorama, *grids), strict=True)):
-            pieces += self._pieces(number, grid, picture, query, wanted)
-        return spread_evidence(things(pieces), self.detector, View(WHOLE_SPHERE), stamp)
+            seen = None
+            for query, words, pieces in zip(queries, wanted, found, strict=True):
+                if seen is None or self.classes is None:
+                    seen = boxes_of(self.detect(picture, query), self.classes)
+                pieces += _pieces(number, grid, seen, query, words)
+        return tuple(spread_evidence(things(pieces), self.detector, View(WHOLE_SPHERE), stamp) for pieces in found)
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
         """One look at an ordinary picture ``(h, w, 3)`` uint8 that `grid` describes."""
-        image = checked_picture(image, "the picture")
-        pieces = self._pieces(0, grid, image, query, self._wanted(query))
+        wanted, image = self._wanted(query), checked_picture(image, "the picture")
+        pieces = list(_pieces(0, grid, boxes_of(self.detect(image, query), self.classes), query, wanted))
         return spread_evidence(things(pieces), self.detector, View(grid), stamp)
 
     def _wanted(self, query: str) -> tuple[str, ...] | None:
@@ -114,20 +129,19 @@ class Views:
             raise QueryError(f"the query is {query!r}; wanted words, such as 'chair'")
         return None if self.classes is None else meant(query, self.classes)
 
-    def _pieces(
-        self, number: int, grid: PerspectiveGrid, picture: np.ndarray, query: str, wanted: tuple[str, ...] | None
-    ) -> list[Piece]:
-        """The boxes of one view that the query means."""
-        boxes, scores, labels = boxes_of(self.detect(picture, query), self.classes)
-        size = np.array([grid.width, grid.height] * 2, dtype=np.float64)
-        found = []
-        for box, score, label in zip(boxes, scores, labels or [None] * len(boxes), strict=True):
-            if label is not None and not _fits(label, query, wanted):
-                continue
-            inside = np.clip(box, 0, size)
-            if (inside[2:] - inside[:2] > 1e-6 * size[:2]).all():
-                found.append(Piece(number, grid, inside, float(score)))
-        return found
+
+def _pieces(
+    number: int, grid: PerspectiveGrid, seen: Boxes, query: str, wanted: tuple[str, ...] | None
+) -> Iterator[Piece]:
+    """The boxes of view `number` that the query means."""
+    boxes, scores, labels = seen
+    size = np.array([grid.width, grid.height] * 2, dtype=np.float64)
+    for box, score, label in zip(boxes, scores, labels or [None] * len(boxes), strict=True):
+        if label is not None and not _fits(label, query, wanted):
+            continue
+        inside = np.clip(box, 0, size)
+        if (inside[2:] - inside[:2] > 1e-6 * size[:2]).all():
+            yield Piece(number, grid, inside, float(score))
 
 
 def _fits(label: str, query: str, wanted: tuple[str, ...] | None) -> bool:
