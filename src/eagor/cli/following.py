@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from eagor.cli.locate import as_angles, degrees, mode_as_json
-from eagor.cli.looking import ShapeError, is_input_fault, is_whole, look_if_recorded, read_frame
-from eagor.cli.poses import Step
+from eagor.cli.looking import ShapeError, is_input_fault, look_if_recorded
+from eagor.cli.poses import Pose
+from eagor.cli.steps import Step
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.perception import Perception
@@ -20,6 +20,7 @@ from eagor.tasks.methods import NAMES, Method, make_method
 from eagor.tracking import Estimate, TrackerConfig
 from eagor.tracking.tracker import DirectionTracker
 
+T = TypeVar("T")
 RIVALS = tuple(name for name in NAMES if name != "eagor")  # in the order of the columns
 
 
@@ -27,16 +28,18 @@ RIVALS = tuple(name for name in NAMES if name != "eagor")  # in the order of the
 class Result:
     """The result of one frame.
 
-    `problem` says why the frame could not be used, if so; `evidence` has several items for several views; `others` are
-    the other methods' directions ``(3,)`` by name, None before their first.
+    `problem` says why the frame could not be used, if so; `evidence` has several items for several views; `looked` and
+    `lost` as in `Step`; `others` are the other methods' directions ``(3,)`` by name, None before their first.
     """
 
-    image: Path
+    frame: str
     stamp: float
     estimate: Estimate
     panorama: np.ndarray | None
     evidence: tuple[Evidence, ...]
     problem: str | None
+    looked: bool = True
+    lost: bool = False
     others: dict[str, np.ndarray | None] = field(default_factory=dict)
 
     @property
@@ -53,7 +56,7 @@ class Result:
         """This frame for ``--json`` and for .jsonl files."""
         e, distance, spread = self.estimate, self.distance, self.distance_spread
         entry: dict[str, Any] = {
-            "frame": self.image.name,
+            "frame": self.frame,
             "stamp": self.stamp,
             "azimuth_deg": degrees(e.azimuth),
             "elevation_deg": degrees(e.elevation),
@@ -66,6 +69,8 @@ class Result:
             "modes": [mode_as_json(mode) for mode in e.modes],
             "looks": len(self.evidence),
         }
+        if self.lost:
+            entry["lost"] = True
         if self.problem is not None:
             entry["problem"] = self.problem
         if self.others:
@@ -74,56 +79,82 @@ class Result:
 
 
 def follow(
-    steps: Sequence[Step],
+    steps: Iterable[Step],
     perception: Perception,
     query: str,
     config: TrackerConfig,
-    rivals: Mapping[str, Method],
-    force: bool = False,
+    rivals: Callable[[], Mapping[str, Method]] = dict,
 ) -> Iterator[Result]:
-    """One result per image, in order of time, with the directions of the `rivals` (`make_rivals`).
+    """One result per frame, in order of time, with the directions of the `rivals`, which the function makes.
 
-    An image that cannot be used gives a result with a problem; the poses carry the belief over it. Raises `EagorError`
-    if no other frame could do better: a query without meaning, or a first image that is not 2:1 (unless `force`).
+    A frame that cannot be used gives a result with a problem; the poses carry the belief over it. Where the poses are
+    lost, everything starts anew. Raises `EagorError` if no other frame could do better: a query without meaning, or a
+    first frame that is not 2:1.
     """
-    tracker = DirectionTracker(config)
-    poses, fed, warned = [step.pose for step in steps], 0, False
-    frames = [step.pose.stamp for step in steps if step.image is not None]
-    for index, step in enumerate(steps):
+    tracker, others = DirectionTracker(config), rivals()
+    before = first = fed = -math.inf
+    for (poses, step), after in _with_next(_by_frame(steps)):
+        stamp, read = step.pose.stamp, step.read
+        if step.lost:
+            tracker, others, first, poses = DirectionTracker(config), rivals(), -math.inf, [step.pose]
         # One pose ahead, so that a replay record from shortly after this frame gets the pose of its own time.
-        while fed < min(index + 2, len(poses)):
-            tracker.add_pose(poses[fed].stamp, poses[fed].world_R_body, poses[fed].position)
-            fed += 1
-        if step.image is None:
-            continue
-        stamp, now = step.pose.stamp, step.pose.stamp
-        panorama, problem = None, None
+        ahead = [] if after is None or after[1].lost else [after[0][0]]
+        for pose in [*poses, *ahead]:
+            if pose.stamp > fed:
+                tracker.add_pose(pose.stamp, pose.world_R_body, pose.position)
+                fed, first = pose.stamp, pose.stamp if first == -math.inf else first
+        panorama, problem, now = None, None, stamp
         looks: tuple[Evidence, ...] = ()
         try:
-            panorama = read_frame(step.image, force, warn=not warned)
-            warned = warned or not is_whole(panorama)
-            looks = _own(look_if_recorded(perception, panorama, query, stamp, step.pose.world_R_body), stamp, frames)
+            panorama = None if read is None else read()
+            if step.looked and panorama is not None:
+                looks = look_if_recorded(perception, panorama, query, stamp, step.pose.world_R_body)
+                looks = _own(looks, before, stamp, math.inf if after is None else after[1].pose.stamp)
         except EagorError as error:
-            if is_input_fault(error) or (isinstance(error, ShapeError) and stamp == frames[0]):
+            if is_input_fault(error) or (isinstance(error, ShapeError) and before == -math.inf):
                 raise
             problem = str(error)
         for evidence in looks:
-            placed = _within(evidence, poses[0].stamp, poses[fed - 1].stamp)
+            placed = _within(evidence, first, fed)
             tracker.observe(placed)
             now = now if placed.stamp is None else max(now, float(placed.stamp))
-        for method in rivals.values():
+        for method in others.values():
             method.move(stamp, step.pose.world_R_body, step.pose.position)
             for evidence in looks:
                 method.see(replace(evidence, stamp=stamp))
         yield Result(
-            image=step.image,
+            frame=step.frame or "",
             stamp=stamp,
             estimate=tracker.estimate(now),
             panorama=panorama,
             evidence=looks,
             problem=problem,
-            others={name: method.direction() for name, method in rivals.items()},
+            looked=step.looked,
+            lost=step.lost,
+            others={name: method.direction() for name, method in others.items()},
         )
+        before = stamp
+
+
+def _by_frame(steps: Iterable[Step]) -> Iterator[tuple[list[Pose], Step]]:
+    """Each frame, with the poses since the frame before, its own included."""
+    poses: list[Pose] = []
+    for step in steps:
+        poses.append(step.pose)
+        if step.frame is not None:
+            yield poses, step
+            poses = []
+
+
+def _with_next(items: Iterable[T]) -> Iterator[tuple[T, T | None]]:
+    """Each item, with the one after it."""
+    held: list[T] = []
+    for item in items:
+        if held:
+            yield held.pop(), item
+        held.append(item)
+    for item in held:
+        yield item, None
 
 
 def make_rivals(perception: str) -> dict[str, Method]:
@@ -131,16 +162,15 @@ def make_rivals(perception: str) -> dict[str, Method]:
     return {name: make_method(name, np.random.default_rng(0), perception) for name in RIVALS}
 
 
-def _own(looks: Sequence[Evidence], stamp: float, frames: Sequence[float]) -> tuple[Evidence, ...]:
-    """Those of `looks` for which the frame at `stamp` is the nearest of the `frames` (sorted times).
+def _own(looks: Sequence[Evidence], before: float, stamp: float, after: float) -> tuple[Evidence, ...]:
+    """Those of `looks` to which the frame at `stamp` is nearer than the frames before and after it.
 
     Frames closer together than a replay's tolerance find the same line, which is evidence only once.
     """
 
     def nearest(look: Evidence) -> float:
         at = stamp if look.stamp is None else float(look.stamp)
-        place = bisect_left(frames, at)
-        return min(frames[max(place - 1, 0) : place + 1], key=lambda frame: abs(frame - at))
+        return min((before, stamp, after), key=lambda frame: abs(frame - at))
 
     return tuple(look for look in looks if nearest(look) == stamp)
 

@@ -204,10 +204,15 @@ def read_frame(path: Path, force: bool = False, warn: bool = True) -> np.ndarray
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         panorama = read_panorama(path)
+    return checked_shape(panorama, str(path), force, warn)
+
+
+def checked_shape(panorama: np.ndarray, name: str, force: bool = False, warn: bool = True) -> np.ndarray:
+    """`panorama`, if it is 2:1; else raises `ShapeError`, or with `force` warns (if `warn`)."""
     if is_whole(panorama):
         return panorama
     height, width = panorama.shape[:2]
-    what = f"{path} is {width} x {height}, not 2:1"
+    what = f"{name} is {width} x {height}, not 2:1"
     if not force:
         raise ShapeError(
             f"{what}; wanted a whole panorama, twice as wide as high ({2 * height} x {height}). Pad an image that "

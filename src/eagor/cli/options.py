@@ -126,17 +126,34 @@ class Locate(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class Track(Common):
-    """Follow an object through a sequence of panoramas, with the camera's poses."""
+    """Follow an object through a 360-degree video, or a sequence of panoramas."""
 
     runs: ClassVar[str] = "eagor.cli.track:track"
 
     words: Annotated[tuple[str, ...], Positional, arg(metavar="FRAMES QUERY", help_behavior_hint="(required)")]
-    """A folder of panoramas (or several image files, sorted by name), then what to look for."""
-    poses: Annotated[Path, arg(metavar="CSV")]
+    """A video, a folder of panoramas, or several image files (sorted by name); then what to look for."""
+    poses: Annotated[str, arg(metavar="CSV|auto|level")] = "auto"
     (
-        "The camera's poses: a CSV file with the columns stamp,qw,qx,qy,qz (world_R_body) or "
-        "stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch nose DOWN); also x,y,z (metres) and frame (file name)."
+        "How the camera turned and moved. auto: from the video's IMU, or else from the pictures themselves (rotation "
+        "only). level: the same for a camera that keeps its pictures level; only the heading turns. CSV: a file with "
+        "the columns stamp,qw,qx,qy,qz (world_R_body) or stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch nose DOWN); "
+        "also x,y,z (metres) and frame (file name)."
     )
+    rate: Annotated[float | None, _bare("HZ")] = None
+    (
+        "Looks per second of a video (default: 2). For images with --poses auto or level: at how many per second they "
+        "were taken (default: 1)."
+    )
+    start: Annotated[float, arg(metavar="SECONDS")] = 0.0
+    """Where to begin in a video."""
+    end: Annotated[float | None, _bare("SECONDS")] = None
+    """Where to stop in a video (default: at its end)."""
+    video: Annotated[Path | None, _bare("FILE.mp4")] = None
+    """Write a video with the answer drawn in: .mp4, .mkv, .webm, .gif or .webp."""
+    fps: Annotated[float | None, _bare("HZ")] = None
+    """Frames per second of --video (default: 10). Between looks the belief moves with the camera."""
+    page: Annotated[Path | None, _bare("FILE.html")] = None
+    """Write one self-contained web page: the frames with the answers, a time line, a table."""
     perception: Annotated[str | None, _bare("NAME")] = None
     """The detector: colour, coco, replay:FILE.jsonl, onnx:MODEL.onnx, a model, or an installed one (as for locate)."""
     floor: Annotated[float | None, _bare("Z")] = None

@@ -44,14 +44,6 @@ class Pose:
     frame: str | None
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
-    """A pose and its image; None for odometry between frames."""
-
-    pose: Pose
-    image: Path | None
-
-
 def read_poses(path: str | Path) -> tuple[Pose, ...]:
     """The poses in the file, sorted by time (format: this module's text).
 
@@ -89,7 +81,9 @@ def read_poses(path: str | Path) -> tuple[Pose, ...]:
     return tuple(poses)
 
 
-def pair(poses: Sequence[Pose], images: Sequence[Path], name: str | Path = "the pose file") -> tuple[Step, ...]:
+def pair(
+    poses: Sequence[Pose], images: Sequence[Path], name: str | Path = "the pose file"
+) -> tuple[tuple[Pose, Path | None], ...]:
     """Each pose with its image, sorted by time: by file name if the file has names, else in order.
 
     Poses of other images are kept as odometry. Raises `PoseError` for an image with no pose or with two, and for
@@ -101,13 +95,13 @@ def pair(poses: Sequence[Pose], images: Sequence[Path], name: str | Path = "the 
                 f"{name} has {len(poses)} poses for {len(images)} frames; without a column 'frame' they are paired in "
                 "order. Add that column with the file names, or give as many poses as frames"
             )
-        return tuple(Step(pose, image) for pose, image in zip(poses, images, strict=True))
+        return tuple(zip(poses, images, strict=True))
     by_name = {image.name: image for image in images}
     if len(by_name) < len(images):
         twice = sorted(n for n in by_name if sum(image.name == n for image in images) > 1)
         raise PoseError(f"two frames are called {twice[0]}; rename one, because poses refer to frames by name")
-    steps = tuple(Step(pose, by_name.get(PurePath(pose.frame).name) if pose.frame else None) for pose in poses)
-    used = [step.image.name for step in steps if step.image is not None]
+    pairs = tuple((pose, by_name.get(PurePath(pose.frame).name) if pose.frame else None) for pose in poses)
+    used = [image.name for _, image in pairs if image is not None]
     missing = [n for n in by_name if n not in used]
     if missing:
         raise PoseError(
@@ -117,7 +111,7 @@ def pair(poses: Sequence[Pose], images: Sequence[Path], name: str | Path = "the 
     if len(used) > len(by_name):
         twice = sorted(n for n in by_name if used.count(n) > 1)
         raise PoseError(f"{name} has several poses for {_some(twice)}; leave 'frame' empty on all lines but one")
-    return steps
+    return pairs
 
 
 def _lines(path: str | Path, text: str) -> Iterator[tuple[int, list[str]]]:

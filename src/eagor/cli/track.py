@@ -1,4 +1,4 @@
-"""``eagor track``: a sequence of panoramas and the camera's poses, one line per frame.
+"""``eagor track``: a video or a sequence of panoramas, one line per look.
 
 A frame that cannot be read is reported on stderr; the poses carry the belief over it, and the exit code is 3. A first
 frame that is not 2:1 ends the run, because the others will hardly be. ``--out`` is flushed after every line.
@@ -9,9 +9,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import count
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,20 +23,23 @@ from eagor._files import Lines
 from eagor.cli import terminal
 from eagor.cli.following import RIVALS, Result, follow, make_rivals
 from eagor.cli.looking import (
+    ShapeError,
     check_not_read,
     checked_folder,
     checked_out,
     checked_query,
-    find_frames,
     keep_picture,
     make_perception,
     perception_for,
     tracker_config,
     warn_of_detector,
 )
-from eagor.cli.options import Track
-from eagor.cli.poses import Step, pair, read_poses
+from eagor.cli.options import Track, given
+from eagor.cli.poses import Pose, read_poses
+from eagor.cli.steps import Film, Source, Step, images, is_video, thinned, with_file, with_imu, with_sight
 from eagor.cli.words import answer_in_words, signed
+from eagor.errors import ImageError
+from eagor.perception import Perception, rows_of
 from eagor.sphere import azimuth_elevation
 
 COLUMNS = (
@@ -41,6 +47,8 @@ COLUMNS = (
     "status", "held",
 )  # fmt: skip
 MOST_DRIFT = 90  # degrees
+RATE, FPS = 2.0, 10.0  # looks and frames per second of a video
+LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
 STATUS_WIDTH = len("ambiguous, held")
 WIDTH = 2 + max(len("-180.0/-90.0"), *map(len, RIVALS))  # of a rival's column
 
@@ -48,55 +56,149 @@ WIDTH = 2 + max(len("-180.0/-90.0"), *map(len, RIVALS))  # of a rival's column
 def track(options: Track) -> int:
     """Run the command; returns its exit code."""
     if len(options.words) < 2:
-        raise terminal.UsageError(f"got {' '.join(options.words)!r}; wanted FRAMES (a folder or images), then QUERY")
+        raise terminal.UsageError(
+            f"got {' '.join(options.words)!r}; wanted FRAMES (a video, a folder or images), then QUERY"
+        )
     query = checked_query(options.words[-1])
     spec = perception_for(query, options.perception)
     places = [Path(word) for word in options.words[:-1]]
-    check_not_read(options.out, "--out", [options.poses])
+    check_not_read(options.out, "--out", [*places, Path(options.poses)])
     check_not_read(options.picture, "--picture", places)
-    images = find_frames(places)
-    steps = pair(read_poses(options.poses), images, options.poses)
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
-    floor, drift = _checked_floor(options.floor, steps), _checked_drift(options.drift)
-    config = replace(config, floor_height=floor, drift=drift)
     perception = make_perception(spec)
-    rivals = make_rivals(spec) if options.compare else {}
-    entries, bad, looked = [], 0, 0
+    journey = _journey(options, places, perception)
+    floor, drift = _checked_floor(options.floor, journey.poses), _checked_drift(options.drift)
+    config = replace(config, floor_height=floor, drift=drift)
+    run = _Run(options, query, spec)
+    rivals = partial(make_rivals, spec) if options.compare else dict
     with ExitStack() as stack:
-        write = stack.enter_context(_table(options.out, options.compare)) if options.out else None
-        draw = _painter(options.picture, query) if options.picture else None
-        advance = stack.enter_context(terminal.progress("looking", len(images), shown=options.json))
-        for number, result in enumerate(follow(steps, perception, query, config, rivals, options.force)):
-            if number == 0 and not options.json:
-                print(_header(options.compare), flush=True)
-            if result.evidence and not looked:
-                warn_of_detector(options.detector, result.evidence)
-            if result.problem is not None:
-                terminal.warning(f"{result.image.name} is left out: {result.problem}")
-                bad += 1
-            looked += len(result.evidence)
-            if write is not None:
-                write(result)
-            if draw is not None:
-                draw(number, result)
-            if options.json:
-                entries.append(result.as_json())
-            else:
-                print(_line(result), flush=True)
+        keep = [stack.enter_context(sink) for sink in _sinks(options, query, spec, journey)]
+        advance = stack.enter_context(terminal.progress("looking", journey.count or 0, shown=not options.json))
+        results = follow(journey.steps, perception, query, config, rivals)
+        for result in _until_it_breaks(results, run):
+            run.add(result)
+            for each in keep:
+                each(result)
             advance()
-    if options.json:
-        summary = {"query": query, "perception": spec, "frames": entries, "left_out": bad}
-        terminal.emit(summary)
-    if bad == len(images):
-        raise terminal.RunError(f"none of the {bad} frames could be used; the reasons are above")
-    if looked == 0:
-        raise terminal.RunError(
-            f"{spec} has no record for any of the {len(images)} frames; its stamps must use the clock of "
-            f"{options.poses} ({steps[0].pose.stamp:g} to {steps[-1].pose.stamp:g} s)"
-        )
-    if bad:
-        terminal.log(f"{bad} of {len(images)} frames were left out")
-    return terminal.INCOMPLETE if bad else terminal.OK
+    return run.close(journey)
+
+
+@dataclass(frozen=True)
+class _Journey:
+    """Where the frames and the poses come from: `told` says it in words; `poses` are those of a file, if any."""
+
+    steps: Iterator[Step]
+    count: int | None
+    told: str
+    poses: Sequence[Pose] = ()
+    clock: str = ""
+
+
+def _journey(options: Track, places: Sequence[Path], perception: Perception) -> _Journey:
+    """The stream that the options name; what a video tells of itself is said on stderr."""
+    by_file = options.poses not in ("auto", "level")
+    poses = read_poses(options.poses) if by_file else ()
+    for name in ("rate", "fps"):
+        if (value := getattr(options, name)) is not None and not (math.isfinite(value) and value > 0):
+            raise terminal.UsageError(f"--{name} {value:g}; wanted a number per second above 0")
+    if is_video(places):
+        from eagor.robots.video import Video
+
+        looks = options.rate or RATE
+        shown = looks if options.video is None else max(looks, options.fps or FPS)
+        rows = max(rows_of(perception) or 0, LEAST_ROWS)
+        video = Video(places[0], rate=shown, start=options.start, end=options.end, rows=rows)
+        for fact in video.facts:
+            terminal.log(fact)
+        source: Source = Film(video, options.force)
+        motion = video.motion
+    else:
+        if given(options, wrong := ("start", "end", "fps")):
+            raise terminal.UsageError(f"--{given(options, wrong)[0]} is for a video; these are images")
+        if by_file and options.rate is not None:
+            raise terminal.UsageError(f"--rate {options.rate:g}: {options.poses} tells when the images were taken")
+        source, motion, looks = images(places, options.rate or 1.0, options.force), None, None
+    if by_file:
+        steps, told = with_file(source, poses, Path(options.poses)), f"poses from {options.poses}"
+    elif motion is not None and options.poses == "auto":
+        steps, told = with_imu(source, motion), "orientations from the video's IMU"
+    else:
+        from eagor._extras import need
+
+        need("the rotation from pictures", "photos", "cv2")
+        steps, told = with_sight(source, options.poses == "level"), "orientations from the pictures themselves"
+    return _Journey(thinned(steps, looks), source.count, told, poses)
+
+
+def _until_it_breaks(results: Iterator[Result], run: _Run) -> Iterator[Result]:
+    """The results; where the frames end in an error after some, it is kept for the end: nothing computed is lost."""
+    try:
+        yield from results
+    except ImageError as error:
+        if not run.frames or isinstance(error, ShapeError):
+            raise
+        run.broken = str(error)
+
+
+class _Run:
+    """What the command says and counts on the way."""
+
+    def __init__(self, options: Track, query: str, spec: str) -> None:
+        self.options, self.query, self.spec = options, query, spec
+        self.frames = self.bad = self.looked = 0
+        self.entries: list[dict[str, Any]] = []
+        self.broken: str | None = None
+
+    def add(self, result: Result) -> None:
+        """Print and count one result; frames that were not looked at are only drawn."""
+        self.frames += 1
+        if self.frames == 1 and not self.options.json:
+            print(_header(self.options.compare), flush=True)
+        if result.lost:
+            terminal.warning(f"{result.frame} does not fit to the frames before it: the belief starts anew")
+        if result.evidence and not self.looked:
+            warn_of_detector(self.options.detector, result.evidence)
+        if result.problem is not None:
+            terminal.warning(f"{result.frame} is left out: {result.problem}")
+            self.bad += 1
+        self.looked += len(result.evidence)
+        if not (result.looked or result.problem):
+            return
+        if self.options.json:
+            self.entries.append(result.as_json())
+        else:
+            print(_line(result), flush=True)
+
+    def close(self, journey: _Journey) -> int:
+        """Print the rest; returns the exit code."""
+        if self.options.json:
+            summary = {"query": self.query, "perception": self.spec, "poses": journey.told, "frames": self.entries}
+            terminal.emit(summary | {"left_out": self.bad})
+        if self.broken is not None:
+            terminal.warning(f"the frames end early: {self.broken}")
+        if self.frames == 0:
+            raise terminal.RunError("there was no frame to look at")
+        if self.bad == self.frames:
+            raise terminal.RunError(f"none of the {self.bad} frames could be used; the reasons are above")
+        if self.looked == 0:
+            stamps = f" ({journey.poses[0].stamp:g} to {journey.poses[-1].stamp:g} s)" if journey.poses else ""
+            raise terminal.RunError(
+                f"{self.spec} has no record for any of the {self.frames} frames; its stamps must use the clock of the "
+                f"frames{stamps}"
+            )
+        if self.bad:
+            terminal.log(f"{self.bad} of {self.frames} frames were left out")
+        return terminal.INCOMPLETE if self.bad or self.broken else terminal.OK
+
+
+def _sinks(
+    options: Track, query: str, spec: str, journey: _Journey
+) -> Iterator[AbstractContextManager[Callable[[Result], None]]]:
+    """What is written beside the lines: the table, pictures, a video, a page. Each takes every result."""
+    if options.out:
+        yield _table(options.out, options.compare)
+    if options.picture:
+        yield nullcontext(_painter(options.picture, query))
 
 
 def _header(compare: bool) -> str:
@@ -134,9 +236,11 @@ def _checked_drift(drift: float) -> float:
     return math.radians(drift)
 
 
-def _checked_floor(floor: float | None, steps: Sequence[Step]) -> float | None:
+def _checked_floor(floor: float | None, poses: Sequence[Pose]) -> float | None:
     """The floor's height, if every pose with a position is above it; else raises `UsageError`."""
-    heights = [float(step.pose.position[2]) for step in steps if step.pose.position is not None]
+    heights = [float(pose.position[2]) for pose in poses if pose.position is not None]
+    if floor is not None and not heights:
+        raise terminal.UsageError(f"--floor {floor:g} needs positions: a file of --poses with the columns x,y,z")
     if floor is not None and not math.isfinite(floor):
         raise terminal.UsageError(f"--floor {floor:g}; wanted a height in metres")
     if floor is not None and heights and min(heights) <= floor:
@@ -159,6 +263,8 @@ def _table(path: Path, compare: bool) -> Iterator[Callable[[Result], None]]:
     with Lines(path) as file:
 
         def write(result: Result) -> None:
+            if not (result.looked or result.problem):
+                return
             entry = result.as_json()
             if path.suffix.lower() == ".jsonl":
                 file.add(json.dumps(entry) + "\n")
@@ -171,14 +277,16 @@ def _table(path: Path, compare: bool) -> Iterator[Callable[[Result], None]]:
         yield write
 
 
-def _painter(folder: Path, query: str) -> Callable[[int, Result], None]:
+def _painter(folder: Path, query: str) -> Callable[[Result], None]:
     """A function that draws a frame with its belief into `folder`; unreadable frames are skipped."""
     from eagor.drawing import draw_belief
 
     checked_folder(folder, "--picture")
+    numbers = count()
 
-    def draw(number: int, result: Result) -> None:
-        if result.panorama is None:
+    def draw(result: Result) -> None:
+        number = next(numbers)
+        if result.panorama is None or not result.looked:
             return
         estimate = result.estimate
         held = ", held" if estimate.held else ""

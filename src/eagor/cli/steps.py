@@ -1,0 +1,169 @@
+"""What ``eagor track`` follows: a stream of poses, and of the frames that were taken there.
+
+Frames come from images or from a video. Poses come from a file, from the video's IMU, or from the pictures themselves.
+Pictures are read one by one: a long video needs no more memory than a short one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from eagor.cli.looking import checked_shape, find_frames, read_frame
+from eagor.cli.poses import Pose, pair
+from eagor.cli.terminal import UsageError
+from eagor.errors import EagorError, PoseError
+from eagor.tracking.poses import PoseHistory
+
+VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")
+BEYOND = 0.05  # seconds: a frame so far outside of the poses still takes the nearest one
+
+Read = Callable[[], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A pose, and the frame that was taken there.
+
+    `frame`: its name; None for odometry between the frames. `read`: gives its panorama, or raises `EagorError`.
+    `looked`: whether the perception looks at it; otherwise it is only drawn. `lost`: whether nothing tells how the
+    camera turned since the frame before, so that the belief has to start anew.
+    """
+
+    pose: Pose
+    frame: str | None = None
+    read: Read | None = None
+    looked: bool = True
+    lost: bool = False
+
+
+class Source(Protocol):
+    """Frames in order of time: stamp in seconds, name, and what reads the panorama."""
+
+    @property
+    def count(self) -> int | None:
+        """How many frames will come, if known."""
+        ...
+
+    def frames(self) -> Iterator[tuple[float, str, Read]]:
+        """The frames."""
+        ...
+
+
+@dataclass(frozen=True)
+class Images:
+    """Panoramas in files, `rate` per second."""
+
+    paths: tuple[Path, ...]
+    rate: float
+    force: bool
+
+    @property
+    def count(self) -> int:
+        return len(self.paths)
+
+    def frames(self) -> Iterator[tuple[float, str, Read]]:
+        for number, path in enumerate(self.paths):
+            yield number / self.rate, path.name, partial(read_frame, path, self.force, number == 0)
+
+
+@dataclass(frozen=True)
+class Film:
+    """The frames of a video (`eagor.robots.video.Video`)."""
+
+    video: Any
+    force: bool
+
+    @property
+    def count(self) -> int | None:
+        return self.video.count
+
+    def frames(self) -> Iterator[tuple[float, str, Read]]:
+        for number, frame in enumerate(self.video):
+            yield frame.stamp, frame.name, partial(checked_shape, frame.panorama, frame.name, self.force, number == 0)
+
+
+def is_video(places: Sequence[Path]) -> bool:
+    """Whether the one place is a video, by its name."""
+    return len(places) == 1 and places[0].suffix.lower() in VIDEOS and not places[0].is_dir()
+
+
+def images(places: Sequence[Path], rate: float, force: bool) -> Images:
+    """The panoramas in a folder, or in image files."""
+    if films := [place for place in places if place.suffix.lower() in VIDEOS and not place.is_dir()]:
+        raise UsageError(f"{films[0]} is a video, beside other files; give one video, a folder, or image files")
+    return Images(find_frames(places), rate, force)
+
+
+def with_file(source: Source, poses: Sequence[Pose], name: Path) -> Iterator[Step]:
+    """Frames with the poses of a file: images by name or in order, frames of a video by time."""
+    if isinstance(source, Images):
+        force = source.force
+        pairs = pair(poses, source.paths, name)
+        first = next(image for _, image in pairs if image is not None)
+        return (
+            Step(pose) if image is None else Step(pose, image.name, partial(read_frame, image, force, image is first))
+            for pose, image in pairs
+        )
+    return _by_time(source, poses, name)
+
+
+def _by_time(source: Source, poses: Sequence[Pose], name: Path) -> Iterator[Step]:
+    """Each frame at its own time, its pose interpolated, among the poses of the file."""
+    history = PoseHistory(math.inf)
+    for pose in poses:
+        history.add(pose.stamp, pose.world_R_body, pose.position)
+    first, last, fed = poses[0].stamp, poses[-1].stamp, 0
+    for stamp, frame, read in source.frames():
+        if not first - BEYOND <= stamp <= last + BEYOND:
+            raise PoseError(
+                f"{frame} has no pose: {name} tells those from {first:g} to {last:g} s, and the video's clock begins "
+                "at 0. Shift the stamps of the file, or cut the video with --start and --end"
+            )
+        while fed < len(poses) and poses[fed].stamp < stamp:
+            yield Step(poses[fed])
+            fed += 1
+        at, position = history.at(min(max(stamp, first), last))
+        yield Step(Pose(stamp, at, position, frame), frame, read)
+
+
+def with_imu(source: Source, motion: Any) -> Iterator[Step]:
+    """Frames of a video with the orientations that its IMU track tells."""
+    for stamp, frame, read in source.frames():
+        yield Step(Pose(stamp, motion.world_R_body(stamp), None, frame), frame, read)
+
+
+def with_sight(source: Source, level: bool) -> Iterator[Step]:
+    """Frames with the orientations that the pictures themselves tell (`eagor.robots.rotation`)."""
+    from eagor.robots.rotation import VisualOdometer
+
+    odometer, turn, met = VisualOdometer(level=level), np.eye(3), False
+    for stamp, frame, read in source.frames():
+        lost = False
+        try:
+            panorama = read()
+        except EagorError:  # the caller meets it again, and says so
+            yield Step(Pose(stamp, turn, None, frame), frame, read)
+            continue
+        found = odometer.add(panorama)
+        turn, lost = found.world_R_body, found.lost and met
+        met = True
+        yield Step(Pose(stamp, turn, None, frame), frame, lambda panorama=panorama: panorama, lost=lost)
+
+
+def thinned(steps: Iterator[Step], rate: float | None) -> Iterator[Step]:
+    """The same steps, `rate` of their frames per second looked at (None: all)."""
+    tick = -math.inf
+    for step in steps:
+        if rate is None or step.frame is None or step.lost:
+            yield step
+            continue
+        number = math.floor(step.pose.stamp * rate + 1e-6)
+        yield step if number > tick else Step(step.pose, step.frame, step.read, looked=False)
+        tick = max(tick, number)
