@@ -19,7 +19,7 @@ from eagor.perception.adapters import Boxes, boxes_of
 from eagor.perception.blobs import spread_evidence
 from eagor.perception.cutting import cut, tangent_views
 from eagor.perception.pictures import checked_picture
-from eagor.perception.pieces import Piece, things
+from eagor.perception.pieces import Piece, Thing, things
 from eagor.perception.words import meant
 from eagor.sphere import azimuth_elevation, check_rotation, world_R_body
 
@@ -106,6 +106,13 @@ class Views:
         world_R_body: np.ndarray | None = None,
     ) -> tuple[Evidence, ...]:
         """One look for each of several queries; a detector with `classes` sees each view once for all of them."""
+        found = self.things(panorama, queries, world_R_body)
+        return tuple(spread_evidence(each, self.detector, View(WHOLE_SPHERE), stamp) for each in found)
+
+    def things(
+        self, panorama: np.ndarray, queries: Sequence[str], world_R_body: np.ndarray | None = None
+    ) -> list[list[Thing]]:
+        """What the detector sees of each query, before any reading: one `Thing` each, the surest first."""
         wanted = [self._wanted(query) for query in queries]
         panorama = checked_picture(panorama)
         grids = self.views(world_R_body)
@@ -116,7 +123,7 @@ class Views:
                 if seen is None or self.classes is None:
                     seen = boxes_of(self.detect(picture, query), self.classes)
                 pieces += _pieces(number, grid, seen, query, words)
-        return tuple(spread_evidence(things(pieces), self.detector, View(WHOLE_SPHERE), stamp) for pieces in found)
+        return [things(pieces) for pieces in found]
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
         """One look at an ordinary picture ``(h, w, 3)`` uint8 that `grid` describes."""
