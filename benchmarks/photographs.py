@@ -51,9 +51,9 @@ TILT = math.radians(10)
 SEEN = ("yaw", "tumble", "large", "jpeg", "tilt")  # what has to be looked at; the others use the same looks
 LOOKS_OF = {"drift": "yaw", "drift, told": "yaw", "sight": "tumble"}
 CONDITIONS = (*SEEN, *LOOKS_OF)
+FITTED = (0, 1, 20, 21)  # frames of each case that the model of the detector is fitted on: neighbours, and far apart
 JUDGED = (0, *range(FRAMES - 10, FRAMES))  # frames in which coverage is judged
 ANNOTATIONS = Path(__file__).parents[1] / "tests" / "photographs.json"
-LEAST_SCORE = 0.1
 
 
 def poses(condition: str) -> list[np.ndarray]:
@@ -96,13 +96,12 @@ def pictures(photograph: np.ndarray, condition: str) -> Iterator[np.ndarray]:
 
 def look(folder: Path, file: Path, conditions: list[str]) -> None:
     """See what is not in `file` yet, and add it: one line for each frame."""
-    from eagor.perception.coco.store import COCO
-    from eagor.perception.onnx import OnnxDetector
+    from eagor.perception.coco import coco_detector
     from eagor.perception.views import Views
 
     lines = file.read_text().splitlines() if file.exists() else []
     known = {(entry["photograph"], entry["condition"], entry["frame"]) for entry in map(json.loads, lines)}
-    views = Views(OnnxDetector(COCO.installed(), threshold=LEAST_SCORE))
+    views = Views(coco_detector())
     with file.open("a") as out:
         for condition in conditions:
             for name in json.loads(ANNOTATIONS.read_text()):
@@ -179,7 +178,7 @@ def fitted(cases: Sequence[Case], left_out: str) -> DetectorModel:
         )
         for case in cases
         if case.photograph != left_out and case.condition in ("yaw", "tumble")
-        for frame in range(0, FRAMES, 2)
+        for frame in FITTED
     ]
     found = fit_detector(looks, resamples=0).model
     return replace(found, detection_probability=None, false_alarms_per_look=None)
@@ -291,8 +290,8 @@ def persists(case: Case) -> bool:
 
 def cell(values: Sequence[float]) -> str:
     """A mean with its 95 % interval."""
-    low, high = bootstrap_interval(np.array(values), np.random.default_rng(0))
-    return f"{np.mean(values):5.1f} [{low:5.1f} {high:5.1f}]"
+    found = bootstrap_interval(values, np.random.default_rng(0))
+    return f"{np.mean(values):5.1f} [{found.low:5.1f} {found.high:5.1f}]"
 
 
 if __name__ == "__main__":
