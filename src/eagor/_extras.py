@@ -19,6 +19,7 @@ EXTRAS = {
     "vlm": {"torch": "2.6", "transformers": "5.23", "accelerate": "1.10"},
     "endpoint": {"openai": "1.98", "tenacity": "9"},
     "ray": {"psutil": "6.0", "ray": "2.59"},
+    "parquet": {"pyarrow": "18.0"},
 }
 
 

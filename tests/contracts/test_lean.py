@@ -143,6 +143,7 @@ def test_base_commands_work(run):
         ("vlm", "calibrate heads --perception some/model --out heads.json"),
         ("endpoint", "locate room.png chair --perception endpoint:qwen"),
         ("photos", "locate room.png chair --perception onnx:d.onnx"),
+        ("parquet", "locate room.png red --out found.parquet"),
     ],
 )
 def test_other_commands_name_their_extra(run, extra, command):

@@ -482,7 +482,7 @@ def test_track_prints_one_line_per_frame(series, tmp_path):
     poses = tmp_path / "poses.csv"
     names += ["0,0,0,0,0,0,1,view0.png", "0.5,5,0,0,0.1,0,1,", "1,10,0,0,0.2,0,1,view1.png"]
     poses.write_text("\n".join(names))
-    words = ["track", *frames[:2], "red ball", "--poses", poses, "--out", out, "--picture", pictures]
+    words = ["track", *frames[:2], "red ball", "--poses", poses, "--out", out, "--pictures", pictures]
     done = eagor(*words)
     assert done.returncode == 0, done.stderr
     assert len(done.stdout.splitlines()) == 3

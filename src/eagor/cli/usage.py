@@ -82,8 +82,8 @@ def _options(command: Any, hints: Mapping[str, Any]) -> Iterator[_Option]:
         many = get_origin(kind) is tuple
         wanted = next((each for each in about if getattr(each, "metavar", None)), None)
         metavar = wanted.metavar if wanted else field.name.upper()
-        dashed = field.name.replace("_", "-")
-        names = [f"--{dashed}", *(getattr(wanted, "aliases", None) or ())]
+        name = next((each.name for each in about if getattr(each, "name", None)), field.name)
+        names = [f"--{name.replace('_', '-')}", *(getattr(wanted, "aliases", None) or ())]
         positional = Positional in about
         required = field.default is MISSING and field.default_factory is MISSING
         for name in [metavar] if positional else names:
