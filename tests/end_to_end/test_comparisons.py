@@ -201,7 +201,9 @@ def check_parquet(run, folder):
     assert read.num_rows == len(rows) > 0
     for found, row in zip(read.to_pylist(), rows, strict=True):
         for value, text in zip(found.values(), row, strict=True):
-            assert (value == float(text)) if isinstance(value, float) else (("" if value is None else str(value)) == text)
+            assert (
+                (value == float(text)) if isinstance(value, float) else (("" if value is None else str(value)) == text)
+            )
 
 
 def test_a_parquet_file_has_the_rows_of_the_csv(played, tmp_path):
