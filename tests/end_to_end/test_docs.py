@@ -94,7 +94,7 @@ def test_the_first_command_prints_what_the_quick_start_says(tmp_path):
 
 @pytest.mark.xfail(reason="eagor track does not print the table of eagor.cli.columns yet", strict=True)
 def test_a_robots_log_and_its_detections_fit_each_other(tmp_path):
-    """One set of files: the program of one page writes the log, that of the other looks at it; then both pages' commands."""
+    """One page writes the log, the other looks at it, and the commands of both run on these files."""
     log, detector = DOCS / "how-to" / "robot-log.md", DOCS / "how-to" / "detector.md"
     run_python([text for text, needs in blocks(log, "python") if not needs], tmp_path)
     parts = [(text, under) for kind, text, needs, under in fences(detector)
