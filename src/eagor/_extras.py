@@ -1,8 +1,13 @@
-"""The packages of the extras, and the error if one is missing; an install command that also works in a clone."""
+"""The packages of the extras, the command that installs them, and the error if one is missing."""
 
 from __future__ import annotations
 
+import json
+import shlex
+from importlib.metadata import PackageNotFoundError, distribution
 from importlib.util import find_spec
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
 from eagor.errors import MissingExtraError
 
@@ -14,12 +19,33 @@ EXTRAS = {
     "vlm": {"torch": "2.6", "transformers": "5.23", "accelerate": "1.10"},
     "endpoint": {"openai": "1.98", "tenacity": "9"},
     "ray": {"psutil": "6.0", "ray": "2.59"},
+    "parquet": {"pyarrow": "18.0"},
 }
 
 
 def how_to_install(extra: str) -> str:
-    """The command to install an extra."""
-    return f"pip install 'eagor[{extra}]', or in a clone pip install -e '.[{extra}]'"
+    """The command that installs an extra. The package is on no registry, so it names the clone, if that is known."""
+    origin = _origin()
+    if origin is None:
+        return f"in a clone of eagor, pip install '.[{extra}]'"
+    clone, editable = origin
+    return f"pip install {'-e ' if editable else ''}{shlex.quote(f'{clone}[{extra}]')}"
+
+
+def _origin() -> tuple[Path, bool] | None:
+    """The clone that pip installed this package from, and whether as editable (`direct_url.json`, PEP 610).
+
+    None if pip noted no folder (a wheel, a registry), or the folder is gone.
+    """
+    try:
+        told = json.loads(distribution("eagor").read_text("direct_url.json") or "{}")
+        url, about = urlsplit(told["url"]), told["dir_info"]
+        folder = Path(unquote(url.path))
+        if url.scheme != "file" or not (folder / "pyproject.toml").is_file():
+            return None
+        return folder, bool(about.get("editable", False))
+    except (PackageNotFoundError, OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
 
 
 def need(what: str, extra: str, *packages: str) -> None:

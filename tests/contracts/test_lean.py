@@ -1,4 +1,4 @@
-"""``pip install eagor`` is lean: what it brings is enough for the core, `locate` and `track`; the rest names its extra.
+"""``pip install .`` is lean: what it brings is enough for the core, `locate` and `track`; the rest names its extra.
 
 No environment is made for this: processes run with all packages hidden that the base does not bring.
 """
@@ -11,12 +11,14 @@ import sys
 import tomllib
 from importlib.metadata import PackageNotFoundError, packages_distributions, requires
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 import eagor
+from eagor import _extras
 from eagor._extras import EXTRAS, how_to_install, need
 from eagor.errors import EagorError, MissingExtraError
 from eagor.worlds.painted import painted_room
@@ -141,6 +143,7 @@ def test_base_commands_work(run):
         ("vlm", "calibrate heads --perception some/model --out heads.json"),
         ("endpoint", "locate room.png chair --perception endpoint:qwen"),
         ("photos", "locate room.png chair --perception onnx:d.onnx"),
+        ("parquet", "locate room.png red --out found.parquet"),
     ],
 )
 def test_other_commands_name_their_extra(run, extra, command):
@@ -179,11 +182,49 @@ def test_a_world_can_be_looked_at(run):
     assert code == 0, err
 
 
-def test_the_line_names_what_is_absent_and_both_ways():
+def test_the_line_names_what_is_absent_and_how_to_install_it():
     need("this", "sim")
     need("this", "sim", "numpy")
     with pytest.raises(MissingExtraError, match=r"^this needs nowhere_to_be_found: ") as caught:
         need("this", "sim", "numpy", "nowhere_to_be_found")
-    assert str(caught.value).endswith("pip install 'eagor[sim]', or in a clone pip install -e '.[sim]'")
+    assert str(caught.value).endswith(how_to_install("sim"))
     assert isinstance(caught.value, EagorError)
     assert isinstance(caught.value, ImportError)
+
+
+@pytest.mark.parametrize(
+    ("noted", "command"),
+    [
+        ('{{"url": "file://{folder}", "dir_info": {{}}}}', "pip install '{folder}[sim]'"),
+        ('{{"url": "file://{folder}", "dir_info": {{"editable": true}}}}', "pip install -e '{folder}[sim]'"),
+        ('{{"url": "file://{folder}/gone", "dir_info": {{}}}}', None),
+        ('{{"url": "https://example.org/eagor", "dir_info": {{}}}}', None),
+        ('{{"url": "file://{folder}", "archive_info": {{}}}}', None),  # a wheel
+        ("[]", None),
+        ("no JSON", None),
+        (None, None),  # from a registry
+    ],
+)
+def test_how_to_install_names_the_clone_if_it_is_known_and_there(tmp_path, monkeypatch, noted, command):
+    folder = tmp_path / "my clone"
+    folder.mkdir()
+    (folder / "pyproject.toml").touch()
+    url = str(folder).replace(" ", "%20")
+    text = None if noted is None else noted.format(folder=url)
+    monkeypatch.setattr(_extras, "distribution", lambda _: SimpleNamespace(read_text=lambda _: text))
+    wanted = "in a clone of eagor, pip install '.[sim]'" if command is None else command.format(folder=folder)
+    assert how_to_install("sim") == wanted
+
+
+def test_without_metadata_it_says_what_works_in_any_clone(monkeypatch):
+    def distribution(name):
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr(_extras, "distribution", distribution)
+    assert how_to_install("photos") == "in a clone of eagor, pip install '.[photos]'"
+
+
+def test_no_text_names_a_package_of_a_registry():
+    root = Path(__file__).parents[2]
+    files = [root / "README.md", *root.glob("docs/**/*.md"), *root.glob("src/**/*.py"), *root.glob("examples/*.*")]
+    assert not [file.name for file in files if re.search(r"pip install\s+'?eagor\b", file.read_text(encoding="utf-8"))]

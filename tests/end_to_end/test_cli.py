@@ -17,10 +17,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from eagor._extras import how_to_install
 from eagor.cli import machine, main
+from eagor.cli.models import how_to_find
 from eagor.cli.words import in_words
 from eagor.conventions import direction_from_hstar, wxyz_from_rotation
 from eagor.grids import ErpGrid
+from eagor.perception import words as query_words
 from eagor.perception.replay import write_record
 from eagor.sphere import angular_distance, azimuth_elevation, direction, world_R_body
 from eagor.tasks.methods import NAMES
@@ -413,12 +416,30 @@ def test_what_cannot_be_located_is_refused_in_one_line(room, words, says):
     assert says in refused("locate", *[room if word == "ROOM" else word for word in words])
 
 
-def test_without_a_detector_a_query_without_a_colour_says_how_to_get_one(room, tmp_path):
-    done = eagor("locate", room, "door", env={"EAGOR_CACHE": str(tmp_path)})
-    assert done.returncode == 2
-    assert "names no colour" in done.stderr
-    assert "eagor models get coco" in done.stderr
-    assert "[photos]" in done.stderr
+@pytest.fixture
+def no_model(tmp_path, monkeypatch):
+    monkeypatch.setitem(ENVIRONMENT, "EAGOR_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.mark.parametrize("query", ["chair", "where is the sofa?", "wooden chair", "fridge"])
+def test_without_a_detector_a_query_says_how_to_get_the_one_that_knows_it(room, no_model, query):
+    line = refused("locate", room, query)
+    assert f"no detector for {query!r} is installed. To get a small one for everyday things: " in line
+    assert "eagor models get coco (fetches 145 MB once). Or a detector of your own is --perception onnx:" in line
+    assert len(line) < 400
+
+
+def test_a_detector_that_does_not_know_the_query_is_not_recommended(room, no_model):
+    line = refused("locate", room, "door")
+    assert "the small one for everyday things (eagor models get coco) does not know it either" in line
+    assert "--perception google/owlv2-base-patch16-ensemble; or a model on a server" in line
+
+
+def test_packages_that_are_missing_come_first(monkeypatch):
+    monkeypatch.setattr(machine, "version_of", lambda name: None)
+    assert f"everyday things: {how_to_install('photos')}; then eagor models get coco" in how_to_find("chair")
+    monkeypatch.setattr(query_words, "find_spec", lambda name: None)
+    assert f"For any words: {how_to_install('vlm')}; then --perception google/owlv2" in how_to_find("door")
 
 
 @pytest.mark.registry
@@ -482,7 +503,7 @@ def test_track_prints_one_line_per_frame(series, tmp_path):
     poses = tmp_path / "poses.csv"
     names += ["0,0,0,0,0,0,1,view0.png", "0.5,5,0,0,0.1,0,1,", "1,10,0,0,0.2,0,1,view1.png"]
     poses.write_text("\n".join(names))
-    words = ["track", *frames[:2], "red ball", "--poses", poses, "--out", out, "--picture", pictures]
+    words = ["track", *frames[:2], "red ball", "--poses", poses, "--out", out, "--pictures", pictures]
     done = eagor(*words)
     assert done.returncode == 0, done.stderr
     assert len(done.stdout.splitlines()) == 3

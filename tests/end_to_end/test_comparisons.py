@@ -11,6 +11,8 @@ import hstar_data
 import pytest
 import synthetic_runs
 
+from eagor import _extras
+from eagor._extras import how_to_install
 from eagor.cli import main
 from eagor.evaluation import ledger, studies
 from eagor.tasks import play, task
@@ -185,6 +187,41 @@ def test_records_are_exported_whole_and_as_a_table(played, tmp_path):
         assert (sum(values) / len(values) if values else None) == (None if mean is None else pytest.approx(mean))
     assert "it offers jsonl, csv" in refused("export", played, "--to", "lmms-eval", "--out", tmp_path)
     assert "no benchmark 'tracking'" in refused("export", "--task", "tracking", "--data", tmp_path, "--out", tmp_path)
+
+
+def check_parquet(run, folder):
+    """The Parquet file of a run has the rows of its CSV file, typed."""
+    parquet = pytest.importorskip("pyarrow.parquet")
+    (file,) = answer("export", run, "--to", "parquet", "--out", folder)["files"]
+    read = parquet.read_table(file)
+    (file,) = answer("export", run, "--to", "csv", "--out", folder)["files"]
+    with open(file, newline="") as table:
+        heads, *rows = csv.reader(table)
+    assert read.column_names == heads
+    assert read.num_rows == len(rows) > 0
+    for found, row in zip(read.to_pylist(), rows, strict=True):
+        for value, text in zip(found.values(), row, strict=True):
+            assert (
+                (value == float(text)) if isinstance(value, float) else (("" if value is None else str(value)) == text)
+            )
+
+
+def test_a_parquet_file_has_the_rows_of_the_csv(played, tmp_path):
+    check_parquet(played, tmp_path)
+
+
+def test_a_parquet_file_has_the_cases_of_a_benchmark(searched, tmp_path):
+    check_parquet(searched, tmp_path)
+
+
+def test_a_parquet_file_has_the_failed_units(tmp_path):
+    run = synthetic_runs.write_run(tmp_path / "run", synthetic_runs.navigation(apartments=2))
+    check_parquet(run, tmp_path)
+
+
+def test_without_pyarrow_the_extra_is_named(made_up, tmp_path, monkeypatch):
+    monkeypatch.setattr(_extras, "find_spec", lambda name: None)
+    assert how_to_install("parquet") in refused("export", made_up / "a", "--to", "parquet", "--out", tmp_path)
 
 
 def test_the_table_of_a_benchmarks_cases(searched, tmp_path):

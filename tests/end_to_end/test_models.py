@@ -12,6 +12,7 @@ import vlm_models
 from contract_server import ContractServer, Reply, reddish
 from PIL import Image
 
+from eagor._extras import how_to_install
 from eagor.belief import Belief
 from eagor.cli import machine, main
 from eagor.errors import EagorError, FormatError
@@ -321,9 +322,9 @@ def test_models_that_are_not_there(refused, panorama, tmp_path):
 def test_packages_that_are_not_there(refused, planted, panorama, monkeypatch):
     folder = planted(QWEN)
     monkeypatch.setitem(sys.modules, "transformers", None)
-    assert "pip install 'eagor[vlm]'" in refused(2, "locate", panorama, "red thing", "--perception", folder)
+    assert how_to_install("vlm") in refused(2, "locate", panorama, "red thing", "--perception", folder)
     monkeypatch.setitem(sys.modules, "openai", None)
-    assert "pip install 'eagor[endpoint]'" in refused(2, "locate", panorama, "red", "--perception", "endpoint:qwen")
+    assert how_to_install("endpoint") in refused(2, "locate", panorama, "red", "--perception", "endpoint:qwen")
 
 
 def test_servers_that_are_not_there(refused, panorama, tmp_path, nobody):
@@ -553,7 +554,7 @@ def test_doctor_says_what_to_install(eagor, monkeypatch):
     code, out, _ = eagor("doctor")
     assert code == 0
     assert "local models lack torch, transformers 5.23 or newer (there is 4.57.1): pip install torch==2.13.0" in out
-    assert "models on servers lack openai: pip install 'eagor[endpoint]'" in out
+    assert f"models on servers lack openai: {how_to_install('endpoint')}" in out
 
 
 def test_an_old_transformers_is_named(refused, planted, panorama, monkeypatch):

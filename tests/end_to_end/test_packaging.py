@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from PIL import Image
 
 from eagor import __version__, perception, worlds
@@ -111,8 +112,20 @@ def test_the_source_archive_is_complete(dist):
         assert name in files, name
     tops = {name.partition("/")[0] for name in files}
     assert tops <= {"src", "tests", "training", "benchmarks", "docs", "examples", "pyproject.toml", "README.md",
-                    "LICENSE", "CHANGELOG.md", "Makefile", "PKG-INFO", ".gitignore", "mkdocs.yml"}  # fmt: skip
+                    "LICENSE", "CHANGELOG.md", "CITATION.cff", "Makefile", "PKG-INFO", ".gitignore",
+                    "mkdocs.yml"}  # fmt: skip
     assert not [name for name in files if "__pycache__" in name or name.endswith((".pyc", ".so", ".pickle"))]
+
+
+def test_the_citation_fits_the_package():
+    told = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert {"cff-version", "message", "title", "authors"} <= set(told)  # what the format asks for
+    project = PROJECT["project"]
+    assert (told["version"], told["license"]) == (__version__, project["license"])
+    assert [author["name"] for author in told["authors"]] == [author["name"] for author in project["authors"]]
+    (paper,) = told["references"]
+    assert f"*{paper['title']}*" in " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    assert all({"given-names", "family-names"} <= set(author) for author in paper["authors"])
 
 
 def test_nothing_of_this_machine_is_shipped(dist):

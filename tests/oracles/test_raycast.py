@@ -174,7 +174,7 @@ def test_auto_takes_embree_where_it_is_and_numpy_where_it_is_not(monkeypatch):
     assert isinstance(make_raycaster(*box()), EmbreeRaycaster)
     monkeypatch.setitem(sys.modules, "embreex", None)
     assert isinstance(make_raycaster(*box()), NumpyRaycaster)
-    with pytest.raises(WorldError, match="pip install 'eagor\\[sim\\]'"):
+    with pytest.raises(WorldError, match=r"pip install .*\[sim\]'"):
         make_raycaster(*box(), "embree")
 
 

@@ -16,10 +16,11 @@ or EAGOR_DEBUG adds its traceback.
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import redirect_stderr, suppress
 from importlib import import_module
 
 # Our matrices are small: threads in the matrix library cost far more than they gain (several times the time of the demo
@@ -43,7 +44,7 @@ Azimuth is positive to the LEFT, elevation positive up, both in degrees. The cen
 
 Exit codes: 0 success, 1 the run failed, 2 usage or input, 3 finished but some could not be run,
 130 interrupted (Ctrl-C), 143 terminated (SIGTERM).
-`eagor --version` prints the version."""
+`eagor --version` prints the version, `eagor --tyro-print-completion bash` (zsh, fish) a completion script."""
 
 _NO_FAULT_OF_THE_INPUT = (terminal.RunError, ServerError, AnswerError, StorageError, WorkError)
 
@@ -81,23 +82,40 @@ def _run(arguments: list[str]) -> int:
     if arguments in (["--version"], ["-V"]):
         print(f"eagor {__version__}")
         return 0
+    if arguments[:1] == ["--tyro-print-completion"]:
+        from eagor.cli.completion import script
+
+        print(script(arguments, _parse), end="")
+        return 0
     try:
         command = _parse(arguments)
-    except SystemExit as stop:  # --help or wrong usage: tyro has printed the text
+    except SystemExit as stop:  # tyro has printed a text: help, or a mistake that we cannot explain
         return stop.code if isinstance(stop.code, int) else 2
     module, _, function = command.runs.partition(":")
     return getattr(import_module(module), function)(command)
 
 
 def _parse(arguments: list[str]):
+    """The command with its options. Raises `UsageError`, or `SystemExit` after a text of tyro's own."""
     import tyro
 
     from eagor.cli.options import Command
 
-    return tyro.cli(
-        Command,  # type: ignore[arg-type]
-        prog="eagor",
-        description=DESCRIPTION,
-        args=arguments,
-        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes),
-    )
+    said = io.StringIO()
+    try:
+        with redirect_stderr(said):
+            return tyro.cli(
+                Command,  # type: ignore[arg-type]
+                prog="eagor",
+                description=DESCRIPTION,
+                args=arguments,
+                config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes),
+            )
+    except SystemExit as stop:
+        if stop.code:
+            from eagor.cli.usage import mistake
+
+            if (line := mistake(arguments)) is not None:
+                raise terminal.UsageError(line) from None
+        print(said.getvalue(), end="", file=sys.stderr)
+        raise

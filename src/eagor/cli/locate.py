@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +26,8 @@ from eagor.cli.looking import (
     warn_of_detector,
 )
 from eagor.cli.options import Locate
-from eagor.cli.words import STATUS, answer_in_words, in_words, signed
+from eagor.cli.tables import table
+from eagor.cli.words import STATUS, answer_in_words, distance_in_words, in_words, signed
 from eagor.evidence import Evidence
 from eagor.perception import short_name
 from eagor.sphere import azimuth_elevation
@@ -41,42 +44,76 @@ def locate(options: Locate) -> int:
     if options.modes < 1:
         raise terminal.UsageError(f"--modes {options.modes}; wanted 1 or more")
     check_not_read(options.picture, "--picture", [options.panorama])
+    check_not_read(options.out, "--out", [options.panorama])
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
+    config = replace(config, floor_height=_checked_floor(options.floor))
     if options.picture is not None:
         checked_picture(options.picture)
-    perception = make_perception(spec)
-    stamp = first_stamp(perception, query) if options.stamp is None else options.stamp
-    panorama = read_frame(options.panorama, options.force)
-    tracker = DirectionTracker(config)
-    looks = look(perception, panorama, query, stamp)
-    warn_of_detector(options.detector, looks)
-    for evidence in looks:
-        tracker.observe(evidence)
-    now = max(float(evidence.stamp or 0.0) for evidence in looks)
-    estimate = tracker.estimate(now)
-    if options.picture is not None:
-        _draw(options, options.picture, panorama, estimate)
+    with table(options.out) if options.out is not None else nullcontext() as write:
+        perception = make_perception(spec)
+        stamp = first_stamp(perception, query) if options.stamp is None else options.stamp
+        panorama = read_frame(options.panorama, options.force)
+        tracker = DirectionTracker(config)
+        looks = look(perception, panorama, query, stamp)
+        warn_of_detector(options.detector, looks)
+        if options.floor is not None:  # the camera is where heights are counted from
+            for at in sorted({_stamp(evidence) for evidence in looks}):
+                tracker.add_pose(at, np.eye(3), np.zeros(3))
+        for evidence in looks:
+            tracker.observe(evidence)
+        now = max(_stamp(evidence) for evidence in looks)
+        estimate = tracker.estimate(now)
+        if options.picture is not None:
+            _draw(options, options.picture, panorama, estimate)
+        found = _as_json(options, spec, estimate, now)
+        if write is not None:
+            write(found)
     if options.json:
-        terminal.emit(_as_json(options, spec, estimate) | _sources(looks))
+        terminal.emit(found | _sources(looks))
     else:
         _print(options, spec, estimate)
     return terminal.OK
 
 
-def _as_json(options: Locate, spec: str, estimate: Estimate) -> dict[str, Any]:
+def _stamp(evidence: Evidence) -> float:
+    return float(evidence.stamp or 0.0)
+
+
+def _checked_floor(floor: float | None) -> float | None:
+    """``--floor``, if it is below the camera; else raises `UsageError`."""
+    if floor is not None and not (math.isfinite(floor) and floor < 0):
+        raise terminal.UsageError(
+            f"--floor {floor:g}: the camera of locate is at height 0; wanted a floor below it, such as -1.3"
+        )
+    return floor
+
+
+def _as_json(options: Locate, spec: str, estimate: Estimate, stamp: float) -> dict[str, Any]:
     known = estimate.direction is not None
+    distance, spread = _distance(estimate)
     return {
         "query": options.query,
         "perception": spec,
+        "frame": options.panorama.name,
+        "stamp": stamp,
         "azimuth_deg": degrees(estimate.azimuth),
         "elevation_deg": degrees(estimate.elevation),
         "credible_angle_deg": degrees(estimate.credible_angle) if known else None,
         "presence": round(estimate.presence, 6),
+        "distance_m": None if distance is None else round(distance, 4),
+        "distance_spread": None if spread is None else round(spread, 4),
         f"within_{NEAR}_deg": round(estimate.within(math.radians(NEAR)), 6) if known else None,
         "status": estimate.status,
         "held": estimate.held,
         "modes": [mode_as_json(mode) for mode in estimate.modes[: options.modes]],
     }
+
+
+def _distance(estimate: Estimate) -> tuple[float | None, float | None]:
+    """Metres and the standard deviation of its logarithm; None without ``--floor`` or while searching."""
+    if estimate.status == "searching":
+        return None, None
+    return estimate.distance, estimate.distance_spread
 
 
 def _sources(looks: Sequence[Evidence]) -> dict[str, Any]:
@@ -107,6 +144,8 @@ def _print(options: Locate, spec: str, estimate: Estimate) -> None:
     print(f"  direction       {answer_in_words(estimate)}")
     if estimate.direction is not None:
         _print_answer(estimate)
+    if options.floor is not None:
+        print(f"  distance        {distance_in_words(*_distance(estimate))} (90 %, if it stands on the floor)")
     print(f"  presence        {100 * estimate.presence:.0f} %")
     if estimate.direction is not None:
         near = f"{100 * estimate.within(math.radians(NEAR)):.0f} %"

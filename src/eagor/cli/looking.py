@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from eagor._extras import how_to_install
 from eagor._files import written
 from eagor.cli.terminal import UsageError, warning
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
@@ -122,11 +121,9 @@ def perception_for(query: str, spec: str | None) -> str:
 
     if COCO.path.is_file():
         return "coco"
-    raise QueryError(
-        f"the query {query!r} names no colour, and no detector is installed that knows other things. A small one for "
-        f"everyday things: {how_to_install('photos')}; then eagor models get coco. Or name a model with --perception: "
-        "eagor doctor lists them, docs/models.md says more"
-    )
+    from eagor.cli.models import how_to_find
+
+    raise QueryError(how_to_find(query))
 
 
 def make_perception(spec: str) -> Perception:

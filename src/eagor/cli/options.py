@@ -49,6 +49,19 @@ Detector = Annotated[
         "which the share fades (default: it does not). pd and clutter are learnt if omitted or ?.",
     ),
 ]
+Modes = Annotated[int, arg(metavar="K", help="Maximum number of candidate directions in the output.")]
+Floor = Annotated[
+    float | None,
+    _bare(
+        "Z",
+        "Height of the floor in the world of the poses, metres. Objects stand on it, so distances are known sooner. "
+        "In locate the camera is at height 0: a floor 1.3 m below it is at -1.3.",
+    ),
+]
+Out = Annotated[
+    Path | None,
+    _bare("FILE", "Write the answer, one line per frame, to FILE.csv, FILE.jsonl or FILE.parquet (extra parquet)."),
+]
 Force = Annotated[
     bool,
     _bare(
@@ -110,8 +123,8 @@ class Locate(Common):
         "(FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, endpoint:MODEL@http://HOST:PORT/v1, options after ?), or an installed "
         "one; `eagor doctor` lists them."
     )
-    modes: Annotated[int, arg(metavar="K")] = 3
-    """Maximum number of candidate directions."""
+    modes: Modes = 3
+    floor: Floor = None
     degree: Whole = 15
     """Degree of the spherical harmonics, 1 to 63; the resolution is about 180 / N degrees."""
     calibration: Annotated[Path | None, _bare("FILE.json")] = None
@@ -121,6 +134,7 @@ class Locate(Common):
     """Time of the replay record to use (default: the first record for this query)."""
     picture: Annotated[Path | None, _bare("FILE.png")] = None
     """Draw the belief over the panorama."""
+    out: Out = None
     force: Force = False
 
 
@@ -156,8 +170,7 @@ class Track(Common):
     """Write one self-contained web page: the frames with the answers, a time line, a table."""
     perception: Annotated[str | None, _bare("NAME")] = None
     """The detector: colour, coco, replay:FILE.jsonl, onnx:MODEL.onnx, a model, or an installed one (as for locate)."""
-    floor: Annotated[float | None, _bare("Z")] = None
-    """Height of the floor in the poses' world, metres. Objects stand on it, so distances are known sooner."""
+    floor: Floor = None
     calibration: Annotated[Path | None, _bare("FILE.json")] = None
     """Calibration of the perception and of forgetting, from `eagor calibrate`."""
     detector: Detector = None
@@ -167,7 +180,7 @@ class Track(Common):
     """Run the baselines on the same evidence as well."""
     degree: Whole = 15
     """Degree of the spherical harmonics, 1 to 63."""
-    picture: Annotated[Path | None, _bare("DIR")] = None
+    picture: Annotated[Path | None, arg(name="pictures", metavar="DIR", help_behavior_hint="")] = None
     """Draw each frame with the belief into this folder."""
     out: Annotated[Path | None, _bare("FILE")] = None
     """Write the estimates to FILE.csv or FILE.jsonl, line by line."""
@@ -347,8 +360,8 @@ class BenchExport(Common):
     """The folder of a run; omit it for exports that only need the data."""
     to: Annotated[str, arg(metavar="FORMAT")] = "jsonl"
     (
-        "jsonl (the records; of a benchmark, samples with lmms-eval's keys), csv (the figures of each case), or a "
-        "format of the benchmark: lmms-eval, hstar-txt, ..."
+        "jsonl (the records; of a benchmark, samples with lmms-eval's keys), csv or parquet (the figures of each case; "
+        "parquet needs the extra of that name), or a format of the benchmark: lmms-eval, hstar-txt, ..."
     )
     task: Annotated[str | None, _bare("NAME")] = None
     """The benchmark, if no run is given."""

@@ -1,4 +1,4 @@
-"""Directions in words."""
+"""Directions and distances in words."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ STATUS = {
     "ambiguous": "it is likely here, and several directions fit",
     "stale": "there was an answer, and nothing has been looked at for a while",
 }
+
+_SIGMAS_90 = 1.645  # standard deviations on either side that hold 90 % of a normal distribution
 
 
 def in_words(azimuth: float, elevation: float) -> str:
@@ -50,3 +52,24 @@ def answer_in_words(estimate: Estimate) -> str:
 def signed(angle: float | None) -> str:
     """An angle (radians) in degrees with sign and one decimal: "+62.9"; "-" for None."""
     return "-" if angle is None else f"{math.degrees(angle):+.1f}"
+
+
+def distance_in_words(distance: float | None, spread: float | None) -> str:
+    """The 90 % interval of a distance, such as "1.1 to 6.4 m"; "-" if not even its order of magnitude is known.
+
+    `distance` is its mean in metres, `spread` the standard deviation of its logarithm, as an `Estimate` gives them. The
+    distance counts as log-normal, so its median is below its mean.
+    """
+    if distance is None or spread is None or not math.isfinite(distance * spread):
+        return "-"
+    half = _SIGMAS_90 * spread
+    if 2 * half > math.log(10):
+        return "-"
+    median = distance * math.exp(-(spread**2) / 2)
+    nearest, farthest = _rounded(median * math.exp(-half)), _rounded(median * math.exp(half))
+    return f"{nearest} m" if nearest == farthest else f"{nearest} to {farthest} m"
+
+
+def _rounded(metres: float) -> str:
+    """Two digits, and at most one after the point from 0.1 m on."""
+    return f"{round(metres, 1):g}" if 0.1 <= metres < 10 else f"{float(f'{metres:.2g}'):g}"

@@ -22,6 +22,7 @@ KIND = "benchmark"  # in run.json: which kind of run this is
 EXPORTS = {  # of every benchmark
     "jsonl": "samples as JSON lines with lmms-eval's keys",
     "csv": "a row per case with its figures",
+    "parquet": "the same as a Parquet file (extra parquet)",
 }
 LISTED = 200  # failed cases in a report
 
@@ -187,8 +188,8 @@ class Published:
     def export(self, to: str, run: Told, folder: Path) -> list[Path]:
         if to in self.benchmark.exports:
             return self.benchmark.export(to, run.records, run.settings, folder)
-        if to == "csv":
-            return [export.records_csv(run, folder)]
+        if to in export.TABLES:
+            return [export.TABLES[to](run, folder)]
         cases = self.benchmark.cases(Path(str(run.settings["data"])), run.settings)
         return [export.samples(cases, run.records, folder)]
 

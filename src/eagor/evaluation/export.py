@@ -1,4 +1,4 @@
-"""Tables as Markdown, as LaTeX and as CSV; records as CSV and as JSON lines."""
+"""Tables as Markdown, as LaTeX and as CSV; records as CSV, as Parquet and as JSON lines."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from eagor._csv import as_csv
 from eagor._files import written
+from eagor._parquet import as_parquet
 from eagor.evaluation.page import Box, Sheet
 from eagor.evaluation.published import compared_with
 from eagor.evaluation.samples import Record, case_of, finished, group_of
@@ -110,8 +111,24 @@ def records_csv(run: Told, folder: Path) -> Path:
 
     "" where there is no case; of a unit without a result, why it failed.
     """
+    return written(folder / "records.csv", as_csv([_heads(run), *_rows(run)]))
+
+
+def records_parquet(run: Told, folder: Path) -> Path:
+    """Write the rows of `records_csv` as a Parquet file; returns the file. Raises `MissingExtraError`."""
+    return written(folder / "records.parquet", as_parquet(_heads(run), _rows(run)))
+
+
+TABLES = {"csv": records_csv, "parquet": records_parquet}
+
+
+def _heads(run: Told) -> list[str]:
+    return ["key", "status", "case", "group", "method", "failure", *(column.key for column in run.study.columns)]
+
+
+def _rows(run: Told) -> list[list[Any]]:
     columns = run.study.columns
-    rows: list[list[Any]] = [["key", "status", "case", "group", "method", "failure", *(c.key for c in columns)]]
+    rows: list[list[Any]] = []
     for record in run.records:
         if record["status"] != "ok":
             rows.append([record["key"], "failed", None, None, None, record.get("error", ""), *[None] * len(columns)])
@@ -119,7 +136,7 @@ def records_csv(run: Told, folder: Path) -> Path:
         for method in record["methods"] if run.methods else (None,):
             figures = [column.of(record, method) for column in columns]
             rows.append([record["key"], "ok", case_of(record), group_of(record), method, None, *figures])
-    return written(folder / "records.csv", as_csv(rows))
+    return rows
 
 
 def samples(cases: Sequence[Case], records: Sequence[Record], folder: Path) -> Path:

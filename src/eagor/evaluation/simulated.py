@@ -23,6 +23,7 @@ from eagor.tasks.task import Task
 EXPORTS = {
     "jsonl": "all records as JSON lines, one per unit of work",
     "csv": "a row per episode and method with its figures",
+    "parquet": "the same as a Parquet file (extra parquet)",
 }
 
 
@@ -104,7 +105,7 @@ class Simulated:
         return Worst(lines, cases, [], said)
 
     def export(self, to: str, run: Told, folder: Path) -> list[Path]:
-        return [export.records_csv(run, folder) if to == "csv" else export.records_jsonl(run, folder)]
+        return [export.TABLES.get(to, export.records_jsonl)(run, folder)]
 
 
 def _unit(run: Told, record: Record, method: str) -> dict[str, Any] | None:

@@ -10,7 +10,9 @@ import difflib
 import re
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
+from importlib.util import find_spec
 
+from eagor._extras import how_to_install
 from eagor.errors import QueryError
 from eagor.perception.colour import COLOURS as SHADES
 from eagor.perception.synonyms import (
@@ -25,12 +27,8 @@ from eagor.perception.synonyms import (
 )  # fmt: skip
 from eagor.queries import COLOURS
 
-__all__ = ["meant", "plain", "singular"]
+__all__ = ["for_any_words", "meant", "plain", "singular"]
 
-OPEN_VOCABULARY = (
-    "any words: a model with an open vocabulary, such as --perception google/owlv2-base-patch16-ensemble or Grounding "
-    "DINO (the extra 'vlm'), or a server, --perception endpoint:MODEL@ADDRESS (docs/models.md)"
-)
 _COLOURS = {*COLOURS, *SHADES}
 _PLACES = """
 on in at by near next beside behind under above below between with without to from over inside outside against
@@ -68,11 +66,20 @@ def meant(query: str, classes: Sequence[str], *, described: bool = False) -> tup
     if all(word in _COLOURS for word in words):
         raise QueryError(
             f"the query {query!r} names a colour and no thing; this detector does not know colours. It knows "
-            f"{_some(classes)}. --perception colour finds what is of a colour; for {OPEN_VOCABULARY}"
+            f"{_some(classes)}. --perception colour finds what is of a colour; for any words: {for_any_words()}"
         )
     if found:
         raise _too_much(query, left_out, noun, found)
     raise _unknown(query, noun or words, classes)
+
+
+def for_any_words() -> str:
+    """What to type to look for things that a closed set of classes lacks: a model with an open vocabulary."""
+    first = "" if find_spec("transformers") else f"{how_to_install('vlm')}; then "
+    return (
+        f"{first}--perception google/owlv2-base-patch16-ensemble; or a model on a server, --perception "
+        "endpoint:MODEL@ADDRESS (docs/models.md)"
+    )
 
 
 def plain(text: str) -> str:
@@ -202,7 +209,7 @@ def _too_much(query: str, left_out: Sequence[str], noun: Iterable[str], found: S
         what = "colours, such as"
     return QueryError(
         f"the query {query!r}: this detector does not know {what} {text!r}; it finds every {' or '.join(found)}. Ask "
-        f"for {' '.join(noun)!r} alone, or take one that knows {OPEN_VOCABULARY}"
+        f"for {' '.join(noun)!r} alone. To look for any words: {for_any_words()}"
     )
 
 
@@ -212,7 +219,8 @@ def _unknown(query: str, words: Sequence[str], classes: Sequence[str]) -> QueryE
     if not near:
         hint += ", and nothing near that word"
     return QueryError(
-        f"the query {query!r} names none of this detector's {len(classes)} classes; {hint}. For {OPEN_VOCABULARY}"
+        f"the query {query!r} names none of this detector's {len(classes)} classes; {hint}. To look for any "
+        f"words: {for_any_words()}"
     )
 
 

@@ -1,7 +1,7 @@
 """Local models through transformers: frozen vision-language models and open-vocabulary localisers as perceptions.
 
 A model is named by its hub name or by a folder with ``config.json``; its family (`families`) decides how it is run.
-Importing this module needs no torch; making a perception does: ``pip install eagor[vlm]``.
+Importing this module needs no torch; making a perception does: the extra ``vlm``.
 """
 
 from __future__ import annotations

@@ -1,0 +1,193 @@
+"""The file of --out: the same columns from every command, as CSV, JSON lines and Parquet."""
+
+import csv
+import io
+import json
+import math
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from eagor import _extras
+from eagor._extras import how_to_install
+from eagor._parquet import _kind, as_parquet
+from eagor.cli import main
+from eagor.cli.tables import COLUMNS, columns_of, row_of, table
+from eagor.cli.terminal import UsageError
+from eagor.errors import MissingExtraError
+from eagor.perception.replay import write_record
+from eagor.worlds.painted import EYE, Room, painted_room
+
+FLOOR = -EYE[2]  # in axes of the camera
+BALL = math.dist(Room().balls[0].position, EYE)
+
+ENTRY = {
+    "frame": "a.png", "stamp": 1.5, "azimuth_deg": None, "elevation_deg": None, "credible_angle_deg": None,
+    "presence": 0.25, "distance_m": None, "distance_spread": None, "status": "searching", "held": False,
+    "modes": [{"azimuth_deg": 1.0, "elevation_deg": 2.0, "weight": 0.5}], "looks": 1,
+    "methods": {"vmf": {"azimuth_deg": 3.5, "elevation_deg": None}},
+}  # fmt: skip
+
+
+@pytest.fixture
+def room(tmp_path):
+    path = tmp_path / "room.png"
+    Image.fromarray(painted_room(128, 256)).save(path)
+    return path
+
+
+def run(capsys, *words, code=0):
+    assert main([*map(str, words)]) == code
+    out, err = capsys.readouterr()
+    return err if code else out
+
+
+def test_locate_writes_what_it_prints(room, tmp_path, capsys):
+    found = json.loads(run(capsys, "locate", room, "red ball", "--json", "--out", tmp_path / "a.csv"))
+    (row,) = csv.DictReader(io.StringIO((tmp_path / "a.csv").read_text()))
+    assert [*row] == [*COLUMNS, "modes", "problem"]
+    assert float(row["azimuth_deg"]) == found["azimuth_deg"]
+    assert (row["frame"], row["modes"], row["distance_m"]) == ("room.png", str(len(found["modes"])), "")
+    run(capsys, "locate", room, "red ball", "--out", tmp_path / "a.jsonl")
+    assert json.loads((tmp_path / "a.jsonl").read_text()) == found
+
+
+def test_locate_and_track_give_the_same_columns(room, tmp_path, capsys):
+    poses = tmp_path / "poses.csv"
+    poses.write_text("stamp,yaw_deg,pitch_deg,roll_deg\n0,0,0,0\n")
+    for name, words in {"locate": [room, "red ball"], "track": [room, "red ball", "--poses", poses]}.items():
+        run(capsys, name, *words, "--out", tmp_path / f"{name}.csv")
+    heads = {(tmp_path / f"{name}.csv").read_text().splitlines()[0] for name in ("locate", "track")}
+    assert len(heads) == 1
+
+
+def test_the_floor_gives_locate_a_distance(room, capsys):
+    without = json.loads(run(capsys, "locate", room, "red ball", "--json"))
+    assert (without["distance_m"], without["distance_spread"]) == (None, None)
+    found = json.loads(run(capsys, "locate", room, "red ball", "--json", "--floor", FLOOR))
+    middle, half = math.log(found["distance_m"]) - found["distance_spread"] ** 2 / 2, 1.645 * found["distance_spread"]
+    assert abs(math.log(BALL) - middle) < half
+    assert " m (90 %, if it stands on the floor)" in run(capsys, "locate", room, "red ball", "--floor", FLOOR)
+
+
+def test_the_floor_works_with_views_of_one_moment(room, tmp_path, capsys):
+    looks = tmp_path / "looks.jsonl"
+    with looks.open("w") as file:
+        for stamp in (5.0, 5.01):
+            write_record(file, stamp, points=[{"azimuth_deg": 40, "elevation_deg": -30}])
+    words = ["locate", room, "ball", "--perception", f"replay:{looks}", "--floor", "-1.3", "--json"]
+    assert json.loads(run(capsys, *words))["distance_m"] > 0
+
+
+@pytest.mark.parametrize("floor", ["1.3", "0", "nan", "-inf"])
+def test_a_floor_that_is_not_below_the_camera_is_refused(room, capsys, floor):
+    assert "wanted a floor below it, such as -1.3" in run(capsys, "locate", room, "red", "--floor", floor, code=2)
+
+
+@pytest.mark.parametrize(
+    ("out", "says"),
+    [
+        ("a.txt", "ends in .csv, .jsonl or .parquet"),
+        ("no/a.csv", "there is no folder"),
+        ("room.png", "is an input"),
+        ("folder.csv", "cannot be written"),
+    ],
+)
+def test_a_file_that_cannot_be_is_refused_before_the_look(room, tmp_path, monkeypatch, capsys, out, says):
+    monkeypatch.chdir(tmp_path)
+    tmp_path.joinpath("folder.csv").mkdir()
+    before = room.read_bytes()
+    assert says in run(capsys, "locate", "room.png", "red", "--out", out, code=2)
+    assert room.read_bytes() == before
+
+
+def test_rivals_have_columns_of_their_own():
+    columns = columns_of(["vmf"])
+    assert columns[-2:] == ["vmf_azimuth_deg", "vmf_elevation_deg"]
+    row = dict(zip(columns, row_of(ENTRY, columns), strict=True))
+    assert (row["vmf_azimuth_deg"], row["vmf_elevation_deg"]) == (3.5, None)
+    assert (row["modes"], row["problem"], row["held"]) == (1, "", False)
+
+
+def test_lines_are_there_as_soon_as_they_are_written(tmp_path):
+    path = tmp_path / "a.csv"
+    with table(path) as write:
+        assert not path.exists()
+        for count in (1, 2):
+            write(ENTRY)
+            assert len(path.read_text().splitlines()) == 1 + count
+
+
+def test_without_the_extra_parquet_names_it_before_work(room, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(_extras, "find_spec", lambda name: None)
+    says = f"a Parquet file needs pyarrow: {how_to_install('parquet')}"
+    assert says in run(capsys, "locate", room, "red", "--out", tmp_path / "a.parquet", code=2)
+    assert not (tmp_path / "a.parquet").exists()
+    with pytest.raises(MissingExtraError, match="pyarrow"):
+        as_parquet(["a"], [[1]])
+
+
+@pytest.mark.parametrize(
+    ("values", "kind"),
+    [
+        ([True, None], bool),
+        ([1, None, np.int64(2)], int),
+        ([1, 2.5], float),
+        ([np.float64(1)], float),
+        ([None, None], float),
+        ([], float),
+        (["a", None], str),
+        ([1, "a"], str),
+        ([True, 1], str),
+    ],
+)
+def test_a_column_has_one_type(values, kind):
+    assert _kind(values) is kind
+
+
+def test_parquet_reads_back(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    path = tmp_path / "a.parquet"
+    with table(path, ["vmf"]) as write:
+        write(ENTRY)
+        write(ENTRY | {"azimuth_deg": -12.5, "frame": "=ö.png", "held": True})
+    read = parquet.read_table(path)
+    columns = columns_of(["vmf"])
+    assert read.column_names == columns
+    entries = read.to_pylist()
+    assert [[entry[name] for name in columns] for entry in entries] == [
+        row_of(ENTRY, columns),
+        row_of(ENTRY | {"azimuth_deg": -12.5, "frame": "=ö.png", "held": True}, columns),
+    ]
+    types = {str(field.type) for field in read.schema}
+    assert types == {"string", "double", "bool", "int64"}
+
+
+def test_parquet_keeps_what_there_was_when_the_run_failed(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    path = tmp_path / "a.parquet"
+
+    def fail():
+        with table(path) as write:
+            write(ENTRY)
+            raise UsageError("on the way")
+
+    with pytest.raises(UsageError, match="on the way"):
+        fail()
+    assert parquet.read_table(path).num_rows == 1
+
+
+def test_an_empty_table_has_its_columns():
+    pytest.importorskip("pyarrow")
+    from pyarrow import BufferReader, parquet
+
+    read = parquet.read_table(BufferReader(as_parquet(["a", "b"], [])))
+    assert (read.column_names, read.num_rows) == (["a", "b"], 0)
+
+
+def test_locate_writes_parquet(room, tmp_path, capsys):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    found = json.loads(run(capsys, "locate", room, "red ball", "--json", "--out", tmp_path / "a.parquet"))
+    (row,) = parquet.read_table(tmp_path / "a.parquet").to_pylist()
+    assert row["azimuth_deg"] == found["azimuth_deg"]
