@@ -1,52 +1,5 @@
-"""Directions in words."""
+"""Answers in words; they live in `eagor.drawing.words`, since pictures and pages say the same."""
 
-from __future__ import annotations
+from eagor.drawing.words import STATUS, answer_in_words, in_words, signed
 
-import math
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from eagor.tracking.estimate import Estimate
-
-STATUS = {
-    "searching": "it may not be here, or lie anywhere",
-    "tracking": "more likely than not it is here, within 15 degrees of the answer",
-    "ambiguous": "it is likely here, and several directions fit",
-    "stale": "there was an answer, and nothing has been looked at for a while",
-}
-
-
-def in_words(azimuth: float, elevation: float) -> str:
-    """A direction (radians, azimuth positive left) such as "64 degrees to the left, 33 degrees down".
-
-    Within 4 degrees of an axis it counts as on the axis; within 5 degrees of a pole it is only up or down.
-    """
-    side, height = round(math.degrees(math.remainder(azimuth, math.tau))), round(math.degrees(elevation))
-    if abs(height) >= 85:
-        return "straight up" if height > 0 else "straight down"
-    where, hand = abs(side), "left" if side > 0 else "right"
-    if where <= 4:
-        level = "straight ahead"
-    elif where <= 112:
-        level = f"{where} degrees to the {hand}"
-    elif where <= 157:
-        level = f"behind you, to the {hand} ({where} degrees)"
-    elif where <= 175:
-        level = f"behind you, slightly {hand} ({where} degrees)"
-    else:
-        level = "straight behind you"
-    if abs(height) <= 4:
-        return level
-    return f"{level}, {abs(height)} degrees {'up' if height > 0 else 'down'}"
-
-
-def answer_in_words(estimate: Estimate) -> str:
-    """The answer of an estimate as `in_words`, or "not known"."""
-    if estimate.azimuth is None or estimate.elevation is None:
-        return "not known"
-    return in_words(estimate.azimuth, estimate.elevation)
-
-
-def signed(angle: float | None) -> str:
-    """An angle (radians) in degrees with sign and one decimal: "+62.9"; "-" for None."""
-    return "-" if angle is None else f"{math.degrees(angle):+.1f}"
+__all__ = ["STATUS", "answer_in_words", "in_words", "signed"]
