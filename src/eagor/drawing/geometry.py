@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -66,8 +67,10 @@ def heat_of(belief: Estimate | Readable) -> Heat | None:
 
 
 def arrow(where: np.ndarray) -> np.ndarray:
-    """The great circle from forward to `where` ``(3,)`` as places ``(240, 2)``; ``(0, 2)`` if it is straight ahead or
-    straight behind."""
+    """The great circle from forward to `where` ``(3,)`` as places ``(240, 2)``.
+
+    ``(0, 2)`` if it is straight ahead or straight behind.
+    """
     end = np.asarray(where, dtype=float)
     angle = math.acos(max(-1.0, min(1.0, float(end[0]))))
     side = np.array([0.0, end[1], end[2]])
@@ -105,7 +108,9 @@ def backdrop(panorama: np.ndarray | None, heat: Heat | None, width: int, height:
         own = Image.fromarray(np.ascontiguousarray(image))
         ground = own.resize((width, height), Image.Resampling.BILINEAR, reducing_gap=2.0)
         grey, colour = BRIGHTNESS * (1 - COLOUR) / 3, BRIGHTNESS * COLOUR
-        matrix = [grey + (colour if row == column else 0) if column < 3 else 0 for row in range(3) for column in range(4)]
+        matrix = [
+            grey + (colour if row == column else 0) if column < 3 else 0 for row in range(3) for column in range(4)
+        ]
         ground = ground.convert("RGB", tuple(matrix))
     if heat is not None:
         over = Image.fromarray(heat.rgba).resize((width, height), Image.Resampling.BILINEAR)
@@ -144,10 +149,11 @@ def _density(belief: Estimate | Readable, grid: PatchGrid, level: float) -> np.n
         return np.asarray(belief.log_density(grid.directions), dtype=np.float32)
     coarse = _grid(COARSE)
     found = np.asarray(belief.log_density(coarse.directions), dtype=np.float32)
-    near = found > level - BELOW
+    near: Any = found > level - BELOW
     x, y, _ = coarse.project(np.array([belief.direction, *(mode.direction for mode in belief.modes)]))
     near[np.minimum(y.astype(int), coarse.height - 1), x.astype(int) % coarse.width] = True
-    near = ndimage.maximum_filter(near, 5, mode=("nearest", "wrap"))
+    modes: Any = ("nearest", "wrap")  # beyond the poles, and over the seam
+    near = ndimage.maximum_filter(near, 5, mode=modes)
     times = grid.height // coarse.height
     wide = Image.fromarray(np.concatenate([found[:, -1:], found, found[:, :1]], axis=1))
     values = np.array(wide.resize((grid.width + 2 * times, grid.height), Image.Resampling.BILINEAR))[:, times:-times]

@@ -167,8 +167,9 @@ def _arrow(axes: Axes, where: np.ndarray, held: bool) -> None:
     x, y = arrow(where).T
     if not len(x):
         return
-    pixels = axes.get_window_extent().width / 360
-    clear = pixels * np.hypot(x - x[-1], y - y[-1]) > 0.18 * axes.get_figure(root=True).dpi  # the head ends before the rings around the estimate
+    sheet = axes.get_figure(root=True)
+    near = 0.18 * (100.0 if sheet is None else sheet.dpi)  # the head ends before the rings around the estimate
+    clear = axes.get_window_extent().width / 360 * np.hypot(x - x[-1], y - y[-1]) > near
     x, y = x[clear], y[clear]
     if len(x) < 8:
         return

@@ -45,8 +45,8 @@ class ScenePainter:
     """
 
     def __init__(self, width: int = DESIGN) -> None:
-        self.width = _even(width)
-        self.height = _even(round(self.width / 2))
+        self.width = _checked(width)
+        self.height = self.width // 4 * 2
         self._sheet = blank(self.width, self.height, 100 * self.width / DESIGN)
         self._axes = _scene(self._sheet.figure, (0, 0, 1, 1))
 
@@ -67,10 +67,10 @@ class StepPainter:
 
     def __init__(self, width: int = DESIGN, span: float | None = None) -> None:
         self.line = TimeLine(span)
-        self.width = _even(width)
+        self.width = _checked(width)
         scale = self.width / DESIGN
-        self.head, self.rows = round(HEAD * scale), _even(round(self.width / 2))
-        self.height = _even(self.head + self.rows + round(FOOT * scale))
+        self.head, self.rows = round(HEAD * scale), self.width // 4 * 2
+        self.height = (self.head + self.rows + round(FOOT * scale)) // 2 * 2
         self._sheet = blank(self.width, self.height, 100 * scale)
         w, h = self.width, self.height
         self._scene = _scene(self._sheet.figure, (0, (h - self.head - self.rows) / h, 1, self.rows / h))
@@ -287,7 +287,8 @@ def _short(text: str, most: int) -> str:
     return text if len(text) <= most else text[: most - 1] + "…"
 
 
-def _even(width: int) -> int:
-    if isinstance(width, bool) or not isinstance(width, int | np.integer) or width < 2:
+def _checked(width: int) -> int:
+    """The next lower even width: videos have colours for two by two pixels."""
+    if isinstance(width, bool) or not isinstance(width, int | np.integer) or not NARROWEST <= width <= WIDEST:
         raise EagorError(f"a picture {width!r} pixels wide; wanted a whole number from {NARROWEST} to {WIDEST}")
     return int(width) // 2 * 2

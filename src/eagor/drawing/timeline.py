@@ -114,8 +114,7 @@ class TimeLine:
 
     @property
     def end(self) -> float:
-        """Until when the last answer is drawn: for as long as the one before it held, at most to the end of the axis.
-        """
+        """Until when the last answer is drawn: for as long as the one before it, within the axis."""
         if len(self._kept) < 2 or self.last is None:
             return min(self.span, self.now + self.span / 200)
         before = [kept for kept in self._kept[-2:] if kept is not self.last][-1]
