@@ -20,8 +20,8 @@ from PIL import Image
 from eagor._extras import how_to_install
 from eagor.cli import machine, main
 from eagor.cli.models import how_to_find
-from eagor.cli.words import in_words
 from eagor.conventions import direction_from_hstar, wxyz_from_rotation
+from eagor.drawing.words import in_words
 from eagor.grids import ErpGrid
 from eagor.perception import words as query_words
 from eagor.perception.replay import write_record

@@ -7,12 +7,13 @@ import re
 
 import numpy as np
 import pytest
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from PIL import Image
 
 import eagor
 from eagor import baselines
-from eagor.drawing import draw_belief, draw_strip, panorama
+from eagor.drawing import draw_belief, draw_strip, geometry, panorama
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, world_R_body
@@ -42,13 +43,22 @@ def painted(belief, **how):
 
 
 def heat(axes):
-    """The strength of the heat ``(H, W)``; None where none is drawn."""
-    images = axes.get_images()
-    return None if len(images) < 2 else np.asarray(images[1].get_array())[..., 3]
+    """How far the heat changes the picture ``(H, W)``; None where it does not."""
+    (shown,) = (np.asarray(image.get_array()).astype(int) for image in axes.get_images())
+    changed = np.abs(shown - geometry.backdrop(PANORAMA, None, *shown.shape[1::-1])).sum(axis=-1)
+    return changed if changed.any() else None
 
 
 def labels(axes):
     return axes.get_legend_handles_labels()[1]
+
+
+def notes(axes):
+    return [text.get_text() for text in axes.texts if text.get_text()]
+
+
+def borders(axes):
+    return [found for found in axes.collections if isinstance(found, LineCollection)]
 
 
 @pytest.mark.parametrize("pose", [np.eye(3), world_R_body(2.0, 0.3, -0.4)], ids=["upright", "turned"])
@@ -56,7 +66,7 @@ def test_the_heat_is_strongest_where_the_answer_is(pose):
     estimate = followed(AHEAD, AHEAD, AHEAD, ((-100, -30),), AHEAD, pose=pose)
     axes = painted(estimate)
     strength = heat(axes)
-    hottest = PatchGrid(*strength.shape).directions[strength == strength.max()]
+    hottest = PatchGrid(*strength.shape).directions[strength >= 0.99 * strength.max()]
     assert np.degrees(angular_distance(hottest, estimate.direction)).max() < 5
     assert np.degrees(angular_distance(hottest, estimate.direction)).min() < 0.5
     assert {"estimate", "90 % region", "candidate directions"} <= set(labels(axes))
@@ -65,21 +75,23 @@ def test_the_heat_is_strongest_where_the_answer_is(pose):
 def test_the_border_is_that_of_the_region_of_the_estimate():
     estimate = followed(*[AHEAD] * 4)
     border, area = estimate.region(0.9)
-    contours = [found for found in painted(estimate).collections if hasattr(found, "levels")]
-    assert [list(found.levels) for found in contours] == [[border], [border]]
-    points = np.concatenate([path.vertices for path in contours[0].get_paths()])
+    below, above = borders(painted(estimate))
+    assert len(below.get_segments()) == len(above.get_segments()) == 1
+    points = np.concatenate(above.get_segments())
     places = direction(np.radians(points[:, 0]), np.radians(points[:, 1]))
     assert np.abs(estimate.log_density(places) - border).max() < 0.3
+    assert np.array_equal(points, np.concatenate(geometry.heat_of(estimate).border))
     cells = PatchGrid(360, 720)
     assert float(cells.weights[estimate.log_density(cells.directions) >= border].sum()) == pytest.approx(area, rel=0.1)
 
 
-def test_a_region_over_half_of_the_sphere_is_not_drawn_and_the_legend_says_so():
+def test_a_region_over_half_of_the_sphere_is_not_drawn_and_a_note_says_so():
     estimate = followed(AHEAD, model=eagor.DetectorModel(0.3, 5.0))
     assert estimate.region(0.9)[1] > 2 * math.pi
     axes = painted(estimate)
-    assert not [found for found in axes.collections if hasattr(found, "levels")]
-    assert "90 % region: over half of the sphere, not drawn" in labels(axes)
+    assert not borders(axes)
+    assert notes(axes) == ["90 % region not drawn: over half of the sphere"]
+    assert "90 % region" not in labels(axes)
     assert heat(axes) is not None
 
 
@@ -88,8 +100,21 @@ def test_a_border_that_only_ripples_decide_is_not_drawn():
     estimate = followed(AHEAD, model=eagor.DetectorModel(0.7, 0.35))
     assert estimate.region(0.9)[1] < 2 * math.pi
     axes = painted(estimate)
-    assert not [found for found in axes.collections if hasattr(found, "levels")]
-    assert "90 % region: its border runs where all is alike, not drawn" in labels(axes)
+    assert not borders(axes)
+    assert notes(axes) == ["90 % region not drawn: its border runs where all is alike"]
+
+
+def test_the_legend_of_several_panels_contradicts_none_of_them(monkeypatch):
+    """Only what is drawn somewhere is in it; what is missing stands in its own panel."""
+    sheets = []
+    monkeypatch.setattr(panorama, "image", lambda sheet: sheets.append(sheet) or sheet)
+    sharp, wide = followed(*[AHEAD] * 4), followed(AHEAD, model=eagor.DetectorModel(0.3, 5.0))
+    draw_strip([{"panorama": PANORAMA, "belief": one} for one in (sharp, wide, followed())])
+    (sheet,) = sheets
+    (legend,) = sheet.legends
+    assert {text.get_text() for text in legend.get_texts()} == {"estimate", "90 % region", "candidate directions"}
+    said = [notes(axes) for axes in sheet.axes]
+    assert said == [[], ["90 % region not drawn: over half of the sphere"], ["direction not known"]]
 
 
 @pytest.mark.parametrize("looks", [(), ((),)], ids=["no look", "an empty look"])
@@ -98,8 +123,8 @@ def test_nothing_known_is_no_arrow_and_no_heat(looks):
     assert estimate.direction is None
     axes = painted(estimate)
     assert heat(axes) is None
-    assert labels(axes) == ["direction not known"]
-    assert not axes.texts
+    assert labels(axes) == []
+    assert [text.get_text() for text in axes.texts] == ["direction not known"]  # and no arrow
     assert draw_belief(PANORAMA, estimate, title="nothing").size == (1200, 714)
 
 

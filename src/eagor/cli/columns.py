@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from eagor.cli.words import distance_in_words, signed
+from eagor.drawing.words import distance_in_words, signed
 from eagor.sphere import azimuth_elevation
 from eagor.tracking.estimate import Estimate
 

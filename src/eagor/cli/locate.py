@@ -27,7 +27,7 @@ from eagor.cli.looking import (
 )
 from eagor.cli.options import Locate
 from eagor.cli.tables import table
-from eagor.cli.words import STATUS, answer_in_words, distance_in_words, in_words, signed
+from eagor.drawing.words import STATUS, answer_in_words, distance_in_words, in_words, signed
 from eagor.evidence import Evidence
 from eagor.perception import short_name
 from eagor.sphere import azimuth_elevation

@@ -37,7 +37,7 @@ from eagor.cli.looking import (
 from eagor.cli.options import Track, given
 from eagor.cli.poses import Pose, read_poses
 from eagor.cli.steps import Film, Source, Step, images, is_video, thinned, with_file, with_imu, with_sight
-from eagor.cli.words import answer_in_words, signed
+from eagor.drawing.words import answer_in_words, signed
 from eagor.errors import ImageError
 from eagor.perception import Perception, rows_of
 from eagor.sphere import azimuth_elevation

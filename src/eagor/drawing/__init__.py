@@ -1,4 +1,4 @@
-"""Pictures: a belief over a panorama, curves of error over time, paths on a map.
+"""Pictures: a belief over a panorama, a track as a video or a page, curves of error over time, paths on a map.
 
 Every function `draw_...` returns a `PIL.Image.Image`. Panoramas and their axes are in the layout of `eagor.sphere`
 (centre forward, azimuth grows to the LEFT). matplotlib is imported for the first picture, with the Agg canvas and
@@ -6,6 +6,19 @@ without pyplot: it changes no global state and opens no window.
 """
 
 from eagor.drawing.charts import draw_errors, draw_map
+from eagor.drawing.page import BeliefPage, write_page
 from eagor.drawing.panorama import draw_belief, draw_strip, paint_belief
+from eagor.drawing.step import draw_step
+from eagor.drawing.video import BeliefVideo
 
-__all__ = ["draw_belief", "draw_errors", "draw_map", "draw_strip", "paint_belief"]
+__all__ = [
+    "BeliefPage",
+    "BeliefVideo",
+    "draw_belief",
+    "draw_errors",
+    "draw_map",
+    "draw_step",
+    "draw_strip",
+    "paint_belief",
+    "write_page",
+]

@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor.belief.readable import Readable
+from eagor.drawing.geometry import MASS, Heat, arrow, backdrop, heat_of, places
 from eagor.drawing.sheet import INK, figure, image, plain
-from eagor.grids import PatchGrid
-from eagor.sphere import azimuth_elevation, unit
-from eagor.thumbnail import undrawn
 from eagor.tracking.estimate import Estimate
 
 if TYPE_CHECKING:
@@ -26,10 +24,7 @@ if TYPE_CHECKING:
 OURS, TRUTH = "#00e5ff", "#39ff6a"
 # Markers and colours that can be told apart in grey and by the colour-blind; the first methods get the first ones.
 OTHERS = (("s", "#ffb000"), ("D", "#ff5fa8"), ("^", "#b197ff"), ("v", "#ff7043"), ("P", "#9ccc65"), ("X", "#90a4ae"))
-ROWS, MOST_ROWS = 360, 720  # of the heat map: more for a small region
-CELLS = 40  # least number of cells in a region, so that its border is not just a few straight lines
-MASS = 0.9
-FLAT = 1e-6  # a density that varies by less than this share of its mean is uniform
+WHOLE = (180, -180, -90, 90)  # degrees: left, right, bottom, top
 
 
 def draw_belief(
@@ -43,7 +38,7 @@ def draw_belief(
 ) -> Image:
     """`belief` as heat over `panorama` ``(H, W, 3)``, with the border of its 90 % region.
 
-    The region is not drawn, and the legend says so, if it is larger than half of the sphere or if its border depends on
+    The region is not drawn, and a note says so, if it is larger than half of the sphere or if its border depends on
     ripples alone. Nothing is drawn for a uniform belief.
 
     Args:
@@ -97,24 +92,39 @@ def paint_belief(
     others: Mapping[str, np.ndarray | None] | None = None,
     modes: Sequence[np.ndarray] | None = None,
 ) -> None:
-    """The contents of `draw_belief`, drawn into `axes`."""
+    """The contents of `draw_belief`, drawn into `axes`, which have their size already."""
     axes.set_xlim(180, -180)
     axes.set_ylim(-90, 90)
     axes.set_xticks(range(180, -181, -45), _degrees(range(180, -181, -45)))
     axes.set_yticks(range(-90, 91, 30), _degrees(range(-90, 91, 30)))
     plain(axes)
-    whole = (180, -180, -90, 90)
-    axes.imshow(_muted(panorama), extent=whole, aspect="auto", interpolation="antialiased", zorder=0)
+    heat = heat_of(belief)
+    box = axes.get_window_extent()
+    ground = backdrop(panorama, heat, max(1, round(box.width)), max(1, round(box.height)))
+    axes.imshow(ground, extent=WHOLE, aspect="auto", interpolation="antialiased", zorder=0)
+    paint_marks(axes, belief, heat, truth, others, modes)
+
+
+def paint_marks(
+    axes: Axes,
+    belief: Estimate | Readable,
+    heat: Heat | None,
+    truth: np.ndarray | None = None,
+    others: Mapping[str, np.ndarray | None] | None = None,
+    modes: Sequence[np.ndarray] | None = None,
+) -> None:
+    """All that is drawn over the heat: the border, the arrow, markers, and a note on what is missing."""
     for at in (-90, 0, 90):
         axes.axvline(at, color="white", alpha=0.22, linewidth=0.8, zorder=1)
     axes.axhline(0, color="white", alpha=0.22, linewidth=0.8, zorder=1)
     answer = belief.direction if isinstance(belief, Estimate) else None
+    held = isinstance(belief, Estimate) and belief.held
     if isinstance(belief, Estimate) and answer is None:
-        axes.plot([], [], linestyle="none", label="direction not known")
-    else:
-        _heat(axes, belief)
+        _note(axes, "direction not known")
+    if heat is not None:
+        _border(axes, heat)
     if answer is not None:
-        _arrow(axes, answer)
+        _arrow(axes, answer, held)
     if modes is None:
         modes = [mode.direction for mode in belief.modes] if isinstance(belief, Estimate) else []
     for index, mode in enumerate(modes):
@@ -125,72 +135,46 @@ def paint_belief(
             _mark(axes, where, marker, colour, 8.5, name)
     if truth is not None:
         _mark(axes, truth, "o", TRUTH, 21, "truth", hollow=True, width=2.6)
-    if isinstance(belief, Estimate) and answer is not None:
-        _mark(axes, answer, "o", OURS, 8.5, "estimate (an older one, held)" if belief.held else "estimate")
+    if answer is not None and held:
+        _mark(axes, answer, "o", OURS, 9.5, "estimate (an older one, held)", hollow=True, width=2.2)
+    elif answer is not None:
+        _mark(axes, answer, "o", OURS, 8.5, "estimate")
 
 
-def _heat(axes: Axes, belief: Estimate | Readable) -> None:
-    """The density as heat, and the border of its 90 % region; nothing for a uniform belief."""
-    from matplotlib import colormaps
+def _border(axes: Axes, heat: Heat) -> None:
+    """The border of the 90 % region, or a note why there is none."""
+    from matplotlib.collections import LineCollection
 
-    border, area = _region(belief)
-    grid = _cells(area)
-    log_density = np.asarray(belief.log_density(grid.directions))
-    times = 4 * math.pi * np.exp(log_density)  # relative to the uniform density
-    most = float(times.max())
-    if most - float(times.min()) < FLAT:
+    if heat.missing:
+        _note(axes, heat.missing)
         return
-    contrast = 1 - 1 / most  # 0 for a uniform belief, 1 for a sharp one
-    share = np.sqrt(np.clip((times - 1) / (most - 1), 0, 1))
-    rgba = colormaps["inferno"](0.35 + 0.6 * share)
-    rgba[..., 3] = 0.85 * contrast * np.clip(1.3 * share, 0, 1)
-    axes.imshow(rgba, extent=(180, -180, -90, 90), aspect="auto", interpolation="bilinear", zorder=2)
-    if why := undrawn(log_density, grid.weights, border, area):
-        axes.plot([], [], linestyle="none", label=f"{100 * MASS:.0f} % region: {why}, not drawn")
-        return
-    # A few more columns on either side, so that a border that crosses the seam continues into the frame.
-    more = 8
-    azimuth = np.degrees(math.pi - 2 * math.pi * (np.arange(-more, grid.width + more) + 0.5) / grid.width)
-    elevation = np.degrees(grid.latitudes)
-    padded = np.concatenate([log_density[:, -more:], log_density, log_density[:, :more]], axis=1)
     for colour, width in (("black", 3.4), ("white", 1.6)):
-        axes.contour(
-            azimuth, elevation, padded, levels=[border], colors=colour, linewidths=width, linestyles="solid", zorder=3
-        )
+        lines = LineCollection(list(heat.border), colors=colour, linewidths=width, zorder=3, capstyle="round")
+        axes.add_collection(lines, autolim=False)
     axes.plot([], [], color="white", linewidth=1.6, label=f"{100 * MASS:.0f} % region")
 
 
-def _region(belief: Estimate | Readable) -> tuple[float, float]:
-    """The log density (per steradian) at the border of the 90 % region, and its solid angle."""
-    if isinstance(belief, Estimate):
-        return belief.region(MASS)
-    found = belief.credible_region(MASS)
-    return found.threshold, found.area
+def _note(axes: Axes, text: str) -> None:
+    """Words in the corner of this panel: what a legend says holds for all panels."""
+    axes.text(
+        0.008, 0.02, text, transform=axes.transAxes, fontsize=9, color="white", ha="left", va="bottom", zorder=8,
+        bbox={"facecolor": "black", "alpha": 0.55, "edgecolor": "none", "pad": 2.5},
+    )  # fmt: skip
 
 
-def _cells(area: float) -> PatchGrid:
-    """Cells for the heat, fine enough for a region of this solid angle."""
-    rows = math.ceil(math.sqrt(CELLS * 2 * math.pi / max(area, 1e-9)))
-    rows = min(max(ROWS, 2 * math.ceil(rows / 2)), MOST_ROWS)
-    return PatchGrid(rows, 2 * rows)
-
-
-def _arrow(axes: Axes, where: np.ndarray) -> None:
-    """An arrow along the great circle from forward to `where`."""
-    end = np.asarray(where, dtype=float)
-    angle = math.acos(max(-1.0, min(1.0, float(end[0]))))
-    side = np.array([0.0, end[1], end[2]])
-    if angle < 1e-6 or np.linalg.norm(side) < 1e-6:
+def _arrow(axes: Axes, where: np.ndarray, held: bool) -> None:
+    """An arrow along the great circle from forward to `where`; dashed for an answer that is held."""
+    x, y = arrow(where).T
+    if not len(x):
         return
-    along = np.linspace(0, angle, 240)[:, None]
-    azimuth, elevation = azimuth_elevation(np.cos(along) * np.array([1.0, 0, 0]) + np.sin(along) * unit(side))
-    x, y = np.degrees(azimuth), np.degrees(elevation)
-    pixels = axes.get_window_extent().width / 360
-    clear = pixels * np.hypot(x - x[-1], y - y[-1]) > 18  # the head ends before the rings around the estimate
+    sheet = axes.get_figure(root=True)
+    near = 0.18 * (100.0 if sheet is None else sheet.dpi)  # the head ends before the rings around the estimate
+    clear = axes.get_window_extent().width / 360 * np.hypot(x - x[-1], y - y[-1]) > near
     x, y = x[clear], y[clear]
     if len(x) < 8:
         return
-    axes.plot(x, y, color=OURS, linewidth=1.8, zorder=6, path_effects=_outline(3.6), solid_capstyle="round")
+    style: dict[str, Any] = {"linestyle": (0, (4, 2))} if held else {"solid_capstyle": "round"}
+    axes.plot(x, y, color=OURS, linewidth=1.8, zorder=6, path_effects=_outline(3.6), **style)
     axes.plot(0, 0, "o", color=OURS, markersize=4.5, markeredgecolor="black", markeredgewidth=0.8, zorder=6)
     head = {
         "arrowstyle": "-|>,head_width=0.32,head_length=0.55",
@@ -213,15 +197,13 @@ def _mark(
     width: float = 1.0,
 ) -> None:
     """A marker at a direction, twice where it lies on the seam."""
-    azimuth, elevation = (math.degrees(float(a)) for a in azimuth_elevation(np.asarray(where)))
-    places = [azimuth] + ([azimuth - math.copysign(360, azimuth)] if abs(azimuth) > 172 else [])
-    for place in places:
+    for place in places(where):
         style = {"markersize": size, "linestyle": "none", "zorder": 7}
         if hollow:  # a dark ring below the bright one
-            axes.plot(place, elevation, marker, mfc="none", mec="black", mew=width + 1.8, alpha=0.7, **style)
-            axes.plot(place, elevation, marker, mfc="none", mec=colour, mew=width, label=label, **style)
+            axes.plot(*place, marker, mfc="none", mec="black", mew=width + 1.8, alpha=0.7, **style)
+            axes.plot(*place, marker, mfc="none", mec=colour, mew=width, label=label, **style)
         else:
-            axes.plot(place, elevation, marker, mfc=colour, mec="black", mew=width, label=label, **style)
+            axes.plot(*place, marker, mfc=colour, mec="black", mew=width, label=label, **style)
         label = None
 
 
@@ -251,15 +233,6 @@ def _legend(sheet: Figure, drawn: Sequence[Axes]) -> None:
     for handle in legend.legend_handles:
         if handle is not None and hasattr(handle, "set_markersize"):
             handle.set_markersize(9)  # type: ignore[attr-defined]
-
-
-def _muted(panorama: np.ndarray) -> np.ndarray:
-    """The panorama darker and half as colourful, as a background; at most 1600 columns."""
-    image = np.asarray(panorama)
-    step = max(1, image.shape[1] // 1600)
-    image = image[::step, ::step].astype(np.float32) / (255 if image.dtype == np.uint8 else 1)
-    grey = image.mean(axis=-1, keepdims=True)
-    return np.clip((0.45 * grey + 0.55 * image) * 0.72, 0, 1)
 
 
 def _degrees(angles: Sequence[int]) -> list[str]:

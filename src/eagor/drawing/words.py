@@ -1,4 +1,4 @@
-"""Directions and distances in words."""
+"""Answers in words: directions, distances, statuses."""
 
 from __future__ import annotations
 
@@ -49,11 +49,6 @@ def answer_in_words(estimate: Estimate) -> str:
     return in_words(estimate.azimuth, estimate.elevation)
 
 
-def signed(angle: float | None) -> str:
-    """An angle (radians) in degrees with sign and one decimal: "+62.9"; "-" for None."""
-    return "-" if angle is None else f"{math.degrees(angle):+.1f}"
-
-
 def distance_in_words(distance: float | None, spread: float | None) -> str:
     """The 90 % interval of a distance, such as "1.1 to 6.4 m"; "-" if not even its order of magnitude is known.
 
@@ -68,6 +63,24 @@ def distance_in_words(distance: float | None, spread: float | None) -> str:
     median = distance * math.exp(-(spread**2) / 2)
     nearest, farthest = _rounded(median * math.exp(-half)), _rounded(median * math.exp(half))
     return f"{nearest} m" if nearest == farthest else f"{nearest} to {farthest} m"
+
+
+def far_in_words(estimate: Estimate) -> str:
+    """The distance of the answer as `distance_in_words`; "" while searching, without positions, or if unknown."""
+    if estimate.status == "searching":
+        return ""
+    found = distance_in_words(estimate.distance, estimate.distance_spread)
+    return "" if found == "-" else found
+
+
+def status_in_words(estimate: Estimate) -> str:
+    """The status, and whether an older answer is held."""
+    return f"{estimate.status}, held" if estimate.held else estimate.status
+
+
+def signed(angle: float | None) -> str:
+    """An angle (radians) in degrees with sign and one decimal: "+62.9"; "-" for None."""
+    return "-" if angle is None else f"{math.degrees(angle):+.1f}"
 
 
 def _rounded(metres: float) -> str:
