@@ -43,6 +43,11 @@ class Result:
     others: dict[str, np.ndarray | None] = field(default_factory=dict)
 
     @property
+    def told(self) -> bool:
+        """Whether it has a line of its own: it was looked at, or could not be."""
+        return self.looked or self.problem is not None
+
+    @property
     def distance(self) -> float | None:
         """Metres; None without positions or while searching."""
         return None if self.estimate.status == "searching" else self.estimate.distance

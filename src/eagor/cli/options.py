@@ -182,8 +182,7 @@ class Track(Common):
     """Degree of the spherical harmonics, 1 to 63."""
     picture: Annotated[Path | None, arg(name="pictures", metavar="DIR", help_behavior_hint="")] = None
     """Draw each frame with the belief into this folder."""
-    out: Annotated[Path | None, _bare("FILE")] = None
-    """Write the estimates to FILE.csv or FILE.jsonl, line by line."""
+    out: Out = None
     force: Force = False
 
 

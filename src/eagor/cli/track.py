@@ -6,7 +6,6 @@ frame that is not 2:1 ends the run, because the others will hardly be. ``--out``
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
@@ -16,11 +15,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from eagor._csv import as_csv
-from eagor._files import Lines
 from eagor.cli import terminal
+from eagor.cli.columns import header, line
 from eagor.cli.following import RIVALS, Result, follow, make_rivals
 from eagor.cli.looking import (
     ShapeError,
@@ -37,16 +33,14 @@ from eagor.cli.looking import (
 from eagor.cli.options import Track, given
 from eagor.cli.poses import Pose, read_poses
 from eagor.cli.steps import Film, Source, Step, images, is_video, thinned, with_file, with_imu, with_sight
-from eagor.drawing.words import answer_in_words, signed
+from eagor.cli.tables import table
+from eagor.drawing.words import answer_in_words
 from eagor.errors import ImageError
 from eagor.perception import Perception, rows_of
-from eagor.sphere import azimuth_elevation
 
-COLUMNS = (
-    "frame", "stamp", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "distance_m", "distance_spread",
-    "status", "held",
-)  # fmt: skip
 MOST_DRIFT = 90  # degrees
+RATE, FPS = 2.0, 10.0  # looks and frames per second of a video
+LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
 RATE, FPS = 2.0, 10.0  # looks and frames per second of a video
 LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
 STATUS_WIDTH = len("ambiguous, held")
@@ -63,7 +57,9 @@ def track(options: Track) -> int:
     spec = perception_for(query, options.perception)
     places = [Path(word) for word in options.words[:-1]]
     check_not_read(options.out, "--out", [*places, Path(options.poses)])
-    check_not_read(options.picture, "--picture", places)
+    check_not_read(options.picture, "--pictures", places)
+    check_not_read(options.video, "--video", places)
+    check_not_read(options.page, "--page", places)
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
     perception = make_perception(spec)
     journey = _journey(options, places, perception)
@@ -91,13 +87,14 @@ class _Journey:
     count: int | None
     told: str
     poses: Sequence[Pose] = ()
-    clock: str = ""
+    shown: float | None = None  # frames per second
+    span: float | None = None  # seconds from the first frame to the last, if known
 
 
 def _journey(options: Track, places: Sequence[Path], perception: Perception) -> _Journey:
     """The stream that the options name; what a video tells of itself is said on stderr."""
     by_file = options.poses not in ("auto", "level")
-    poses = read_poses(options.poses) if by_file else ()
+    poses: tuple[Pose, ...] = read_poses(options.poses) if by_file else ()
     for name in ("rate", "fps"):
         if (value := getattr(options, name)) is not None and not (math.isfinite(value) and value > 0):
             raise terminal.UsageError(f"--{name} {value:g}; wanted a number per second above 0")
@@ -111,13 +108,16 @@ def _journey(options: Track, places: Sequence[Path], perception: Perception) -> 
         for fact in video.facts:
             terminal.log(fact)
         source: Source = Film(video, options.force)
-        motion = video.motion
+        motion, end = video.motion, options.end or video.duration
+        span = None if end is None else end - options.start
     else:
         if given(options, wrong := ("start", "end", "fps")):
             raise terminal.UsageError(f"--{given(options, wrong)[0]} is for a video; these are images")
         if by_file and options.rate is not None:
             raise terminal.UsageError(f"--rate {options.rate:g}: {options.poses} tells when the images were taken")
         source, motion, looks = images(places, options.rate or 1.0, options.force), None, None
+        shown = None if by_file else options.rate or 1.0
+        span = poses[-1].stamp - poses[0].stamp if poses else (source.count - 1) / (options.rate or 1.0)
     if by_file:
         steps, told = with_file(source, poses, Path(options.poses)), f"poses from {options.poses}"
     elif motion is not None and options.poses == "auto":
@@ -127,7 +127,7 @@ def _journey(options: Track, places: Sequence[Path], perception: Perception) -> 
 
         need("the rotation from pictures", "photos", "cv2")
         steps, told = with_sight(source, options.poses == "level"), "orientations from the pictures themselves"
-    return _Journey(thinned(steps, looks), source.count, told, poses)
+    return _Journey(thinned(steps, looks), source.count, told, poses, shown, span)
 
 
 def _until_it_breaks(results: Iterator[Result], run: _Run) -> Iterator[Result]:
@@ -153,7 +153,7 @@ class _Run:
         """Print and count one result; frames that were not looked at are only drawn."""
         self.frames += 1
         if self.frames == 1 and not self.options.json:
-            print(_header(self.options.compare), flush=True)
+            print(header(RIVALS if self.options.compare else ()), flush=True)
         if result.lost:
             terminal.warning(f"{result.frame} does not fit to the frames before it: the belief starts anew")
         if result.evidence and not self.looked:
@@ -162,12 +162,12 @@ class _Run:
             terminal.warning(f"{result.frame} is left out: {result.problem}")
             self.bad += 1
         self.looked += len(result.evidence)
-        if not (result.looked or result.problem):
+        if not result.told:
             return
         if self.options.json:
             self.entries.append(result.as_json())
         else:
-            print(_line(result), flush=True)
+            print(line(result), flush=True)
 
     def close(self, journey: _Journey) -> int:
         """Print the rest; returns the exit code."""
@@ -191,42 +191,57 @@ class _Run:
         return terminal.INCOMPLETE if self.bad or self.broken else terminal.OK
 
 
-def _sinks(
-    options: Track, query: str, spec: str, journey: _Journey
-) -> Iterator[AbstractContextManager[Callable[[Result], None]]]:
+Sink = Callable[[Result], None]
+
+
+def _sinks(options: Track, query: str, spec: str, journey: _Journey) -> Iterator[AbstractContextManager[Sink]]:
     """What is written beside the lines: the table, pictures, a video, a page. Each takes every result."""
     if options.out:
-        yield _table(options.out, options.compare)
+        yield _listed(options.out, RIVALS if options.compare else ())
     if options.picture:
         yield nullcontext(_painter(options.picture, query))
+    if options.video:
+        yield _filmed(options.video, query, journey)
+    if options.page:
+        used = {"perception": spec, "poses": journey.told}
+        used |= {"calibration": str(options.calibration)} if options.calibration else {}
+        yield _paged(options.page, query, used, journey)
 
 
-def _header(compare: bool) -> str:
-    others = "".join(f"{name:>{WIDTH}}" for name in RIVALS) if compare else ""
-    angles = "   (degrees; azimuth/elevation)" if compare else ""
-    ours = f"     stamp  azimuth  elevation  cone 90%  distance  give or take  modes  {'status':{STATUS_WIDTH}}"
-    return f"{ours}{others}{angles}".rstrip()
+@contextmanager
+def _listed(path: Path, rivals: Sequence[str]) -> Iterator[Sink]:
+    with table(path, rivals) as write:
+        yield lambda result: write(result.as_json()) if result.told else None
 
 
-def _line(result: Result) -> str:
-    e, distance, spread = result.estimate, result.distance, result.distance_spread
-    far = "-" if distance is None else f"{distance:.2f} m"
-    cone = "-" if e.direction is None else signed(e.credible_angle)[1:]
-    status = f"{e.status}, held" if e.held else e.status
-    give_or_take = "-" if spread is None else f"{100 * math.expm1(spread):.0f} %"
-    line = f"{result.stamp:10.3f} {signed(e.azimuth):>8} {signed(e.elevation):>10} {cone:>9}"
-    line += f" {far:>9} {give_or_take:>13} {len(e.modes):>6}  {status:{STATUS_WIDTH}}"
-    for direction in result.others.values():
-        line += f"{_pair(direction):>{WIDTH}}"
-    return line.rstrip()
+@contextmanager
+def _filmed(path: Path, query: str, journey: _Journey) -> Iterator[Sink]:
+    from eagor.drawing.video import BeliefVideo
+
+    with BeliefVideo(checked_out(path, "--video"), rate=journey.shown, span=journey.span) as video:
+
+        def add(result: Result) -> None:
+            if result.panorama is not None:
+                video.add(result.panorama, result.estimate, stamp=result.stamp, query=query, problem=result.problem)
+
+        yield add
 
 
-def _pair(direction: np.ndarray | None) -> str:
-    """A direction ``(3,)`` as azimuth/elevation."""
-    if direction is None:
-        return "-"
-    azimuth, elevation = azimuth_elevation(direction)
-    return f"{signed(float(azimuth))}/{signed(float(elevation))}"
+@contextmanager
+def _paged(path: Path, query: str, used: dict[str, str], journey: _Journey) -> Iterator[Sink]:
+    from eagor.drawing.page import BeliefPage
+
+    with BeliefPage(checked_out(path, "--page"), query=query, used=used, span=journey.span) as page:
+
+        def add(result: Result) -> None:
+            if not result.told:
+                return
+            if result.lost:
+                page.note(f"{result.frame} does not fit to the frames before it: the belief starts anew there.")
+            at, problem = result.stamp, result.problem
+            page.add(result.panorama, result.estimate, stamp=at, name=result.frame, problem=problem)
+
+        yield add
 
 
 def _checked_drift(drift: float) -> float:
@@ -250,38 +265,11 @@ def _checked_floor(floor: float | None, poses: Sequence[Pose]) -> float | None:
     return floor
 
 
-@contextmanager
-def _table(path: Path, compare: bool) -> Iterator[Callable[[Result], None]]:
-    """The file of ``--out``; the yielded function writes and flushes one line. The first line creates the file."""
-    if path.suffix.lower() not in (".csv", ".jsonl"):
-        raise terminal.UsageError(f"--out {path}: wanted a file name that ends in .csv or .jsonl")
-    if not path.absolute().parent.is_dir():
-        raise terminal.UsageError(f"--out {path}: there is no folder {path.absolute().parent}; make it first")
-    checked_out(path)
-    extra = [f"{name}_{angle}_deg" for name in RIVALS for angle in ("azimuth", "elevation")]
-    head = [[*COLUMNS, "modes", "problem", *(extra if compare else [])]]
-    with Lines(path) as file:
-
-        def write(result: Result) -> None:
-            if not (result.looked or result.problem):
-                return
-            entry = result.as_json()
-            if path.suffix.lower() == ".jsonl":
-                file.add(json.dumps(entry) + "\n")
-                return
-            row = [entry[name] for name in COLUMNS] + [len(entry["modes"]), entry.get("problem", "")]
-            row += [angle for method in entry.get("methods", {}).values() for angle in method.values()]
-            file.add(as_csv([*head, row], "\r\n"))
-            head.clear()
-
-        yield write
-
-
 def _painter(folder: Path, query: str) -> Callable[[Result], None]:
     """A function that draws a frame with its belief into `folder`; unreadable frames are skipped."""
     from eagor.drawing import draw_belief
 
-    checked_folder(folder, "--picture")
+    checked_folder(folder, "--pictures")
     numbers = count()
 
     def draw(result: Result) -> None:
