@@ -227,7 +227,7 @@ def test_locate_as_json(room):
     found = answer("locate", room, "the red ball")
     assert set(found) == {
         "query", "perception", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "within_15_deg",
-        "status", "held", "modes",
+        "status", "held", "modes", "frame", "stamp", "distance_m", "distance_spread",
     }  # fmt: skip
     assert error_deg(found, RED_BALL) < 3
     assert found["azimuth_deg"] < -10  # it is to the right

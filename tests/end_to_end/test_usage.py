@@ -71,8 +71,10 @@ def test_a_file_in_place_of_a_command(refused, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     tmp_path.joinpath("room.jpg").touch()
     tmp_path.joinpath("frames").mkdir()
+    tmp_path.joinpath("clip.MP4").touch()
     assert "did you mean eagor locate room.jpg ...?" in refused("room.jpg chair")
     assert "did you mean eagor track frames ...?" in refused("frames chair")
+    assert "did you mean eagor track clip.MP4 ...?" in refused("clip.MP4 chair")
 
 
 def test_what_cannot_be_explained_is_left_to_tyro(monkeypatch, capsys):

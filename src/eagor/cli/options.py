@@ -188,9 +188,14 @@ class Track(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(Common):
-    """Search a furnished apartment for an object with every method, and write a report with pictures."""
+    """Search with every method, in a furnished apartment or in a photograph, and write a report with pictures."""
 
-    runs: ClassVar[str] = "eagor.cli.demo:demo"
+    runs: ClassVar[str] = "eagor.cli.demo_photo:demo"
+
+    photo: Annotated[Path | None, _bare("PICTURE")] = None
+    """Turn a camera in this panorama of yours, an equirectangular image, instead of walking in an apartment."""
+    query: Annotated[str | None, _bare("QUERY")] = None
+    """With --photo: what to look for (default: what the detector is surest of)."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path("eagor-demo")
     """Folder for the report and the pictures."""
@@ -198,10 +203,10 @@ class Demo(Common):
     """Seed of the apartment, 0 to 9999. The default search was chosen because it is instructive."""
     episode: Whole = 2
     """Search in this apartment, 0 to 4."""
-    perception: Name = "scout"
+    perception: Name = "auto"
     (
-        "The detector: scout (a small network on the rendered pictures), truth (a noisy detector with the simulator's "
-        "ground truth), or another perception."
+        "The detector: auto (in the apartment scout, a small network on the rendered pictures; with --photo as for "
+        "locate), truth (a noisy detector with the simulator's ground truth), or another perception."
     )
 
 
