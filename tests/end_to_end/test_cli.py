@@ -703,6 +703,9 @@ def test_the_demo_leaves_a_report(tmp_path):
     assert "http" not in re.sub(r"base64,[^\"]+", "", page)  # nothing is fetched
     for name in ("beliefs.png", "errors.png", "map.png"):
         assert picture_width(tmp_path / name) >= 1200
+    assert "A collision is a step that" in page
+    assert "What it gets wrong depends on the picture" in page  # the scout is a network
+    assert page.count("scrolls sideways") == 4
     assert "0 to 9999" in refused("demo", "--seed", "10000", "--out", tmp_path)
     assert "0 to 4" in refused("demo", "--episode", "5", "--out", tmp_path)
 
@@ -717,6 +720,17 @@ def test_a_method_has_one_colour_in_both_pictures_of_the_demo(monkeypatch):
     monkeypatch.setattr(demo, "draw_errors", lambda stamps, errors: list(errors))
     monkeypatch.setattr(demo, "draw_map", lambda walls, free, extent, paths, target: list(paths))
     assert demo._errors(search) == demo._map(search, place)  # colours are given in this order
+
+
+@pytest.mark.parametrize(("drawn", "said"), [(True, "drawn from one seed"), (False, "depends on the picture")])
+def test_the_demo_says_of_mistakes_and_collisions_what_is_so(drawn, said):
+    from eagor.cli import demo_search
+
+    methods = {name: {"metrics": {"collisions": 3 + k, "steps": 32}} for k, name in enumerate(("eagor", "centroid"))}
+    search = SimpleNamespace(methods=methods, perception="mine", drawn=drawn)
+    assert said in demo_search.mistakes(search)
+    assert "through the same perception, mine." in demo_search.mistakes(search)
+    assert "3 in the 32 steps of our tracker, 3 to 4 over all methods" in demo_search.collisions(search)
 
 
 def test_a_bench_run_goes_on_where_it_stopped_and_is_reported(tmp_path):

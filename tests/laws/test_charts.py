@@ -49,3 +49,44 @@ def test_without_stamps_there_is_nothing_to_draw(stamps):
 def test_every_error_needs_its_stamp():
     with pytest.raises(EagorError, match="ours has 3 errors, but there are 2 stamps"):
         charts.draw_errors([0.0, 0.5], {"ours": [1.0, 2.0, 3.0]})
+
+
+def test_methods_that_are_nearly_right_can_be_told_apart_beside_one_that_is_lost(monkeypatch):
+    """The axis is logarithmic, says so, and holds every error; what is below its least is drawn there."""
+    errors = {"ours": [4.0, 2.0, 0.0], "close": [8.0, 6.0, 4.0], "lost": [170.0, 175.0, 180.0]}
+    sheet, _ = drawn(monkeypatch, [0.0, 0.5, 1.0], errors)
+    (axes,) = sheet.axes
+    assert "log scale" in axes.get_ylabel()
+    at = {line.get_label(): axes.transAxes.inverted().transform(line.get_transform().transform(line.get_xydata()))
+          for line in axes.lines}  # fmt: skip
+    assert at["close"][1, 1] - at["ours"][1, 1] > 0.15
+    assert all(0 <= height <= 1 for places in at.values() for height in places[:, 1])
+    assert [line.get_ydata()[-1] for line in axes.lines if line.get_label() == "ours"] == [charts.LEAST]
+
+
+def test_each_way_has_a_map_of_its_own_with_the_first_to_compare(monkeypatch):
+    sheets = []
+    paint = charts.image
+    monkeypatch.setattr(charts, "image", lambda sheet: sheets.append(sheet) or paint(sheet))
+    paths = {name: np.array([[1.0, 1.0], [2.0, 1.0 + k], [3.0, 2.0]]) for k, name in enumerate("abcde")}
+    picture = charts.draw_map(
+        np.zeros((80, 80), bool), np.ones((80, 80), bool), (0, 8, 0, 8), paths, np.array([4, 4, 1])
+    )
+    assert picture.width == 1200
+    (sheet,) = sheets
+    assert [axes.get_title(loc="left") for axes in sheet.axes] == list(paths)
+    for axes, (name, path) in zip(sheet.axes, paths.items(), strict=True):
+        shown = [line.get_xydata() for line in axes.lines if len(line.get_xydata()) == 3]
+        assert np.array_equal(shown[0], path)
+        assert len(shown) == (1 if name == "a" else 2)
+        assert all(np.array_equal(line, paths["a"]) for line in shown[1:])
+        (low, high), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+        for places in paths.values():
+            assert (low < places[:, 0]).all()
+            assert (places[:, 0] < high).all()
+            assert (bottom < places[:, 1]).all()
+            assert (places[:, 1] < top).all()
+        box = axes.get_window_extent()
+        assert box.width / (high - low) == pytest.approx(box.height / (top - bottom), rel=0.01), "metres are metres"
+    said = {text.get_text() for text in sheet.legends[0].get_texts()}
+    assert said == {"start", "where it ended", "target", "way of a"}

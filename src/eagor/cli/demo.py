@@ -12,7 +12,7 @@ import numpy as np
 
 from eagor._files import written
 from eagor.cli import terminal
-from eagor.cli.demo_search import Search, play, summary
+from eagor.cli.demo_search import Search, collisions, mistakes, play, summary
 from eagor.cli.looking import check_looks, checked_folder, keep_picture
 from eagor.cli.options import Demo
 from eagor.conventions import rotation_from_wxyz
@@ -86,8 +86,9 @@ def write_report(search: Search, folder: Path) -> Path:
     rows = [(name, search.methods[name]["metrics"], DESCRIPTIONS[name]) for name in NAMES]
     shown = {name: _as_address(picture) for name, picture in pictures.items()}
     page = rendered(
-        "demo.html", search=search, words=" ".join(summary(search)), rows=rows, ours=OURS, step=Camera().step, **shown
-    )
+        "demo.html", search=search, words=" ".join(summary(search)), rows=rows, ours=OURS, step=Camera().step,
+        collisions=collisions(search), mistakes=mistakes(search), **shown,
+    )  # fmt: skip
     return written(folder / "report.html", page)
 
 

@@ -9,6 +9,7 @@ from eagor.cli import terminal
 from eagor.evaluation.published import OURS, PAPERS
 from eagor.perception import load, rows_of
 from eagor.tasks.episodes import Slot
+from eagor.tasks.eyes import is_privileged
 from eagor.tasks.methods import NAMES, TrackerMethod
 from eagor.tasks.places import APARTMENT
 from eagor.tasks.play import Player
@@ -29,13 +30,18 @@ SPOKEN = {
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """The episode's record, each method's part of it, and our estimates step by step."""
+    """The episode's record, each method's part of it, and our estimates step by step.
+
+    `perception`: its name; `drawn`: whether its mistakes are random, drawn from the episode's seed.
+    """
 
     slot: Slot
     rules: NavigationRules
     episode: dict[str, Any]
     methods: dict[str, dict[str, Any]]
     estimates: list[Estimate]
+    perception: str
+    drawn: bool
 
     @property
     def thing(self) -> str:
@@ -79,7 +85,7 @@ def play(seed: int, index: int, perception: str, say: bool = False) -> Search:
             record = player.play(slot, [name], keep if name == OURS else None)
             found |= record["methods"]
             advance()
-    return Search(slot, rules, record["episode"], found, estimates)
+    return Search(slot, rules, record["episode"], found, estimates, perception, is_privileged(seeing))
 
 
 def summary(search: Search) -> list[str]:
@@ -100,6 +106,26 @@ def summary(search: Search) -> list[str]:
         "see eagor bench."
     )
     return lines
+
+
+def collisions(search: Search) -> str:
+    """What a collision is, and how many there were."""
+    numbers = {name: part["metrics"]["collisions"] for name, part in search.methods.items()}
+    steps = search.methods[OURS]["metrics"]["steps"]
+    return (
+        "A collision is a step that a wall or a piece of furniture cut short; the body slides on along it. No method "
+        "has a map: each walks towards its estimate, and learns where obstacles are by touching them. So collisions "
+        f"are part of every way here: {numbers[OURS]} in the {steps} steps of our tracker, {min(numbers.values())} to "
+        f"{max(numbers.values())} over all methods."
+    )
+
+
+def mistakes(search: Search) -> str:
+    """Where the mistakes of the perception come from."""
+    told = f"All methods see through the same perception, {search.perception}."
+    if search.drawn:
+        return f"{told} Its mistakes are drawn from one seed."
+    return f"{told} What it gets wrong depends on the picture, so methods that walk elsewhere meet other mistakes."
 
 
 def _told(name: str, metrics: dict[str, Any], search: Search, short: bool = False) -> str:

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 CURVES = ("#00838f", "#b26a00", "#c2185b", "#5e35b1", "#d84315", "#558b2f", "#546e7a", "#6d4c41", "#9e9d24")
+LEAST = 0.5  # degrees: less than the width of anything that is looked for
+TICKS = (0.5, 1, 2, 5, 10, 20, 50, 100, 180)
+AROUND = 1.2  # metres of the plan around all paths
+PANELS = 4  # maps in a row
 
 
 def draw_errors(
@@ -26,8 +30,9 @@ def draw_errors(
 ) -> Image:
     """Direction errors (degrees) of several methods over time (seconds); the first method is drawn on top, and thick.
 
-    A method with fewer values than stamps ended earlier; one without values is listed with a dash. None and NaN leave a
-    gap in the curve. `shaded` marks intervals: begin, end, and label.
+    The axis is logarithmic, so that methods that are nearly right can be told apart beside one that is lost. Errors
+    below 0.5 degrees are drawn at 0.5. A method with fewer values than stamps ended earlier; one without values is
+    listed with a dash. None and NaN leave a gap in the curve. `shaded` marks intervals: begin, end, and label.
 
     Raises `EagorError` without stamps, and for a method with more values than there are stamps.
     """
@@ -43,16 +48,19 @@ def draw_errors(
     sheet = figure(width, round(width * 0.42))
     axes = sheet.add_axes((0.06, 0.13, 0.69, 0.76 if title else 0.83))
     highest = max((float(values.max()) for values in known.values() if len(values)), default=180.0)
-    highest = min(180, 30 * math.ceil(max(highest, 1.0) * 1.05 / 30))
+    highest = next((tick for tick in TICKS[3:] if tick >= highest), TICKS[-1])
+    least = min((float(values.min()) for values in known.values() if len(values)), default=LEAST)
+    lowest = max(tick for tick in TICKS if tick <= max(min(least, highest / 10), LEAST))
     for begin, end, what in shaded:
         axes.axvspan(begin, end, color="#eceff4", zorder=0, linewidth=0)
-        axes.text((begin + end) / 2, 0.975 * highest, what, ha="center", va="top", fontsize=9, color=QUIET)
+        middle, place = (begin + end) / 2, axes.get_xaxis_transform()
+        axes.text(middle, 0.975, what, ha="center", va="top", fontsize=9, color=QUIET, transform=place)
     ends = []
     for index, (name, values) in enumerate(curves.items()):
         colour, first = CURVES[index % len(CURVES)], index == 0
         axes.plot(
             stamps[: len(values)],
-            values,
+            np.maximum(values, LEAST),
             color=colour,
             linewidth=3 if first else 1.4,
             zorder=5 if first else 3,
@@ -63,10 +71,13 @@ def draw_errors(
         ends.append((mean, name, colour, first))
     if stamps[0] < stamps[-1]:
         axes.set_xlim(stamps[0], stamps[-1])
-    axes.set_ylim(0, highest)
-    axes.set_yticks(range(0, highest + 1, 30 if highest > 60 else 10))
+    axes.set_yscale("log")
+    axes.set_ylim(lowest, highest)
+    ticks = [tick for tick in TICKS if lowest <= tick <= highest]
+    axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.set_yticks([], minor=True)
     axes.set_xlabel("time (s)", color=INK)
-    axes.set_ylabel("direction error (degrees)", color=INK)
+    axes.set_ylabel("direction error (degrees, log scale)", color=INK)
     axes.grid(color=GRID_LINE, linewidth=0.8)
     plain(axes)
     sheet.text(0.06, 0.935, title, fontsize=13, color=INK, weight="bold")
@@ -89,7 +100,9 @@ def draw_map(
     target: np.ndarray,
     width: int = 1200,
 ) -> Image:
-    """Paths on a floor plan from above: x to the right, y up; the first path is drawn on top, and thick.
+    """Paths on a floor plan from above, a panel for each: x to the right, y up, the part of the plan around all paths.
+
+    The first path is drawn into the other panels too, dashed, to compare with.
 
     Args:
         walls: ``(rows, cols)`` bool, row 0 at the lowest y: cells of the building.
@@ -99,37 +112,53 @@ def draw_map(
         target: position of the target ``(2,)`` or ``(3,)``.
         width: of the picture in pixels.
     """
-    x0, x1, y0, _ = extent
-    used = np.argwhere(walls | free)
-    cell = (x1 - x0) / walls.shape[1]
-    (bottom, left), (top, right) = used.min(axis=0) * cell, (used.max(axis=0) + 1) * cell
-    wide, high = right - left + 0.6, top - bottom + 0.6
-    scale = min(0.68 * width / wide, 0.68 * width / high)
-    height = round(high * scale) + 70
-    sheet = figure(width, height)
-    axes = sheet.add_axes((55 / width, 50 / height, wide * scale / width, high * scale / height))
+    from matplotlib import patheffects
+
     shade = np.full((*walls.shape, 3), 0.93)
     shade[free], shade[walls] = 1.0, (0.24, 0.27, 0.33)
     shade[~walls & ~free] = (0.87, 0.85, 0.81)
-    axes.imshow(shade, origin="lower", extent=extent, interpolation="nearest", zorder=0)
-    axes.set_xlim(x0 + left - 0.3, x0 + right + 0.3)
-    axes.set_ylim(y0 + bottom - 0.3, y0 + top + 0.3)
-    for order, (name, path) in reversed(list(enumerate(paths.items()))):
-        first = order == 0
-        style = {"linewidth": 3.4 if first else 1.6, "zorder": 4 if first else 3, "alpha": 1.0 if first else 0.85}
-        axes.plot(*path[:, :2].T, color=CURVES[order % len(CURVES)], label=name, **style)
-        axes.plot(*path[-1, :2], "s", color=CURVES[order % len(CURVES)], markersize=6, zorder=5)
-    start = next(iter(paths.values()))[0]
-    axes.plot(*start[:2], "o", color=INK, markersize=10, zorder=6, linestyle="none", label="start")
-    axes.plot(*target[:2], "*", color="#c8201f", markersize=22, mec="white", mew=1.4, zorder=6, linestyle="none",
-              label="target")  # fmt: skip
-    axes.set_xlabel("x (m)", color=INK)
-    axes.set_ylabel("y (m)", color=INK)
-    plain(axes)
-    handles, labels = axes.get_legend_handles_labels()
-    order = [labels.index(name) for name in (*paths, "start", "target")]
-    sheet.legend(
-        [handles[i] for i in order], [labels[i] for i in order], loc="upper left",
-        bbox_to_anchor=((75 + wide * scale) / width, 0.97), frameon=False, fontsize=10.5, labelspacing=0.9,
-    )  # fmt: skip
+    (left, right), (bottom, top) = _around([*(path[:, :2] for path in paths.values()), np.reshape(target[:2], (1, 2))])
+    columns = min(PANELS, len(paths))
+    rows = math.ceil(len(paths) / columns)
+    edge, gap, head, foot = 44, 14, 26, 66  # pixels beside, between, above and below the panels
+    wide = (width - edge - gap * columns) / columns
+    high = wide * (top - bottom) / (right - left)
+    height = round(rows * (head + high) + foot)
+    sheet = figure(width, height)
+    first, *_ = paths
+    halo = [patheffects.Stroke(linewidth=5.4, foreground="white"), patheffects.Normal()]
+    for index, (name, path) in enumerate(paths.items()):
+        row, column = divmod(index, columns)
+        x, y = edge + column * (wide + gap), height - (row + 1) * (head + high)
+        axes = sheet.add_axes((x / width, y / height, wide / width, high / height))
+        axes.imshow(shade, origin="lower", extent=extent, interpolation="nearest", zorder=0)
+        axes.set_xlim(left, right)
+        axes.set_ylim(bottom, top)
+        colour = CURVES[index % len(CURVES)]
+        axes.set_title(name, loc="left", fontsize=11, color=INK, weight="bold" if name == first else "normal", pad=5)
+        axes.plot(*path[:, :2].T, color=colour, linewidth=3, zorder=4, path_effects=halo, solid_joinstyle="round")
+        if name != first:
+            style = {"color": CURVES[0], "linewidth": 1.5, "zorder": 5, "linestyle": (0, (3, 2))}
+            axes.plot(*paths[first][:, :2].T, label=f"way of {first}", **style)
+        axes.plot(*path[0, :2], "o", color=INK, markersize=8, zorder=6, linestyle="none", label="start")
+        axes.plot(*path[-1, :2], "s", mfc=colour, mec="white", mew=1.2, markersize=9, zorder=7)
+        axes.plot([], [], "s", color=QUIET, markersize=8, linestyle="none", label="where it ended")
+        axes.plot(*target[:2], "*", color="#c8201f", markersize=17, mec="white", mew=1.2, zorder=6, linestyle="none",
+                  label="target")  # fmt: skip
+        plain(axes)
+        axes.tick_params(labelbottom=index + columns >= len(paths), labelleft=column == 0)
+        if column == 0:
+            axes.set_ylabel("y (m)", color=INK)
+        if index + columns >= len(paths):
+            axes.set_xlabel("x (m)", color=INK, labelpad=2)
+    found = dict(zip(*reversed(sheet.axes[-1].get_legend_handles_labels()), strict=True))
+    sheet.legend(found.values(), found.keys(), loc="lower center", ncols=len(found), frameon=False, fontsize=10)
     return image(sheet)
+
+
+def _around(points: Sequence[np.ndarray]) -> np.ndarray:
+    """The part of the plan around these points ``(n, 2)``: lowest and highest x, then y; not too narrow for a panel."""
+    every = np.concatenate(points)
+    low, high = every.min(axis=0) - AROUND, every.max(axis=0) + AROUND
+    lacking = np.maximum(0, np.max(high - low) / 1.5 - (high - low)) / 2
+    return np.stack([low - lacking, high + lacking], axis=1)

@@ -45,6 +45,7 @@ class Heat:
     missing: str = ""
 
 
+@lru_cache(maxsize=1)  # a video and a page draw the same estimate one after the other
 def heat_of(belief: Estimate | Readable) -> Heat | None:
     """The density as heat with the border of its 90 % region; None for a uniform belief, and while nothing is known.
 
@@ -106,7 +107,7 @@ def backdrop(panorama: np.ndarray | None, heat: Heat | None, width: int, height:
         if image.dtype != np.uint8:
             image = np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8)
         own = Image.fromarray(np.ascontiguousarray(image))
-        ground = own.resize((width, height), Image.Resampling.BILINEAR, reducing_gap=2.0)
+        ground = own.resize((width, height), Image.Resampling.BILINEAR, reducing_gap=1.0)
         grey, colour = BRIGHTNESS * (1 - COLOUR) / 3, BRIGHTNESS * COLOUR
         matrix = [
             grey + (colour if row == column else 0) if column < 3 else 0 for row in range(3) for column in range(4)
