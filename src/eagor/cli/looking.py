@@ -236,9 +236,7 @@ def look(
 ) -> tuple[Evidence, ...]:
     """The evidence of `perception`: one, or one per view if a replay has several views of one moment."""
     if isinstance(perception, ReplayPerception):
-        return tuple(
-            r.evidence(query, perception.calibration, perception.detector) for r in perception.near(query, stamp)
-        )
+        return perception.looks(query, stamp)
     return (one_look(perception, panorama, query, stamp=stamp, world_R_body=world_R_body),)
 
 
@@ -252,6 +250,11 @@ def look_if_recorded(
         if isinstance(perception, ReplayPerception):
             return ()
         raise
+
+
+def closing(perception: Perception, query: str, looks: int) -> str | None:
+    """What to say of a replay at the end, after so many `looks` of it: the lines used, and its labels; else None."""
+    return perception.used(query, looks) if isinstance(perception, ReplayPerception) else None
 
 
 def is_input_fault(error: EagorError) -> bool:
