@@ -52,7 +52,7 @@ def check_looks(perception: str) -> None:
     if short_name(perception) == "replay":
         raise UsageError(
             f"--perception {perception} belongs to other frames than the ones rendered here; run your detector as a "
-            "perception, or write the calibration of a replay by hand (docs/how-to/detector.md)"
+            "perception. To fit a replay on looks with known truth: eagor calibrate --replay FILE --truth FILE"
         )
 
 

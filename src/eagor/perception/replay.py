@@ -9,6 +9,7 @@ import math
 import os
 from bisect import bisect_left, bisect_right
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -55,8 +56,22 @@ class ReplayPerception:
 
     def looks(self, query: str, stamp: float | None) -> tuple[Evidence, ...]:
         """The evidence of each of `near`: all of them are one look, and have one stamp. Errors as there."""
-        found = self.near(query, stamp)
-        return tuple(r.evidence(query, self.calibration, self.detector, self.labels) for r in found)
+        return self._evidence(self.near(query, stamp), query)
+
+    def looks_near(self, query: str, stamp: float, strict: bool = True) -> tuple[Evidence, ...]:
+        """As `looks`, but empty if there is no record for this time; not `strict`: labels that do not fit are no fault.
+
+        Then the detector looked, and saw nothing of the kind.
+        """
+        if strict:
+            self._check_labels(query)
+        try:
+            return self._evidence(self._near(query, stamp), query)
+        except TimeError:
+            return ()
+
+    def _evidence(self, records: Sequence[Record], query: str) -> tuple[Evidence, ...]:
+        return tuple(r.evidence(query, self.calibration, self.detector, self.labels) for r in records)
 
     def used(self, query: str, lines: int) -> str:
         """How many of the lines were used, and which labels stand for `query`: a sentence for the end of a run."""
@@ -82,6 +97,9 @@ class ReplayPerception:
         if not isinstance(query, str):
             raise QueryError(f"the query is {query!r}; wanted words")
         self._check_labels(query)
+        return self._near(query, stamp)
+
+    def _near(self, query: str, stamp: float | None) -> tuple[Record, ...]:
         if stamp is None or not within(stamp, -math.inf):
             raise TimeError(f"replay needs the time of capture, seconds; got stamp={stamp!r}. Pass stamp=...")
         first = bisect_left(self.records, stamp - self.tolerance, key=lambda r: r.stamp)
