@@ -17,7 +17,7 @@ from eagor._extras import how_to_install
 from eagor._files import written
 from eagor.cli.terminal import UsageError, warning
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
-from eagor.evidence import Evidence
+from eagor.evidence import BodyMask, Evidence
 from eagor.evidence.detector import parse_model
 from eagor.perception import Perception, load, short_name
 from eagor.perception import look as one_look
@@ -232,20 +232,35 @@ def first_stamp(perception: Perception, query: str) -> float:
 
 
 def look(
-    perception: Perception, panorama: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray | None = None
+    perception: Perception,
+    panorama: np.ndarray,
+    query: str,
+    stamp: float,
+    world_R_body: np.ndarray | None = None,
+    mask: BodyMask | None = None,
 ) -> tuple[Evidence, ...]:
-    """The evidence of `perception`: one, or one per view if a replay has several views of one moment."""
+    """The evidence of `perception`: one, or one per view if a replay has several views of one moment.
+
+    `mask`: what the camera never sees is left out.
+    """
     if isinstance(perception, ReplayPerception):
-        return perception.looks(query, stamp)
-    return (one_look(perception, panorama, query, stamp=stamp, world_R_body=world_R_body),)
+        found = perception.looks(query, stamp)
+    else:
+        found = (one_look(perception, panorama, query, stamp=stamp, world_R_body=world_R_body),)
+    return found if mask is None else tuple(evidence.covered(mask) for evidence in found)
 
 
 def look_if_recorded(
-    perception: Perception, panorama: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray | None = None
+    perception: Perception,
+    panorama: np.ndarray,
+    query: str,
+    stamp: float,
+    world_R_body: np.ndarray | None = None,
+    mask: BodyMask | None = None,
 ) -> tuple[Evidence, ...]:
     """As `look`, but empty if a replay has no line for this time."""
     try:
-        return look(perception, panorama, query, stamp, world_R_body)
+        return look(perception, panorama, query, stamp, world_R_body, mask)
     except TimeError:
         if isinstance(perception, ReplayPerception):
             return ()

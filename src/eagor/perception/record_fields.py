@@ -18,10 +18,9 @@ import numpy as np
 
 from eagor._json import parsed
 from eagor._json import shown as _short
-from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError, FormatError
 from eagor.grids import PerspectiveGrid
-from eagor.sphere import world_R_body
+from eagor.sphere import rotation, world_R_body
 
 LARGEST = 65536  # pixels along one side; more is taken for a mistake
 LONGEST = 32  # a view this many times longer than wide is taken for a mistake, too
@@ -134,7 +133,8 @@ def _body_R_view(image: dict) -> np.ndarray:
     wxyz = np.array([number(image, key, -2, 2) for key in TURN])
     length = float(np.linalg.norm(wxyz))
     need(abs(length - 1) <= UNIT, "the length of qw, qx, qy, qz", round(length, 4), "1 (a rotation, body_R_view)")
-    return rotation_from_wxyz(wxyz / length)
+    sine = float(np.linalg.norm(wxyz[1:]))
+    return rotation(wxyz[1:], 2 * math.atan2(sine, wxyz[0])) if sine > 0 else np.eye(3)
 
 
 def probability(value: float, scores: str) -> float:
