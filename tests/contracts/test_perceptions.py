@@ -362,7 +362,7 @@ def test_each_patch_of_a_colour_is_one_detection(azimuth, elevation):
         wanted = direction(*np.radians(where))
         assert math.degrees(float(angular_distance(found.directions[index], wanted))) < 0.5
         spread = np.degrees(1 / np.linalg.norm(found.axes[index], axis=-1))
-        assert spread == pytest.approx(math.hypot(radius / 2, 5), rel=0.05)  # a disc has half its radius
+        assert spread == pytest.approx(math.hypot(radius / 2, 4), rel=0.05)  # a disc has half its radius
     assert found.scores.min() > 0.9
 
 
@@ -566,7 +566,7 @@ def test_views_of_one_moment_are_told_apart(tmp_path):
             write_record(file, 5.0, image=image, boxes=[])
     replay = ReplayPerception(path)
     assert len(replay.near("x", 5.01)) == 4
-    with pytest.raises(FormatError, match=r"4 records.*near\(query, stamp\)"):
+    with pytest.raises(FormatError, match=r"4 records.*looks\(query, stamp\)"):
         replay(None, "x", stamp=5.0)
     for index, later in enumerate((0.0, 1e-9, 2e-9, -1e-9)):  # clocks are not exact
         path.write_text("" if index == 0 else path.read_text())

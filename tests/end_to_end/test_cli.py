@@ -773,7 +773,7 @@ def test_a_calibration_is_fitted_written_and_taken(room, tmp_path):
     assert "was fitted for 'truth'" in forced.stderr
     assert "--force" in refused("bench", "run", "tracking", "--perception", "scout", "--calibration", out)
     assert "results" in refused("calibrate", "--perception", "truth", "--seed", "2000")
-    assert "by hand" in refused("calibrate", "--perception", "replay:detections.jsonl")
+    assert "--replay FILE --truth FILE" in refused("calibrate", "--perception", "replay:detections.jsonl")
     assert "rendered" in refused("bench", "run", "tracking", "--perception", "replay:detections.jsonl")
     assert "rendered" in refused("demo", "--perception", "replay:detections.jsonl")
     assert "all in one apartment" in refused("calibrate", "--perception", "truth", "--episodes", "4")

@@ -1,23 +1,27 @@
-"""``eagor calibrate``: fit a calibration on development episodes, or find a model's localisation heads."""
+"""``eagor calibrate``: fit a calibration on episodes, or a detector's model on labelled looks; find a model's heads."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eagor.cli import terminal
-from eagor.cli.looking import check_looks, checked_out, checked_rows
+from eagor.cli.looking import check_looks, check_not_read, checked_out, checked_rows
 from eagor.cli.options import Calibrate, given
 from eagor.errors import EagorError
 
 if TYPE_CHECKING:
+    from eagor.evaluation.detector_fit import DetectorFit
     from eagor.perception.calibrated import Calibrated
     from eagor.perception.vlm.labelled import Labelled
 
 RESPONSES_ONLY = ("trials", "workers")
 HEADS_ONLY = ("labels", "take")
+NOT_OF_REPLAYS = ("perception", "labels", "take", "episodes", "seed", "trials", "workers", "rows")
+DEGREES = math.degrees(1)
 
 
 def calibrate(options: Calibrate) -> int:
@@ -25,6 +29,8 @@ def calibrate(options: Calibrate) -> int:
     other, others = ("responses", RESPONSES_ONLY) if options.what == "heads" else ("heads", HEADS_ONLY)
     if wrong := given(options, others):
         raise terminal.UsageError(f"--{wrong[0]} {getattr(options, wrong[0])} is for eagor calibrate {other}")
+    if options.replay is not None or options.truth is not None:
+        return replay(options)
     checked_rows(options.rows)
     return heads(options) if options.what == "heads" else responses(options)
 
@@ -60,6 +66,77 @@ def responses(options: Calibrate) -> int:
     else:
         _print(best, out)
     return terminal.OK
+
+
+def replay(options: Calibrate) -> int:
+    """``eagor calibrate --replay FILE --truth FILE``."""
+    from eagor._version import __version__
+    from eagor.evaluation.detector_fit import RESAMPLES, fit_detector
+    from eagor.evaluation.replayed import read_truth, replayed_looks
+    from eagor.perception.calibrated import Calibrated
+    from eagor.perception.replay import ReplayPerception
+
+    if wrong := given(options, NOT_OF_REPLAYS):
+        raise terminal.UsageError(f"--{wrong[0]} {getattr(options, wrong[0])} has no meaning with --replay and --truth")
+    if options.what == "heads" or options.replay is None or options.truth is None:
+        raise terminal.UsageError("--replay FILE and --truth FILE belong together, and not to eagor calibrate heads")
+    out = checked_out(options.out or Path("calibration-replay.json"))
+    check_not_read(out, "--out", [options.replay, options.truth])
+    truths = read_truth(options.truth)
+    looks, left_out = replayed_looks(ReplayPerception(options.replay), truths)
+    if not looks:
+        raise terminal.UsageError(
+            f"{options.replay} has no line at any of the {len(truths)} stamps of {options.truth}; wanted one clock"
+        )
+    if left_out:
+        terminal.warning(f"{len(left_out)} of {len(truths)} lines of {options.truth} have no look of their own")
+    with terminal.progress("fitting", RESAMPLES) as advance:
+        found = fit_detector(looks, on_step=advance)
+    told = found.as_json()
+    found_by = {key: told[key] for key in ("counts", "intervals", "held_out")} | {"version": __version__}
+    fitted = Calibrated("replay", None, found_by=found_by, detector=found.model)
+    fitted.write(out)
+    if options.json:
+        terminal.emit(fitted.as_json() | {"left_out": len(left_out), "out": str(out)})
+    else:
+        print_fit(found)
+        print(f"Written to {out}; locate and track take it as --calibration {out}")
+    return terminal.OK
+
+
+def print_fit(found: DetectorFit) -> None:
+    """A fitted detector model, with its intervals and its worth."""
+    model, wide = found.model, 24
+    print(
+        f"{found.looks} looks in {found.groups} group{'' if found.groups == 1 else 's'}: {found.targets} targets in "
+        f"view, {found.detections} detections ({found.matched:.0f} right, {found.false_alarms:.0f} false alarms)"
+    )
+    for name, scale in (
+        ("detection_probability", 1),
+        ("false_alarms_per_look", 1),
+        ("spread", DEGREES),
+        ("repeats", 1),
+    ):
+        value, ends = getattr(model, name), found.intervals.get(name)
+        number = "not known" if value is None else f"{scale * value:.3g}{' deg' if scale == DEGREES else ''}"
+        interval = "" if ends is None else f"  [{scale * ends[0]:.3g} {scale * ends[1]:.3g}]"
+        print(f"  {name.replace('_', ' '):{wide}}{number}{interval}")
+    for score, ratio in model.score_ratios or ():
+        print(f"  {f'score {score:.2f}':{wide}}{ratio:.3g} times likelier of the thing than of a false alarm")
+    if found.groups == 1:
+        print("All looks are of one group: the intervals say nothing of other recordings. Give more, with a group each")
+    if (judged := found.held_out) is None:
+        print("One look is not enough to judge the fit")
+        return
+    print("Mean over looks that the fit had not seen, with the default model and with this one:")
+    rows = [("log density at the truth", judged.density), ("log probability of presence", judged.presence)]
+    for name, values in rows:
+        if values is not None:
+            print(f"  {name:28s}{values[0]:8.3f}{values[1]:8.3f}")
+    low, high = judged.interval
+    print(f"  {'gain of both, per look':28s}{'':8s}{judged.gain:8.3f}  [{low:.3f} {high:.3f}]")
+    if low <= 0:
+        terminal.warning("the fit is not surely better than the default model on looks that it has not seen")
 
 
 def heads(options: Calibrate) -> int:

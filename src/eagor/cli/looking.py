@@ -16,7 +16,7 @@ from PIL import Image
 from eagor._files import written
 from eagor.cli.terminal import UsageError, warning
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
-from eagor.evidence import Evidence
+from eagor.evidence import BodyMask, Evidence
 from eagor.evidence.detector import parse_model
 from eagor.perception import Perception, load, short_name
 from eagor.perception import look as one_look
@@ -51,7 +51,7 @@ def check_looks(perception: str) -> None:
     if short_name(perception) == "replay":
         raise UsageError(
             f"--perception {perception} belongs to other frames than the ones rendered here; run your detector as a "
-            "perception, or write the calibration of a replay by hand (docs/how-to/detector.md)"
+            "perception. To fit a replay on looks with known truth: eagor calibrate --replay FILE --truth FILE"
         )
 
 
@@ -234,26 +234,44 @@ def first_stamp(perception: Perception, query: str) -> float:
 
 
 def look(
-    perception: Perception, panorama: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray | None = None
+    perception: Perception,
+    panorama: np.ndarray,
+    query: str,
+    stamp: float,
+    world_R_body: np.ndarray | None = None,
+    mask: BodyMask | None = None,
 ) -> tuple[Evidence, ...]:
-    """The evidence of `perception`: one, or one per view if a replay has several views of one moment."""
+    """The evidence of `perception`: one, or one per view if a replay has several views of one moment.
+
+    `mask`: what the camera never sees is left out.
+    """
     if isinstance(perception, ReplayPerception):
-        return tuple(
-            r.evidence(query, perception.calibration, perception.detector) for r in perception.near(query, stamp)
-        )
-    return (one_look(perception, panorama, query, stamp=stamp, world_R_body=world_R_body),)
+        found = perception.looks(query, stamp)
+    else:
+        found = (one_look(perception, panorama, query, stamp=stamp, world_R_body=world_R_body),)
+    return found if mask is None else tuple(evidence.covered(mask) for evidence in found)
 
 
 def look_if_recorded(
-    perception: Perception, panorama: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray | None = None
+    perception: Perception,
+    panorama: np.ndarray,
+    query: str,
+    stamp: float,
+    world_R_body: np.ndarray | None = None,
+    mask: BodyMask | None = None,
 ) -> tuple[Evidence, ...]:
     """As `look`, but empty if a replay has no line for this time."""
     try:
-        return look(perception, panorama, query, stamp, world_R_body)
+        return look(perception, panorama, query, stamp, world_R_body, mask)
     except TimeError:
         if isinstance(perception, ReplayPerception):
             return ()
         raise
+
+
+def closing(perception: Perception, query: str, looks: int) -> str | None:
+    """What to say of a replay at the end, after so many `looks` of it: the lines used, and its labels; else None."""
+    return perception.used(query, looks) if isinstance(perception, ReplayPerception) else None
 
 
 def is_input_fault(error: EagorError) -> bool:

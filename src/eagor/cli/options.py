@@ -399,7 +399,7 @@ class Bench:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(Common):
-    """Calibrate a perception by log score, or find a model's localisation heads."""
+    """Calibrate a perception by log score, fit a detector on labelled looks, or find a model's localisation heads."""
 
     runs: ClassVar[str] = "eagor.cli.calibrate:calibrate"
 
@@ -407,6 +407,10 @@ class Calibrate(Common):
     """responses: calibrate any perception. heads: find the heads of a local model (Qwen2.5-VL, Gemma 3, ...)."""
     perception: Name = "scout"
     """The perception; for heads a model (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, options after ?)."""
+    replay: Annotated[Path | None, _bare("FILE.jsonl")] = None
+    """Fit the error model of the detector that wrote this replay file (docs/replay-format.md); needs --truth."""
+    truth: Annotated[Path | None, _bare("FILE.jsonl")] = None
+    """The true directions for --replay: lines of stamp, query and targets (docs/replay-format.md)."""
     out: Annotated[Path | None, _bare("FILE.json")] = None
     (
         "File for the calibration (default: calibration-PERCEPTION.json; pass it to other commands as --calibration) "

@@ -8,7 +8,8 @@
 - `report`: the page (`page`, `charts`, `figures`, `scenes`), Markdown, LaTeX and CSV (`export`) of a run, and its
   tables (`sheets`, `benchmark_sheets`), beside what was `published`;
 - `calibration`, `fitting`, `lasting`: how a perception's responses are read; `labelled`: panoramas with labels;
-- `labelled_looks`, `detector_fit` (`detector_em`, `score_curve`): a detector's model from looks with known truth.
+- `labelled_looks`, `detector_fit` (`detector_em`, `score_curve`): a detector's model from looks with known truth;
+  `replayed`: such looks from files.
 
 Nothing heavy is imported here.
 """

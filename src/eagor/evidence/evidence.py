@@ -26,6 +26,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.coverage import Region, confine, region, taper
 from eagor.evidence.detections import Detections, View, anisotropic, isotropic
 from eagor.evidence.detector import DetectorModel
+from eagor.evidence.masking import BodyMask
 from eagor.evidence.repeating import Repeating
 from eagor.evidence.response import SILENT, checked_coverage, checked_response, log_ratios, peak_of, where_covered
 from eagor.evidence.shapes import MIN_SPREAD, WHOLE_SPHERE, bump, canvas_of, mask_moments, moments, widened
@@ -308,6 +309,24 @@ class Evidence:
             return self
         found = Evidence.from_detections(self.detections.read(model), self.grid, self.stamp)
         return replace(found, source=self.source)
+
+    def covered(self, mask: BodyMask) -> Evidence:
+        """The same look without what `mask` hides: it says nothing there, neither by finding nor by missing.
+
+        A detection counts unless its own extent lies mostly under the mask. Other detections, and responses outside of
+        it, stay as they are.
+        """
+        if self.detections is not None:
+            return replace(self, detections=mask.detections(self.detections))
+        share = mask.share(self.grid)
+        coverage = share if self.coverage is None else share * self.coverage
+        if self.calibration.scale_to_max:  # the maximum may have been under the mask
+            return Evidence.from_response(
+                self.response, self.grid, self.calibration, self.stamp, coverage=coverage, source=self.source
+            )
+        ratio = self.log_ratio * table_like(share, self.log_ratio)
+        kept = None if (coverage == 1).all() else frozen(coverage)
+        return replace(self, drawn=ratio, coverage=kept, seen=region(self.grid, coverage > 0))
 
     @property
     def repeats(self) -> float:

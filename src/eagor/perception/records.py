@@ -5,26 +5,42 @@ from __future__ import annotations
 import json
 import math
 import os
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, TextIO
 
 import numpy as np
 
-from eagor._json import parsed
-from eagor._json import shown as _short
 from eagor.errors import EagorError, FormatError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
-from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
-from eagor.sphere import direction, world_R_body
+from eagor.grids import ErpGrid, Grid, PatchGrid
+from eagor.perception.labels import fitting
+from eagor.perception.record_fields import (
+    LARGEST,
+    is_number,
+    json_lines,
+    misplaced,
+    need,
+    number,
+    object_of,
+    only,
+    probability,
+    score_kind,
+    size,
+    view_of,
+    words_of,
+)
+from eagor.sphere import direction
 
 KINDS = ("boxes", "points", "response")
-_LARGEST = 65536  # pixels along one side; more is taken for a mistake
-_LONGEST = 32  # a view this many times longer than wide is taken for a mistake, too
+KEYS = ("stamp", "query", "look", "image", *KINDS, "scores")
+OF_ITEMS = {
+    "boxes": ("box", "score", "label"),
+    "points": ("azimuth_deg", "elevation_deg", "spread_deg", "score", "label"),
+}
+APART = 1.0  # seconds: lines of one look that lie farther apart are taken for a mistake
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +49,8 @@ class Record:
 
     `query`: None for any query. `grid`: of the image or of the response; None for points anywhere. `values`: boxes
     ``(n, 4)`` in pixels; points ``(n, 3)`` as azimuth, elevation, spread in radians (NaN if not given); or the
-    response. `scores` ``(n,)`` in [0, 1] and `labels` are empty for a response.
+    response. `scores` ``(n,)`` in [0, 1] and `labels` are empty for a response. `look`: which views are one look; None:
+    those of the same stamp.
     """
 
     stamp: float
@@ -43,23 +60,30 @@ class Record:
     values: np.ndarray
     scores: np.ndarray
     labels: Sequence[str | None]
+    look: str | None = None
 
     def answers(self, query: str) -> bool:
         """Whether this line is for `query`; letter case and spaces do not matter."""
-        return self.query is None or _words(self.query) == _words(query)
+        return self.query is None or words_of(self.query) == words_of(query)
 
     def evidence(
-        self, query: str, calibration: Calibration | None = None, detector: DetectorModel | None = None
+        self,
+        query: str,
+        calibration: Calibration | None = None,
+        detector: DetectorModel | None = None,
+        among: Collection[str] = (),
     ) -> Evidence:
         """The evidence for `query`. On a line without a query of its own, items with another label are left out.
 
-        Boxes and points are detections of `detector` (default: `DetectorModel()`); with a `calibration` they are read
-        as a response map instead. A point with a spread of its own keeps it.
+        `among`: the labels of all lines, of which those that `query` names best are meant (`eagor.perception.labels`);
+        default: those of this line. Boxes and points are detections of `detector` (default: `DetectorModel()`); with a
+        `calibration` they are read as a response map instead. A point with a spread of its own keeps it.
         """
         if self.kind == "response" and self.grid is not None:
             return Evidence.from_response(self.values, self.grid, calibration=calibration, stamp=self.stamp)
-        wanted = set(_words(query))
-        keep = [self.query is not None or label is None or wanted.issuperset(_words(label)) for label in self.labels]
+        own = [label for label in self.labels if label is not None]
+        wanted = fitting(query, among or own) if self.query is None and own else frozenset[str]()
+        keep = [self.query is not None or label is None or label in wanted for label in self.labels]
         values, scores = self.values[keep], self.scores[keep]
         if self.kind == "boxes" and self.grid is not None:
             return Evidence.from_boxes(values, self.grid, scores, calibration, self.stamp, detector=detector)
@@ -70,61 +94,71 @@ class Record:
 
 
 def read_records(path: str | os.PathLike[str]) -> tuple[Record, ...]:
-    """The records of a JSONL file in order of time; `FormatError` names the file and the line of a fault."""
-    name = os.fspath(path)
-    try:
-        content = Path(path).read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a null character in the path
-        raise FormatError(f"{name} cannot be read ({error}); give the path of a JSONL file") from error
-    lines = content.removeprefix(b"\xef\xbb\xbf").split(b"\n")
+    """The records of a JSONL file in order of time; `FormatError` names the file and the line of a fault.
+
+    All views of one `look` get the mean of their stamps.
+    """
     records: list[Record] = []
-    for number, line in enumerate(lines, 1):
-        if not line.strip():
-            continue
+    for line, where in json_lines(path):
         try:
             records.append(parse_record(line))
         except EagorError as error:
-            cut = isinstance(error.__cause__, json.JSONDecodeError | UnicodeDecodeError)
-            hint = ". The last line is incomplete: the writer was probably interrupted; remove the line"
-            hint = hint if cut and number == len(lines) else ""
-            raise FormatError(f"{name}, line {number}: {error}{hint}") from error
+            raise misplaced(error, where) from error
+    name = os.fspath(path)
     if not records:
         raise FormatError(f"{name} holds no records; wanted one JSON object per line, at least one")
-    return tuple(sorted(records, key=lambda r: r.stamp))
+    return tuple(sorted(_joined(records, name), key=lambda r: r.stamp))
+
+
+def _joined(records: Sequence[Record], name: str) -> list[Record]:
+    """The records, those of one look at one time."""
+    looks: dict[str, list[float]] = {}
+    for record in records:
+        if record.look is not None:
+            looks.setdefault(record.look, []).append(record.stamp)
+    for look, stamps in looks.items():
+        if max(stamps) - min(stamps) > APART:
+            raise FormatError(
+                f"{name}: lines of the look {look!r} are {max(stamps) - min(stamps):g} s apart; wanted at most "
+                f"{APART:g} s. A look is the views of one moment: each moment wants an id of its own"
+            )
+    return [r if r.look is None else replace(r, stamp=math.fsum(looks[r.look]) / len(looks[r.look])) for r in records]
 
 
 def parse_record(line: str | bytes) -> Record:
     """One line as a `Record`. Raises `FormatError`, which says what is wrong and what is wanted."""
-    try:
-        entry = parsed(line.decode("utf-8") if isinstance(line, bytes) else line, strict=True)
-    except ValueError as error:  # UnicodeDecodeError and JSONDecodeError are ValueErrors
-        raise FormatError(f"is not JSON ({error}); wanted one JSON object") from error
-    _need(isinstance(entry, dict), "the line", entry, "one JSON object")
-    stamp = _number(entry, "stamp")
-    query = entry.get("query")
-    _need(query is None or (isinstance(query, str) and _words(query) != []), "query", query, "words, or no such key")
+    entry = object_of(line)
+    only(entry, KEYS, "a line")
+    stamp = number(entry, "stamp")
+    query, look = entry.get("query"), entry.get("look")
+    need(query is None or (isinstance(query, str) and words_of(query) != []), "query", query, "words, or no such key")
+    is_id = isinstance(look, str | int) and not isinstance(look, bool) and look != ""
+    need(look is None or is_id, "look", look, "text or a whole number, the same for all views of a moment")
+    look, scores = None if look is None else str(look), score_kind(entry)
     kinds = [kind for kind in KINDS if entry.get(kind) is not None]
     if len(kinds) != 1:
         raise FormatError(f"has {' and '.join(kinds) or 'none'} of boxes, points, response; wanted exactly one")
     kind, image = kinds[0], {} if entry.get("image") is None else entry["image"]
-    _need(isinstance(image, dict), "image", image, "an object with width and height")
+    need(isinstance(image, dict), "image", image, "an object with width and height")
     if kind == "response":
-        rows, cols, values = _response(entry["response"])
-        grid = _view(image, rows, cols) or PatchGrid(rows, cols)
-        return Record(stamp, query, kind, grid, values.reshape(rows, cols), np.zeros(0), ())
+        rows, columns, values = _response(entry["response"], scores)
+        grid = view_of(image, rows, columns) or PatchGrid(rows, columns)
+        return Record(stamp, query, kind, grid, values.reshape(rows, columns), np.zeros(0), (), look)
     items = entry[kind]
-    _need(isinstance(items, list) and all(isinstance(i, dict) for i in items), kind, items, "a list of objects")
-    scores = np.array([_number(item, "score", 0, 1, default=1.0) for item in items])
+    need(isinstance(items, list) and all(isinstance(i, dict) for i in items), kind, items, "a list of objects")
+    for item in items:
+        only(item, OF_ITEMS[kind], f"an item of {kind}")
+    found = np.array([1.0 if item.get("score") is None else probability(item["score"], scores) for item in items])
     labels = tuple(item.get("label") for item in items)
-    _need(all(label is None or isinstance(label, str) for label in labels), "label", labels, "text")
-    grid = _view(image)
+    need(all(label is None or isinstance(label, str) for label in labels), "label", labels, "text")
+    grid = view_of(image)
     if kind == "boxes":
-        height, width = _size(image, "height"), _size(image, "width")
+        height, width = size(image, "height"), size(image, "width")
         values = np.array([_box(item.get("box"), height, width, grid is None) for item in items]).reshape(-1, 4)
         grid = grid or ErpGrid(height, width)
     else:
         values = np.radians([_point(item) for item in items]).reshape(-1, 3)
-    return Record(stamp, query, kind, grid, values, scores, labels)
+    return Record(stamp, query, kind, grid, values, found, labels, look)
 
 
 def write_record(
@@ -136,16 +170,19 @@ def write_record(
     boxes: Sequence[Mapping[str, Any]] | None = None,
     points: Sequence[Mapping[str, Any]] | None = None,
     response: np.ndarray | None = None,
+    look: str | int | None = None,
+    scores: str | None = None,
 ) -> None:
     """Append one line to an open text file and flush it; the line is checked before anything is written.
 
-    Give exactly one of `boxes`, `points` (entries as in the format) and `response` ``(rows, cols)``. Raises
-    `FormatError`.
+    Give exactly one of `boxes`, `points` (entries as in the format) and `response` ``(rows, cols)``. `look`: the same
+    for all views of one moment. `scores`: "logit" if they are logits. Raises `FormatError`.
     """
-    entry: dict[str, Any] = {"stamp": stamp, "query": query, "image": image, "boxes": boxes, "points": points}
+    entry: dict[str, Any] = {"stamp": stamp, "query": query, "look": look, "image": image}
+    entry |= {"boxes": boxes, "points": points, "scores": scores}
     if response is not None:
         values = np.asarray(response, dtype=float)
-        _need(values.ndim == 2, "response", values.shape, "an array (rows, cols)")
+        need(values.ndim == 2, "response", values.shape, "an array (rows, cols)")
         entry["response"] = {"rows": values.shape[0], "cols": values.shape[1], "values": values.ravel().tolist()}
     try:
         line = json.dumps({k: v for k, v in entry.items() if v is not None}, default=_plain)
@@ -156,77 +193,38 @@ def write_record(
     file.flush()
 
 
-def _view(image: dict, rows: int | None = None, cols: int | None = None) -> PerspectiveGrid | None:
-    """The perspective view that `image` describes, in pixels or in `rows` and `cols`; None for a panorama."""
-    projection = image.get("projection", "equirectangular")
-    if projection == "equirectangular":
-        return None
-    _need(projection == "perspective", "projection", projection, '"equirectangular" or "perspective"')
-    height, width = rows or _size(image, "height"), cols or _size(image, "width")
-    _need(max(height, width) <= _LONGEST * min(height, width), "image", (width, height), f"sides up to {_LONGEST}:1")
-    hfov, yaw = _number(image, "hfov_deg", 0.1, 179), _number(image, "yaw_left_deg", -360, 360, default=0.0)
-    pitch = _number(image, "pitch_up_deg", -90, 90, default=0.0)
-    # In REP-103 a positive pitch turns the nose down.
-    return PerspectiveGrid(height, width, math.radians(hfov), world_R_body(math.radians(yaw), -math.radians(pitch)))
-
-
 def _box(box: Any, height: int, width: int, panorama: bool) -> list[float]:
     """The four pixel coordinates of a box that overlaps the image."""
     wanted = f"[x0, y0, x1, y1] in pixels of the {width} x {height} image (not x, y, width, height, and not 0 to 1)"
-    fine = isinstance(box, list) and len(box) == 4 and all(_is_number(v) and abs(v) <= 4 * _LARGEST for v in box)
-    _need(fine, "box", box, wanted)
+    fine = isinstance(box, list) and len(box) == 4 and all(is_number(v) and abs(v) <= 4 * LARGEST for v in box)
+    need(fine, "box", box, wanted)
     x0, y0, x1, y1 = (float(v) for v in box)
     left, right = (x0, x1 + width * (x1 < x0)) if panorama else (max(x0, 0.0), min(x1, float(width)))
-    _need(left < right <= left + width and max(y0, 0.0) < min(y1, float(height)), "box", box, wanted)
+    need(left < right <= left + width and max(y0, 0.0) < min(y1, float(height)), "box", box, wanted)
     return [x0, y0, x1, y1]
 
 
 def _point(item: dict) -> tuple[float, float, float]:
     """Azimuth, elevation and spread (NaN if not given), degrees."""
-    azimuth, elevation = _number(item, "azimuth_deg", -360, 360), _number(item, "elevation_deg", -90, 90)
-    spread = math.nan if item.get("spread_deg") is None else _number(item, "spread_deg", 0.1, 180)
+    azimuth, elevation = number(item, "azimuth_deg", -360, 360), number(item, "elevation_deg", -90, 90)
+    spread = math.nan if item.get("spread_deg") is None else number(item, "spread_deg", 0.1, 180)
     return azimuth, elevation, spread
 
 
-def _response(response: Any) -> tuple[int, int, np.ndarray]:
+def _response(response: Any, scores: str) -> tuple[int, int, np.ndarray]:
     """Rows, columns and the values ``(rows * cols,)``."""
-    _need(isinstance(response, dict), "response", response, "an object with rows, cols and values")
-    rows, cols, values = _size(response, "rows"), _size(response, "cols"), response.get("values")
-    fine = isinstance(values, list) and len(values) == rows * cols
+    need(isinstance(response, dict), "response", response, "an object with rows, cols and values")
+    only(response, ("rows", "cols", "values"), "response")
+    rows, columns, values = size(response, "rows"), size(response, "cols"), response.get("values")
+    fine = isinstance(values, list) and len(values) == rows * columns
     found = f"{len(values)} values" if isinstance(values, list) else values
-    _need(fine, "values", found, f"rows * cols = {rows * cols} numbers")
-    wrong = [v for v in values if not (_is_number(v) and 0 <= v <= 1)]
-    _need(not wrong, "values", wrong[:3], "numbers in [0, 1]")
-    return rows, cols, np.array(values, dtype=np.float32)
-
-
-def _number(entry: dict, key: str, low: float = -1e300, high: float = 1e300, default: float | None = None) -> float:
-    value: Any = default if entry.get(key) is None else entry[key]
-    bounds = f"a number from {low:g} to {high:g}" if high < 1e300 else "a finite number"
-    _need(_is_number(value) and low <= value <= high, key, value, bounds)
-    return float(value)
-
-
-def _size(entry: dict, key: str) -> int:
-    value: Any = entry.get(key)
-    fine = isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= _LARGEST
-    _need(fine, key, value, f"a whole number from 1 to {_LARGEST}")
-    return int(value)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _need(holds: bool, what: str, came: Any, wanted: str) -> None:
-    if not holds:
-        found = "is missing" if came is None else f"is {_short(came)}"
-        raise FormatError(f"{what} {found}; wanted {wanted}")
-
-
-def _words(text: str) -> list[str]:
-    """Lower-case words: runs of letters and digits of any script."""
-    return re.findall(r"\w+", text.casefold())
+    need(fine, "values", found, f"rows * cols = {rows * columns} numbers")
+    wrong = [v for v in values if not (is_number(v) and (scores == "logit" or 0 <= v <= 1))]
+    need(not wrong, "values", wrong[:3], 'numbers in [0, 1] (of logits, say "scores": "logit" in the line)')
+    table = np.array(values, dtype=np.float64)
+    if scores == "logit":
+        table = 1 / (1 + np.exp(-np.clip(table, -500, 500)))
+    return rows, columns, table.astype(np.float32)
 
 
 def _plain(value: Any) -> Any:

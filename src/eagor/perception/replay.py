@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 import os
 from bisect import bisect_left, bisect_right
+from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -16,10 +18,13 @@ from eagor.errors import EagorError, FormatError, QueryError, TimeError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
+from eagor.perception.labels import fitting
 from eagor.perception.records import Record, parse_record, read_records, write_record
 from eagor.tracking.tracks import SAME_MOMENT
 
 __all__ = ["Record", "ReplayPerception", "parse_record", "read_records", "write_record"]
+
+MOST_LABELS = 12  # in a sentence
 
 
 class ReplayPerception:
@@ -27,7 +32,8 @@ class ReplayPerception:
 
     `calibration`: how responses become evidence (default: `Calibration()`); with one, boxes and points are read as a
     response map, too. `tolerance`: largest time difference, seconds, between a record and the stamp asked for.
-    `detector`: error model of the recorded boxes and points (default: `DetectorModel()`).
+    `detector`: error model of the recorded boxes and points (default: `DetectorModel()`). `labels`: how often each
+    label occurs on lines without a query of their own.
 
     Raises `FormatError` for a file that does not follow the format, `TimeError` for an invalid tolerance.
     """
@@ -45,14 +51,55 @@ class ReplayPerception:
             raise TimeError(f"tolerance = {tolerance!r}; wanted seconds, 0 or more")
         self.tolerance = float(tolerance)
         self._name = os.fspath(path)
+        open_lines = (record for record in self.records if record.query is None)
+        self.labels = Counter(label for record in open_lines for label in record.labels if label is not None)
+
+    def looks(self, query: str, stamp: float | None) -> tuple[Evidence, ...]:
+        """The evidence of each of `near`: all of them are one look, and have one stamp. Errors as there."""
+        return self._evidence(self.near(query, stamp), query)
+
+    def looks_near(self, query: str, stamp: float, strict: bool = True) -> tuple[Evidence, ...]:
+        """As `looks`, but empty if there is no record for this time; not `strict`: labels that do not fit are no fault.
+
+        Then the detector looked, and saw nothing of the kind.
+        """
+        if strict:
+            self._check_labels(query)
+        try:
+            return self._evidence(self._near(query, stamp), query)
+        except TimeError:
+            return ()
+
+    def _evidence(self, records: Sequence[Record], query: str) -> tuple[Evidence, ...]:
+        return tuple(r.evidence(query, self.calibration, self.detector, self.labels) for r in records)
+
+    def used(self, query: str, lines: int) -> str:
+        """How many of the lines were used, and which labels stand for `query`: a sentence for the end of a run."""
+        told = f"{lines} of {len(self.records)} lines of {self._name} used"
+        if not self.labels:
+            return told
+        wanted = fitting(query, self.labels)
+        means = f"{query!r} means {', '.join(map(repr, sorted(wanted)))}" if wanted else f"none fits {query!r}"
+        return f"{told}; labels in the file: {self._labels()}; {means}"
+
+    def _labels(self) -> str:
+        """The commonest labels, with how often they occur."""
+        shown = [f"{label} ({count})" for label, count in self.labels.most_common(MOST_LABELS)]
+        rest = len(self.labels) - len(shown)
+        return ", ".join(shown) + (f" and {rest} more" if rest > 0 else "")
 
     def near(self, query: str, stamp: float | None) -> tuple[Record, ...]:
         """The records for `query` at the time nearest to `stamp`; several if that moment has several views.
 
-        Raises `QueryError` if no record is for `query`, `TimeError` if none is within the tolerance.
+        Raises `QueryError` if no record is for `query`, or none of the labels fits it, `TimeError` if no record is
+        within the tolerance.
         """
         if not isinstance(query, str):
             raise QueryError(f"the query is {query!r}; wanted words")
+        self._check_labels(query)
+        return self._near(query, stamp)
+
+    def _near(self, query: str, stamp: float | None) -> tuple[Record, ...]:
         if stamp is None or not within(stamp, -math.inf):
             raise TimeError(f"replay needs the time of capture, seconds; got stamp={stamp!r}. Pass stamp=...")
         first = bisect_left(self.records, stamp - self.tolerance, key=lambda r: r.stamp)
@@ -62,6 +109,19 @@ class ReplayPerception:
             raise self._nothing(query, stamp)
         nearest = min(found, key=lambda r: abs(r.stamp - stamp)).stamp
         return tuple(r for r in found if abs(r.stamp - nearest) <= SAME_MOMENT)
+
+    def _check_labels(self, query: str) -> None:
+        """Raise `QueryError` where labels decide, and all detections of the file have labels that do not fit."""
+        if not self.labels or fitting(query, self.labels):
+            return
+        answering = [record for record in self.records if record.answers(query)]
+        if any(r.query is not None or r.kind == "response" or None in r.labels for r in answering):
+            return
+        raise QueryError(
+            f"0 of {len(self.records)} lines of {self._name} used; labels in the file: {self._labels()}; none fits "
+            f"{query!r}. Ask for one of them. If the detector looked for {query!r} and saw none, its lines want "
+            '"query": the words that it looked for'
+        )
 
     def _nothing(self, query: str, stamp: float) -> EagorError:
         stamps = [r.stamp for r in self.records if r.answers(query)]
@@ -78,12 +138,12 @@ class ReplayPerception:
         """The evidence recorded nearest to `stamp`, with the record's own stamp; `panorama` is ignored.
 
         Raises `QueryError` and `TimeError` as `near` does, and `FormatError` if several records (views) are of that
-        moment: then update the belief with each of ``near(query, stamp)``.
+        moment: then observe each of ``looks(query, stamp)``.
         """
         record, *others = self.near(query, stamp)
         if others:
             raise FormatError(
                 f"{self._name} has {1 + len(others)} records for {query!r} at stamp {record.stamp:.6f}; wanted one. "
-                "If they are views of one moment, use each of near(query, stamp)"
+                "If they are views of one moment, use each of looks(query, stamp)"
             )
-        return record.evidence(query, self.calibration, self.detector)
+        return record.evidence(query, self.calibration, self.detector, self.labels)

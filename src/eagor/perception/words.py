@@ -34,7 +34,7 @@ _PLACES = """
 on in at by near next beside behind under above below between with without to from over inside outside against
 around that which who
 """
-_RELATIONS = frozenset(_PLACES.split())
+RELATIONS = frozenset(_PLACES.split())
 _HOLDING = {"cup", "glass", "mug", "bottle", "bowl", "vase", "box", "can", "jar", "pot"}  # a cup of tea is a cup
 _PARTS = {"slice", "piece", "pair", "bunch", "group", "kind", "sort", "couple"}  # a slice of pizza is pizza
 _EVERY = 8  # classes that an error names
@@ -120,7 +120,7 @@ def _noun(words: list[str]) -> tuple[list[str], list[str]]:
     """The noun and what stands before its last word; and the words that describe it, which were taken off."""
     left_out: list[str] = []
     for at in range(1, len(words)):
-        if words[at] in _RELATIONS:
+        if words[at] in RELATIONS:
             words, left_out = words[:at], words[at:]
             break
         if words[at] == "of":  # but a picture of a dog is no dog

@@ -1,0 +1,185 @@
+"""A replay that says what it does not understand: keys, views, scores, labels, and files that never end."""
+
+import json
+import math
+import os
+
+import numpy as np
+import pytest
+
+from eagor.conventions import wxyz_from_rotation
+from eagor.errors import FormatError, QueryError
+from eagor.perception.labels import fitting
+from eagor.perception.replay import ReplayPerception, parse_record, read_records, write_record
+from eagor.sphere import azimuth_elevation, direction, world_R_body
+
+PANORAMA = {"width": 1024, "height": 512}
+
+
+def line(**changes) -> str:
+    """A good line with some keys changed."""
+    return json.dumps({"stamp": 1.0, "image": PANORAMA, "boxes": [{"box": [1, 2, 30, 40], "score": 0.5}]} | changes)
+
+
+VIEW = {"projection": "perspective", "width": 640, "height": 480, "hfov_deg": 60}
+
+
+@pytest.mark.parametrize(
+    ("bad", "says"),
+    [
+        (line(timestamp=3), "'timestamp' is no key of a line; did you mean stamp"),
+        (line(lable="chair"), "'lable' is no key of a line"),
+        (
+            line(image=PANORAMA | {"yaw_deg": 90}),
+            "'yaw_deg' is no key of image; did you mean yaw_left_deg.*to the LEFT",
+        ),
+        (
+            line(image=VIEW | {"pitch_deg": 9}),
+            "did you mean pitch_up_deg.*positive UP.*pose file is positive nose DOWN",
+        ),
+        (line(image=VIEW | {"roll": 9}), "roll_right_deg is positive where the camera leans to its RIGHT"),
+        (line(image=PANORAMA | {"hfov_deg": 90}), 'hfov_deg is for a perspective image.*"projection": "perspective"'),
+        (line(image=PANORAMA | {"roll_right_deg": 0}), "roll_right_deg is for a perspective image"),
+        (line(boxes=[{"bbox": [1, 2, 30, 40]}]), r"'bbox' is no key of an item of boxes; did you mean box"),
+        (line(boxes=[{"box": [1, 2, 30, 40], "confidence": 1}]), "'confidence' is no key of an item of boxes"),
+        (line(boxes=None, points=[{"azimuth": 3, "elevation_deg": 5}]), "did you mean azimuth_deg"),
+        (line(boxes=None, response={"rows": 1, "columns": 1, "values": [0]}), "'columns' is no key of response"),
+        (line(boxes=[{"box": [1, 2, 30, 40], "score": 7.5}]), 'score is 7.5.*"scores": "logit".*percentages by 100'),
+        (line(scores="logits"), "scores is 'logits'; wanted \"probability\""),
+        (line(look=1.5), "look is 1.5; wanted text or a whole number"),
+        (line(image=VIEW | {"qw": 1}), "qx is missing"),
+        (line(image=VIEW | {"qw": 1, "qx": 1, "qy": 0, "qz": 0}), r"length of qw, qx, qy, qz is 1\.4142; wanted 1"),
+        (line(image=VIEW | {"qw": 1, "qx": 0, "qy": 0, "qz": 0, "pitch_up_deg": 3}), "not both"),
+    ],
+)
+def test_a_key_that_means_nothing_is_refused_with_the_nearest(tmp_path, bad, says):
+    path = tmp_path / "looks.jsonl"
+    path.write_text(line() + "\n" + bad + "\n")
+    with pytest.raises(FormatError, match=rf"looks\.jsonl, line 2: .*{says}"):
+        ReplayPerception(path)
+
+
+def test_a_note_of_ones_own_is_no_key(tmp_path):
+    noted = line(_frame="a.png", image=PANORAMA | {"_camera": 3}, boxes=[{"box": [1, 2, 30, 40], "_id": 7}])
+    assert len(parse_record(noted).values) == 1
+
+
+def test_up_is_up_for_points_and_views_alike():
+    """One line, both signs: a thing in the middle of a view that looks up has a positive elevation."""
+    boxes = parse_record(line(image=VIEW | {"pitch_up_deg": 20}, boxes=[{"box": [310, 230, 330, 250]}]))
+    points = parse_record(line(boxes=None, points=[{"azimuth_deg": 0, "elevation_deg": 20}]))
+    for record in (boxes, points):
+        assert record.evidence("x").detections.directions[0] == pytest.approx(
+            direction(0.0, math.radians(20)), abs=1e-3
+        )
+
+
+def test_a_camera_that_leans_to_its_right():
+    """Then what lies to the right of the picture's middle lies low in the world."""
+    image = VIEW | {"roll_right_deg": 90}
+    right = (
+        parse_record(line(image=image, boxes=[{"box": [500, 230, 520, 250]}])).evidence("x").detections.directions[0]
+    )
+    assert np.degrees(azimuth_elevation(right)) == pytest.approx((0, -18.7), abs=0.5)
+
+
+@pytest.mark.parametrize("angles", [(0, 0, 0), (30, 0, 0), (-120, 35, 0), (10, -70, 100)])
+def test_a_quaternion_says_what_the_angles_say(angles):
+    yaw, pitch, roll = map(math.radians, angles)
+    named = dict(zip(("yaw_left_deg", "pitch_up_deg", "roll_right_deg"), angles, strict=True))
+    body_R_view = world_R_body(yaw, -pitch, roll)
+    turn = dict(zip(("qw", "qx", "qy", "qz"), wxyz_from_rotation(body_R_view).tolist(), strict=True))
+    by_angles, by_turn = (parse_record(line(image=VIEW | told)).grid for told in (named, turn))
+    assert by_angles.body_R_view == pytest.approx(body_R_view, abs=1e-12)
+    assert by_turn.body_R_view == pytest.approx(body_R_view, abs=1e-9)
+
+
+def test_logits_become_probabilities():
+    logits = parse_record(line(scores="logit", boxes=[{"box": [1, 2, 30, 40], "score": s} for s in (-2, 0, 900)]))
+    assert logits.scores == pytest.approx([1 / (1 + math.e**2), 0.5, 1])
+    mapped = parse_record(line(scores="logit", boxes=None, response={"rows": 1, "cols": 2, "values": [-3, 0]}))
+    assert mapped.values[0] == pytest.approx([1 / (1 + math.e**3), 0.5], abs=1e-6)
+
+
+def test_views_that_share_a_look_are_one_moment(tmp_path):
+    path = tmp_path / "views.jsonl"
+    with path.open("w") as file:
+        for number, yaw in enumerate((0, 90, 180, 270)):
+            image = {"projection": "perspective", "width": 8, "height": 8, "hfov_deg": 90, "yaw_left_deg": yaw}
+            write_record(file, 5.0 + 0.02 * number, image=image, boxes=[], look="a")
+        write_record(file, 5.5, points=[], look=2)
+    looks = ReplayPerception(path).looks("x", 5.0)
+    assert [look.stamp for look in looks] == pytest.approx([5.03] * 4, abs=1e-9)
+    assert len({look.stamp for look in looks}) == 1
+    with path.open("a") as file:
+        write_record(file, 9.0, points=[], look="a")
+    with pytest.raises(FormatError, match=r"the look 'a' are 4 s apart; wanted at most 1 s"):
+        ReplayPerception(path)
+
+
+def boxes_with(*labels):
+    return [{"box": [100 * n + 1, 200, 100 * n + 30, 240], "label": label} for n, label in enumerate(labels)]
+
+
+@pytest.mark.parametrize(
+    ("query", "labels", "fit"),
+    [
+        ("fridge", ["refrigerator", "chair"], {"refrigerator"}),
+        ("chairs", ["chair", "armchair"], {"chair"}),
+        ("the red chair", ["red chair", "chair"], {"red chair"}),
+        ("the big red chair", ["red chair", "chair", "table"], {"red chair", "chair"}),
+        ("the chair by the table", ["chair", "table"], {"chair"}),
+        ("television", ["tv", "remote"], {"tv"}),
+        ("椅子", ["椅子", "机"], {"椅子"}),
+        ("door", ["refrigerator", "chair"], set()),
+        ("armchair", ["table"], set()),
+    ],
+)
+def test_a_label_fits_by_its_own_name_first_then_by_others(tmp_path, query, labels, fit):
+    assert fitting(query, labels) == fit
+    path = tmp_path / "looks.jsonl"
+    path.write_text(line(boxes=boxes_with(*labels)) + "\n")
+    replay = ReplayPerception(path)
+    if fit:
+        assert len(replay(None, query, stamp=1.0).detections) == len(fit)
+        said = replay.used(query, 1)
+        assert "1 of 1 lines" in said
+        assert all(repr(label) in said for label in fit)
+        return
+    with pytest.raises(
+        QueryError, match=rf"0 of 1 lines .* labels in the file: {labels[0]} \(1\).*none fits '{query}'"
+    ):
+        replay(None, query, stamp=1.0)
+
+
+def test_the_best_label_of_the_file_counts_on_every_line(tmp_path):
+    path = tmp_path / "looks.jsonl"
+    path.write_text(line(boxes=boxes_with("chair")) + "\n" + line(stamp=2.0, boxes=boxes_with("red chair")) + "\n")
+    replay = ReplayPerception(path)
+    assert len(replay(None, "red chair", stamp=1.0).detections) == 0
+    assert len(replay(None, "red chair", stamp=2.0).detections) == 1
+
+
+def test_what_was_looked_for_and_never_seen_is_no_fault(tmp_path):
+    for boxes in ([], boxes_with(None)):
+        (path := tmp_path / "looks.jsonl").write_text(line(boxes=boxes) + "\n")
+        assert len(ReplayPerception(path)(None, "fridge", stamp=1.0).detections) == len(boxes)
+        assert ReplayPerception(path).used("fridge", 1).endswith("lines of " + str(path) + " used")
+    path.write_text(line(boxes=boxes_with("chair")) + "\n" + line(stamp=2.0, query="fridge", boxes=[]) + "\n")
+    assert len(ReplayPerception(path)(None, "fridge", stamp=2.0).detections) == 0
+    assert "none fits 'fridge'" in ReplayPerception(path).used("fridge", 1)
+
+
+def test_a_file_that_never_ends_is_refused(tmp_path, monkeypatch):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for path in ("/dev/zero", pipe):
+        with pytest.raises(FormatError, match="it is a device or a pipe"):
+            read_records(path)
+    monkeypatch.setattr("eagor.perception.record_fields.MOST_BYTES", 50)
+    (path := tmp_path / "long.jsonl").write_text(line() + "\n")
+    with pytest.raises(FormatError, match=r"has more than .* MiB; .*split it"):
+        read_records(path)
+    (link := tmp_path / "link.jsonl").symlink_to(path)
+    monkeypatch.undo()
+    assert len(read_records(link)) == 1

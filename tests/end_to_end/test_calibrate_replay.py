@@ -1,0 +1,154 @@
+"""`eagor calibrate --replay FILE --truth FILE`: what a detector wrote, and the truth, make its error model."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from eagor.cli import main
+from eagor.errors import FormatError, QueryError
+from eagor.evaluation.replayed import read_truth, replayed_looks
+from eagor.perception.calibrated import read_calibrated
+from eagor.perception.replay import ReplayPerception, write_record
+from eagor.sphere import azimuth_elevation, unit
+from eagor.worlds.painted import painted_room
+
+SPREAD = 0.06
+
+
+def angles(directions):
+    azimuths, elevations = (np.degrees(part) for part in azimuth_elevation(np.reshape(directions, (-1, 3))))
+    pairs = zip(azimuths.tolist(), elevations.tolist(), strict=True)
+    return [{"azimuth_deg": azimuth, "elevation_deg": elevation} for azimuth, elevation in pairs]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Four recordings of 30 looks: two fridges, or none. Found in four looks of five, among 0.5 false alarms."""
+    folder, rng = tmp_path_factory.mktemp("files"), np.random.default_rng(0)
+    with (folder / "looks.jsonl").open("w") as looks, (folder / "truth.jsonl").open("w") as truths:
+        for walk in range(4):
+            targets = unit(rng.normal(size=(2, 3))) if walk % 2 == 0 else np.zeros((0, 3))
+            for step in range(30):
+                stamp = 100.0 * walk + 0.5 * step
+                seen = [unit(at + SPREAD * rng.normal(size=3)) for at in targets if rng.random() < 0.8]
+                wrong = list(unit(rng.normal(size=(rng.poisson(0.5), 3))))
+                points = angles(seen + wrong)
+                for point, right in zip(points, [True] * len(seen) + [False] * len(wrong), strict=True):
+                    point |= {"label": "refrigerator", "score": rng.beta(*((4, 2) if right else (2, 4)))}
+                write_record(looks, stamp, points=points)
+                truth = {"stamp": stamp + 0.01, "query": "fridge", "targets": angles(targets), "group": f"walk {walk}"}
+                truths.write(json.dumps(truth) + "\n")
+    return folder
+
+
+def run(*words, code=0, capsys):
+    found = main([str(word) for word in words])
+    said = capsys.readouterr()
+    assert found == code, said.err
+    return said
+
+
+def test_a_detector_that_was_replayed_is_fitted_and_used(files, tmp_path, capsys):
+    out = tmp_path / "mine.json"
+    words = ("calibrate", "--replay", files / "looks.jsonl", "--truth", files / "truth.jsonl", "--out", out)
+    found = json.loads(run(*words, "--json", capsys=capsys).out)
+    model = found["detector"]
+    assert model["detection_probability"] == pytest.approx(0.8, abs=0.1)
+    assert model["false_alarms_per_look"] == pytest.approx(0.5, abs=0.15)
+    assert model["spread"] == pytest.approx(SPREAD, rel=0.2)
+    counts, judged = found["found_by"]["counts"], found["found_by"]["held_out"]
+    assert (counts["looks"], counts["groups"], counts["targets"]) == (120, 4, 120)
+    assert judged["gain"] > 0
+    low, high = found["found_by"]["intervals"]["spread"]
+    assert low < model["spread"] < high
+    assert read_calibrated(out).detector.spread == model["spread"]
+    said = run(*words, capsys=capsys)
+    assert "120 looks in 4 groups: 120 targets in view" in said.out
+    assert "that the fit had not seen" in said.out
+    assert f"--calibration {out}" in said.out
+    Image.fromarray(painted_room(64, 128)).save(room := tmp_path / "room.png")
+    replay = f"replay:{files / 'looks.jsonl'}"
+    looked = ("locate", room, "fridge", "--perception", replay, "--stamp", "0", "--json")
+    plain, fitted = (json.loads(run(*looked, *more, capsys=capsys).out) for more in ((), ("--calibration", out)))
+    assert fitted["modes"][0] != plain["modes"][0]
+
+
+def test_a_truth_is_for_one_look_and_a_look_for_one_truth(files, tmp_path):
+    replay = ReplayPerception(files / "looks.jsonl")
+    truths = read_truth(files / "truth.jsonl")
+    looks, left_out = replayed_looks(replay, truths)
+    assert (len(looks), left_out) == (120, [])
+    assert {look.group for look in looks} == {f"walk {n}: fridge" for n in range(4)}
+    lines = [{"stamp": stamp, "query": "fridge", "targets": []} for stamp in (0.0, 0.03, 77.0)]
+    (path := tmp_path / "truth.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    looks, left_out = replayed_looks(replay, read_truth(path))
+    assert [look.stamp for look in looks] == [0.0]
+    assert [truth.stamp for truth in left_out] == [0.03, 77.0]
+
+
+def test_views_of_a_moment_are_one_look(tmp_path):
+    with (path := tmp_path / "looks.jsonl").open("w") as file:
+        for yaw in (0, 90, 180, 270):
+            image = {"projection": "perspective", "width": 64, "height": 64, "hfov_deg": 90, "yaw_left_deg": yaw}
+            write_record(file, 5.0, image=image, boxes=[{"box": [28, 28, 36, 36]}], query="x")
+    truth = {"stamp": 5.0, "query": "x", "targets": [{"azimuth_deg": 90, "elevation_deg": 0}]}
+    (tmp_path / "truth.jsonl").write_text(json.dumps(truth) + "\n")
+    (look,), _ = replayed_looks(ReplayPerception(path), read_truth(tmp_path / "truth.jsonl"))
+    assert len(look.detections) == 4
+    assert len(look.in_view) == 1
+
+
+def test_what_is_never_there_may_have_no_label_and_what_is_there_may_not(files, tmp_path):
+    replay = ReplayPerception(files / "looks.jsonl")
+    absent = {"stamp": 0.0, "query": "piano", "targets": []}
+    (path := tmp_path / "truth.jsonl").write_text(json.dumps(absent) + "\n")
+    (look,), _ = replayed_looks(replay, read_truth(path))
+    assert len(look.detections) == 0
+    path.write_text(json.dumps(absent | {"targets": [{"azimuth_deg": 0, "elevation_deg": 0}]}) + "\n")
+    with pytest.raises(QueryError, match=r"labels in the file: refrigerator .* none fits 'piano'"):
+        replayed_looks(replay, read_truth(path))
+
+
+GOOD = {"stamp": 1.0, "query": "chair", "targets": [{"azimuth_deg": 1, "elevation_deg": 2}]}
+
+
+@pytest.mark.parametrize(
+    ("bad", "says"),
+    [
+        (GOOD | {"stamp": None}, "stamp is missing"),
+        (GOOD | {"query": ""}, "query is ''"),
+        (GOOD | {"targets": None}, r"targets is missing; .*\[\] if the thing is absent"),
+        (GOOD | {"targets": [[1, 2]]}, "wanted a list of objects"),
+        (GOOD | {"targets": [{"azimuth_deg": 1}]}, "elevation_deg is missing"),
+        (GOOD | {"targets": [{"azimuth": 1, "elevation_deg": 2}]}, "'azimuth' is no key of a target; did you mean"),
+        (GOOD | {"target": []}, "'target' is no key of a line of true directions; did you mean targets"),
+        (GOOD | {"group": 3}, "group is 3"),
+        (GOOD, r"is a second line for 'chair' at 1 s"),
+    ],
+)
+def test_a_bad_line_of_truth_is_named_with_its_number(tmp_path, bad, says):
+    (path := tmp_path / "truth.jsonl").write_text(json.dumps(GOOD) + "\n\n" + json.dumps(bad) + "\n")
+    with pytest.raises(FormatError, match=rf"truth\.jsonl, line 3: .*{says}"):
+        read_truth(path)
+
+
+def test_wrong_usage_is_said(files, tmp_path, capsys):
+    looks, truth = files / "looks.jsonl", files / "truth.jsonl"
+    assert "belong together" in run("calibrate", "--replay", looks, code=2, capsys=capsys).err
+    both = ("--replay", looks, "--truth", truth)
+    assert "no meaning" in run("calibrate", *both, "--trials", "5", code=2, capsys=capsys).err
+    assert "belong together" in run("calibrate", "heads", *both, code=2, capsys=capsys).err
+    assert "is an input" in run("calibrate", *both, "--out", truth, code=2, capsys=capsys).err
+    (path := tmp_path / "truth.jsonl").write_text(json.dumps(GOOD | {"stamp": 50.0, "query": "fridge"}) + "\n")
+    said = run("calibrate", "--replay", looks, "--truth", path, "--out", tmp_path / "a", code=2, capsys=capsys)
+    assert "wanted one clock" in said.err
+    path.write_text("")
+    said = run("calibrate", "--replay", looks, "--truth", path, "--out", tmp_path / "a", code=2, capsys=capsys)
+    assert "holds no true directions" in said.err
+    with (mapped := tmp_path / "maps.jsonl").open("w") as file:
+        write_record(file, 1.0, response=np.zeros((2, 4)))
+    path.write_text(json.dumps(GOOD) + "\n")
+    said = run("calibrate", "--replay", mapped, "--truth", path, "--out", tmp_path / "a", code=2, capsys=capsys)
+    assert "a response map has no detections" in said.err
