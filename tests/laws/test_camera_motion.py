@@ -208,9 +208,9 @@ def test_a_trailer_without_samples(tmp_path):
 def test_a_damaged_motion_track_is_said_and_not_used(tmp_path):
     path = clips.with_camm(clips.clip(tmp_path / "a.mp4"), [(t, 0, (0.0, -t, 0.0)) for t in (0.0, 0.5, 1.0)])
     data = path.read_bytes()
-    at = data.rindex(b"stsz") + 12  # the number of samples
-    path.write_bytes(data[:at] + b"\x7f\xff\xff\xff" + data[at + 4 :])
+    at = data.rindex(b"mdhd") + 4 + 12  # units per second
+    path.write_bytes(data[:at] + bytes(4) + data[at + 4 :])
     video = Video(path)
     assert video.motion is None
-    assert any("motion track cannot be used" in fact for fact in video.facts)
+    assert any("motion track cannot be used: it has a damaged table" in fact for fact in video.facts)
     assert len(list(video)) == 30

@@ -1,8 +1,11 @@
 """Pictures that are no good panoramas, as only their pixels tell: fisheye circles, a broken seam, black holes.
 
-`problems` puts the first two into sentences; `NeverSeen` gathers the third over a video. Thresholds were set on four
-photographs turned by random rotations, with JPEG quality 50, noise, and half and three times their size, and on
-rendered rooms; `tests/laws/test_suspect.py` repeats that.
+`problems` puts the first two into sentences; `NeverSeen` gathers the third over a video. Measured on four photographs
+and a painted room: no false alarm in 250 pictures (25 random rotations each, as they are and as JPEG of quality 50),
+none in 2050 with the seam at other columns. Of ten pictures each, a broken seam is seen in 10 where the brightness
+changes by 30 % around the picture, or a quarter of it is missing; in 9 for 10 %; in 8 where 5 % of the columns are
+missing, in 2 for 2 % or for halves that are shifted by 2 degrees, in none for 1 %. `tests/laws/test_suspect.py`
+repeats a part of this.
 """
 
 from __future__ import annotations
@@ -18,7 +21,8 @@ from eagor.perception.pictures import checked_picture
 
 __all__ = ["NeverSeen", "Seam", "fisheye_circles", "never_seen", "problems", "seam_of"]
 
-ROWS = 512  # larger pictures are looked at in every second, third, ... pixel, for at least so many rows
+# Larger pictures are looked at in every second, third, ... pixel, for at least so many rows.
+ROWS, CIRCLE_ROWS = 512, 128
 BLACK = 24  # levels of 255 up to which what a lens throws no light on is black: stray light and noise
 HOLE = 8  # levels up to which what was filled with 0 stays after lossy compression; a black screen in a room is above
 FLAT = 3  # levels by which black that was drawn, not photographed, differs within 3 x 3 pixels after compression
@@ -81,7 +85,7 @@ def fisheye_circles(picture: np.ndarray) -> int:
     be: all its pixels at the top are one direction. Raises `ImageError`.
     """
     image = checked_picture(picture)
-    small = image[:: _step(image), :: _step(image)]
+    small = image[:: _step(image, CIRCLE_ROWS), :: _step(image, CIRCLE_ROWS)]
     black = small.max(axis=2) <= BLACK
     height, width = black.shape
     if min(height, width) < 16:
@@ -178,5 +182,5 @@ def problems(panorama: np.ndarray) -> tuple[str, ...]:
     return ()
 
 
-def _step(image: np.ndarray) -> int:
-    return max(1, image.shape[0] // ROWS)
+def _step(image: np.ndarray, rows: int = ROWS) -> int:
+    return max(1, image.shape[0] // rows)
