@@ -1,0 +1,79 @@
+"""A panoramic photograph with what its file says of it (Photo Sphere XMP Metadata, "GPano")."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image
+
+from eagor.perception.pictures import resized
+from eagor.robots.projection import Projection, of_photograph
+from eagor.robots.xmp import GPANO, properties
+from eagor.worlds.panorama import FORMATS, read_panorama
+
+__all__ = ["Photograph", "read_photograph"]
+
+JPEG_XMP = b"http://ns.adobe.com/xap/1.0/\0"  # how a JPEG's APP1 segment with XMP begins (XMP specification, part 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """A picture of the whole sphere.
+
+    `panorama` ``(H, W, 3)`` uint8; a cropped one is put on a black sphere, and the mask `unseen` ``(H, W)`` says where
+    nothing is known (None: all is seen). `level_R_body`: None, or the rotation ``(3, 3)`` that makes it level.
+    `world_R_body`: None, or the same with its compass heading: x north, y west, z up. `facts`: sentences.
+    """
+
+    panorama: np.ndarray
+    unseen: np.ndarray | None = None
+    level_R_body: np.ndarray | None = None
+    world_R_body: np.ndarray | None = None
+    facts: tuple[str, ...] = ()
+
+
+def read_photograph(path: str | os.PathLike[str]) -> Photograph:
+    """The photograph in the file at `path` (JPEG, PNG, WebP, ...).
+
+    As `eagor.worlds.panorama.read_panorama` where the file says nothing of itself, with its warning about pictures that
+    are not 2:1. Raises `ImageError` if there is no readable image, or if it says that it is not equirectangular.
+    """
+    name = os.fspath(path)
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        image = read_panorama(name)
+    found = of_photograph(properties(_xmp(name), GPANO))
+    if found is None:
+        for warning in warned:
+            warnings.warn(str(warning.message), UserWarning, stacklevel=2)
+        return Photograph(image)
+    found.check(name)
+    return _placed(image, found)
+
+
+def _placed(image: np.ndarray, found: Projection) -> Photograph:
+    height, width = image.shape[:2]
+    layout = found.layout(height, width)
+    panorama = layout.place(resized(image, layout.size))
+    tilted, turned = bool(found.pitch or found.roll), bool(found.yaw)
+    return Photograph(
+        panorama,
+        layout.unseen,
+        found.level_R_body if tilted else None,
+        found.world_R_body if tilted or turned else None,
+        found.facts(),
+    )
+
+
+def _xmp(path: str) -> bytes:
+    """The XMP packet of a picture that could be read; empty if it has none."""
+    with Image.open(path, formats=FORMATS) as image:
+        info = image.info
+        for data in (info.get("xmp"), info.get("XML:com.adobe.xmp")):
+            if data:
+                return data.encode() if isinstance(data, str) else bytes(data)
+        segments = [data for kind, data in getattr(image, "applist", ()) if kind == "APP1"]
+    return next((data[len(JPEG_XMP) :] for data in segments if data.startswith(JPEG_XMP)), b"")

@@ -1,0 +1,130 @@
+"""Photographs and what their files say (GPano): cropped areas, how the camera was held, other projections."""
+
+import numpy as np
+import pytest
+from PIL import Image, PngImagePlugin
+
+from eagor.errors import ImageError
+from eagor.grids import ErpGrid
+from eagor.robots.pictures import read_photograph
+from eagor.sphere import angular_distance, direction
+from eagor.worlds.painted import painted_room
+from eagor.worlds.panorama import turn
+
+SHAPE = (128, 256)
+
+
+def marked(azimuth, elevation):
+    """A grey panorama with a white disc of 6 degrees at a direction (degrees)."""
+    image = np.full((*SHAPE, 3), 60, np.uint8)
+    place = direction(np.radians(azimuth), np.radians(elevation))
+    image[angular_distance(ErpGrid(*SHAPE).directions, place) < np.radians(6)] = 255
+    return image
+
+
+def mark(image):
+    weight = np.where(image.min(axis=2) > 150, ErpGrid(*image.shape[:2]).weights, 0.0)
+    return (ErpGrid(*image.shape[:2]).directions * weight[..., None]).sum(axis=(0, 1))
+
+
+def off(a, azimuth, elevation):
+    return float(np.degrees(angular_distance(a, direction(np.radians(azimuth), np.radians(elevation)))))
+
+
+def xmp(**said):
+    inside = " ".join(
+        f'GPano:{name}="{value}"' for name, value in ({"ProjectionType": "equirectangular"} | said).items()
+    )
+    return (
+        '<?xpacket begin="" id="W5M0MpCehiHzreSzNTczkc9d"?><x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF '
+        'xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description rdf:about="" '
+        f'xmlns:GPano="http://ns.google.com/photos/1.0/panorama/" {inside}/></rdf:RDF></x:xmpmeta><?xpacket end="w"?>'
+    ).encode()
+
+
+def saved(folder, image, packet, kind="jpg"):
+    path = folder / f"room.{kind}"
+    picture = Image.fromarray(image)
+    if kind == "png":
+        info = PngImagePlugin.PngInfo()
+        info.add_itxt("XML:com.adobe.xmp", packet.decode())
+        picture.save(path, pnginfo=info)
+    elif kind == "webp":
+        picture.save(path, lossless=True, xmp=packet)
+    else:
+        picture.save(path, quality=95, xmp=packet)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["jpg", "png", "webp"])
+def test_a_cropped_panorama_is_put_where_it_was(tmp_path, kind):
+    whole = marked(40, 15)
+    area = {"FullPanoWidthPixels": 256, "FullPanoHeightPixels": 128, "CroppedAreaImageWidthPixels": 160}
+    area |= {"CroppedAreaImageHeightPixels": 64, "CroppedAreaLeftPixels": 48, "CroppedAreaTopPixels": 32}
+    photo = read_photograph(saved(tmp_path, whole[32:96, 48:208], xmp(**area), kind))
+    assert photo.panorama.shape == (*SHAPE, 3)
+    assert off(mark(photo.panorama), 40, 15) < 1.0
+    assert photo.unseen.mean() == pytest.approx(1 - 0.5 * 160 / 256)
+    assert (photo.panorama[photo.unseen] == 0).all()
+    assert any("225 x 90 degrees of the sphere" in fact for fact in photo.facts)
+    assert photo.level_R_body is None
+
+
+@pytest.mark.parametrize(
+    ("said", "at", "level"),
+    [  # where the mark is in the picture, and level: azimuth, elevation
+        ({"PosePitchDegrees": 25}, (0, 0), (0, 25)),
+        ({"PoseRollDegrees": 20}, (-90, 0), (-90, -20)),  # the right side is down
+        ({"PoseHeadingDegrees": 90, "PosePitchDegrees": -10}, (0, 0), (0, -10)),
+    ],
+)
+def test_how_the_camera_was_held(tmp_path, said, at, level):
+    photo = read_photograph(saved(tmp_path, marked(*at), xmp(**said)))
+    assert photo.unseen is None
+    assert off(photo.level_R_body @ mark(photo.panorama), *level) < 1.0
+    assert off(mark(turn(photo.panorama, photo.level_R_body)), *level) < 1.0
+
+
+def test_the_heading_is_clockwise_from_north(tmp_path):
+    photo = read_photograph(saved(tmp_path, marked(0, 0), xmp(PoseHeadingDegrees=90)))
+    assert photo.level_R_body is None
+    assert off(photo.world_R_body @ mark(photo.panorama), -90, 0) < 1.0  # east, where north is 0 and west 90
+
+
+def test_as_roll_increases_the_horizon_turns_counterclockwise(tmp_path):
+    """The definition of PoseRollDegrees: to the right of the centre, the level horizon lies higher in the picture."""
+    photo = read_photograph(saved(tmp_path, marked(0, 0), xmp(PoseRollDegrees=20)))
+    right = photo.level_R_body.T @ direction(np.radians(-45), 0.0)
+    assert right[2] > 0.1
+
+
+def test_a_photograph_that_says_nothing(tmp_path):
+    Image.fromarray(painted_room(64, 128)).save(tmp_path / "room.png")
+    photo = read_photograph(tmp_path / "room.png")
+    assert np.array_equal(photo.panorama, painted_room(64, 128))
+    assert (photo.unseen, photo.level_R_body, photo.world_R_body, photo.facts) == (None, None, None, ())
+    Image.fromarray(painted_room(64, 128)[:, :100]).save(tmp_path / "room.png")
+    with pytest.warns(UserWarning, match="not 2:1"):
+        assert read_photograph(tmp_path / "room.png").panorama.shape == (64, 100, 3)
+
+
+@pytest.mark.parametrize("kind", ["cylindrical", "cubestrip"])
+def test_other_projections(tmp_path, kind):
+    with pytest.raises(ImageError, match=f"room.jpg is a {kind} picture, as its XMP .GPano. says, not equirectangular"):
+        read_photograph(saved(tmp_path, marked(0, 0), xmp(ProjectionType=kind)))
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        {"FullPanoWidthPixels": 100, "FullPanoHeightPixels": 128, "CroppedAreaImageWidthPixels": 160,
+         "CroppedAreaImageHeightPixels": 64},
+        {"FullPanoWidthPixels": "wide", "FullPanoHeightPixels": 1, "CroppedAreaImageWidthPixels": 1,
+         "CroppedAreaImageHeightPixels": 1},
+        {"PosePitchDegrees": "nan", "PoseRollDegrees": "up"},
+    ],
+)  # fmt: skip
+def test_what_is_impossible_is_ignored(tmp_path, said):
+    photo = read_photograph(saved(tmp_path, marked(0, 0), xmp(**said)))
+    assert photo.panorama.shape == (*SHAPE, 3)
+    assert (photo.unseen, photo.level_R_body) == (None, None)
