@@ -26,7 +26,7 @@ from eagor.cli.looking import (
     read_frame,
 )
 from eagor.cli.options import Demo, given
-from eagor.cli.words import in_words
+from eagor.drawing.words import in_words
 from eagor.perception import short_name
 from eagor.sphere import azimuth_elevation
 
