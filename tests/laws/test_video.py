@@ -233,6 +233,18 @@ def test_projection_in_xml_of_version_1(tmp_path):
     assert any("Spherical Video V1" in fact for fact in video.facts)
 
 
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv"])
+def test_a_crop_is_said_and_not_done(tmp_path, name):
+    path = clips.clip(tmp_path / name)
+    if name == "a.mp4":
+        clips.with_entry(path, clips.box(b"clap", struct.pack(">8i", 96, 1, 48, 1, 0, 1, 0, 1)))
+    else:
+        clips.with_element(path, clips.element(0x54BB, b"\x08") + clips.element(0x54CC, b"\x10"))
+    video = Video(path)
+    assert video.shape == next(iter(video)).panorama.shape[:2] == (64, 128)
+    assert any("cropped" in fact and "not done" in fact for fact in video.facts)
+
+
 def test_a_video_that_says_nothing_and_is_not_2_to_1(tmp_path):
     video = Video(clips.clip(tmp_path / "a.mp4", [ROOM[:, :96]] * 3))
     assert video.shape == (64, 96)

@@ -91,10 +91,9 @@ def test_what_is_no_video(tmp_path, name):
         Video(tmp_path / name)
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
-def test_a_file_that_may_not_be_read(tmp_path):
+def test_a_file_that_may_not_be_read(tmp_path, monkeypatch):
     path = clips.clip(tmp_path / "a.mp4")
-    path.chmod(0)
+    monkeypatch.setattr("os.access", lambda *_: False)  # for root, all files are readable
     with pytest.raises(ImageError, match="cannot be read; make it readable"):
         Video(path)
 
@@ -185,7 +184,9 @@ def test_damage_in_the_middle(tmp_path):
     frames, error = clips.taken(Video(path))
     assert len(frames) == 39
     assert isinstance(error, ImageError)
-    assert f"1 of its packets could not be decoded, the first at {packet.pts / 1000:.2f} s" in str(error)
+    said = re.search(r"1 of its packets could not be decoded, the first near (\d\.\d\d) s", str(error))
+    assert said
+    assert packet.pts / 1000 - 0.01 < float(said[1]) < packet.pts / 1000 + 0.35  # decoding threads: 8 pictures at most
     assert frames[-1].stamp == pytest.approx(39 / 30, abs=1e-3)
 
 

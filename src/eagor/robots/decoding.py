@@ -30,7 +30,7 @@ CONVERT = "convert it, for example: ffmpeg -i {} -c:v libx264 -pix_fmt yuv420p c
 
 @dataclass
 class Damage:
-    """What could not be decoded: how many packets, and the time of the first (seconds)."""
+    """What could not be decoded: how many packets, and the time of the first (seconds; threads tell it late)."""
 
     packets: int = 0
     first: float = 0.0

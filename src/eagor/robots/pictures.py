@@ -14,14 +14,14 @@ from eagor.robots.projection import Projection, of_photograph
 from eagor.robots.xmp import GPANO, properties
 from eagor.worlds.panorama import FORMATS, read_panorama
 
-__all__ = ["Photograph", "read_photograph"]
+__all__ = ["PanoramaFile", "read_photograph"]
 
 JPEG_XMP = b"http://ns.adobe.com/xap/1.0/\0"  # how a JPEG's APP1 segment with XMP begins (XMP specification, part 3)
 
 
 @dataclass(frozen=True, eq=False)
-class Photograph:
-    """A picture of the whole sphere.
+class PanoramaFile:
+    """A picture of the whole sphere, and what its file says of it.
 
     `panorama` ``(H, W, 3)`` uint8; a cropped one is put on a black sphere, and the mask `unseen` ``(H, W)`` says where
     nothing is known (None: all is seen). `level_R_body`: None, or the rotation ``(3, 3)`` that makes it level.
@@ -35,7 +35,7 @@ class Photograph:
     facts: tuple[str, ...] = ()
 
 
-def read_photograph(path: str | os.PathLike[str]) -> Photograph:
+def read_photograph(path: str | os.PathLike[str]) -> PanoramaFile:
     """The photograph in the file at `path` (JPEG, PNG, WebP, ...).
 
     As `eagor.worlds.panorama.read_panorama` where the file says nothing of itself, with its warning about pictures that
@@ -49,17 +49,17 @@ def read_photograph(path: str | os.PathLike[str]) -> Photograph:
     if found is None:
         for warning in warned:
             warnings.warn(str(warning.message), UserWarning, stacklevel=2)
-        return Photograph(image)
+        return PanoramaFile(image)
     found.check(name)
     return _placed(image, found)
 
 
-def _placed(image: np.ndarray, found: Projection) -> Photograph:
+def _placed(image: np.ndarray, found: Projection) -> PanoramaFile:
     height, width = image.shape[:2]
     layout = found.layout(height, width)
     panorama = layout.place(resized(image, layout.size))
     tilted, turned = bool(found.pitch or found.roll), bool(found.yaw)
-    return Photograph(
+    return PanoramaFile(
         panorama,
         layout.unseen,
         found.level_R_body if tilted else None,

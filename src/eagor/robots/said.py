@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import BinaryIO
 
 from eagor.errors import FormatError, ImageError
-from eagor.robots.boxes import Movie, read_movie
+from eagor.robots.boxes import Movie, find, read_movie
 from eagor.robots.camm import read_camm
 from eagor.robots.insta360 import read_trailer
 from eagor.robots.matroska import read_head
@@ -78,4 +78,6 @@ def _of_movie(path: str, movie: Movie, file: BinaryIO) -> Said:
     if not movie.pictures:
         return Said(None, motion, movie.missing, "", facts, raw)
     picture = movie.pictures[0]
+    if find(picture.extensions, "clap") is not None:
+        facts += ("its pictures are to be cropped (box clap), which is not done",)
     return Said(of_track(picture), motion, movie.missing, picture.entry, facts, raw)

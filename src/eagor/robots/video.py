@@ -154,7 +154,7 @@ class Video:
             )
         if run.damage.packets:
             raise ImageError(
-                f"{self.path} is damaged: {run.damage.packets} of its packets could not be decoded, the first at "
+                f"{self.path} is damaged: {run.damage.packets} of its packets could not be decoded, the first near "
                 f"{run.damage.first - self._first.zero:.2f} s; {reached}, and {run.taken} pictures were taken. Copy it "
                 "again from the camera"
             )
