@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from eagor import perception as perception
     from eagor import plugins as plugins
     from eagor import queries as queries
+    from eagor import robots as robots
     from eagor import sphere as sphere
     from eagor import statistics as statistics
     from eagor import tasks as tasks
@@ -84,7 +85,7 @@ _HOME = {
 # The modules that `dir(eagor)` shows; the others are parts of these.
 _MODULES = (
     "baselines", "belief", "conventions", "drawing", "errors", "evaluation", "evidence", "grids", "harmonics",
-    "metrics", "perception", "plugins", "queries", "sphere", "statistics", "tasks", "tracking", "worlds",
+    "metrics", "perception", "plugins", "queries", "robots", "sphere", "statistics", "tasks", "tracking", "worlds",
 )  # fmt: skip
 _MOVED = {  # old names, which still work as attributes of `eagor`
     **dict.fromkeys(

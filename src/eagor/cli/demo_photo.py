@@ -86,7 +86,7 @@ def _photo(options: Demo, path: Path) -> int:
 
 def _read(path: Path) -> np.ndarray:
     try:
-        return read_frame(path)
+        return read_frame(path).panorama
     except ShapeError as error:
         raise ShapeError(f"{str(error).partition(';')[0]}; wanted a whole panorama: pad it to 2:1 first") from None
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -13,6 +14,7 @@ from eagor.cli.locate import as_angles, degrees, mode_as_json
 from eagor.cli.looking import ShapeError, is_input_fault, look_if_recorded
 from eagor.cli.poses import Pose
 from eagor.cli.steps import Step
+from eagor.cli.unseen import Unseen
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.perception import Perception
@@ -89,14 +91,15 @@ def follow(
     query: str,
     config: TrackerConfig,
     rivals: Callable[[], Mapping[str, Method]] = dict,
+    mask: Path | None = None,
 ) -> Iterator[Result]:
     """One result per frame, in order of time, with the directions of the `rivals`, which the function makes.
 
     A frame that cannot be used gives a result with a problem; the poses carry the belief over it. Where the poses are
-    lost, everything starts anew. Raises `EagorError` if no other frame could do better: a query without meaning, or a
+    lost, everything starts anew. What `mask` hides, or no frame shows, says nothing. Raises `EagorError` if no other frame could do better: a query without meaning, or a
     first frame that is not 2:1.
     """
-    tracker, others = DirectionTracker(config), rivals()
+    tracker, others, unseen = DirectionTracker(config), rivals(), Unseen(mask)
     before = first = fed = -math.inf
     for (poses, step), after in _with_next(_by_frame(steps)):
         stamp, read = step.pose.stamp, step.read
@@ -111,10 +114,12 @@ def follow(
         panorama, problem, now = None, None, stamp
         looks: tuple[Evidence, ...] = ()
         try:
-            panorama = None if read is None else read()
-            if step.looked and panorama is not None:
-                looks = look_if_recorded(perception, panorama, query, stamp, step.pose.world_R_body)
+            frame = None if read is None else read()
+            panorama = None if frame is None else frame.panorama
+            if step.looked and frame is not None:
+                looks = look_if_recorded(perception, frame.panorama, query, stamp, step.pose.world_R_body)
                 looks = _own(looks, before, stamp, math.inf if after is None else after[1].pose.stamp)
+                looks = unseen.covered(looks, frame)
         except EagorError as error:
             if is_input_fault(error) or (isinstance(error, ShapeError) and before == -math.inf):
                 raise

@@ -14,6 +14,7 @@ import numpy as np
 from eagor.cli import terminal
 from eagor.cli.looking import (
     check_not_read,
+    checked_frame,
     checked_picture,
     checked_query,
     first_stamp,
@@ -26,10 +27,13 @@ from eagor.cli.looking import (
     warn_of_detector,
 )
 from eagor.cli.options import Locate
+from eagor.cli.steps import LEAST_ROWS, is_video
 from eagor.cli.tables import table
+from eagor.cli.unseen import Unseen
 from eagor.drawing.words import STATUS, answer_in_words, distance_in_words, in_words, signed
 from eagor.evidence import Evidence
-from eagor.perception import short_name
+from eagor.perception import Perception, rows_of, short_name
+from eagor.robots.pictures import PanoramaFile
 from eagor.sphere import azimuth_elevation
 from eagor.tracking.estimate import Estimate, Mode
 from eagor.tracking.tracker import DirectionTracker
@@ -52,9 +56,10 @@ def locate(options: Locate) -> int:
     with table(options.out) if options.out is not None else nullcontext() as write:
         perception = make_perception(spec)
         stamp = first_stamp(perception, query) if options.stamp is None else options.stamp
-        panorama = read_frame(options.panorama, options.force)
+        frame = _frame(options, perception)
         tracker = DirectionTracker(config)
-        looks = look(perception, panorama, query, stamp)
+        looks = look(perception, frame.panorama, query, stamp, frame.level_R_body)
+        looks = Unseen(options.mask).covered(looks, frame)
         warn_of_detector(options.detector, looks)
         if options.floor is not None:  # the camera is where heights are counted from
             for at in sorted({_stamp(evidence) for evidence in looks}):
@@ -64,7 +69,7 @@ def locate(options: Locate) -> int:
         now = max(_stamp(evidence) for evidence in looks)
         estimate = tracker.estimate(now)
         if options.picture is not None:
-            _draw(options, options.picture, panorama, estimate)
+            _draw(options, options.picture, frame.panorama, estimate)
         found = _as_json(options, spec, estimate, now)
         if write is not None:
             write(found)
@@ -73,6 +78,20 @@ def locate(options: Locate) -> int:
     else:
         _print(options, spec, estimate)
     return terminal.OK
+
+
+def _frame(options: Locate, perception: Perception) -> PanoramaFile:
+    """The photograph, or the frame of a video at ``--stamp`` seconds."""
+    if not is_video([options.panorama]):
+        return read_frame(options.panorama, options.force)
+    from eagor.robots.video import Video
+
+    video = Video(options.panorama, start=options.stamp or 0.0, rows=max(rows_of(perception), LEAST_ROWS))
+    for fact in video.facts:
+        terminal.log(fact)
+    first = next(iter(video))
+    found = PanoramaFile(first.panorama, video.unseen, video.level_R_body)
+    return checked_frame(found, first.name, options.force)
 
 
 def _stamp(evidence: Evidence) -> float:

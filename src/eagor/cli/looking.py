@@ -9,12 +9,13 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 
 from eagor._files import written
-from eagor.cli.terminal import UsageError, warning
+from eagor.cli.terminal import UsageError, log, warning
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
 from eagor.evidence import BodyMask, Evidence
 from eagor.evidence.detector import parse_model
@@ -24,7 +25,9 @@ from eagor.perception.calibrated import Calibrated, read_calibrated
 from eagor.perception.colour import colour_in
 from eagor.perception.replay import ReplayPerception
 from eagor.tracking.config import TrackerConfig
-from eagor.worlds.panorama import read_panorama
+
+if TYPE_CHECKING:
+    from eagor.robots.pictures import PanoramaFile
 
 IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 MAX_DEGREE = 63
@@ -196,12 +199,33 @@ class ShapeError(ImageError):
     """A picture is not a whole panorama: its aspect ratio is not 2:1."""
 
 
-def read_frame(path: Path, force: bool = False, warn: bool = True) -> np.ndarray:
-    """The panorama in a file. Raises `ShapeError` if it is not 2:1; with `force` it warns instead (if `warn`)."""
+def read_frame(path: Path, force: bool = False, warn: bool = True) -> PanoramaFile:
+    """The panorama in a file, and what the file says of it; `ShapeError` and `force` as for `checked_frame`."""
+    from eagor.robots.pictures import read_photograph
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        panorama = read_panorama(path)
-    return checked_shape(panorama, str(path), force, warn)
+        found = read_photograph(path)
+    return checked_frame(found, str(path), force, warn)
+
+
+def checked_frame(frame: PanoramaFile, name: str, force: bool = False, warn: bool = True) -> PanoramaFile:
+    """`frame`, if it is a whole panorama; a seam that does not fit is said once, and so are facts (if `warn`).
+
+    Raises `ShapeError` if it is not 2:1, or shows the circles of fisheye lenses; with `force` it only warns.
+    """
+    checked_shape(frame.panorama, name, force, warn)
+    if not warn:
+        return frame
+    from eagor.robots.suspect import fisheye_circles, problems
+
+    for fact in frame.facts:
+        log(f"{name}: {fact}")
+    for problem in problems(frame.panorama):
+        if fisheye_circles(frame.panorama) and not force:
+            raise ShapeError(f"{name}: {problem}. To look at it all the same, add --force")
+        warning(f"{name}: {problem}")
+    return frame
 
 
 def checked_shape(panorama: np.ndarray, name: str, force: bool = False, warn: bool = True) -> np.ndarray:

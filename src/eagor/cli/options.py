@@ -62,6 +62,10 @@ Out = Annotated[
     Path | None,
     _bare("FILE", "Write the answer, one line per frame, to FILE.csv, FILE.jsonl or FILE.parquet (extra parquet)."),
 ]
+Mask = Annotated[
+    Path | None,
+    _bare("FILE.png", "What the camera never sees (tripod, robot's back): black there, white elsewhere, 2:1."),
+]
 Force = Annotated[
     bool,
     _bare(
@@ -112,7 +116,7 @@ class Locate(Common):
     runs: ClassVar[str] = "eagor.cli.locate:locate"
 
     panorama: Annotated[Path, Positional, arg(metavar="PANO")]
-    """An equirectangular image; its centre is forward."""
+    """An equirectangular image, or a 360-degree video; its centre is forward."""
     query: Annotated[str, Positional, arg(metavar="QUERY")]
     """What to look for, in words."""
     perception: Annotated[str | None, _bare("NAME")] = None
@@ -131,10 +135,11 @@ class Locate(Common):
     """Calibration of the perception, from `eagor calibrate`."""
     detector: Detector = None
     stamp: Annotated[float | None, _bare("SECONDS")] = None
-    """Time of the replay record to use (default: the first record for this query)."""
+    """Time of the replay record to use (default: the first record for this query), or of a video's frame."""
     picture: Annotated[Path | None, _bare("FILE.png")] = None
     """Draw the belief over the panorama."""
     out: Out = None
+    mask: Mask = None
     force: Force = False
 
 
@@ -180,9 +185,11 @@ class Track(Common):
     """Run the baselines on the same evidence as well."""
     degree: Whole = 15
     """Degree of the spherical harmonics, 1 to 63."""
+    modes: Modes = 3
     picture: Annotated[Path | None, arg(name="pictures", metavar="DIR", help_behavior_hint="")] = None
     """Draw each frame with the belief into this folder."""
     out: Out = None
+    mask: Mask = None
     force: Force = False
 
 

@@ -15,16 +15,18 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from eagor.cli.looking import checked_shape, find_frames, read_frame
+from eagor.cli.looking import checked_frame, find_frames, read_frame
 from eagor.cli.poses import Pose, pair
 from eagor.cli.terminal import UsageError
 from eagor.errors import EagorError, PoseError
+from eagor.robots.pictures import PanoramaFile
 from eagor.tracking.poses import PoseHistory
 
 VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")
+LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
 BEYOND = 0.05  # seconds: a frame so far outside of the poses still takes the nearest one
 
-Read = Callable[[], np.ndarray]
+Read = Callable[[], PanoramaFile]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +57,11 @@ class Source(Protocol):
         """The frames."""
         ...
 
+    @property
+    def level_R_body(self) -> np.ndarray | None:
+        """The rotation ``(3, 3)`` that makes the first frame level, if the file says so."""
+        ...
+
 
 @dataclass(frozen=True)
 class Images:
@@ -67,6 +74,10 @@ class Images:
     @property
     def count(self) -> int:
         return len(self.paths)
+
+    @property
+    def level_R_body(self) -> np.ndarray | None:
+        return None
 
     def frames(self) -> Iterator[tuple[float, str, Read]]:
         for number, path in enumerate(self.paths):
@@ -84,9 +95,14 @@ class Film:
     def count(self) -> int | None:
         return self.video.count
 
+    @property
+    def level_R_body(self) -> np.ndarray | None:
+        return self.video.level_R_body
+
     def frames(self) -> Iterator[tuple[float, str, Read]]:
         for number, frame in enumerate(self.video):
-            yield frame.stamp, frame.name, partial(checked_shape, frame.panorama, frame.name, self.force, number == 0)
+            found = PanoramaFile(frame.panorama, self.video.unseen)
+            yield frame.stamp, frame.name, partial(checked_frame, found, frame.name, self.force, number == 0)
 
 
 def is_video(places: Sequence[Path]) -> bool:
@@ -143,18 +159,23 @@ def with_sight(source: Source, level: bool) -> Iterator[Step]:
     """Frames with the orientations that the pictures themselves tell (`eagor.robots.rotation`)."""
     from eagor.robots.rotation import VisualOdometer
 
-    odometer, turn, met = VisualOdometer(level=level), np.eye(3), False
+    odometer, met = VisualOdometer(level=level), False
+    upright = np.eye(3) if source.level_R_body is None else source.level_R_body
+    turn = upright
     for stamp, frame, read in source.frames():
-        lost = False
         try:
-            panorama = read()
+            found = read()
         except EagorError:  # the caller meets it again, and says so
             yield Step(Pose(stamp, turn, None, frame), frame, read)
             continue
-        found = odometer.add(panorama)
-        turn, lost = found.world_R_body, found.lost and met
+        turned = odometer.add(found.panorama)
+        turn = upright @ turned.world_R_body
+        yield Step(Pose(stamp, turn, None, frame), frame, partial(_same, found), lost=turned.lost and met)
         met = True
-        yield Step(Pose(stamp, turn, None, frame), frame, lambda panorama=panorama: panorama, lost=lost)
+
+
+def _same(found: PanoramaFile) -> PanoramaFile:
+    return found
 
 
 def thinned(steps: Iterator[Step], rate: float | None) -> Iterator[Step]:

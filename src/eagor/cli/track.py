@@ -32,7 +32,7 @@ from eagor.cli.looking import (
 )
 from eagor.cli.options import Track, given
 from eagor.cli.poses import Pose, read_poses
-from eagor.cli.steps import Film, Source, Step, images, is_video, thinned, with_file, with_imu, with_sight
+from eagor.cli.steps import LEAST_ROWS, Film, Source, Step, images, is_video, thinned, with_file, with_imu, with_sight
 from eagor.cli.tables import table
 from eagor.drawing.words import answer_in_words
 from eagor.errors import ImageError
@@ -40,9 +40,7 @@ from eagor.perception import Perception, rows_of
 
 MOST_DRIFT = 90  # degrees
 RATE, FPS = 2.0, 10.0  # looks and frames per second of a video
-LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
 RATE, FPS = 2.0, 10.0  # looks and frames per second of a video
-LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
 STATUS_WIDTH = len("ambiguous, held")
 WIDTH = 2 + max(len("-180.0/-90.0"), *map(len, RIVALS))  # of a rival's column
 
@@ -70,7 +68,7 @@ def track(options: Track) -> int:
     with ExitStack() as stack:
         keep = [stack.enter_context(sink) for sink in _sinks(options, query, spec, journey)]
         advance = stack.enter_context(terminal.progress("looking", journey.count or 0, shown=not options.json))
-        results = follow(journey.steps, perception, query, config, rivals)
+        results = follow(journey.steps, perception, query, config, rivals, options.mask)
         for result in _until_it_breaks(results, run):
             run.add(result)
             for each in keep:
@@ -103,7 +101,7 @@ def _journey(options: Track, places: Sequence[Path], perception: Perception) -> 
 
         looks = options.rate or RATE
         shown = looks if options.video is None else max(looks, options.fps or FPS)
-        rows = max(rows_of(perception) or 0, LEAST_ROWS)
+        rows = max(rows_of(perception), LEAST_ROWS)
         video = Video(places[0], rate=shown, start=options.start, end=options.end, rows=rows)
         for fact in video.facts:
             terminal.log(fact)
