@@ -362,7 +362,7 @@ def test_each_patch_of_a_colour_is_one_detection(azimuth, elevation):
         wanted = direction(*np.radians(where))
         assert math.degrees(float(angular_distance(found.directions[index], wanted))) < 0.5
         spread = np.degrees(1 / np.linalg.norm(found.axes[index], axis=-1))
-        assert spread == pytest.approx(math.hypot(radius / 2, 4), rel=0.05)  # a disc has half its radius
+        assert spread == pytest.approx(math.hypot(radius / 2, 5), rel=0.05)  # a disc has half its radius
     assert found.scores.min() > 0.9
 
 

@@ -11,6 +11,7 @@ from mutations import as_text, damaged, reads, trees
 
 from eagor.cli.poses import read_poses
 from eagor.evaluation import ledger, predictions
+from eagor.evaluation.replayed import read_truth
 from eagor.evidence import Evidence
 from eagor.perception.calibrated import Calibrated, read_calibrated
 from eagor.perception.replay import ReplayPerception, read_records
@@ -28,6 +29,14 @@ RECORDS = [
     {"stamp": 3.5, "points": [{"azimuth_deg": 30, "elevation_deg": -5, "spread_deg": 4, "score": 0.9}]},
     {"stamp": 4, "response": {"rows": 2, "cols": 4, "values": [0, 0.1, 0.2, 0.3, 1, 0, 0, 0.5]}},
     {"stamp": 5, "image": VIEW | {"yaw_left_deg": 30, "pitch_up_deg": 10}, "points": []},
+    {
+        "stamp": 6,
+        "image": VIEW | {"roll_right_deg": 8},
+        "look": "a",
+        "scores": "logit",
+        "boxes": [{"box": [1, 1, 9, 9]}],
+    },
+    {"stamp": 6.1, "image": VIEW | {"qw": 1, "qx": 0, "qy": 0, "qz": 0}, "look": "a", "_note": 1, "boxes": []},
 ]
 CALIBRATION = {
     "perception": "scout",
@@ -101,6 +110,21 @@ def test_replays(folder, blob):
         perception = ReplayPerception(path)
         look = reads(lambda: perception(None, "red chair", stamp=found[0].stamp), "looks.jsonl")
         assert look is None or isinstance(look, Evidence)
+
+
+TRUTHS = [
+    {"stamp": 1.0, "query": "red chair", "targets": [{"azimuth_deg": 30, "elevation_deg": -5}], "group": "one"},
+    {"stamp": 2, "query": "fridge", "targets": []},
+]
+
+
+@given(blobs(*TRUTHS))
+def test_true_directions(folder, blob):
+    path = folder / "truth.jsonl"
+    path.write_bytes(blob)
+    for truth in reads(lambda: read_truth(path), "truth.jsonl", also=("line ", "cannot be read", "no true")) or ():
+        assert math.isfinite(truth.stamp)
+        assert np.linalg.norm(truth.targets, axis=1) == pytest.approx(1)
 
 
 @given(objects(CALIBRATION))

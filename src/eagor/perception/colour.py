@@ -45,12 +45,8 @@ class Colour:
 
 LEVEL = 0.5  # likeness from which on a cell belongs to a region
 LEAST = 1.5  # least weight of a region, in the largest cells: two cells in a row weigh 1 and may be noise, a thing 4
-# Across: smaller regions are specks and fringes. With finer rows, photographs have five times as many of these.
+# Across, in a panorama: smaller regions are specks and fringes. With finer rows, photographs have five times as many.
 SMALLEST = math.radians(1)
-# Of a region's middle about the direction of the thing, which has other colours too and may be hidden in part. Of 17
-# things in four photographs, most answers lie on the right one at 4 (8; 6 or 7 at 2, 3, 5 and 6 degrees). Rendered
-# balls alone want 1.5 degrees.
-SPREAD = math.radians(4)
 
 
 def _above(low: float, high: float) -> Interval:
@@ -100,15 +96,14 @@ class ColourPerception:
             thing has to cover two cells each way to count in full; single cells do not count. With 256 rows, things
             from 2 degrees across on are found (half of those of 1.6 degrees), with 512 from 1 degree on, at 2.5 times
             the cost.
-        detector: error model of the detections (default: a spread of 4 degrees, and half of the mistakes repeat, since
-            colours do not change).
+        detector: error model of the detections (default: half of the mistakes repeat, since colours do not change).
 
     Raises `EagorError` for less than one row.
     """
 
     calibration: Calibration | None = None
     rows: int = 256
-    detector: DetectorModel = field(default_factory=lambda: DetectorModel(spread=SPREAD, repeats=0.5))
+    detector: DetectorModel = field(default_factory=lambda: DetectorModel(repeats=0.5))
 
     def __post_init__(self) -> None:
         require(self, {"rows": (whole(self.rows, 1), "a whole number, 1 or more")})
@@ -135,7 +130,9 @@ class ColourPerception:
     ) -> Evidence:
         if self.calibration is not None:
             return Evidence.from_response(response, cells, calibration=self.calibration, stamp=stamp)
-        least = max(LEAST * float(cells.weights.max()), math.pi / 4 * SMALLEST**2)
+        least = LEAST * float(cells.weights.max())
+        if isinstance(cells, PatchGrid):
+            least = max(least, math.pi / 4 * SMALLEST**2)
         return spread_evidence(blobs(response, cells, LEVEL, least), self.detector, View(seen), stamp)
 
     def respond(self, panorama: np.ndarray, query: str) -> np.ndarray:
