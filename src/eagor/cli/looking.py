@@ -17,7 +17,7 @@ from PIL import Image
 from eagor._files import written
 from eagor.cli.terminal import UsageError, log, warning
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
-from eagor.evidence import BodyMask, Evidence
+from eagor.evidence import Evidence
 from eagor.evidence.detector import parse_model
 from eagor.perception import Perception, load, short_name
 from eagor.perception import look as one_look
@@ -263,17 +263,11 @@ def look(
     query: str,
     stamp: float,
     world_R_body: np.ndarray | None = None,
-    mask: BodyMask | None = None,
 ) -> tuple[Evidence, ...]:
-    """The evidence of `perception`: one, or one per view if a replay has several views of one moment.
-
-    `mask`: what the camera never sees is left out.
-    """
+    """The evidence of `perception`: one, or one per view if a replay has several views of one moment."""
     if isinstance(perception, ReplayPerception):
-        found = perception.looks(query, stamp)
-    else:
-        found = (one_look(perception, panorama, query, stamp=stamp, world_R_body=world_R_body),)
-    return found if mask is None else tuple(evidence.covered(mask) for evidence in found)
+        return perception.looks(query, stamp)
+    return (one_look(perception, panorama, query, stamp=stamp, world_R_body=world_R_body),)
 
 
 def look_if_recorded(
@@ -282,11 +276,10 @@ def look_if_recorded(
     query: str,
     stamp: float,
     world_R_body: np.ndarray | None = None,
-    mask: BodyMask | None = None,
 ) -> tuple[Evidence, ...]:
     """As `look`, but empty if a replay has no line for this time."""
     try:
-        return look(perception, panorama, query, stamp, world_R_body, mask)
+        return look(perception, panorama, query, stamp, world_R_body)
     except TimeError:
         if isinstance(perception, ReplayPerception):
             return ()
