@@ -96,8 +96,8 @@ def follow(
     """One result per frame, in order of time, with the directions of the `rivals`, which the function makes.
 
     A frame that cannot be used gives a result with a problem; the poses carry the belief over it. Where the poses are
-    lost, everything starts anew. What `mask` hides, or no frame shows, says nothing. Raises `EagorError` if no other frame could do better: a query without meaning, or a
-    first frame that is not 2:1.
+    lost, everything starts anew. What `mask` hides, or no frame shows, says nothing. Raises `EagorError` if no other
+    frame could do better: a query without meaning, or a first frame that is not 2:1.
     """
     tracker, others, unseen = DirectionTracker(config), rivals(), Unseen(mask)
     before = first = fed = -math.inf

@@ -1,0 +1,172 @@
+"""How a 360-degree camera turns, from its panoramas alone."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from eagor.robots.features import Features, features_of, match
+from eagor.robots.two_views import Turn, turn_between
+
+__all__ = ["Turned", "VisualOdometer"]
+
+MOST_KEYS = 48  # key frames in memory, about 1 MB each
+THIN = 0.15  # share of a frame's points found again in a key frame; below it the frame becomes a key frame itself
+FEWEST = 8  # points: so few that match cannot be told from chance, or hardly
+_CONSISTENT = 16.3  # chi-square with three degrees of freedom, exceeded once in 1000
+_UNKNOWN = math.sqrt(math.pi**2 / 9 + 2 / 3)  # radians per axis: a rotation of which nothing is known (uniform, SO(3))
+_UNKNOWN_YAW = math.pi / math.sqrt(3)  # radians: a heading of which nothing is known
+
+
+@dataclass(frozen=True, eq=False)
+class Turned:
+    """Where the camera points.
+
+    `world_R_body` ``(3, 3)``; the first picture's body frame is the world, or that of the last picture with `lost`.
+    `spread`: standard deviation of the error, radians per axis (of the heading, if level). `lost`: True if this picture
+    could not be related to those before it, so that the world starts anew. `matches`: points that agree; 0 for a
+    picture in which there is nothing to see: then the rotation is the last known one, and the spread grows.
+    """
+
+    world_R_body: np.ndarray
+    spread: float
+    lost: bool
+    matches: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Key:
+    """A frame to compare with: its points, its pose, the covariance ``(3, 3)`` of the pose (world axes)."""
+
+    features: Features
+    world_R_body: np.ndarray
+    covariance: np.ndarray
+
+
+class VisualOdometer:
+    """The rotation of a camera, panorama by panorama. `level`: the pictures stay level, and only the heading turns.
+
+    Each picture is compared with key frames: the one that fitted last, the first one, and one of the others in turn, so
+    that a camera that comes back loses its drift. The answer with the least uncertainty counts. A new key frame is made
+    where few points are found again. The state grows to at most `MOST_KEYS` key frames. Not for several threads.
+    """
+
+    def __init__(self, *, level: bool = False) -> None:
+        self.level = level
+        self._keys: list[_Key] = []
+        self._reference = 0  # the key frame that fitted last
+        self._turn = 0  # the key frame whose turn it is
+        self._previous: _Key | None = None  # the last picture that was found
+        self._held = 0  # pictures without information since then
+        self._squares, self._steps = 0.0, 0  # of the turns from picture to picture (radians), and how many
+        self._shares = (1.0, 4.0)  # points found again and points there, in frames found (a guess to begin with)
+
+    def add(self, panorama: np.ndarray) -> Turned:
+        """The rotation at the next picture ``(H, W, 3)`` uint8; sizes may change from picture to picture.
+
+        Raises `ImageError` for another array, and `MissingExtraError` without OpenCV.
+        """
+        features = features_of(panorama)
+        if not self._keys:
+            blind = self._previous is not None and len(features) < FEWEST
+            return self._hold() if blind else self._begin(features)
+        found = self._found(features)
+        if found is None:
+            expected = len(features) * self._shares[0] / self._shares[1]
+            return self._hold() if expected < FEWEST else self._begin(features)
+        now, turn, share = found
+        matches = int(turn.inliers.sum())
+        self._learn(now, share)
+        if share < THIN:
+            self._add_key(now)
+        self._previous, self._held = now, 0
+        return Turned(now.world_R_body, self._spread(now.covariance), False, matches)
+
+    def _begin(self, features: Features) -> Turned:
+        """The world starts with this picture, unless there is nothing in it."""
+        anew = self._previous is not None
+        start = _Key(features, np.eye(3), np.zeros((3, 3)))
+        self._previous, self._held = start, 0
+        self._keys = [start] if len(features) >= FEWEST else []
+        self._reference = self._turn = 0
+        return Turned(start.world_R_body, 0.0, anew, 0)
+
+    def _hold(self) -> Turned:
+        """The last known rotation; the camera may go on turning as fast as it did."""
+        assert self._previous is not None
+        self._held += 1
+        most = _UNKNOWN_YAW if self.level else _UNKNOWN
+        axes = 1 if self.level else 3
+        rate = math.sqrt(self._squares / self._steps / axes) if self._steps else most
+        spread = math.hypot(self._spread(self._previous.covariance), rate * self._held)
+        return Turned(self._previous.world_R_body, min(spread, most), False, 0)
+
+    def _found(self, features: Features) -> tuple[_Key, Turn, float] | None:
+        """This picture as a key frame, the turn that tells most about it, and the largest share of points found."""
+        self._turn = (self._turn + 1) % len(self._keys)
+        indices = dict.fromkeys((self._reference, 0, self._turn))
+        results = {index: self._compared(self._keys[index], features) for index in indices}
+        agreed = {index: result for index, result in results.items() if result is not None}
+        best, most = None, 0.0
+        if agreed:
+            surest = max(agreed.values(), key=lambda result: result[1].inliers.sum())
+            most = _share(surest[1], features)
+            alike = [index for index, result in agreed.items() if _alike(surest[0], result[0])]
+            self._reference = min(alike, key=lambda index: np.trace(agreed[index][0].covariance))
+            best = agreed[self._reference]
+        if best is None and self._previous is not None:
+            best = self._compared(self._previous, features)
+            if best is not None:  # no key frame shows enough; the previous picture does
+                self._add_key(self._previous)
+                most = _share(best[1], features)
+        if best is None:
+            for index in range(len(self._keys)):
+                best = self._compared(self._keys[index], features)
+                if best is not None:
+                    self._reference, most = index, _share(best[1], features)
+                    break
+        return None if best is None else (*best, most)
+
+    def _compared(self, key: _Key, features: Features) -> tuple[_Key, Turn] | None:
+        """This picture's pose by way of one key frame."""
+        old, new = match(key.features, features)
+        turn = turn_between(key.features.directions[old], features.directions[new], level=self.level)
+        if turn is None:
+            return None
+        covariance = key.covariance + key.world_R_body @ turn.covariance @ key.world_R_body.T
+        return _Key(features, key.world_R_body @ turn.old_R_new, covariance), turn
+
+    def _add_key(self, key: _Key) -> None:
+        """Keep a key frame; beyond the limit the oldest but one goes."""
+        self._keys.append(key)
+        if len(self._keys) > MOST_KEYS:
+            del self._keys[1]
+        self._reference = len(self._keys) - 1
+
+    def _learn(self, now: _Key, share: float) -> None:
+        """How fast the camera turns, and how many points are found again."""
+        assert self._previous is not None
+        if not self._held:
+            cosine = (np.trace(self._previous.world_R_body.T @ now.world_R_body) - 1) / 2
+            self._squares += math.acos(min(max(float(cosine), -1.0), 1.0)) ** 2
+            self._steps += 1
+        again, there = self._shares
+        self._shares = again + share, there + 1
+
+    def _spread(self, covariance: np.ndarray) -> float:
+        return math.sqrt(float(np.trace(covariance)) / (1 if self.level else 3))
+
+
+def _share(turn: Turn, features: Features) -> float:
+    """The share of the picture's points that were found again."""
+    return float(turn.inliers.sum()) / max(len(features), 1)
+
+
+def _alike(a: _Key, b: _Key) -> bool:
+    """Whether two poses differ by no more than their uncertainties explain."""
+    from scipy.spatial.transform import Rotation
+
+    gap = Rotation.from_matrix(a.world_R_body @ b.world_R_body.T).as_rotvec()
+    return float(gap @ np.linalg.pinv(a.covariance + b.covariance) @ gap) < _CONSISTENT

@@ -1,0 +1,256 @@
+"""How a camera turned, from matched directions and from panoramas alone."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from moving_rooms import PatternRoom
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from eagor.robots.features import features_of, match
+from eagor.robots.rotation import VisualOdometer
+from eagor.robots.two_views import turn_between
+from eagor.sphere import angular_distance, world_R_body
+from eagor.worlds.panorama import read_panorama, turn
+
+pytest.importorskip("cv2")
+PHOTOGRAPHS = sorted((Path(__file__).parents[2] / ".." / "shared" / "panoramas").glob("*.png"))
+NOISE = math.radians(0.2)
+SEEDS = st.integers(0, 1999)
+BLACK = np.zeros((256, 512, 3), np.uint8)
+
+
+def scattered(random, count):
+    vectors = random.normal(size=(count, 3))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def noisy(random, vectors, noise=NOISE):
+    vectors = vectors + random.normal(size=vectors.shape) * noise / math.sqrt(2)  # both views err
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def pairs(seed, count=400, good=0.7, step=0.0, level=False):
+    """Directions seen before and after a random turn and a step (metres), things at 1 to 5 m: old, new, truth, way."""
+    random = np.random.default_rng(seed)
+    truth = world_R_body(random.uniform(-3, 3)) if level else Rotation.random(rng=random).as_matrix()
+    way = scattered(random, 1)[0]
+    things = scattered(random, count) * random.uniform(1, 5, (count, 1))
+    after = things - step * way
+    new = noisy(random, after / np.linalg.norm(after, axis=1, keepdims=True)) @ truth
+    wrong = random.random(count) > good
+    new[wrong] = scattered(random, int(wrong.sum()))
+    return noisy(random, things / np.linalg.norm(things, axis=1, keepdims=True)), new, truth, way
+
+
+def gap(a, b):
+    """Angle between two rotations, degrees."""
+    return math.degrees(Rotation.from_matrix(a @ b.T).magnitude())
+
+
+@given(SEEDS, st.floats(0.3, 1.0))
+@settings(max_examples=6, deadline=None)
+def test_a_turn_is_found_among_mistakes(seed, good):
+    old, new, truth, _ = pairs(seed, good=good)
+    found = turn_between(old, new)
+    assert found is not None
+    assert gap(found.old_R_new, truth) < 0.15
+    assert abs(found.inliers.mean() - good) < 0.15
+
+
+@given(SEEDS, st.sampled_from([0.05, 0.2, 0.5, 1.0]))
+@settings(max_examples=6, deadline=None)
+def test_a_camera_that_moves_as_well(seed, step):
+    old, new, truth, way = pairs(seed, step=step)
+    found = turn_between(old, new)
+    assert found is not None
+    assert gap(found.old_R_new, truth) < 0.3
+    assert found.direction is not None, "parallax is seen"
+    assert angular_distance(found.direction, way) < math.radians(6)
+
+
+def test_a_pure_rotation_errs_where_the_camera_moves():
+    errors = []
+    for seed in range(5):
+        old, new, truth, _ = pairs(seed, step=0.5)
+        rotated = turn_between(old, new, moves=False)
+        moved = turn_between(old, new)
+        errors.append([math.nan if each is None else gap(each.old_R_new, truth) for each in (rotated, moved)])
+    assert np.nanmean(errors, axis=0)[0] > 5 * np.mean(errors, axis=0)[1]
+
+
+def test_a_camera_that_stands_is_not_said_to_move():
+    moved = [turn_between(*pairs(seed)[:2]) for seed in range(8)]
+    assert sum(each is not None and each.direction is not None for each in moved) <= 1
+
+
+@pytest.mark.parametrize("step", [0.0, 0.3])
+def test_the_uncertainty_is_honest(step):
+    distances = []
+    for seed in range(25):
+        old, new, truth, _ = pairs(seed, count=200, step=step)
+        found = turn_between(old, new)
+        assert found is not None
+        error = Rotation.from_matrix(found.old_R_new @ truth.T).as_rotvec()
+        distances.append(error @ np.linalg.solve(found.covariance, error))
+    inside = np.mean(np.array(distances) < chi2.ppf(0.9, 3))
+    assert 0.8 <= inside <= 1.0
+    assert 0.4 < np.mean(distances) / 3 < 1.5
+
+
+@given(SEEDS, st.integers(0, 60))
+@settings(max_examples=5, deadline=None)
+def test_unrelated_directions_do_not_agree(seed, count):
+    random = np.random.default_rng(seed)
+    assert turn_between(scattered(random, count), scattered(random, count)) is None
+
+
+@given(SEEDS)
+@settings(max_examples=6, deadline=None)
+def test_one_thing_seen_in_two_rooms_is_no_agreement(seed):
+    random = np.random.default_rng(seed)
+    thing = noisy(random, np.tile(scattered(random, 1), (40, 1)), 0.1)
+    old = np.concatenate([scattered(random, 20), thing])
+    new = np.concatenate([scattered(random, 20), thing @ Rotation.random(rng=random).as_matrix()])
+    assert turn_between(old, new) is None
+
+
+@pytest.mark.parametrize("share", [0.1, 0.25])
+def test_what_is_fixed_to_the_camera_does_not_stop_it(share):
+    """A tripod over a share of the sphere, with five times as many points as the room has there."""
+    for seed in range(2):
+        random = np.random.default_rng(seed)
+        old, new, truth, _ = pairs(seed, good=0.8)
+        tripod = scattered(random, 1500)
+        tripod = tripod[tripod[:, 2] < 2 * share - 1]
+        room = (old[:, 2] > 2 * share - 1) & (new[:, 2] > 2 * share - 1)
+        found = turn_between(np.concatenate([old[room], tripod]), np.concatenate([new[room], tripod]))
+        assert found is not None
+        assert gap(found.old_R_new, truth) < 0.3
+
+
+@given(SEEDS)
+@settings(max_examples=3, deadline=None)
+def test_another_body_frame_turns_the_answer_along(seed):
+    old, new, _, _ = pairs(seed)
+    other = Rotation.random(rng=np.random.default_rng(seed + 1)).as_matrix()
+    first, second = turn_between(old, new), turn_between(old, new @ other)
+    assert first is not None
+    assert second is not None
+    assert gap(first.old_R_new @ other, second.old_R_new) < 0.01
+
+
+@given(SEEDS, st.sampled_from([0.0, 0.3]))
+@settings(max_examples=5, deadline=None)
+def test_a_level_camera_turns_about_the_vertical_only(seed, step):
+    old, new, truth, _ = pairs(seed, step=step, level=True)
+    found = turn_between(old, new, level=True)
+    assert found is not None
+    assert gap(found.old_R_new, truth) < 0.2
+    assert np.allclose(found.old_R_new[2], [0, 0, 1])
+    assert np.count_nonzero(found.covariance) == 1
+
+
+def test_the_same_pairs_give_the_same_turn_whatever_was_drawn_before():
+    old, new, _, _ = pairs(3, step=0.2)
+    first = turn_between(old, new)
+    before = np.random.get_state()[1].copy()  # noqa: NPY002 - that it is left alone
+    second = turn_between(old, new)
+    assert first is not None
+    assert second is not None
+    assert np.array_equal(first.old_R_new, second.old_R_new)
+    assert np.array_equal(before, np.random.get_state()[1])  # noqa: NPY002
+
+
+def test_points_are_found_again_at_the_seam_and_the_poles():
+    room = PatternRoom(1)
+    pose = Rotation.from_euler("yx", [90, 20], degrees=True).as_matrix()
+    old, new = features_of(room.panorama(np.eye(3))), features_of(room.panorama(pose))
+    a, b = match(old, new)
+    there = new.directions[b] @ pose.T
+    right = angular_distance(old.directions[a], there) < math.radians(1)
+    assert right.mean() > 0.8
+    for where in ([0, 0, 1], [0, 0, -1], [-1, 0, 0]):
+        assert (angular_distance(old.directions[a][right], np.array(where)) < math.radians(25)).sum() > 5
+
+
+def test_a_tumbling_camera_hardly_drifts():
+    room, odometer = PatternRoom(2), VisualOdometer()
+    for index in range(6):
+        pose = Rotation.from_rotvec(np.array([0.5, 0.6, -0.4]) * index).as_matrix()
+        turned = odometer.add(room.panorama(pose))
+        assert not turned.lost
+        assert gap(turned.world_R_body, pose) < 0.1
+        assert math.radians(gap(turned.world_R_body, pose)) <= 5 * turned.spread
+    assert turned.matches > 100
+
+
+def test_a_camera_that_walks_and_comes_back_loses_its_drift():
+    room, odometer = PatternRoom(3), VisualOdometer()
+    spreads = []
+    for index in range(7):
+        along = 0.5 * min(index, 6 - index)
+        pose = Rotation.from_rotvec(np.array([0.02, 0.03, 0.2]) * index).as_matrix()
+        turned = odometer.add(room.panorama(pose, (along - 1, 0.3 * along, 0.1)))
+        assert not turned.lost
+        assert gap(turned.world_R_body, pose) < 0.5
+        spreads.append(turned.spread)
+    assert spreads[-1] < max(spreads)
+    assert gap(turned.world_R_body, pose) < 0.1
+
+
+def test_another_room_is_a_new_world():
+    first, second, odometer = PatternRoom(4), PatternRoom(5), VisualOdometer()
+    start, later = world_R_body(0.5, 0.2), world_R_body(1.0, 0.1, 0.3)
+    assert not odometer.add(first.panorama(np.eye(3))).lost
+    assert not odometer.add(first.panorama(start)).lost
+    cut = odometer.add(second.panorama(start))
+    assert cut.lost
+    assert np.array_equal(cut.world_R_body, np.eye(3))
+    after = odometer.add(second.panorama(later))
+    assert not after.lost
+    assert gap(after.world_R_body, start.T @ later) < 0.1
+
+
+def test_a_black_picture_is_waited_out():
+    room, odometer = PatternRoom(6), VisualOdometer()
+    odometer.add(room.panorama(np.eye(3)))
+    known = odometer.add(room.panorama(world_R_body(0.2)))
+    held = [odometer.add(BLACK) for _ in range(3)]
+    assert not any(each.lost for each in held)
+    assert all(np.array_equal(each.world_R_body, known.world_R_body) and each.matches == 0 for each in held)
+    spreads = [known.spread, *(each.spread for each in held)]
+    assert np.all(np.diff(spreads) > 0), "the camera may have turned on"
+    again = odometer.add(room.panorama(world_R_body(0.9)))
+    assert not again.lost
+    assert gap(again.world_R_body, world_R_body(0.9)) < 0.1
+    assert again.spread < 0.01
+
+
+def test_a_world_that_begins_black_begins_with_the_first_thing_seen():
+    odometer = VisualOdometer()
+    assert not odometer.add(BLACK).lost
+    assert odometer.add(BLACK).spread > 1, "nothing at all is known"
+    assert odometer.add(PatternRoom(6).panorama(np.eye(3))).lost
+
+
+def test_a_level_odometer_gives_headings():
+    room, odometer = PatternRoom(7), VisualOdometer(level=True)
+    for index in range(4):
+        turned = odometer.add(room.panorama(world_R_body(0.7 * index), (0.2 * index, 0, 0)))
+        assert np.allclose(turned.world_R_body[2], [0, 0, 1])
+        assert gap(turned.world_R_body, world_R_body(0.7 * index)) < 0.3
+
+
+@pytest.mark.skipif(not PHOTOGRAPHS, reason="the shared photographs are not here")
+def test_photographs_turned_by_known_rotations():
+    picture, odometer = read_panorama(PHOTOGRAPHS[0]), VisualOdometer()
+    for index in range(5):
+        pose = Rotation.from_rotvec(np.array([0.5, 0.8, 0.5]) * index).as_matrix()
+        turned = odometer.add(turn(picture, pose.T))
+        assert not turned.lost
+        assert gap(turned.world_R_body, pose) < 0.1

@@ -1,0 +1,72 @@
+"""Odd pictures given to the odometer: an error that says what is wrong, or a documented answer."""
+
+import math
+
+import numpy as np
+import pytest
+from moving_rooms import PatternRoom
+
+from eagor.errors import ImageError, MissingExtraError
+from eagor.robots.rotation import VisualOdometer
+from eagor.sphere import world_R_body
+
+pytest.importorskip("cv2")
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        np.zeros((64, 128, 3)),
+        np.zeros((64, 128), np.uint8),
+        np.zeros((64, 128, 4), np.uint8),
+        np.zeros((0, 0, 3), np.uint8),
+    ],
+)
+def test_other_arrays_are_refused_and_change_nothing(picture):
+    room, odometer = PatternRoom(1), VisualOdometer()
+    odometer.add(room.panorama(np.eye(3)))
+    with pytest.raises(ImageError, match="uint8"):
+        odometer.add(picture)
+    assert not odometer.add(room.panorama(world_R_body(0.3))).lost
+
+
+@pytest.mark.parametrize("shape", [(1, 2), (1, 1), (2, 4), (3, 7), (16, 32), (50, 10)])
+@pytest.mark.parametrize("level", [False, True])
+def test_tiny_and_blank_pictures_hold_the_rotation(shape, level):
+    odometer = VisualOdometer(level=level)
+    for picture in (np.zeros((*shape, 3), np.uint8), np.full((*shape, 3), 255, np.uint8)):
+        turned = odometer.add(picture)
+        assert np.array_equal(turned.world_R_body, np.eye(3))
+        assert turned.matches == 0
+        assert math.isfinite(turned.spread)
+
+
+def test_sizes_may_change_from_picture_to_picture():
+    room, odometer = PatternRoom(2), VisualOdometer()
+    for index, rows in enumerate((256, 200, 384)):
+        pose = world_R_body(0.2 * index, 0.1 * index)
+        turned = odometer.add(room.panorama(pose, rows=rows))
+        assert not turned.lost
+        assert np.abs(turned.world_R_body - pose).max() < 0.005
+
+
+def test_noise_alone_is_never_recognised():
+    random, odometer = np.random.default_rng(0), VisualOdometer()
+    turned = [odometer.add(random.integers(0, 256, (128, 256, 3), dtype=np.uint8)) for _ in range(5)]
+    assert all(each.lost for each in turned[1:])
+
+
+def test_pictures_of_the_same_frame_are_not_written_to():
+    picture = PatternRoom(3).panorama(np.eye(3))
+    picture.setflags(write=False)
+    odometer = VisualOdometer()
+    odometer.add(picture)
+    turned = odometer.add(picture)
+    assert not turned.lost
+    assert np.allclose(turned.world_R_body, np.eye(3), atol=1e-4)
+
+
+def test_without_opencv_the_extra_is_named(monkeypatch):
+    monkeypatch.setattr("eagor._extras.find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match="photos"):
+        VisualOdometer().add(np.zeros((64, 128, 3), np.uint8))
