@@ -17,6 +17,7 @@ from eagor.cli.looking import (
     checked_frame,
     checked_picture,
     checked_query,
+    closing,
     first_stamp,
     keep_picture,
     look,
@@ -73,6 +74,8 @@ def locate(options: Locate) -> int:
         found = _as_json(options, spec, estimate, now)
         if write is not None:
             write(found)
+    if (said := closing(perception, query, len(looks))) is not None:
+        terminal.log(said)
     if options.json:
         terminal.emit(found | _sources(looks))
     else:

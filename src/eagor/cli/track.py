@@ -24,6 +24,7 @@ from eagor.cli.looking import (
     checked_folder,
     checked_out,
     checked_query,
+    closing,
     keep_picture,
     make_perception,
     perception_for,
@@ -63,7 +64,7 @@ def track(options: Track) -> int:
     journey = _journey(options, places, perception)
     floor, drift = _checked_floor(options.floor, journey.poses), _checked_drift(options.drift)
     config = replace(config, floor_height=floor, drift=drift)
-    run = _Run(options, query, spec)
+    run = _Run(options, query, spec, perception)
     rivals = partial(make_rivals, spec) if options.compare else dict
     with ExitStack() as stack:
         keep = [stack.enter_context(sink) for sink in _sinks(options, query, spec, journey)]
@@ -141,8 +142,8 @@ def _until_it_breaks(results: Iterator[Result], run: _Run) -> Iterator[Result]:
 class _Run:
     """What the command says and counts on the way."""
 
-    def __init__(self, options: Track, query: str, spec: str) -> None:
-        self.options, self.query, self.spec = options, query, spec
+    def __init__(self, options: Track, query: str, spec: str, perception: Perception) -> None:
+        self.options, self.query, self.spec, self.perception = options, query, spec, perception
         self.frames = self.bad = self.looked = 0
         self.entries: list[dict[str, Any]] = []
         self.broken: str | None = None
@@ -178,6 +179,8 @@ class _Run:
             raise terminal.RunError("there was no frame to look at")
         if self.bad == self.frames:
             raise terminal.RunError(f"none of the {self.bad} frames could be used; the reasons are above")
+        if (said := closing(self.perception, self.query, self.looked)) is not None:
+            terminal.log(said)
         if self.looked == 0:
             stamps = f" ({journey.poses[0].stamp:g} to {journey.poses[-1].stamp:g} s)" if journey.poses else ""
             raise terminal.RunError(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -46,7 +47,8 @@ def features_of(panorama: np.ndarray, size: int = SIZE) -> Features:
     views = _views(size)
     axes = np.array([view.body_R_view[:, 0] for view in views])
     detector = cv2.SIFT.create(contrastThreshold=CONTRAST, enable_precise_upscale=True)
-    directions, descriptors = [np.empty((0, 3))], [np.empty((0, 128), np.float32)]
+    directions: list[Any] = [np.empty((0, 3))]
+    descriptors: list[Any] = [np.empty((0, 128), np.float32)]
     for index, (view, picture) in enumerate(zip(views, cut(panorama, *views), strict=True)):
         points, found = detector.detectAndCompute(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), None)
         if found is None or len(points) == 0:
