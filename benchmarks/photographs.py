@@ -40,7 +40,8 @@ from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.perception.blobs import spread_evidence
 from eagor.perception.coco.classes import CLASSES
 from eagor.perception.pieces import Thing
-from eagor.sphere import angular_distance, direction, world_R_body
+from eagor.robots.rotation import VisualOdometer
+from eagor.sphere import angular_distance, direction, unit, world_R_body
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.methods import NAMES, TrackerMethod, make_method
 from eagor.tracking import TrackerConfig
@@ -70,8 +71,14 @@ def poses(condition: str) -> list[np.ndarray]:
     return [world_R_body(STEP * k) @ tilt for k in range(FRAMES)]
 
 
+def by_sight(photograph: np.ndarray) -> list[np.ndarray]:
+    """What the pictures alone say of the tumbling camera."""
+    odometer = VisualOdometer()
+    return [odometer.add(picture).world_R_body for picture in pictures(photograph, "tumble")]
+
+
 def told(condition: str) -> list[np.ndarray]:
-    """What the odometry says of the same frames."""
+    """What the odometry says of the same frames; for "sight" see `by_sight`."""
     if condition == "tilt":
         return poses("yaw")
     if condition.startswith("drift"):
@@ -125,7 +132,7 @@ def as_json(thing: Thing) -> list[Any]:
 
 def as_thing(where: list[float], covariance: list[list[float]], score: float) -> Thing:
     """The inverse of `as_json`."""
-    return Thing(np.array(where), np.array(covariance), score)
+    return Thing(unit(np.array(where)), np.array(covariance), score)
 
 
 @dataclass(frozen=True)
@@ -189,11 +196,11 @@ def fitted(cases: Sequence[Case], left_out: str) -> DetectorModel:
     return replace(found, detection_probability=None, false_alarms_per_look=None)
 
 
-def play(case: Case, name: str, model: DetectorModel) -> dict[str, Any]:
+def play(case: Case, name: str, model: DetectorModel, say: Sequence[np.ndarray]) -> dict[str, Any]:
     """One method on one case: errors to the nearest instance in degrees, coverage, presence, by frame."""
     config = TrackerConfig(drift=math.radians(1) if case.condition == "drift-told" else 0.0)
     method = make_method(name, np.random.default_rng(0), "coco", ours=config)
-    say, true = told(case.condition), poses(case.condition)
+    true = poses(case.condition)
     errors, covered, presence = [], [], []
     for frame in range(FRAMES):
         method.move(float(frame), say[frame], None)
@@ -230,15 +237,25 @@ def main() -> None:
         for name in {case.photograph for case in cases}
     }
     for name, model in models.items():
-        print(f"{name}: {model}")
+        print(f"all but {name}: {model}")
+    if not options.plain:
+        print(f"all four: {fitted(fit_on, '')}")
+    sight = {}
+    if "sight" in conditions:
+        sight = {name: by_sight(read_panorama(options.panoramas / name)) for name in models}
     played = [
-        (case, name, play(case, name, models[case.photograph]))
+        (case, name, play(case, name, models[case.photograph], says(case, sight)))
         for case in cases
         for name in options.methods.split(",")
         if len(case.targets) or (name == "eagor" and case.condition in ("yaw", "tumble"))
     ]
     print_found(played)
     print_absent(played)
+
+
+def says(case: Case, sight: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
+    """The poses that the methods are told."""
+    return sight[case.photograph] if case.condition == "sight" else told(case.condition)
 
 
 Played = Sequence[tuple[Case, str, dict[str, Any]]]

@@ -200,6 +200,7 @@ class Turning:
         traces = np.trace(covariances, axis1=1, axis2=2)
         apart = 1 - self.directions @ self.directions.T
         alike = (apart < ALIKE * traces) & (np.abs(np.log(traces[:, None] / traces)) < 0.5)
+        np.fill_diagonal(alike, True)  # also where rounding leaves a direction a little shorter than 1
         kept = []
         for index in range(len(weights)):  # the heaviest first
             if weights[index] <= LIGHT * (1 - self.unseen):
