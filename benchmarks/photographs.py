@@ -101,15 +101,15 @@ def pictures(photograph: np.ndarray, condition: str) -> Iterator[np.ndarray]:
         yield picture
 
 
-def look(folder: Path, file: Path, conditions: list[str]) -> None:
-    """See what is not in `file` yet, and add it: one line for each frame."""
+def look(folder: Path, files: Sequence[Path], conditions: list[str]) -> None:
+    """See what is not in the `files` yet, and add it to the first: one line for each frame."""
     from eagor.perception.coco import coco_detector
     from eagor.perception.views import Views
 
-    lines = file.read_text().splitlines() if file.exists() else []
+    lines = chain.from_iterable(file.read_text().splitlines() for file in files if file.exists())
     known = {(entry["photograph"], entry["condition"], entry["frame"]) for entry in map(json.loads, lines)}
     views = Views(coco_detector())
-    with file.open("a") as out:
+    with files[0].open("a") as out:
         for condition in conditions:
             for name in json.loads(ANNOTATIONS.read_text()):
                 if all((name, condition, frame) in known for frame in range(FRAMES)):
@@ -229,7 +229,7 @@ def main() -> None:
     parser.add_argument("--plain", action="store_true", help="read scores as ratios, without a fit")
     options = parser.parse_args()
     conditions = options.only.split(",") if options.only else [*CONDITIONS]
-    look(options.panoramas, options.looks[0], [each for each in conditions if each in SEEN])
+    look(options.panoramas, options.looks, [each for each in conditions if each in SEEN])
     cases = read_cases(options.looks, conditions)
     fit_on = read_cases(options.looks, ("yaw", "tumble"))
     models = {
