@@ -59,8 +59,8 @@ class Result:
         """Standard deviation of the logarithm of the distance: large until the camera has moved; None as `distance`."""
         return None if self.distance is None else self.estimate.distance_spread
 
-    def as_json(self) -> dict[str, Any]:
-        """This frame for ``--json`` and for .jsonl files."""
+    def as_json(self, modes: int) -> dict[str, Any]:
+        """This frame for ``--json`` and for .jsonl files, with at most so many candidates."""
         e, distance, spread = self.estimate, self.distance, self.distance_spread
         entry: dict[str, Any] = {
             "frame": self.frame,
@@ -73,7 +73,7 @@ class Result:
             "distance_spread": None if spread is None else round(spread, 4),
             "status": e.status,
             "held": e.held,
-            "modes": [mode_as_json(mode) for mode in e.modes],
+            "modes": [mode_as_json(mode) for mode in e.modes[:modes]],
             "looks": len(self.evidence),
         }
         if self.lost:

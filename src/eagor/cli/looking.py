@@ -195,6 +195,14 @@ def find_frames(places: Sequence[Path]) -> tuple[Path, ...]:
     return tuple(sorted(found, key=lambda p: (_natural(p.name), str(p))))
 
 
+def say_of_video(name: str, facts: Sequence[str], duration: float | None) -> None:
+    """Say on stderr what a video tells of itself: `facts` (of which the first is its format), seconds."""
+    lasting = "" if duration is None else f", {duration:.1f} s"
+    log(f"{name}: {facts[0]}{lasting}")
+    for fact in facts[1:]:
+        log(f"{name}: {fact}")
+
+
 class ShapeError(ImageError):
     """A picture is not a whole panorama: its aspect ratio is not 2:1."""
 
