@@ -17,7 +17,7 @@ from eagor.cli.steps import Step
 from eagor.cli.unseen import Unseen
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
-from eagor.perception import Perception
+from eagor.perception import NoEvidenceError, Perception
 from eagor.tasks.methods import NAMES, Method, make_method
 from eagor.tracking import Estimate, TrackerConfig
 from eagor.tracking.tracker import DirectionTracker
@@ -97,7 +97,8 @@ def follow(
 
     A frame that cannot be used gives a result with a problem; the poses carry the belief over it. Where the poses are
     lost, everything starts anew. What `mask` hides, or no frame shows, says nothing. Raises `EagorError` if no other
-    frame could do better: a query without meaning, or a first frame that is not 2:1.
+    frame could do better: a query without meaning, or a first frame that is not 2:1, or
+    to which the perception returns no evidence.
     """
     tracker, others, unseen = DirectionTracker(config), rivals(), Unseen(mask)
     before = first = fed = -math.inf
@@ -121,7 +122,7 @@ def follow(
                 looks = _own(looks, before, stamp, math.inf if after is None else after[1].pose.stamp)
                 looks = unseen.covered(looks, frame)
         except EagorError as error:
-            if is_input_fault(error) or (isinstance(error, ShapeError) and before == -math.inf):
+            if is_input_fault(error) or (isinstance(error, ShapeError | NoEvidenceError) and before == -math.inf):
                 raise
             problem = str(error)
         for evidence in looks:

@@ -41,6 +41,10 @@ from eagor.errors import ImageError
 from eagor.perception import Perception, rows_of
 
 MOST_DRIFT = 90  # degrees
+SEEN = {
+    "auto": "orientations from the pictures themselves",
+    "level": "headings from the pictures themselves, which are taken as level",
+}
 RATE, FPS = 2.0, 10.0  # looks and frames per second of a video
 STATUS_WIDTH = len("ambiguous, held")
 WIDTH = 2 + max(len("-180.0/-90.0"), *map(len, RIVALS))  # of a rival's column
@@ -126,7 +130,7 @@ def _journey(options: Track, places: Sequence[Path], perception: Perception) -> 
         from eagor._extras import need
 
         need("the rotation from pictures", "photos", "cv2")
-        steps, told = with_sight(source, options.poses == "level"), "orientations from the pictures themselves"
+        steps, told = with_sight(source, options.poses == "level"), SEEN[options.poses]
     return _Journey(thinned(steps, looks), source.count, told, poses, shown, span)
 
 
