@@ -131,6 +131,10 @@ def _journey(options: Track, places: Sequence[Path], perception: Perception) -> 
 
         need("the rotation from pictures", "photos", "cv2")
         steps, told = with_sight(source, options.poses == "level"), SEEN[options.poses]
+    if looks is not None:
+        terminal.log(f"{looks:g} looks per second (--rate), {told}")
+    elif not by_file:
+        terminal.log(f"{source.count} images, taken at {options.rate or 1.0:g} per second (--rate), {told}")
     return _Journey(thinned(steps, looks), source.count, told, poses, shown, span)
 
 
