@@ -4,9 +4,13 @@ Clips are made here, of the painted room, turned by known rotations. The command
 would spend their time on imports otherwise.
 """
 
+import contextlib
 import csv
 import json
 import math
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import av
@@ -245,6 +249,25 @@ def test_a_video_with_the_answer_drawn_in(tilting, tmp_path, eagor):
     assert "orientations from the pictures themselves" in text
     assert "clip.mp4: h264, 384 x 192 pixels, 3.0 s" in err
     assert "2 looks per second (--rate), orientations from the pictures themselves" in err
+
+
+def test_lines_go_to_stdout_also_beside_a_progress_bar(tilting, tmp_path):
+    """Somebody watches stderr on a terminal, and sends the results to a file."""
+    pty = pytest.importorskip("pty")
+    watched, terminal = pty.openpty()
+    out = tmp_path / "out.txt"
+    words = [sys.executable, "-m", "eagor", "track", tilting, "the red ball", "--end", "1"]
+    with out.open("w") as file, subprocess.Popen(words, stdout=file, stderr=terminal) as process:
+        os.close(terminal)
+        shown = b""
+        with contextlib.suppress(OSError):  # the end of a terminal, on Linux
+            while part := os.read(watched, 4096):
+                shown += part
+    os.close(watched)
+    assert process.returncode == 0
+    assert b"looking" in shown
+    assert len(out.read_text().splitlines()) == 3
+    assert b"elevation" not in shown
 
 
 @pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet"])

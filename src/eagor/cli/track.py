@@ -134,7 +134,8 @@ def _journey(options: Track, places: Sequence[Path], perception: Perception) -> 
     if looks is not None:
         terminal.log(f"{looks:g} looks per second (--rate), {told}")
     elif not by_file:
-        terminal.log(f"{source.count} images, taken at {options.rate or 1.0:g} per second (--rate), {told}")
+        many = "1 image" if source.count == 1 else f"{source.count} images"
+        terminal.log(f"{many}, taken at {options.rate or 1.0:g} per second (--rate), {told}")
     return _Journey(thinned(steps, looks), source.count, told, poses, shown, span)
 
 
