@@ -246,6 +246,8 @@ def test_a_video_with_the_answer_drawn_in(tilting, tmp_path, eagor):
     text = page.read_text(encoding="utf-8")
     assert text.count("data:image/jpeg;base64,") >= 6
     assert 'src="http' not in text
+    assert "clip.mp4 at 0.50 s" in text
+    assert "clip.mp4 at 0.50 s: 0.50 s" not in text
     assert "orientations from the pictures themselves" in text
     assert "clip.mp4: h264, 384 x 192 pixels, 3.0 s" in err
     assert "2 looks per second (--rate), orientations from the pictures themselves" in err
