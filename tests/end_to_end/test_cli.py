@@ -19,9 +19,10 @@ from PIL import Image
 
 from eagor._extras import how_to_install
 from eagor.cli import machine, main
+from eagor.cli.columns import SHORT
 from eagor.cli.models import how_to_find
 from eagor.conventions import direction_from_hstar, wxyz_from_rotation
-from eagor.drawing.words import in_words
+from eagor.drawing.words import distance_in_words, in_words
 from eagor.grids import ErpGrid
 from eagor.perception import words as query_words
 from eagor.perception.replay import write_record
@@ -473,7 +474,7 @@ def test_the_names_of_the_rivals_stand_apart_above_their_columns(series):
     done = eagor("track", series / "frames", "red ball", "--poses", series / "poses.csv", "--compare")
     header, *lines = done.stdout.splitlines()
     names = header.partition("status")[2].partition("   (")[0].split()
-    assert names == ["centroid", "cent_circ", "grid", "eagor_paper", "vmf", "grid_filter", "particle_filter"]
+    assert names == [SHORT.get(name, name) for name in NAMES if name != "eagor"]
     for line in lines:  # and each column ends where its name ends
         assert all(line[: header.index(f" {name}") + 1 + len(name)][-1].isdigit() for name in names)
 
@@ -511,11 +512,12 @@ def test_track_prints_one_line_per_frame(series, tmp_path):
     entries = [json.loads(line) for line in out.read_text().splitlines()]
     assert [entry["stamp"] for entry in entries] == [0.0, 1.0]
     assert entries[-1]["distance_m"] is not None
-    told = [int(re.search(r" m +(\d+) %", line)[1]) for line in done.stdout.splitlines()[1:]]
-    assert told == [round(100 * math.expm1(entry["distance_spread"])) for entry in entries]
+    for entry, line in zip(entries, done.stdout.splitlines()[1:], strict=True):
+        far = distance_in_words(entry["distance_m"], entry["distance_spread"])
+        assert re.search(rf" {re.escape(far)} +\d+  {entry['status']}$", line)
     assert len(list(pictures.iterdir())) == 2
     head = eagor(*words[:6], "--compare").stdout.splitlines()[0]
-    assert {"grid_filter", "particle_filter"} <= set(head.split())
+    assert {SHORT["grid_filter"], SHORT["particle_filter"]} <= set(head.split())
 
 
 def test_track_says_what_is_not_known_and_what_is_held(three, tmp_path):
@@ -527,7 +529,7 @@ def test_track_says_what_is_not_known_and_what_is_held(three, tmp_path):
             write_record(file, stamp, query="chair", points=[{"azimuth_deg": 40, "elevation_deg": 10}])
     words = ("track", images, "chair", "--poses", write(GOOD), "--perception", f"replay:{looks}")
     done = eagor(*words, "--compare", "--out", out)
-    assert re.match(r" +0\.000 +- +- +- +- +- +0  searching", done.stdout.splitlines()[1])
+    assert re.match(r" +0\.000 +- +- +- +- searching ", done.stdout.splitlines()[1])
     rows = list(csv.DictReader(io.StringIO(out.read_text())))
     assert [row["azimuth_deg"] == "" for row in rows] == [True, False, False]
     assert [row["held"] for row in rows] == ["False"] * 3
@@ -653,7 +655,7 @@ def test_track_refuses_what_it_cannot_use(three, tmp_path):
     assert "no images" in refused("track", tmp_path / "empty", "red", "--poses", poses)
     assert "wanted FRAMES" in refused("track", "red", "--poses", poses)
     assert "cannot be read" in refused("track", images, "red", "--poses", tmp_path / "nowhere.csv")
-    assert ".csv or .jsonl" in refused("track", images, "red", "--poses", poses, "--out", tmp_path / "x.txt")
+    assert ".csv, .jsonl or .parquet" in refused("track", images, "red", "--poses", poses, "--out", tmp_path / "x.txt")
     assert "no file" in refused("track", tmp_path / "a.png", tmp_path / "b.png", "red", "--poses", poses)
     done = eagor("track", images, "chair", "--poses", poses, "--perception", "colour")  # the header is out already
     assert done.returncode == 2

@@ -41,7 +41,7 @@ WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
         (("locate", "a.png", "red", "--picture", "x.png"), "--picture x.png cannot be written"),
         (("locate", "a.png", "red", "--picture", "folder/../a.png"), "a.png is an input"),
         ((*TRACK, "red", "--poses", "poses.csv", "--out", "poses.csv"), "--out poses.csv is an input"),
-        (("track", "folder", "red", "--poses", "poses.csv", "--pictures", "folder"), "--picture folder is an input"),
+        (("track", "folder", "red", "--poses", "poses.csv", "--pictures", "folder"), "--pictures folder is an input"),
         (("locate", "a.png", "red", "--calibration", "bad.json"), "bad.json is not JSON"),
         (("locate", "a.png", "red", "--calibration", "folder"), "folder cannot be read"),
         ((*TRACK, "chair", "--poses", "poses.csv", "--out", "new.csv", "--perception", "colour"), "names no colour"),

@@ -17,7 +17,7 @@ from eagor.cli.steps import Step
 from eagor.cli.unseen import Unseen
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
-from eagor.perception import Perception
+from eagor.perception import NoEvidenceError, Perception
 from eagor.tasks.methods import NAMES, Method, make_method
 from eagor.tracking import Estimate, TrackerConfig
 from eagor.tracking.tracker import DirectionTracker
@@ -59,8 +59,8 @@ class Result:
         """Standard deviation of the logarithm of the distance: large until the camera has moved; None as `distance`."""
         return None if self.distance is None else self.estimate.distance_spread
 
-    def as_json(self) -> dict[str, Any]:
-        """This frame for ``--json`` and for .jsonl files."""
+    def as_json(self, modes: int) -> dict[str, Any]:
+        """This frame for ``--json`` and for .jsonl files, with at most so many candidates."""
         e, distance, spread = self.estimate, self.distance, self.distance_spread
         entry: dict[str, Any] = {
             "frame": self.frame,
@@ -73,7 +73,7 @@ class Result:
             "distance_spread": None if spread is None else round(spread, 4),
             "status": e.status,
             "held": e.held,
-            "modes": [mode_as_json(mode) for mode in e.modes],
+            "modes": [mode_as_json(mode) for mode in e.modes[:modes]],
             "looks": len(self.evidence),
         }
         if self.lost:
@@ -97,7 +97,8 @@ def follow(
 
     A frame that cannot be used gives a result with a problem; the poses carry the belief over it. Where the poses are
     lost, everything starts anew. What `mask` hides, or no frame shows, says nothing. Raises `EagorError` if no other
-    frame could do better: a query without meaning, or a first frame that is not 2:1.
+    frame could do better: a query without meaning, or a first frame that is not 2:1, or
+    to which the perception returns no evidence.
     """
     tracker, others, unseen = DirectionTracker(config), rivals(), Unseen(mask)
     before = first = fed = -math.inf
@@ -121,7 +122,7 @@ def follow(
                 looks = _own(looks, before, stamp, math.inf if after is None else after[1].pose.stamp)
                 looks = unseen.covered(looks, frame)
         except EagorError as error:
-            if is_input_fault(error) or (isinstance(error, ShapeError) and before == -math.inf):
+            if is_input_fault(error) or (isinstance(error, ShapeError | NoEvidenceError) and before == -math.inf):
                 raise
             problem = str(error)
         for evidence in looks:

@@ -24,6 +24,7 @@ from eagor.cli.looking import (
     make_perception,
     perception_for,
     read_frame,
+    say_of_video,
     tracker_config,
     warn_of_detector,
 )
@@ -90,8 +91,7 @@ def _frame(options: Locate, perception: Perception) -> PanoramaFile:
     from eagor.robots.video import Video
 
     video = Video(options.panorama, start=options.stamp or 0.0, rows=max(rows_of(perception), LEAST_ROWS))
-    for fact in video.facts:
-        terminal.log(fact)
+    say_of_video(options.panorama.name, video.facts, video.duration)
     first = next(iter(video))
     found = PanoramaFile(first.panorama, video.unseen, video.level_R_body)
     return checked_frame(found, first.name, options.force)

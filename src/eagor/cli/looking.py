@@ -195,41 +195,54 @@ def find_frames(places: Sequence[Path]) -> tuple[Path, ...]:
     return tuple(sorted(found, key=lambda p: (_natural(p.name), str(p))))
 
 
+def say_of_video(name: str, facts: Sequence[str], duration: float | None) -> None:
+    """Say on stderr what a video tells of itself: `facts` (of which the first is its format), seconds."""
+    lasting = "" if duration is None else f", {duration:.1f} s"
+    log(f"{name}: {facts[0]}{lasting}")
+    for fact in facts[1:]:
+        log(f"{name}: {fact}")
+
+
 class ShapeError(ImageError):
     """A picture is not a whole panorama: its aspect ratio is not 2:1."""
 
 
-def read_frame(path: Path, force: bool = False, warn: bool = True) -> PanoramaFile:
-    """The panorama in a file, and what the file says of it; `ShapeError` and `force` as for `checked_frame`."""
+def read_frame(path: Path, force: bool = False, said: set[str] | None = None) -> PanoramaFile:
+    """The panorama in a file, and what the file says of it; `force` and `said` as for `checked_frame`."""
     from eagor.robots.pictures import read_photograph
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = read_photograph(path)
-    return checked_frame(found, str(path), force, warn)
+    return checked_frame(found, str(path), force, said)
 
 
-def checked_frame(frame: PanoramaFile, name: str, force: bool = False, warn: bool = True) -> PanoramaFile:
-    """`frame`, if it is a whole panorama; a seam that does not fit is said once, and so are facts (if `warn`).
+def checked_frame(frame: PanoramaFile, name: str, force: bool = False, said: set[str] | None = None) -> PanoramaFile:
+    """`frame`, if it is a whole panorama; facts about it, and a seam that does not fit, are said.
 
-    Raises `ShapeError` if it is not 2:1, or shows the circles of fisheye lenses; with `force` it only warns.
+    `said` remembers, from frame to frame, what has been said: only the first whole frame is judged by its pixels, and
+    a wrong shape is mentioned once. Raises `ShapeError` if it is not 2:1, or shows the circles of fisheye lenses; with
+    `force` it only warns.
     """
-    checked_shape(frame.panorama, name, force, warn)
-    if not warn:
+    said = set() if said is None else said
+    checked_shape(frame.panorama, name, force, said)
+    if "pixels" in said:
         return frame
     from eagor.robots.suspect import fisheye_circles, problems
 
+    found = problems(frame.panorama)
+    if not force and fisheye_circles(frame.panorama):
+        raise ShapeError(f"{name}: {found[0]}. To look at it all the same, add --force")
+    said.add("pixels")  # not before: who reads a frame again that was refused is told again
     for fact in frame.facts:
         log(f"{name}: {fact}")
-    for problem in problems(frame.panorama):
-        if fisheye_circles(frame.panorama) and not force:
-            raise ShapeError(f"{name}: {problem}. To look at it all the same, add --force")
+    for problem in found:
         warning(f"{name}: {problem}")
     return frame
 
 
-def checked_shape(panorama: np.ndarray, name: str, force: bool = False, warn: bool = True) -> np.ndarray:
-    """`panorama`, if it is 2:1; else raises `ShapeError`, or with `force` warns (if `warn`)."""
+def checked_shape(panorama: np.ndarray, name: str, force: bool, said: set[str]) -> np.ndarray:
+    """`panorama`, if it is 2:1; else raises `ShapeError`, or with `force` warns (unless it is in `said`)."""
     if is_whole(panorama):
         return panorama
     height, width = panorama.shape[:2]
@@ -239,7 +252,8 @@ def checked_shape(panorama: np.ndarray, name: str, force: bool = False, warn: bo
             f"{what}; wanted a whole panorama, twice as wide as high ({2 * height} x {height}). Pad an image that "
             "covers less than the sphere, or accept it with --force (all columns for 360 degrees, all rows for 180)"
         )
-    if warn:
+    if "shape" not in said:
+        said.add("shape")
         warning(f"{what}; accepted, with all columns for 360 degrees and all rows for 180")
     return panorama
 

@@ -80,8 +80,9 @@ class Images:
         return None
 
     def frames(self) -> Iterator[tuple[float, str, Read]]:
+        said: set[str] = set()
         for number, path in enumerate(self.paths):
-            yield number / self.rate, path.name, partial(read_frame, path, self.force, number == 0)
+            yield number / self.rate, path.name, partial(read_frame, path, self.force, said)
 
 
 @dataclass(frozen=True)
@@ -100,9 +101,10 @@ class Film:
         return self.video.level_R_body
 
     def frames(self) -> Iterator[tuple[float, str, Read]]:
-        for number, frame in enumerate(self.video):
+        said: set[str] = set()
+        for frame in self.video:
             found = PanoramaFile(frame.panorama, self.video.unseen)
-            yield frame.stamp, frame.name, partial(checked_frame, found, frame.name, self.force, number == 0)
+            yield frame.stamp, frame.name, partial(checked_frame, found, frame.name, self.force, said)
 
 
 def is_video(places: Sequence[Path]) -> bool:
@@ -122,9 +124,9 @@ def with_file(source: Source, poses: Sequence[Pose], name: Path) -> Iterator[Ste
     if isinstance(source, Images):
         force = source.force
         pairs = pair(poses, source.paths, name)
-        first = next(image for _, image in pairs if image is not None)
+        said: set[str] = set()
         return (
-            Step(pose) if image is None else Step(pose, image.name, partial(read_frame, image, force, image is first))
+            Step(pose) if image is None else Step(pose, image.name, partial(read_frame, image, force, said))
             for pose, image in pairs
         )
     return _by_time(source, poses, name)

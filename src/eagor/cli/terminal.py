@@ -111,8 +111,11 @@ def warnings_as_lines() -> Iterator[None]:
 
 
 @contextmanager
-def progress(what: str, total: int, shown: bool = True) -> Iterator[Callable[[], None]]:
-    """A progress bar on stderr; call the yielded function to advance it. Silent unless `shown` and on a terminal."""
+def progress(what: str, total: int | None, shown: bool = True) -> Iterator[Callable[[], None]]:
+    """A progress bar on stderr; call the yielded function to advance it. Silent unless `shown` and on a terminal.
+
+    `total`: how often it will be called; None if nobody knows. Results go on to stdout, where that is a file or a pipe.
+    """
     if not (shown and sys.stderr.isatty()):
         yield lambda: None
         return
@@ -120,6 +123,8 @@ def progress(what: str, total: int, shown: bool = True) -> Iterator[Callable[[],
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    # Lines for the same terminal have to go above the bar; rich would send those for a file there, too.
+    above = sys.stdout.isatty()
+    with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=above) as bar:
         task = bar.add_task(what, total=total)
         yield lambda: bar.advance(task)

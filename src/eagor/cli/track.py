@@ -28,6 +28,7 @@ from eagor.cli.looking import (
     keep_picture,
     make_perception,
     perception_for,
+    say_of_video,
     tracker_config,
     warn_of_detector,
 )
@@ -40,7 +41,10 @@ from eagor.errors import ImageError
 from eagor.perception import Perception, rows_of
 
 MOST_DRIFT = 90  # degrees
-RATE, FPS = 2.0, 10.0  # looks and frames per second of a video
+SEEN = {
+    "auto": "orientations from the pictures themselves",
+    "level": "headings from the pictures themselves, which are taken as level",
+}
 RATE, FPS = 2.0, 10.0  # looks and frames per second of a video
 STATUS_WIDTH = len("ambiguous, held")
 WIDTH = 2 + max(len("-180.0/-90.0"), *map(len, RIVALS))  # of a rival's column
@@ -60,6 +64,8 @@ def track(options: Track) -> int:
     check_not_read(options.video, "--video", places)
     check_not_read(options.page, "--page", places)
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
+    if options.modes < 1:
+        raise terminal.UsageError(f"--modes {options.modes}; wanted 1 or more")
     perception = make_perception(spec)
     journey = _journey(options, places, perception)
     floor, drift = _checked_floor(options.floor, journey.poses), _checked_drift(options.drift)
@@ -68,7 +74,7 @@ def track(options: Track) -> int:
     rivals = partial(make_rivals, spec) if options.compare else dict
     with ExitStack() as stack:
         keep = [stack.enter_context(sink) for sink in _sinks(options, query, spec, journey)]
-        advance = stack.enter_context(terminal.progress("looking", journey.count or 0, shown=not options.json))
+        advance = stack.enter_context(terminal.progress("looking", journey.count, shown=not options.json))
         results = follow(journey.steps, perception, query, config, rivals, options.mask)
         for result in _until_it_breaks(results, run):
             run.add(result)
@@ -104,8 +110,7 @@ def _journey(options: Track, places: Sequence[Path], perception: Perception) -> 
         shown = looks if options.video is None else max(looks, options.fps or FPS)
         rows = max(rows_of(perception), LEAST_ROWS)
         video = Video(places[0], rate=shown, start=options.start, end=options.end, rows=rows)
-        for fact in video.facts:
-            terminal.log(fact)
+        say_of_video(places[0].name, video.facts, video.duration)
         source: Source = Film(video, options.force)
         motion, end = video.motion, options.end or video.duration
         span = None if end is None else end - options.start
@@ -125,7 +130,12 @@ def _journey(options: Track, places: Sequence[Path], perception: Perception) -> 
         from eagor._extras import need
 
         need("the rotation from pictures", "photos", "cv2")
-        steps, told = with_sight(source, options.poses == "level"), "orientations from the pictures themselves"
+        steps, told = with_sight(source, options.poses == "level"), SEEN[options.poses]
+    if looks is not None:
+        terminal.log(f"{looks:g} looks per second (--rate), {told}")
+    elif not by_file:
+        many = "1 image" if source.count == 1 else f"{source.count} images"
+        terminal.log(f"{many}, taken at {options.rate or 1.0:g} per second (--rate), {told}")
     return _Journey(thinned(steps, looks), source.count, told, poses, shown, span)
 
 
@@ -164,7 +174,7 @@ class _Run:
         if not result.told:
             return
         if self.options.json:
-            self.entries.append(result.as_json())
+            self.entries.append(result.as_json(self.options.modes))
         else:
             print(line(result), flush=True)
 
@@ -198,9 +208,9 @@ Sink = Callable[[Result], None]
 def _sinks(options: Track, query: str, spec: str, journey: _Journey) -> Iterator[AbstractContextManager[Sink]]:
     """What is written beside the lines: the table, pictures, a video, a page. Each takes every result."""
     if options.out:
-        yield _listed(options.out, RIVALS if options.compare else ())
+        yield _listed(options.out, RIVALS if options.compare else (), options.modes)
     if options.picture:
-        yield nullcontext(_painter(options.picture, query))
+        yield nullcontext(_painter(options.picture, query, options.modes))
     if options.video:
         yield _filmed(options.video, query, journey)
     if options.page:
@@ -210,9 +220,9 @@ def _sinks(options: Track, query: str, spec: str, journey: _Journey) -> Iterator
 
 
 @contextmanager
-def _listed(path: Path, rivals: Sequence[str]) -> Iterator[Sink]:
+def _listed(path: Path, rivals: Sequence[str], modes: int) -> Iterator[Sink]:
     with table(path, rivals) as write:
-        yield lambda result: write(result.as_json()) if result.told else None
+        yield lambda result: write(result.as_json(modes)) if result.told else None
 
 
 @contextmanager
@@ -266,22 +276,28 @@ def _checked_floor(floor: float | None, poses: Sequence[Pose]) -> float | None:
     return floor
 
 
-def _painter(folder: Path, query: str) -> Callable[[Result], None]:
-    """A function that draws a frame with its belief into `folder`; unreadable frames are skipped."""
+def _painter(folder: Path, query: str, most: int) -> Callable[[Result], None]:
+    """A function that draws a frame with its belief into `folder`; unreadable frames are skipped.
+
+    Pictures are numbered as the lines of the table, and show at most `most` candidates.
+    """
     from eagor.drawing import draw_belief
 
     checked_folder(folder, "--pictures")
     numbers = count()
 
     def draw(result: Result) -> None:
+        if not result.told:
+            return
         number = next(numbers)
-        if result.panorama is None or not result.looked:
+        if result.panorama is None:
             return
         estimate = result.estimate
         held = ", held" if estimate.held else ""
         title = f"“{query}” at {result.stamp:.2f} s: {answer_in_words(estimate)} ({estimate.status}{held})"
         shown = {name: result.others[name] for name in ("centroid", "eagor_paper") if name in result.others}
-        picture = draw_belief(result.panorama, estimate, others=shown, title=title)
+        modes = [mode.direction for mode in estimate.modes[:most]]
+        picture = draw_belief(result.panorama, estimate, modes=modes, others=shown, title=title)
         keep_picture(picture, folder / f"{number:04d}.png")
 
     return draw

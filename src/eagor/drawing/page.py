@@ -135,7 +135,7 @@ class BeliefPage:
         steps = [
             {
                 "picture": picture,
-                "said": f"{name}: {moment_in_words(moment)}",
+                "said": _said(name, moment),
                 "name": name,
                 "at": round(moment.stamp - self.line.first, 4),
                 "row": index,
@@ -228,6 +228,12 @@ def write_page(
     if page.line.last is None:
         raise EagorError(f"{path}: there are no steps; wanted at least one frame")
     return page.path
+
+
+def _said(name: str, moment: Moment) -> str:
+    """A frame and its answer in a line; its time only once, if it is in the name too."""
+    at, words = f"{moment.stamp:.2f} s", moment_in_words(moment)
+    return f"{name}: {words.removeprefix(f'{at}, ') if name.endswith(at) else words}"
 
 
 def _as_address(pixels: np.ndarray) -> str:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from eagor import plugins
-from eagor.errors import EagorError, QueryError
+from eagor.errors import EagorError, QueryError, ResponseError
 from eagor.evidence import Evidence
 
 if TYPE_CHECKING:
@@ -46,6 +46,7 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
+SHOWN = 60  # letters of an object that came instead of evidence
 GROUP = "eagor.perceptions"
 # Listed here so that they are known even where the package runs from a folder, without installed metadata.
 BUILT_IN = {
@@ -81,6 +82,10 @@ class Perception(Protocol):
         ...
 
 
+class NoEvidenceError(ResponseError):
+    """What a perception returned is no `Evidence` at all: it is not written as it should be."""
+
+
 def look(
     perception: Perception,
     panorama: np.ndarray,
@@ -89,11 +94,25 @@ def look(
     stamp: float | None = None,
     world_R_body: np.ndarray | None = None,
 ) -> Evidence:
-    """One look; a perception that takes the pose at capture ``(3, 3)`` is told it."""
+    """One look; a perception that takes the pose at capture ``(3, 3)`` is told it.
+
+    Raises `NoEvidenceError` if something else comes, besides the perception's own errors.
+    """
     if getattr(perception, "takes_pose", False):
         taking: Any = perception
-        return taking(panorama, query, stamp=stamp, world_R_body=world_R_body)
-    return perception(panorama, query, stamp=stamp)
+        found = taking(panorama, query, stamp=stamp, world_R_body=world_R_body)
+    else:
+        found = perception(panorama, query, stamp=stamp)
+    if not isinstance(found, Evidence):
+        raise NoEvidenceError(
+            f"the perception returned {_brief(found)}; wanted eagor.Evidence, such as Evidence.from_boxes(...)"
+        )
+    return found
+
+
+def _brief(found: object) -> str:
+    text = " ".join(repr(found).split())
+    return f"{type(found).__name__} {text if len(text) <= SHOWN else text[:SHOWN] + '...'}"
 
 
 def known() -> dict[str, EntryPoint]:

@@ -81,7 +81,7 @@ class Projection:
         if self.stereo != "mono":
             said.append(f"it holds two eyes ({self.stereo}); the left one is taken")
         if any((self.yaw, self.pitch, self.roll)):
-            angles = [f"{math.degrees(a):+.1f}" for a in (self.yaw, -self.pitch, self.roll)]
+            angles = [f"{math.degrees(a) + 0.0:+.1f}" for a in (self.yaw, -self.pitch, self.roll)]
             said.append(
                 f"{self.source} says how the camera was held: yaw {angles[0]} (left), pitch {angles[1]} (up), roll "
                 f"{angles[2]} (right side down) degrees"

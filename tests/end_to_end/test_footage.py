@@ -1,0 +1,446 @@
+"""Your own footage: `eagor track` and `locate` on videos and photographs, as people have them.
+
+Clips are made here, of the painted room, turned by known rotations. The commands run in this process: most of them
+would spend their time on imports otherwise.
+"""
+
+import contextlib
+import csv
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from clips import clip, with_camm
+from PIL import Image
+from scipy.spatial import cKDTree
+
+from eagor.cli import main
+from eagor.grids import ErpGrid
+from eagor.sphere import angular_distance, azimuth_elevation, direction, world_R_body
+from eagor.worlds.painted import EYE, Room, bearing, painted_room
+from eagor.worlds.panorama import turn
+
+RED = bearing(Room().balls[0], EYE, np.eye(3))[0]
+ROWS, COUNT, RATE = 192, 12, 4  # of a clip: rows, pictures, pictures per second
+ROOM = painted_room(ROWS, 2 * ROWS)
+GOOD = {"crf": "12"}
+POSES = [world_R_body(math.radians(9 * k), math.radians(8 * math.sin(k / 2)), math.radians(6 * math.sin(k / 3)))
+         for k in range(COUNT)]  # fmt: skip
+HEADING = [world_R_body(math.radians(9 * k), 0.0, 0.0) for k in range(COUNT)]
+
+
+def turned(poses, panorama=ROOM):
+    return [turn(panorama, pose.T) for pose in poses]
+
+
+def elsewhere(ball):
+    """Another place: grey flagstones all around, and a red ball in the direction `ball` (3,)."""
+    rng, rays = np.random.default_rng(5), ErpGrid(ROWS, 2 * ROWS).directions
+    centres = rng.normal(size=(500, 3))
+    stone = cKDTree(centres / np.linalg.norm(centres, axis=1, keepdims=True)).query(rays)[1]
+    picture = rng.integers(40, 220, 500)[stone][..., None].repeat(3, axis=-1).astype(np.uint8)
+    picture[rays @ ball > math.cos(math.radians(7))] = (200, 30, 35)
+    return picture
+
+
+def filmed(path, pictures, rate=RATE, **more):
+    return clip(path, pictures, rate=rate, options=GOOD, **more)
+
+
+@pytest.fixture(scope="module")
+def tilting(tmp_path_factory):
+    """A clip of a camera that turns, nods and rolls."""
+    return filmed(tmp_path_factory.mktemp("clips") / "clip.mp4", turned(POSES))
+
+
+@pytest.fixture
+def eagor(capsys):
+    """Run a command: (exit code, stdout, stderr). No traceback, ever."""
+
+    def run(*words):
+        capsys.readouterr()
+        try:
+            code = main([str(word) for word in words])
+        except SystemExit as end:
+            code = end.code
+        out, err = capsys.readouterr()
+        assert "Traceback" not in err
+        return code, out, err
+
+    return run
+
+
+@pytest.fixture
+def answers(eagor):
+    """The object that ``--json`` prints."""
+
+    def run(*words, code=0):
+        found, out, err = eagor(*words, "--json")
+        assert found == code, err
+        return json.loads(out) | {"stderr": err}
+
+    return run
+
+
+@pytest.fixture
+def refused(eagor):
+    """The one line that says why a command does not begin (exit code 2)."""
+
+    def run(*words):
+        code, out, err = eagor(*words)
+        assert (code, out) == (2, ""), err
+        line = err.splitlines()[-1]
+        assert line.startswith("eagor: error: ")
+        assert err.count("error: ") == 1
+        return line
+
+    return run
+
+
+def error_deg(entry, truth):
+    found = direction(math.radians(entry["azimuth_deg"]), math.radians(entry["elevation_deg"]))
+    return math.degrees(angular_distance(found, truth))
+
+
+# --- where the poses come from ----------------------------------------------------------------------------------------
+
+
+def test_without_poses_the_pictures_tell_how_the_camera_turned(tilting, answers):
+    found = answers("track", tilting, "the red ball", "--rate", RATE)
+    assert found["poses"] == "orientations from the pictures themselves"
+    entries = found["frames"]
+    assert [entry["stamp"] for entry in entries] == [k / RATE for k in range(COUNT)]
+    assert not any("lost" in entry for entry in entries)
+    for entry, pose in list(zip(entries, POSES, strict=True))[3:]:
+        assert error_deg(entry, pose.T @ RED) < 4
+    assert entries[-1]["status"] == "tracking"
+    assert entries[-1]["credible_angle_deg"] < entries[0]["credible_angle_deg"]
+
+
+def test_a_level_camera_only_turns_its_heading(tmp_path, answers):
+    path = filmed(tmp_path / "level.mp4", turned(HEADING))
+    found = answers("track", path, "the red ball", "--rate", RATE, "--poses", "level")
+    for entry, pose in list(zip(found["frames"], HEADING, strict=True))[3:]:
+        assert error_deg(entry, pose.T @ RED) < 4
+    assert "level" in found["poses"]
+
+
+def test_poses_of_a_file_are_interpolated_at_the_times_of_the_frames(tmp_path, answers, refused):
+    path = filmed(tmp_path / "clip.mp4", turned(HEADING))
+
+    def poses(first, last):
+        stamps = np.arange(first, last + 1e-9, 0.17)
+        lines = [f"{t:.4f},{9 * RATE * t:.5f},0,0" for t in [*stamps, last]]
+        (tmp_path / "poses.csv").write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *dict.fromkeys(lines)]))
+        return tmp_path / "poses.csv"
+
+    words = ("track", path, "the red ball", "--rate", RATE, "--poses", tmp_path / "poses.csv")
+    poses(-0.1, 3.03)
+    entries = answers(*words)["frames"]
+    assert [entry["stamp"] for entry in entries] == [k / RATE for k in range(COUNT)]
+    for entry, pose in zip(entries, HEADING, strict=True):
+        assert error_deg(entry, pose.T @ RED) < 4
+    poses(0.5, 3.03)
+    said = refused(*words)
+    assert "clip.mp4 at 0.00 s has no pose" in said
+    assert "0.5 to 3.03 s" in said
+    assert "--start" in said
+    entries = answers(*words, "--start", 0.5)["frames"]
+    assert [entry["stamp"] for entry in entries] == [k / RATE for k in range(2, COUNT)]
+
+
+def test_the_imu_of_a_video_is_preferred(tmp_path, answers):
+    path = filmed(tmp_path / "imu.mp4", turned(HEADING))
+    # Type 0: the rotation of the camera as an axis times an angle, in axes x right, y down, z forward.
+    packets = [(0.05 * k, 0, (0.0, -math.radians(9 * RATE) * 0.05 * k, 0.0)) for k in range(62)]
+    with_camm(path, packets)
+    found = answers("track", path, "the red ball", "--rate", RATE)
+    assert found["poses"] == "orientations from the video's IMU"
+    for entry, pose in list(zip(found["frames"], HEADING, strict=True))[3:]:
+        assert error_deg(entry, pose.T @ RED) < 4
+
+
+def test_a_cut_begins_the_belief_anew_and_is_said(tmp_path, answers, eagor):
+    """Another room, and a red ball in another direction: what was believed says nothing about it."""
+    there = direction(math.radians(130), math.radians(-25))
+    path = filmed(tmp_path / "cut.mp4", turned(HEADING[:6]) + turned(HEADING[6:], elsewhere(there)))
+    found = answers("track", path, "the red ball", "--rate", RATE)
+    lost = [entry.get("lost", False) for entry in found["frames"]]
+    assert lost == [k == 6 for k in range(COUNT)]
+    warnings = [line for line in found["stderr"].splitlines() if "warning" in line]
+    assert warnings == [
+        "eagor: warning: cut.mp4 at 1.50 s does not fit to the frames before it: the belief starts anew"
+    ]
+    for entry, pose in list(zip(found["frames"], HEADING, strict=True))[8:]:
+        assert error_deg(entry, pose.T @ there) < 4
+    page = tmp_path / "page.html"
+    assert eagor("track", path, "the red ball", "--rate", RATE, "--start", 1, "--end", 2, "--page", page)[0] == 0
+    assert "the belief starts anew there" in page.read_text(encoding="utf-8")
+
+
+def test_a_folder_without_poses(tmp_path, answers, refused):
+    (tmp_path / "frames").mkdir()
+    for number, picture in enumerate(turned(POSES[:6])):
+        Image.fromarray(picture).save(tmp_path / "frames" / f"{number}.png")
+    found = answers("track", tmp_path / "frames", "the red ball", "--rate", 2)
+    assert "6 images, taken at 2 per second (--rate), orientations from the pictures themselves" in found["stderr"]
+    assert [entry["stamp"] for entry in found["frames"]] == [k / 2 for k in range(6)]
+    assert error_deg(found["frames"][-1], POSES[5].T @ RED) < 4
+    assert "is for a video" in refused("track", tmp_path / "frames", "the red ball", "--start", 1)
+
+
+# --- which frames -----------------------------------------------------------------------------------------------------
+
+
+def test_rate_start_and_end(tilting, answers):
+    words = ("track", tilting, "the red ball")
+    stamps = [entry["stamp"] for entry in answers(*words, "--start", 0.5, "--end", 2.5)["frames"]]
+    assert stamps == [0.5, 1.0, 1.5, 2.0]  # 2 a second
+    assert [entry["stamp"] for entry in answers(*words, "--rate", 1)["frames"]] == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--start", 9), "beyond the end"),
+        (("--start", 2, "--end", 1), "end"),
+        (("--rate", 0), "--rate 0"),
+        (("--fps", "nan"), "--fps nan"),
+        (("--modes", 0), "--modes 0"),
+        (("--video", "answer.txt"), "answer.txt"),
+        (("--video", "nowhere/answer.mp4"), "no folder"),
+        (("--page", "page.pdf"), ".html"),
+        (("--mask", "nothing.png"), "nothing.png"),
+        (("--poses", "nothing.csv"), "nothing.csv"),
+        (("--floor", -1), "positions"),
+    ],
+)
+def test_impossible_options_are_refused_at_once(tilting, refused, words, says, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert says in refused("track", tilting, "the red ball", *words)
+    assert not list(tmp_path.iterdir())
+
+
+# --- what comes out ---------------------------------------------------------------------------------------------------
+
+
+def test_a_video_with_the_answer_drawn_in(tilting, tmp_path, eagor):
+    """Frames between the looks are only in the video: there the belief moves with the camera."""
+    path, pictures, page = tmp_path / "answer.mp4", tmp_path / "pictures", tmp_path / "page.html"
+    outputs = ("--video", path, "--fps", RATE, "--pictures", pictures, "--page", page)
+    code, out, err = eagor("track", tilting, "the red ball", "--rate", 2, *outputs)
+    assert code == 0, err
+    lines = out.splitlines()
+    assert [float(line.split()[0]) for line in lines[1:]] == [0, 0.5, 1, 1.5, 2, 2.5]
+    with av.open(str(path)) as container:
+        frames = list(container.decode(video=0))
+    assert [round(frame.time, 2) for frame in frames] == [k / RATE for k in range(COUNT)]
+    assert frames[0].width == 1280
+    assert [each.name for each in sorted(pictures.iterdir())] == [f"{k:04d}.png" for k in range(6)]
+    text = page.read_text(encoding="utf-8")
+    assert text.count("data:image/jpeg;base64,") >= 6
+    assert 'src="http' not in text
+    assert "clip.mp4 at 0.50 s" in text
+    assert "clip.mp4 at 0.50 s: 0.50 s" not in text
+    assert "orientations from the pictures themselves" in text
+    assert "clip.mp4: h264, 384 x 192 pixels, 3.0 s" in err
+    assert "2 looks per second (--rate), orientations from the pictures themselves" in err
+
+
+def test_lines_go_to_stdout_also_beside_a_progress_bar(tilting, tmp_path):
+    """Somebody watches stderr on a terminal, and sends the results to a file."""
+    pty = pytest.importorskip("pty")
+    watched, terminal = pty.openpty()
+    out = tmp_path / "out.txt"
+    words = [sys.executable, "-m", "eagor", "track", tilting, "the red ball", "--end", "1"]
+    with out.open("w") as file, subprocess.Popen(words, stdout=file, stderr=terminal) as process:
+        os.close(terminal)
+        shown = b""
+        with contextlib.suppress(OSError):  # the end of a terminal, on Linux
+            while part := os.read(watched, 4096):
+                shown += part
+    os.close(watched)
+    assert process.returncode == 0
+    assert b"looking" in shown
+    assert len(out.read_text().splitlines()) == 3
+    assert b"elevation" not in shown
+
+
+@pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet"])
+def test_tables(tilting, tmp_path, answers, suffix):
+    if suffix == "parquet":
+        parquet = pytest.importorskip("pyarrow.parquet", exc_type=ImportError)
+    path = tmp_path / f"answers.{suffix}"
+    found = answers("track", tilting, "the red ball", "--out", path, "--modes", 1, "--end", 1.5)["frames"]
+    assert all(len(entry["modes"]) <= 1 for entry in found)
+    if suffix == "csv":
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+    elif suffix == "jsonl":
+        rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    else:
+        rows = parquet.read_table(path).to_pylist()
+    assert [float(row["azimuth_deg"]) for row in rows] == [entry["azimuth_deg"] for entry in found]
+    assert [row["frame"] for row in rows] == [entry["frame"] for entry in found]
+
+
+def test_locate_takes_a_frame_of_a_video(tilting, answers):
+    found = answers("locate", tilting, "the red ball", "--stamp", 1.5)
+    assert error_deg(found, POSES[6].T @ RED) < 4
+
+
+# --- clips that are broken --------------------------------------------------------------------------------------------
+
+
+def test_of_a_truncated_clip_comes_what_is_there(tmp_path, eagor):
+    whole = filmed(tmp_path / "whole.mkv", turned(POSES))
+    path, table, video = tmp_path / "cut.mkv", tmp_path / "out.csv", tmp_path / "out.mp4"
+    data = whole.read_bytes()
+    path.write_bytes(data[: len(data) * 3 // 5])
+    code, out, err = eagor("track", path, "the red ball", "--rate", 2, "--fps", 2, "--out", table, "--video", video)
+    assert code == 3, err
+    assert "the frames end early" in err
+    assert 2 < len(out.splitlines()) < 1 + COUNT // 2
+    assert len(table.read_text().splitlines()) == len(out.splitlines())
+    with av.open(str(video)) as container:
+        assert len(list(container.decode(video=0))) == len(out.splitlines()) - 1
+
+
+def test_clips_that_cannot_be_read(tmp_path, refused):
+    path = tmp_path / "clip.mp4"
+    for content in (b"", b"no video at all" * 99):
+        path.write_bytes(content)
+        assert "clip.mp4" in refused("track", path, "the red ball")
+        assert "clip.mp4" in refused("locate", path, "the red ball")
+    assert "nothing.mp4" in refused("track", tmp_path / "nothing.mp4", "the red ball")
+
+
+def test_a_clip_without_pictures(tmp_path, refused):
+    path = tmp_path / "sound.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("aac", rate=8000)
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), format="fltp", layout="mono")
+        frame.rate = 8000
+        container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    assert "sound.mp4" in refused("track", path, "the red ball")
+
+
+# --- pictures that are no good panoramas ------------------------------------------------------------------------------
+
+
+def circles(rows=ROWS):
+    """Two fisheye circles, side by side."""
+    y, x = np.mgrid[-1 : 1 : rows * 1j, -1 : 1 : rows * 1j]
+    one = np.where(np.hypot(x, y)[..., None] < 0.97, painted_room(rows, 2 * rows)[:, :rows], 0)
+    return np.concatenate([one, one], axis=1).astype(np.uint8)
+
+
+def test_a_dual_fisheye_is_refused_unless_forced(tmp_path, refused, eagor):
+    Image.fromarray(circles()).save(tmp_path / "fisheye.png")
+    path = filmed(tmp_path / "fisheye.mp4", [circles()] * 4)
+    for words in (("locate", tmp_path / "fisheye.png"), ("track", path)):
+        said = refused(*words, "the red ball")
+        assert "two circles" in said
+        assert "--force" in said
+        code, _, err = eagor(*words, "the red ball", "--force")
+        assert code == 0
+        assert err.count("two circles") == 1
+
+
+def test_a_seam_that_does_not_fit_is_measured_and_said(tmp_path, eagor):
+    cut = np.ascontiguousarray(ROOM[:, : ROWS * 3 // 2].repeat(4, axis=1)[:, ::3])
+    assert cut.shape == ROOM.shape
+    Image.fromarray(cut).save(tmp_path / "seam.png")
+    path = filmed(tmp_path / "seam.mp4", [cut] * 4)
+    for words in (("locate", tmp_path / "seam.png"), ("track", path)):
+        code, _, err = eagor(*words, "the red ball")
+        assert code == 0
+        (line,) = [line for line in err.splitlines() if "border" in line]
+        assert "warning" in line
+        assert "times that between other neighbouring columns" in line
+
+
+def test_a_black_nadir_is_not_the_black_thing(tmp_path, answers):
+    """A tripod's disc is the largest black thing in the picture; what was never seen is no evidence."""
+    hole = ROOM.copy()
+    hole[-ROWS // 8 :] = 0
+    Image.fromarray(hole).save(tmp_path / "nadir.png")
+    path = filmed(tmp_path / "nadir.mp4", [np.roll(hole, 5 * k, axis=1) for k in range(4)])
+    one = answers("locate", tmp_path / "nadir.png", "the black backpack")
+    many = answers("track", path, "the black backpack", "--rate", RATE)
+    for found, last in ((one, one), (many, many["frames"][-1])):
+        assert last["presence"] < 0.5
+        assert found["stderr"].count("taken as not seen") == 1
+    assert answers("locate", tmp_path / "nadir.png", "the red ball")["status"] == "tracking"
+
+
+def test_what_a_mask_hides_says_nothing(tmp_path, answers):
+    azimuth, _ = azimuth_elevation(RED)
+    mask = np.full((ROWS, 2 * ROWS), 255, np.uint8)
+    column = round((0.5 - azimuth / (2 * np.pi)) * 2 * ROWS)
+    mask[:, column - 40 : column + 40] = 0
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+    Image.fromarray(ROOM).save(tmp_path / "room.png")
+    path = filmed(tmp_path / "still.mp4", [ROOM] * 3)
+    words = ("the red ball", "--mask", tmp_path / "mask.png")
+    found = answers("locate", tmp_path / "room.png", *words)
+    seen = answers("locate", tmp_path / "room.png", "the red ball")
+    assert found["presence"] < seen["presence"]
+    assert found["status"] == "searching"
+    last = answers("track", path, *words)["frames"][-1]
+    assert last["status"] == "searching"
+    assert last["presence"] < 0.5
+
+
+def test_a_photograph_that_says_how_the_camera_was_held(tmp_path, answers):
+    """GPano: the camera looked up by 20 degrees. Answers are directions of the picture all the same."""
+    held = world_R_body(0.0, math.radians(-20), 0.0)
+    xmp = (
+        '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+        '<rdf:Description xmlns:GPano="http://ns.google.com/photos/1.0/panorama/" GPano:ProjectionType='
+        '"equirectangular" GPano:PosePitchDegrees="20" GPano:PoseRollDegrees="0"/></rdf:RDF></x:xmpmeta>'
+    )
+    Image.fromarray(turn(ROOM, held.T)).save(tmp_path / "held.jpg", quality=95, xmp=xmp.encode())
+    found = answers("locate", tmp_path / "held.jpg", "the red ball")
+    assert error_deg(found, held.T @ RED) < 4
+    assert "20" in found["stderr"]
+
+
+# --- detectors and packages -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("said", ["'nonsense'", "None", "float('nan')", "[[1, 2]]"])
+def test_a_detector_that_returns_nonsense_is_one_line(tilting, tmp_path, monkeypatch, eagor, said):
+    name = f"nonsense_{abs(hash(said))}"
+    (tmp_path / f"{name}.py").write_text(f"def make():\n    return lambda panorama, query, *, stamp: {said}\n")
+    info = tmp_path / f"{name}-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[eagor.perceptions]\n{name} = {name}:make\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    code, out, err = eagor("track", tilting, "the red ball", "--perception", name)
+    assert (code, out) == (2, "")
+    assert len(err.splitlines()) == 3  # what the clip is, how it is looked at, and the error
+    assert err.splitlines()[-1].startswith("eagor: error: the perception returned ")
+    assert "wanted eagor.Evidence" in err
+
+
+@pytest.mark.parametrize("package", ["av", "cv2"])
+def test_without_the_extra_it_is_named(tilting, monkeypatch, eagor, package):
+    monkeypatch.setitem(__import__("sys").modules, package, None)
+    code, out, err = eagor("track", tilting, "the red ball")
+    assert code == 2
+    assert out == ""
+    assert "[photos]" in err.splitlines()[-1]
+
+
+def test_a_path_need_not_be_ascii(tmp_path, answers):
+    path = filmed(Path(tmp_path / "küche 1.mp4"), turned(HEADING[:4]))
+    assert answers("track", path, "the red ball")["frames"][0]["frame"] == "küche 1.mp4 at 0.00 s"
