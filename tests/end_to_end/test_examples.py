@@ -1,5 +1,7 @@
 """The examples run, and what they print is true."""
 
+import json
+import math
 import os
 import re
 import subprocess
@@ -126,3 +128,28 @@ def test_a_benchmark_runs_goes_on_and_is_reported(printed):
 
 def _ended(lines):
     return [f"{line}\n" for line in lines]
+
+
+def test_the_notebook_runs_as_written_and_finds_the_ball(tmp_path):
+    pytest.importorskip("av")
+    pytest.importorskip("cv2")
+    notebook = json.loads((EXAMPLES / "footage.ipynb").read_text(encoding="utf-8"))
+    assert notebook["nbformat"] == 4
+    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert not any(cell["outputs"] for cell in cells)
+    program = "import json\nspace = {}\n"
+    for cell in cells:
+        program += f"exec(json.loads({json.dumps(json.dumps(''.join(cell['source'])))}), space)\n"
+    (tmp_path / "cells.py").write_text(program, encoding="utf-8")
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONWARNINGS": "error"}
+    done = subprocess.run(
+        [sys.executable, "cells.py"], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    azimuth = numbers(done.stdout, ", elevation ")[0]
+    assert azimuth == pytest.approx(-math.degrees(0.4 * 2.5) - 23.5, abs=5), (
+        "the ball is 23.5 degrees to the right at first"
+    )
+    assert "tracking, presence 1.00" in done.stdout
+    assert (tmp_path / "out.mp4").stat().st_size > 10_000
+    assert "](footage.ipynb)" in (EXAMPLES / "README.md").read_text(encoding="utf-8")
