@@ -128,26 +128,6 @@ def test_a_clip_is_followed_as_the_page_on_footage_says(tmp_path):
     assert check_commands(page, tmp_path, apart=1.0) == 1
 
 
-NUMBER = re.compile(r"[-+]?\d+\.?\d*")
-
-
-def test_a_clip_is_followed_as_the_page_on_footage_says(tmp_path):
-    """The encoder of this machine may write other bytes than that of the page: numbers may differ by a degree."""
-    pytest.importorskip("av")
-    pytest.importorskip("cv2")
-    page = DOCS / "how-to" / "footage.md"
-    run_python([blocks(page, "python")[0][0]], tmp_path)
-    ((line, under),) = [(text, under) for kind, text, _, under in fences(page) if kind == "sh" and under is not None]
-    words = shlex.split(line, comments=True)
-    assert words[0] == "eagor"
-    done = subprocess.run([sys.executable, "-m", *words], cwd=tmp_path, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0
-    assert not re.search("warning|error", done.stderr), done.stderr
-    assert NUMBER.sub("#", done.stdout).split() == NUMBER.sub("#", under).split()
-    found, said = ([float(number) for number in NUMBER.findall(text)] for text in (done.stdout, under))
-    assert found == pytest.approx(said, abs=1.0)
-
-
 def commands():
     """Every command of the pages' shell blocks, without its comment."""
     for page in PAGES:
