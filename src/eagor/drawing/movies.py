@@ -45,11 +45,11 @@ class Movie:
     Raises `MissingExtraError` without PyAV, `StorageError` if the folder cannot be written to.
     """
 
-    def __init__(self, path: Path, size: tuple[int, int], rate: float | None) -> None:
+    def __init__(self, path: str | Path, size: tuple[int, int], rate: float | None) -> None:
         need("a video", "photos", "av")
-        self.path, self.count = path, 0
+        self.path, self.count = Path(path), 0
         self._last = 1 / (rate or NOMINAL)
-        self._part = path.with_name(f".{path.name}.{uuid.uuid4().hex[:12]}.part")
+        self._part = self.path.with_name(f".{self.path.name}.{uuid.uuid4().hex[:12]}.part")
         try:
             self._file: _Sink | None = _Sink(self._part)
         except OSError as error:
