@@ -57,7 +57,7 @@ class Movie:
                 f"{path} cannot be written ({error.strerror or error}); name a folder that can be written to"
             ) from error
         try:
-            self._container, self._stream = _opened(self._file, path.suffix.lower(), size, rate)
+            self._container, self._stream = _opened(self._file, self.path.suffix.lower(), size, rate)
         except BaseException:
             self._drop()
             raise
