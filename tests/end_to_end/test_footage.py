@@ -166,6 +166,17 @@ def test_the_imu_of_a_video_is_preferred(tmp_path, answers):
         assert error_deg(entry, pose.T @ RED) < 4
 
 
+def test_poses_that_end_early_lose_nothing_that_was_computed(tmp_path, eagor):
+    path = filmed(tmp_path / "clip.mp4", turned(HEADING))
+    lines = [f"{t:.4f},{9 * RATE * t:.5f},0,0" for t in np.arange(0, 1.3, 0.1)]
+    (tmp_path / "poses.csv").write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *lines]))
+    words = ("track", path, "the red ball", "--rate", RATE, "--poses", tmp_path / "poses.csv")
+    code, out, err = eagor(*words, "--json")
+    assert code == 3
+    assert "has no pose" in err
+    assert [entry["stamp"] for entry in json.loads(out)["frames"]] == [k / RATE for k in range(6)], "up to 1.2 s"
+
+
 def test_a_cut_begins_the_belief_anew_and_is_said(tmp_path, answers, eagor):
     """Another room, and a red ball in another direction: what was believed says nothing about it."""
     there = direction(math.radians(130), math.radians(-25))

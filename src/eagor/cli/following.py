@@ -160,10 +160,15 @@ def _by_frame(steps: Iterable[Step]) -> Iterator[tuple[list[Pose], Step]]:
 def _with_next(items: Iterable[T]) -> Iterator[tuple[T, T | None]]:
     """Each item, with the one after it."""
     held: list[T] = []
-    for item in items:
-        if held:
-            yield held.pop(), item
-        held.append(item)
+    try:
+        for item in items:
+            if held:
+                yield held.pop(), item
+            held.append(item)
+    except EagorError:  # the one before is whole
+        for item in held:
+            yield item, None
+        raise
     for item in held:
         yield item, None
 

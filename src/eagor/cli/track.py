@@ -37,7 +37,7 @@ from eagor.cli.poses import Pose, read_poses
 from eagor.cli.steps import LEAST_ROWS, Film, Source, Step, images, is_video, thinned, with_file, with_imu, with_sight
 from eagor.cli.tables import table
 from eagor.drawing.words import answer_in_words
-from eagor.errors import ImageError
+from eagor.errors import ImageError, PoseError
 from eagor.perception import Perception, rows_of
 
 MOST_DRIFT = 90  # degrees
@@ -143,7 +143,7 @@ def _until_it_breaks(results: Iterator[Result], run: _Run) -> Iterator[Result]:
     """The results; where the frames end in an error after some, it is kept for the end: nothing computed is lost."""
     try:
         yield from results
-    except ImageError as error:
+    except (ImageError, PoseError) as error:
         if not run.frames or isinstance(error, ShapeError):
             raise
         run.broken = str(error)
