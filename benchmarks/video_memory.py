@@ -31,11 +31,11 @@ with av.open(path, "w") as container:
     container.mux(stream.encode())
 """
 READ = """
-import resource, sys
+import re, sys
 from eagor.robots.video import Video
 video = Video(sys.argv[1], rows=int(sys.argv[2]) or None)
 seen = sum(1 for _ in video)
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+peak = int(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1]) / 1024
 print(f"{video.facts[0]}: {seen} pictures of {video.shape[1]} x {video.shape[0]}: {peak:.0f} MiB")
 """
 

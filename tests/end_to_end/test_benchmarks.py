@@ -344,7 +344,7 @@ def test_threads_do_everything_once_and_try_again_what_fails(tmp_path, config):
 
 def test_ray_is_asked_for_by_name(tmp_path, config, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(EagorError, match=r"eagor\[ray\]"):
+    with pytest.raises(EagorError, match=r"needs ray: .*pip install .*\[ray\]"):
         run_units(units(2), "units_of_work:squares", config, tmp_path / "run", 2, engine="ray")
 
 
