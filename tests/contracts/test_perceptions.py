@@ -155,6 +155,11 @@ def test_text_after_scout_is_no_calibration():
 def test_load_makes_the_built_in_ones(replay_file):
     assert isinstance(load("colour"), ColourPerception)
     assert load("colour", rows=64).rows == 64
+    assert load("colour:rows=64").rows == 64
+    with pytest.raises(EagorError, match="name=value"):
+        load("colour:64")
+    with pytest.raises(EagorError, match="rows"):
+        load("colour:row=64")
     replay = load(f"replay:{replay_file}", tolerance=0.2)
     assert isinstance(replay, ReplayPerception)
     assert isinstance(replay, Perception)

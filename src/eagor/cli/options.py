@@ -122,7 +122,8 @@ class Locate(Common):
     perception: Annotated[str | None, _bare("NAME")] = None
     (
         "The detector (default: colour if the query names one, otherwise coco): colour (the colour that the query "
-        "names), coco (a small network for everyday things, `eagor models get coco`), "
+        "names; colour:rows=512 for things of 1 degree), "
+        "coco (a small network for everyday things, `eagor models get coco`), "
         "replay:FILE.jsonl (output of any detector), onnx:MODEL.onnx (a detector's file, options after ?), a model "
         "(FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, endpoint:MODEL@http://HOST:PORT/v1, options after ?), or an installed "
         "one; `eagor doctor` lists them."

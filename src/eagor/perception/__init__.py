@@ -123,10 +123,11 @@ def known() -> dict[str, EntryPoint]:
 def load(spec: str, **options: Any) -> Perception:
     """The perception that `spec` names: ``"colour"``, ``"replay:detections.jsonl"``, an installed one, or a model.
 
-    The text after the first colon is the first argument of the class or function; `options` are passed on by name. A
-    folder with ``config.json``, or any other text with a slash, is a model for `eagor.perception.transformers`; options
-    can follow it, as in ``folder?extractor=boxes&pixels=401408``. Raises `QueryError` for an unknown name,
-    `EagorError` if the perception cannot be imported or does not take the arguments.
+    The text after the first colon is the first argument of the class or function; where that takes arguments by name
+    only, it is options, as in ``colour:rows=512``. `options` are passed on by name. A folder with ``config.json``, or
+    any other text with a slash, is a model for `eagor.perception.transformers`; options can follow it, as in
+    ``folder?extractor=boxes&pixels=401408``. Raises `QueryError` for an unknown name, `EagorError` if the perception
+    cannot be imported or does not take the arguments.
     """
     name, colon, text = str(spec).partition(":")
     choices = known()
@@ -142,12 +143,17 @@ def load(spec: str, **options: Any) -> Perception:
         )
     make: Callable[..., Perception] = plugins.bring(choices[name], "perception")
     arguments, takes = (text,) if colon else (), inspect.signature(make)
+    if colon and all(each.kind is each.KEYWORD_ONLY for each in takes.parameters.values()):
+        try:
+            arguments, options = (), parse_options(text) | options
+        except EagorError as error:
+            raise EagorError(f"perception {spec!r}: {error}. It takes {name}{takes}") from error
     try:
         takes.bind(*arguments, **options)
     except TypeError as error:
         raise EagorError(
             f"perception {spec!r} cannot be made with the options {sorted(options)}: {error}. "
-            f"It takes {name}{takes}; the text after ':' is the first argument"
+            f"It takes {name}{takes}; the text after ':' is the first argument, or name=value"
         ) from error
     return make(*arguments, **options)
 
