@@ -1,14 +1,18 @@
 """The exceptions. All are ``ValueError``; each text says what came, what was wanted, and what to change."""
 
 __all__ = [
-    "AnswerError", "DirectionError", "EagorError", "FormatError", "GridError", "ImageError", "MissingExtraError",
-    "PoseError", "QueryError", "ResponseError", "RotationError", "ServerError", "StorageError", "TimeError",
-    "WorkError", "WorldError",
+    "AnswerError", "DeviceError", "DirectionError", "EagorError", "FormatError", "GridError", "ImageError",
+    "MissingExtraError", "PoseError", "QueryError", "ResponseError", "RotationError", "ServerError", "StorageError",
+    "TimeError", "WorkError", "WorldError",
 ]  # fmt: skip
 
 
 class EagorError(ValueError):
     """Base of the errors that this package raises for bad input."""
+
+
+class DeviceError(EagorError):
+    """A camera, a robot or a network interface is not there, or does not give what was asked for."""
 
 
 class DirectionError(EagorError):

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from eagor.robots.frames import Frame
+from eagor.robots.frames import CameraSource, Frame, Pose, PoseSource
 
-__all__ = ["Frame"]
+__all__ = ["CameraSource", "Frame", "Pose", "PoseSource"]
