@@ -62,6 +62,10 @@ Out = Annotated[
     Path | None,
     _bare("FILE", "Write the answer, one line per frame, to FILE.csv, FILE.jsonl or FILE.parquet (extra parquet)."),
 ]
+Rerun = Annotated[
+    Path | None,
+    _bare("FILE.rrd", "Log panorama, belief, directions, pose and status for the Rerun viewer (extra rerun)."),
+]
 Mask = Annotated[
     Path | None,
     _bare("FILE.png", "What the camera never sees (tripod, robot's back): black there, white elsewhere, 2:1."),
@@ -189,6 +193,7 @@ class Track(Common):
     modes: Modes = 3
     picture: Annotated[Path | None, arg(name="pictures", metavar="DIR", help_behavior_hint="")] = None
     """Draw each frame with the belief into this folder."""
+    rerun: Rerun = None
     out: Out = None
     mask: Mask = None
     force: Force = False
@@ -362,6 +367,10 @@ class BenchFailures(Common):
     """Of a simulated task: whose episodes (default: eagor)."""
     limit: Whole = 20
     """Number of cases to list."""
+    rerun: Annotated[Path | None, _bare("FILE.rrd")] = None
+    """Play the worst episode of a simulated task again and log it for the Rerun viewer (extra rerun)."""
+    episode: Annotated[str | None, _bare("NAME")] = None
+    """With --rerun: this episode, as it is named in the list."""
 
 
 @dataclass(frozen=True, kw_only=True)
