@@ -66,7 +66,11 @@ class Answer:
             "status": e.status,
             "held": e.held,
             "modes": [
-                {"azimuth_deg": _degrees(m.azimuth), "elevation_deg": _degrees(m.elevation), "weight": round(m.weight, 6)}
+                {
+                    "azimuth_deg": _degrees(m.azimuth),
+                    "elevation_deg": _degrees(m.elevation),
+                    "weight": round(m.weight, 6),
+                }
                 for m in e.modes[:modes]
             ],
             "pose_age": _seconds(self.pose_age),

@@ -27,9 +27,9 @@ class Picture:
 class Worker:
     """Looks at the newest of the pictures that are given to it; those that it does not come to are `skipped`.
 
-    `found` is called for each look, in the worker's thread, with the picture (None for what happens while loading); `ended` once, with the error if the
-    perception cannot be loaded. `ready` is called once it is. `pose` gives the orientation ``(3, 3)`` at a picture that
-    is about to be looked at, or None.
+    All of these are called in the worker's thread. `found`: for each look, with the picture (None for what happens
+    while loading); `ended`: once, with the error if the perception cannot be loaded; `ready`: once it is. `pose` gives
+    the orientation ``(3, 3)`` at a picture that is about to be looked at, or None.
     """
 
     def __init__(
