@@ -21,6 +21,7 @@ from eagor.robots.live.fast import at_once
 from eagor.robots.live.keeper import PATIENCE, Failed, Keeper, Looked
 from eagor.robots.live.playing import LoopClock, Pace, paced_frames, paced_poses
 from eagor.robots.live.reading import Reader, opener
+from eagor.robots.live.recorder import Recorder
 from eagor.robots.live.turns import Turns, TurnsThread
 from eagor.robots.live.worker import Picture, Worker
 from eagor.tracking import TrackerConfig
@@ -31,6 +32,7 @@ RATE = 20.0  # answers per second
 STALLED = 10.0  # seconds without a picture after which a stream is opened again
 SLIPPED = 0.1  # seconds by which this machine's clock is set before it is worth a word
 LONGEST_LATE = 60.0  # seconds: evidence may come so late, if the perception has the patience
+ON_DEMAND = 0.2  # seconds between pictures while the perception is busy
 LEAVING = 5.0  # seconds that threads have to come back from a device
 
 Camera = CameraSource | Callable[[], CameraSource]
@@ -117,8 +119,6 @@ class LiveLoop:
         self.core = LiveCore(settings)
         self._watchers = [*watchers]
         if record is not None:
-            from eagor.robots.live.recorder import Recorder
-
             self._watchers.append(Recorder(record, settings, lambda text: self._trouble("recording", text)))
         self._keeper = Keeper(perception, patience=patience)
         self._events: SimpleQueue[Event | None] = SimpleQueue()
@@ -150,9 +150,12 @@ class LiveLoop:
                 trouble=lambda text: self._trouble("poses", text),
                 ended=lambda text: self._trouble("poses", text) if text else None,
             )
+        # A source that keeps the newest picture itself makes it a panorama when asked: not more often than needed.
+        self._on_demand = getattr(self._camera, "keeps_newest", False) and self._turns is None and record is None
         self._last_frame = self.clock.now()  # its arrival
         self._over = False
         self._slip = 0.0
+        self._problem: str | None = None  # what the camera says of itself
 
     def __iter__(self) -> Iterator[Answer]:
         """The answers, until the source ends or `stop` is called: at each tick one per query, in their order."""
@@ -206,11 +209,21 @@ class LiveLoop:
             self.core.queries,
             lambda picture, said: self._found(picture, said, self.clock.now()),
             self._perception_ended,
-            lambda: self._trouble("perception", ""),
+            self._ready,
             self.core.orientation,
         )
         if self._turns is not None:
             self._seer = TurnsThread(self._turns, self._post, self.clock.now)
+        if self.live:
+            self._start_reading()
+
+    def _ready(self) -> None:
+        """The perception is loaded: a recording begins now."""
+        self._trouble("perception", "")
+        if not self.live:
+            self._start_reading()
+
+    def _start_reading(self) -> None:
         self._last_frame = self.clock.now()
         self._frames.start()
         if self._odometry is not None:
@@ -285,6 +298,10 @@ class LiveLoop:
         if self.live and now - self._last_frame > STALLED:
             self._last_frame = now
             self._frames.interrupt()
+        problem = getattr(self._frames.source, "problem", None)
+        if problem != self._problem:
+            self._problem = problem
+            self._trouble("camera", problem or "")
         slip = self.clock.slip()
         if abs(slip - self._slip) > SLIPPED:
             way = "forward" if slip > self._slip else "back"
@@ -316,6 +333,8 @@ class LiveLoop:
             self._seer.give(picture)
         assert self._worker is not None
         self._worker.give(picture)
+        if self._on_demand:
+            self._worker.wait(ON_DEMAND)
 
     def _found(self, picture: Picture | None, said: Looked | Failed, now: float) -> None:
         """What the perception says."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -57,7 +58,8 @@ def event_from(content: bytes) -> Event:
     kind, rest = content[:1], content[1:]
     try:
         if kind == b"F":
-            return FrameCame(*_FRAME.unpack_from(rest), rest[_FRAME.size :].decode())
+            arrival, stamp = _FRAME.unpack_from(rest)
+            return FrameCame(arrival, stamp, rest[_FRAME.size :].decode())
         if kind == b"P":
             arrival, stamp, of_picture, placed, *numbers = _POSE.unpack(rest)
             position = np.array(numbers[9:]) if placed else None
@@ -94,13 +96,13 @@ def settings_from(content: bytes) -> Settings:
         raise FormatError("the recording does not begin with its settings; it is not one of eagor live --record")
     version, queries, config, poses, latency = found
     if version != VERSION:
-        raise FormatError(f"the recording is of version {version}; wanted {VERSION}: play it with the eagor that made it")
+        raise FormatError(
+            f"the recording is of version {version}; wanted {VERSION}: play it with the eagor that made it"
+        )
     return Settings(tuple(queries), config, bool(poses), float(latency))
 
 
 def _looks_in_bytes(looks: tuple[Evidence, ...]) -> bytes:
-    from dataclasses import replace
-
     try:
         return packed(looks)
     except EagorError:  # what it says of its source may be anything

@@ -8,36 +8,46 @@ and the loop goes on.
 
 from __future__ import annotations
 
-import io
 import json
+import math
 import re
 import threading
-import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Literal
 
 import numpy as np
-from PIL import Image
 
-from eagor.conventions import xyzw_from_rotation
-from eagor.errors import EagorError, StorageError
-from eagor.robots.dds.ros_types import store
+from eagor.errors import EagorError
+from eagor.robots.frames import Pose
 from eagor.robots.live.answers import Answer
-from eagor.robots.live.bag import Bag
 from eagor.robots.live.core import Settings
 from eagor.robots.live.events import Event, FrameCame, PoseCame
 from eagor.robots.live.packing import event_in_bytes, settings_in_bytes
+from eagor.robots.ros.bags import BagWriter
+from eagor.robots.ros.messages import (
+    COMPRESSED,
+    ODOMETRY,
+    TEXT,
+    VECTOR,
+    compressed_message,
+    message,
+    odometry_message,
+    text_message,
+    vector_message,
+)
 
 __all__ = ["ANSWERS", "EVENTS", "IMAGES", "Recorder"]
 
-EVENTS, IMAGES, ODOMETRY = "/eagor/events", "/eagor/image/compressed", "/eagor/odom"
+EVENTS, IMAGES, ODOM = "/eagor/events", "/eagor/image/compressed", "/eagor/odom"
 ANSWERS, DIRECTION = "/eagor/answers", "/eagor/direction"
+BYTES = "std_msgs/msg/UInt8MultiArray"
 FLUSHED = 0.5  # seconds between two flushes: as much may be lost
 WAITING = 16  # pictures that may wait to be written; further ones are left out
 QUALITY = 92  # of JPEG
-WORLD, BODY = "odom", "base_link"  # REP-105
+BODY = "base_link"  # REP-105
 
 Pictures = Literal["jpeg", "png", "none"]
 
@@ -54,7 +64,8 @@ class Recorder:
         self.path, self.pictures, self.left_out = Path(path), pictures, 0
         self.problem: str | None = None
         self._trouble = trouble
-        self._bag = Bag(self.path)
+        self._bag = BagWriter(self.path, at_risk=FLUSHED)
+        self._last = -math.inf
         self._waiting = 0
         self._queue: SimpleQueue[tuple[Event, Sequence[Answer]] | None] = SimpleQueue()
         self._settings: bytes | None = settings_in_bytes(settings)
@@ -73,46 +84,47 @@ class Recorder:
         self._thread.join()
 
     def _serve(self) -> None:
-        flushed, going = time.monotonic(), True
+        entry: tuple[Event, Sequence[Answer]] | None = None
         try:
-            while going:
+            while True:
                 try:
                     entry = self._queue.get(timeout=FLUSHED)
-                    going = entry is not None
-                    if entry is not None:
-                        self._write(*entry)
                 except Empty:
-                    pass
-                if time.monotonic() - flushed >= FLUSHED:
                     self._bag.flush()
-                    flushed = time.monotonic()
+                    continue
+                if entry is None:
+                    break
+                self._write(*entry)
             self._bag.close()
         except (EagorError, OSError) as error:
             self.problem = f"the recording has ended early: {error}"
-            self._bag.abort()
             self._trouble(self.problem)
+            with suppress(EagorError):  # the same again
+                self._bag.close()
             while self._queue.get() is not None:
-                pass  # nobody writes them any more
+                continue  # nobody writes them any more
 
     def _write(self, event: Event, answers: Sequence[Answer]) -> None:
-        now = event.arrival
         if self._settings is not None:
-            self._put(EVENTS, now, self._settings)
+            self._put(event.arrival, self._settings)
             self._settings = None
-        self._put(EVENTS, now, event_in_bytes(event))
+        self._put(event.arrival, event_in_bytes(event))
         if isinstance(event, FrameCame):
             self._waiting -= 1
             self._picture(event)
         elif isinstance(event, PoseCame):
-            self._odometry(event)
+            pose = event.pose
+            flat = Pose(max(0.0, pose.stamp), pose.world_R_body, pose.position)
+            self._bag.write(ODOM, ODOMETRY, odometry_message(flat), event.arrival)
         for answer in answers:
             self._answer(answer)
 
-    def _put(self, topic: str, now: float, content: bytes) -> None:
-        types = store().types
-        layout = types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
-        data = np.frombuffer(content, dtype=np.uint8)
-        self._bag.write(topic, "std_msgs/msg/UInt8MultiArray", now, layout=layout, data=data)
+    def _put(self, now: float, content: bytes) -> None:
+        # Readers sort by time: no two events may have the same one.
+        self._last = max(now, math.nextafter(self._last, math.inf))
+        layout = message("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
+        found = message(BYTES, layout=layout, data=np.frombuffer(content, dtype=np.uint8))
+        self._bag.write(EVENTS, BYTES, found, self._last)
 
     def _picture(self, event: FrameCame) -> None:
         if event.panorama is None or self.pictures == "none":
@@ -122,56 +134,19 @@ class Recorder:
             if self.left_out == 1:
                 self._trouble("pictures come faster than they can be written; some are left out of the recording")
             return
-        content = io.BytesIO()
-        picture = Image.fromarray(event.panorama)
-        if self.pictures == "jpeg":
-            picture.save(content, "JPEG", quality=QUALITY)
-        else:
-            picture.save(content, "PNG", compress_level=1)
-        self._bag.write(
-            IMAGES, "sensor_msgs/msg/CompressedImage", event.arrival,
-            header=_header(event.stamp, BODY), format=self.pictures,
-            data=np.frombuffer(content.getvalue(), dtype=np.uint8),
-        )  # fmt: skip
-
-    def _odometry(self, event: PoseCame) -> None:
-        types, pose = store().types, event.pose
-        x, y, z, w = map(float, xyzw_from_rotation(pose.world_R_body))
-        zero = types["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
-        px, py, pz = map(float, (0.0, 0.0, 0.0) if pose.position is None else pose.position)
-        unknown = np.full(36, -1.0 if pose.position is None else 0.0)
-        here = types["geometry_msgs/msg/Pose"](
-            position=types["geometry_msgs/msg/Point"](x=px, y=py, z=pz),
-            orientation=types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w),
-        )
-        self._bag.write(
-            ODOMETRY, "nav_msgs/msg/Odometry", event.arrival,
-            header=_header(pose.stamp, WORLD), child_frame_id=BODY,
-            pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=here, covariance=unknown),
-            twist=types["geometry_msgs/msg/TwistWithCovariance"](
-                twist=types["geometry_msgs/msg/Twist"](linear=zero, angular=zero), covariance=np.full(36, -1.0)
-            ),
-        )  # fmt: skip
+        stamp = max(0.0, event.stamp)
+        found = compressed_message(event.panorama, stamp, BODY, kind=self.pictures, quality=QUALITY)
+        self._bag.write(IMAGES, COMPRESSED, found, self._last)
 
     def _answer(self, answer: Answer) -> None:
         text = json.dumps(answer.as_json(exact=True), allow_nan=False)
-        self._bag.write(ANSWERS, "std_msgs/msg/String", answer.stamp, data=text)
+        self._bag.write(ANSWERS, TEXT, text_message(text), answer.stamp)
         if answer.direction is not None:
-            x, y, z = map(float, answer.direction)
-            vector = store().types["geometry_msgs/msg/Vector3"](x=x, y=y, z=z)
-            topic = f"{DIRECTION}/{slug(answer.query)}"
-            header = _header(answer.stamp, BODY)
-            self._bag.write(topic, "geometry_msgs/msg/Vector3Stamped", answer.stamp, header=header, vector=vector)
+            found = vector_message(answer.direction, answer.stamp, BODY)
+            self._bag.write(f"{DIRECTION}/{slug(answer.query)}", VECTOR, found, answer.stamp)
 
 
 def slug(query: str) -> str:
     """A query as the last part of a topic's name: letters, digits and underscores."""
     found = re.sub(r"[^A-Za-z0-9]+", "_", query).strip("_").lower() or "query"
     return found if found[0].isalpha() else f"q_{found}"
-
-
-def _header(stamp: float, frame: str) -> Any:
-    types = store().types
-    nanoseconds = max(0, round(stamp * 1e9))
-    when = types["builtin_interfaces/msg/Time"](sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
-    return types["std_msgs/msg/Header"](stamp=when, frame_id=frame)
