@@ -17,7 +17,7 @@ from eagor.robots.frames import Frame, Pose
 from eagor.sphere import world_R_body
 
 GRID = ErpGrid(16, 32)
-BLANK = np.zeros((16, 32, 3), dtype=np.uint8)
+BLANK = np.full((16, 32, 3), 90, dtype=np.uint8)
 THING = np.array([math.cos(0.5), math.sin(0.5), 0.0])  # where it is, in the world
 
 

@@ -12,6 +12,7 @@ from typing import Any, Literal, Protocol
 
 from eagor._checks import above
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
+from eagor.evidence import BodyMask
 from eagor.perception import Perception
 from eagor.robots.frames import CameraSource, Frame, Pose, PoseSource
 from eagor.robots.live.answers import Answer, Part
@@ -21,7 +22,7 @@ from eagor.robots.live.fast import at_once
 from eagor.robots.live.keeper import PATIENCE, Failed, Keeper, Looked
 from eagor.robots.live.playing import LoopClock, Pace, paced_frames, paced_poses
 from eagor.robots.live.reading import Reader, opener
-from eagor.robots.live.recorder import Recorder
+from eagor.robots.live.recorder import Pictures, Recorder
 from eagor.robots.live.turns import Turns, TurnsThread
 from eagor.robots.live.worker import Picture, Worker
 from eagor.tracking import TrackerConfig
@@ -75,7 +76,8 @@ class LiveLoop:
     `perception`: text for `eagor.perception.load`, or an object that can be pickled; it runs in a process of its own,
     which is killed and started anew if one look takes more than `patience` seconds. `poses`: a source of odometry, or a
     function that opens one; "auto": rotation from the pictures; "level": the same for a camera that stays level; None:
-    the camera stands still. `record`: a folder for a bag of all that happens. `watchers` see it, too.
+    the camera stands still. `record`: a new folder for a bag of all that happens (`eagor.robots.live.recorder`), with
+    the `pictures` as "jpeg", "png" or "none". `mask`: what the camera never sees. `watchers` see all that happens, too.
 
     Iterate over it for answers, one per query and tick, or call `run`. Once only. Neither the camera, the poses nor the
     perception can hold up an answer; what is wrong with them is said in each answer's `faults`. The sources are closed
@@ -95,7 +97,9 @@ class LiveLoop:
         rate: float = RATE,
         patience: float = PATIENCE,
         record: Path | None = None,
+        pictures: Pictures = "jpeg",
         fast: bool = False,
+        mask: BodyMask | None = None,
         watchers: Sequence[Watcher] = (),
     ) -> None:
         for name, value in (("rate", rate), ("patience", patience)):
@@ -118,9 +122,12 @@ class LiveLoop:
         settings = Settings(tuple(queries), config, poses is not None, self._camera.latency)
         self.core = LiveCore(settings)
         self._watchers = [*watchers]
+        self._recorder: Recorder | None = None
         if record is not None:
-            self._watchers.append(Recorder(record, settings, lambda text: self._trouble("recording", text)))
-        self._keeper = Keeper(perception, patience=patience)
+            self._recorder = Recorder(record, settings, lambda text: self._trouble("recording", text), pictures)
+            self._watchers.append(self._recorder)
+        masks = [each for each in (mask, _mask_of(self._camera)) if each is not None]
+        self._keeper = Keeper(perception, patience=patience, masks=masks)
         self._events: SimpleQueue[Event | None] = SimpleQueue()
         self._stopped = threading.Event()
         self._pace = Pace(self.clock, self._stopped)
@@ -172,6 +179,11 @@ class LiveLoop:
                 on_answer(answer)
         finally:
             answers.close()  # type: ignore[attr-defined]
+
+    @property
+    def recording_problem(self) -> str | None:
+        """Why the recording has ended before the loop, in words; None if it has not."""
+        return None if self._recorder is None else self._recorder.problem
 
     def stop(self) -> None:
         """End the loop, from any thread or from `on_answer`."""
@@ -371,3 +383,9 @@ class LiveLoop:
 def _as_told(source: CameraSource) -> Iterator[tuple[Frame, float]]:
     for frame in source:
         yield frame, frame.stamp
+
+
+def _mask_of(camera: CameraSource) -> BodyMask | None:
+    """What no picture of a camera shows, if it says so."""
+    unseen = getattr(camera, "unseen", None)
+    return None if unseen is None or not unseen.any() else BodyMask(~unseen)
