@@ -185,24 +185,24 @@ class Gate:
         gone = 0.0 if state.time is None else time - state.time
         before = state.sent if gone <= limits.command_age else STILL  # it was away for long: begin anew
         room = min(max(gone, 0.0), 2 * limits.period)
-        if state.ignored is not None and time - state.ignored >= limits.follow:
+        ignored = self._ignored(state, time, inputs)
+        if ignored is not None and time - ignored >= limits.follow:
             wanted = Velocity(
                 _within(wanted.forward, -limits.creep, limits.creep),
                 _within(wanted.left, -limits.creep, limits.creep),
                 _within(wanted.turn, -limits.creep_turn, limits.creep_turn),
             )
-            remarks += (f"the robot does not move although it is told to since {time - state.ignored:.1f} s",)
+            remarks += (f"the robot does not move although it has been told to for {time - ignored:.1f} s",)
         sent = Velocity(
             _ramp(before.forward, wanted.forward, room * limits.acceleration),
             _ramp(before.left, wanted.left, room * limits.acceleration),
             _ramp(before.turn, wanted.turn, room * limits.turn_acceleration),
         )
-        ignored = self._ignored(state, time, inputs, sent)
         return replace(state, sent=sent, resting=None, ignored=ignored), sent, remarks
 
-    def _ignored(self, state: State, time: float, inputs: Inputs, sent: Velocity) -> float | None:
+    def _ignored(self, state: State, time: float, inputs: Inputs) -> float | None:
         """Since when the robot stands although it is told to move fast enough to see it."""
-        limits = self.limits
+        limits, sent = self.limits, state.sent
         if not self.armed:
             return None
         walks = math.hypot(sent.forward, sent.left) > 2 * limits.still_speed
