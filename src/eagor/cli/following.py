@@ -11,13 +11,14 @@ from typing import Any, TypeVar
 import numpy as np
 
 from eagor.cli.locate import as_angles, degrees, mode_as_json
-from eagor.cli.looking import ShapeError, is_input_fault, look_if_recorded
+from eagor.cli.looking import ShapeError, is_input_fault
 from eagor.cli.poses import Pose
 from eagor.cli.steps import Step
 from eagor.cli.unseen import Unseen
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.perception import NoEvidenceError, Perception
+from eagor.perception.looks import look_if_recorded
 from eagor.tasks.methods import NAMES, Method, make_method
 from eagor.tracking import Estimate, TrackerConfig
 from eagor.tracking.tracker import DirectionTracker

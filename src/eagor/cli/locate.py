@@ -20,7 +20,6 @@ from eagor.cli.looking import (
     closing,
     first_stamp,
     keep_picture,
-    look,
     make_perception,
     perception_for,
     read_frame,
@@ -35,6 +34,7 @@ from eagor.cli.unseen import Unseen
 from eagor.drawing.words import STATUS, answer_in_words, distance_in_words, in_words, signed
 from eagor.evidence import Evidence
 from eagor.perception import Perception, rows_of, short_name
+from eagor.perception.looks import look
 from eagor.robots.pictures import PanoramaFile
 from eagor.sphere import azimuth_elevation
 from eagor.tracking.estimate import Estimate, Mode

@@ -16,11 +16,10 @@ from PIL import Image
 
 from eagor._files import written
 from eagor.cli.terminal import UsageError, log, warning
-from eagor.errors import EagorError, ImageError, QueryError, TimeError
+from eagor.errors import EagorError, ImageError, QueryError
 from eagor.evidence import Evidence
 from eagor.evidence.detector import parse_model
 from eagor.perception import Perception, load, short_name
-from eagor.perception import look as one_look
 from eagor.perception.calibrated import Calibrated, read_calibrated
 from eagor.perception.colour import colour_in
 from eagor.perception.replay import ReplayPerception
@@ -269,35 +268,6 @@ def first_stamp(perception: Perception, query: str) -> float:
     if isinstance(perception, ReplayPerception):
         return next((record.stamp for record in perception.records if record.answers(query)), 0.0)
     return 0.0
-
-
-def look(
-    perception: Perception,
-    panorama: np.ndarray,
-    query: str,
-    stamp: float,
-    world_R_body: np.ndarray | None = None,
-) -> tuple[Evidence, ...]:
-    """The evidence of `perception`: one, or one per view if a replay has several views of one moment."""
-    if isinstance(perception, ReplayPerception):
-        return perception.looks(query, stamp)
-    return (one_look(perception, panorama, query, stamp=stamp, world_R_body=world_R_body),)
-
-
-def look_if_recorded(
-    perception: Perception,
-    panorama: np.ndarray,
-    query: str,
-    stamp: float,
-    world_R_body: np.ndarray | None = None,
-) -> tuple[Evidence, ...]:
-    """As `look`, but empty if a replay has no line for this time."""
-    try:
-        return look(perception, panorama, query, stamp, world_R_body)
-    except TimeError:
-        if isinstance(perception, ReplayPerception):
-            return ()
-        raise
 
 
 def closing(perception: Perception, query: str, looks: int) -> str | None:

@@ -8,30 +8,23 @@ parent, and the end of the process waits for its threads.
 from __future__ import annotations
 
 import multiprocessing
-import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
+from eagor._processes import leave_with_parent, one_thread
 from eagor.errors import StorageError, WorkError
 from eagor.evaluation.ledger import Ledger, records
 from eagor.evaluation.units import Book, Do, Unit, attempt_unit, load
 from eagor.plugins import readable_lists
 
-THREADS = (
-    "OPENBLAS_NUM_THREADS",
-    "OMP_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-)
 STARTS = 3  # so many workers in a row that die before they are ready mean that none ever will be
 PATIENCE = 3.0  # seconds that workers have to leave by themselves, all together
 
@@ -195,7 +188,7 @@ class ProcessSeat(Seat):
         self._process = context.Process(target=_serve, args=arguments, daemon=True)
         self._path: Path | None = None
         self._busy, self._how = True, ""
-        with _one_thread():
+        with one_thread():
             self._process.start()
         there.close()  # so that the line ends when the process does
         super().__init__()
@@ -267,21 +260,6 @@ class ProcessSeat(Seat):
         return self._how
 
 
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Processes started inside have one BLAS thread each: the libraries read these once, when they are loaded."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
 def _serve(line: Connection, work: str, config: dict[str, Any], folder: Path, task: str | None) -> None:
     """The life of a worker process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of the terminal; the parent decides
@@ -302,16 +280,3 @@ def _serve(line: Connection, work: str, config: dict[str, Any], folder: Path, ta
                 line.send(attempt_unit(do, unit, attempt, task, ledger))
         except (StorageError, WorkError) as error:
             line.send(type(error)(str(error)))
-
-
-def leave_with_parent(first: Callable[[], object] = lambda: None) -> None:
-    """End this process, after `first`, once its parent has ended, however that came about: nobody gives it work."""
-
-    def wait_for_it() -> None:
-        parent = multiprocessing.parent_process()
-        if parent is not None:
-            parent.join()
-            first()
-            os._exit(1)
-
-    threading.Thread(target=wait_for_it, daemon=True).start()

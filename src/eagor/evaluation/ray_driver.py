@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from eagor.errors import EagorError
-from eagor.evaluation.crew import Lost, Seat, leave_with_parent, work_together
+from eagor.evaluation.crew import Lost, Seat, work_together
 from eagor.evaluation.units import Unit, WorkError, attempt_unit, failure, load
 
 OVER, READY = "over", "ready"

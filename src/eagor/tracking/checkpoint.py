@@ -32,13 +32,27 @@ LONGEST = 1000  # bytes of the first line
 PACKAGES = ("eagor.belief", "eagor.evidence", "eagor.grids", "eagor.tracking")
 
 
-def save(path: Path, state: Any) -> Path:
-    """Write `state` to `path`, whole or not at all. Raises `FormatError` for what cannot be saved, `StorageError`."""
+def packed(value: Any) -> bytes:
+    """`value` as bytes, exactly; `unpacked` gives it back. Raises `FormatError` for what cannot be saved."""
     writer = _Writer()
-    found = writer.put(state)
+    found = writer.put(value)
     kinds = [{"dtype": array.dtype.str, "shape": array.shape} for array in writer.arrays]
     text = json.dumps({"arrays": kinds, "nodes": writer.nodes, "state": found}, separators=(",", ":"))
-    body = b"".join([text.encode(), b"\n", *(array.tobytes() for array in writer.arrays)])
+    return b"".join([text.encode(), b"\n", *(array.tobytes() for array in writer.arrays)])
+
+
+def unpacked(content: bytes) -> Any:
+    """The value that `packed` turned into bytes; no code in them is run. Raises `FormatError`."""
+    text, _, data = content.partition(b"\n")
+    try:
+        return _Reader(json.loads(text), data).state
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, ImportError, RecursionError) as error:
+        raise FormatError(f"these bytes were packed by another version of eagor, or are damaged: {error}") from error
+
+
+def save(path: Path, state: Any) -> Path:
+    """Write `state` to `path`, whole or not at all. Raises `FormatError` for what cannot be saved, `StorageError`."""
+    body = packed(state)
     head = {"format": FORMAT, "version": VERSION, "bytes": len(body), "sha256": hashlib.sha256(body).hexdigest()}
     return written(path, json.dumps(head).encode() + b"\n" + body)
 
@@ -65,11 +79,11 @@ def load(path: Path) -> Any:
         raise FormatError(f"{path} is of version {version!r}; wanted {VERSION}: load it with the eagor that saved it")
     if head.get("bytes") != len(body) or head.get("sha256") != hashlib.sha256(body).hexdigest():
         raise FormatError(f"{path} is damaged: {len(body)} bytes, not the ones that were saved. Save it again")
-    text, _, data = body.partition(b"\n")
     try:
-        return _Reader(json.loads(text), data).state
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError, ImportError, RecursionError) as error:
-        raise FormatError(f"{path} was saved by another version of eagor: {error}. Load it with that one") from error
+        return unpacked(body)
+    except FormatError as error:
+        why = error.__cause__
+        raise FormatError(f"{path} was saved by another version of eagor: {why}. Load it with that one") from error
 
 
 def _is_ours(module: str) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -61,6 +61,7 @@ class Estimate:
     config: TrackerConfig
     answer: Answer | None = None
     rates: Rates | None = None
+    of: Estimate | None = field(default=None, repr=False)  # what this is `turned` from
 
     def __repr__(self) -> str:
         presence = f"presence {self.presence:.2f}, {self.status}"
@@ -105,13 +106,18 @@ class Estimate:
         """The candidates, the most probable first; none while nothing is known."""
         if self.direction is None:
             return ()
-        found, masses = self.posterior.modes(MOST_MODES, LEAST_MODE)
+        found, masses = self._places
         return tuple(_mode(d @ self.world_R_body, m) for d, m in zip(found, masses, strict=True))
+
+    @lazy
+    def _places(self) -> tuple[np.ndarray, np.ndarray]:
+        """The candidates' directions ``(m, 3)``, world axes, and weights ``(m,)``."""
+        return self.posterior.modes(MOST_MODES, LEAST_MODE) if self.of is None else self.of._places
 
     @lazy
     def credible_angle(self) -> float:
         """Half-angle (radians) of the cone that is centred on the answer and holds 90 % of the belief."""
-        return self.posterior.cone(0.9, self._about)
+        return self.posterior.cone(0.9, self._about) if self.of is None else self.of.credible_angle
 
     def within(self, angle: float) -> float:
         """Probability that the target is present and within `angle` radians of the answer."""
@@ -177,6 +183,8 @@ class Estimate:
     @lazy
     def _range(self) -> tuple[float, float] | None:
         """Distance and its spread, from one (slow) computation of the range probabilities."""
+        if self.of is not None:
+            return self.of._range
         return None if math.isinf(self.age) else self.cases.standing.distance(self._about)
 
     @lazy
@@ -192,10 +200,13 @@ class Estimate:
         """
         if self.direction is None:
             return "searching"
-        found = self._found()
+        found = self._found
         return "stale" if found != "searching" and self.age > self.config.answers.stale_after else found
 
+    @lazy
     def _found(self) -> Status:
+        if self.of is not None:
+            return self.of._found
         if self.presence < 0.5:
             return "searching"
         rivals = sum(mode.weight >= RIVAL for mode in self.modes)
@@ -205,6 +216,15 @@ class Estimate:
             return "tracking"
         told = sum(mode.weight for mode in self.modes)
         return "ambiguous" if len(self.modes) > 1 and told >= 0.5 else "searching"
+
+    def turned(self, stamp: float, world_R_body: np.ndarray) -> Estimate:
+        """This belief at a later time, from another orientation ``(3, 3)``; quick, since all is shared with this one.
+
+        Exact for the camera's turns. What else may have happened since (the target moved, the camera moved past it) is
+        left out: for a short while only. `stamp` must not be earlier than this estimate's.
+        """
+        age = self.age + (stamp - self.stamp)
+        return replace(self, stamp=stamp, age=age, world_R_body=world_R_body, of=self.of or self)
 
     def _repr_html_(self) -> str:
         """A small picture, for notebooks."""

@@ -93,6 +93,14 @@ class DirectionTracker:
                 stacklevel=2,
             )
 
+    def pose_at(self, stamp: float) -> tuple[np.ndarray, np.ndarray | None]:
+        """`world_R_body` ``(3, 3)`` and position ``(3,)`` or None at a time, as `estimate` uses them.
+
+        Interpolated between poses; the last pose holds beyond its stamp. Raises `PoseError` before all known poses.
+        """
+        with self._turn:
+            return self._poses.at(stamp)
+
     def rotate(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None) -> None:
         """The old name of `add_pose`."""
         warnings.warn("DirectionTracker.rotate is now DirectionTracker.add_pose", DeprecationWarning, stacklevel=2)

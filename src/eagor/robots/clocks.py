@@ -1,0 +1,154 @@
+"""Two clocks that do not agree: by how much they differ, from the messages that one sends to the other.
+
+A message is stamped on the robot and arrives here later, never earlier. So ``arrival - stamp`` is the difference of the
+clocks plus a delay, and the smallest of many is nearest to the difference alone. The quickest message of the last
+minute counts, the less the older it is, since clocks drift. Everything here is arithmetic on the numbers given; no
+clock is read.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from eagor._checks import checked_stamp
+
+__all__ = ["ClockOffset", "Jump", "RelatedClock"]
+
+WINDOW = 60.0  # seconds for which the quickest message counts
+DRIFT = 1e-4  # seconds per second: a poor quartz, 100 ppm
+JUMP = 0.1  # seconds: a larger step is a clock that was set; smaller ones are delays
+CONFIRMED = 3  # messages in a row that have to agree on a jump
+SETTLED = 5.0  # seconds for which messages have to be late alike before it is no longer a delay
+AHEAD = 0.05  # seconds by which a stamp of our own clock may lie in the future (rounding, slewing)
+LATE = 0.25  # seconds: no network's quickest message takes longer, so a larger difference is one of clocks
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A clock was set: `seconds` by which it went forward (negative: back), and the first `stamp` after it."""
+
+    seconds: float
+    stamp: float
+
+
+@dataclass
+class _Strange:
+    """Messages in a row that do not fit, but agree with each other: the first of them, their number, the quickest."""
+
+    stamp: float
+    since: float
+    count: int
+    quickest: tuple[float, float]  # arrival, arrival - stamp
+
+
+class ClockOffset:
+    """What to add to the stamps of another clock to have ours, tracked message by message.
+
+    `window`: seconds for which a message counts; `drift`: by how much the clocks may part, seconds per second; `jump`:
+    seconds from which a step is a jump. A jump is believed once `CONFIRMED` messages in a row agree on it (they come
+    too early, or their stamps went back), or once messages are late alike for `SETTLED` seconds. Until then, and for
+    single wrong stamps, nothing changes. Memory is bounded: only messages that may still become the quickest are kept.
+    """
+
+    def __init__(self, window: float = WINDOW, drift: float = DRIFT, jump: float = JUMP) -> None:
+        self.window, self.drift, self.jump = window, drift, jump
+        self._quickest: deque[tuple[float, float]] = deque()  # arrival, arrival - stamp; later ones are less quick
+        self._strange: _Strange | None = None
+        self._last = 0.0  # stamp of the newest message that fits
+        self._now = 0.0  # its arrival
+
+    @property
+    def offset(self) -> float | None:
+        """Seconds to add to a stamp; None before any message. It exceeds the truth by the quickest delay."""
+        return self._at(self._now) if self._quickest else None
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the newest message cannot be one of the clock as it was: its stamp is of no use yet."""
+        return self._strange is not None and self._impossible(self._strange.stamp, *self._strange.quickest)
+
+    def add(self, stamp: float, arrival: float) -> Jump | None:
+        """Take in a message; returns a jump of the other clock once it is believed.
+
+        `stamp`, `arrival`: seconds, on its clock and on ours. Raises `TimeError` for stamps that are no times.
+        """
+        stamp, arrival = checked_stamp(stamp), checked_stamp(arrival)
+        late = arrival - stamp
+        if not self._quickest or abs(late - self._at(arrival)) <= self.jump:
+            self._take(stamp, arrival)
+            return None
+        odd = self._strange
+        if odd is None or abs(late - odd.quickest[1]) > self.jump:
+            odd = self._strange = _Strange(stamp, arrival, 0, (arrival, late))
+        odd.count += 1
+        odd.quickest = min(odd.quickest, (arrival, late), key=lambda each: each[1])
+        settled = arrival - odd.since >= SETTLED
+        if odd.count < CONFIRMED or not (settled or self._impossible(odd.stamp, *odd.quickest)):
+            return None
+        jump = Jump(self._at(arrival) - odd.quickest[1], odd.stamp)
+        self._quickest.clear()
+        self._take(odd.quickest[0] - odd.quickest[1], odd.quickest[0])
+        self._take(stamp, arrival)
+        return jump
+
+    def _impossible(self, stamp: float, arrival: float, late: float) -> bool:
+        """Whether no delay explains this message: it came before it was sent, or after later ones."""
+        return late < self._at(arrival) - self.jump or stamp < self._last - self.jump
+
+    def _at(self, arrival: float) -> float:
+        """The offset at a time, from the quickest message."""
+        when, late = self._quickest[0]
+        return late + self.drift * max(0.0, arrival - when)
+
+    def _take(self, stamp: float, arrival: float) -> None:
+        late = arrival - stamp
+        # late + drift * (now - arrival) is least where late - drift * arrival is, whatever the time is.
+        while self._quickest and self._quickest[-1][1] + self.drift * (arrival - self._quickest[-1][0]) >= late:
+            self._quickest.pop()
+        self._quickest.append((arrival, late))
+        while self._quickest[0][0] < arrival - self.window:
+            self._quickest.popleft()
+        self._strange, self._last, self._now = None, stamp, arrival
+
+
+class RelatedClock:
+    """The stamps of a source on our clock, whether it uses ours or one of its own.
+
+    A source uses our clock if its quickest message takes from -`AHEAD` to `latest` seconds: its stamps are then taken
+    as they are. Otherwise its clock is another one, and its stamps are shifted by the tracked offset (`ClockOffset`).
+    `latency`: seconds that its stamps have been set back for what it knows of its own delay.
+    """
+
+    def __init__(self, name: str, latency: float = 0.0, latest: float = LATE) -> None:
+        self.name, self.latency, self.latest = name, latency, latest
+        self.offsets = ClockOffset()
+        self.related = False
+
+    @property
+    def shift(self) -> float:
+        """Seconds that are added to its stamps now."""
+        offset = self.offsets.offset
+        return offset - self.latency if self.related and offset is not None else 0.0
+
+    def take(self, stamp: float, arrival: float) -> tuple[float | None, str | None]:
+        """A stamp on our clock, and what to say of the clocks, if there is news.
+
+        The stamp is None while it contradicts those before it: a wrong one, or the first ones after a jump.
+        """
+        jump = self.offsets.add(stamp, arrival)
+        if self.offsets.doubtful:
+            return None, None
+        offset = self.offsets.offset
+        assert offset is not None
+        was, self.related = self.related, not -AHEAD <= offset - self.latency <= self.latest
+        news = None
+        if jump is not None:
+            way = "forward" if jump.seconds > 0 else "back"
+            news = f"the clock of the {self.name} jumped {way} by {abs(jump.seconds):.2f} s; its stamps are shifted"
+            if not self.related:
+                news = f"the clock of the {self.name} jumped {way} by {abs(jump.seconds):.2f} s, to this machine's time"
+        elif self.related and not was:
+            way = "behind" if self.shift > 0 else "ahead of"
+            news = f"the clock of the {self.name} is {abs(self.shift):.3f} s {way} this machine's; its stamps are shifted"
+        return stamp + self.shift, news

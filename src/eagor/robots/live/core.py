@@ -1,0 +1,271 @@
+"""The live loop without threads, clocks and devices: events in, answers out.
+
+The same events give the same answers, bit for bit. Nothing here reads a clock: time is what the events say.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from eagor._checks import checked_stamp
+from eagor.errors import EagorError, TimeError
+from eagor.evidence import Evidence
+from eagor.robots.clocks import RelatedClock
+from eagor.robots.live.answers import Answer, Fault, Part
+from eagor.robots.live.events import Asked, Event, EvidenceCame, Following, FrameCame, PoseCame, PosesLost, Trouble
+from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
+
+__all__ = ["LiveCore"]
+
+HELD = 0.05  # seconds for which the last pose may hold without a word
+STALE_IMAGE = 1.0  # seconds without a picture that are worth a word
+INTERVALS = 2.5  # between pictures, if that is longer: slow cameras are not stale
+STALE_LOOK = 5.0  # seconds since the newest look that are worth a word
+REFRESHED = 0.1  # seconds for which a belief is only turned with the camera, while no evidence comes
+PICTURES = 512  # stamps of pictures that are remembered, for evidence that comes late
+SLOWEST = 1.0  # seconds: a camera's quickest picture takes no longer; a larger difference is one of clocks
+TOLD = 5.0  # seconds for which an event of a moment (a clock that jumped) stays among the faults
+
+
+class LiveCore:
+    """Follows `queries`. `poses`: whether poses are expected; without, the camera is taken to stand still.
+
+    `latency`: the camera's, as far as its stamps are set back by it. Between looks a belief is computed anew at most
+    every `REFRESHED` seconds, and otherwise turned with the camera, which is exact for turns and cheap.
+    """
+
+    def __init__(
+        self,
+        queries: Sequence[str],
+        config: TrackerConfig | None = None,
+        *,
+        poses: bool = True,
+        latency: float = 0.0,
+    ) -> None:
+        self.config = config or TrackerConfig()
+        self.queries = tuple(queries)
+        self.has_poses = poses
+        self._camera = RelatedClock("camera", latency, SLOWEST)
+        self._odometry = RelatedClock("odometry")
+        self._tracker = DirectionTracker(self.config)
+        self._pictures: deque[tuple[float, float]] = deque(maxlen=PICTURES)  # stamp of the source, and ours
+        self._image = self._pose = -math.inf
+        self._interval = 0.0
+        self._first = math.inf  # stamp of the first pose
+        self._looks: dict[str, float] = {}
+        self._early: list[tuple[str, Evidence]] = []  # of the next moments: stamps may be a little ahead of ours
+        self._full: dict[str, Estimate] = {}
+        self._fresh: set[str] = set()
+        self._faults: dict[Part, Fault] = {}
+        self._news: list[Fault] = []
+        self._asked = -math.inf
+        self._begun: float | None = None
+
+    def take(self, event: Event) -> list[Answer]:
+        """Take in an event. Answers come for `Asked` alone: one for each query, in their order."""
+        self._begun = event.arrival if self._begun is None else self._begun
+        match event:
+            case Asked():
+                return self._answers(event.arrival)
+            case FrameCame():
+                self._frame(event)
+            case PoseCame():
+                self._take_pose(event)
+            case EvidenceCame():
+                self._evidence(event)
+            case Trouble():
+                self._trouble(event)
+            case PosesLost():
+                self._lost(event)
+            case Following():
+                self._follow(event.queries)
+        return []
+
+    def orientation(self, stamp: float) -> np.ndarray | None:
+        """`world_R_body` ``(3, 3)`` at the picture of this (its source's) stamp, as far as it is known by now."""
+        ours = self._of_picture(stamp)
+        if not self.has_poses or ours is None or math.isinf(self._pose):
+            return None
+        try:
+            return self._tracker.pose_at(ours)[0]
+        except EagorError:
+            return None
+
+    def _follow(self, queries: tuple[str, ...]) -> None:
+        for gone in {*self.queries} - {*queries}:
+            self._full.pop(gone, None)
+            self._looks.pop(gone, None)
+            self._fresh.discard(gone)
+            if gone in self._tracker.targets:
+                self._tracker.forget(gone)
+        self.queries = queries
+
+    def _frame(self, event: FrameCame) -> None:
+        stamp, news = self._related(self._camera, event.stamp, event.arrival)
+        if news:
+            self._say("clock", news, event.arrival)
+        if stamp is not None:
+            self._pictures.append((event.stamp, stamp))
+            if stamp > self._image > -math.inf:
+                self._interval = stamp - self._image
+            self._image = max(self._image, stamp)
+
+    def _take_pose(self, event: PoseCame) -> None:
+        pose = event.pose
+        if event.of_picture:
+            stamp = self._of_picture(pose.stamp)
+        else:
+            stamp, news = self._related(self._odometry, pose.stamp, event.arrival)
+            if news:
+                self._say("clock", news, event.arrival)
+        if stamp is None or (stamp := min(stamp, event.arrival)) <= self._pose:
+            return  # out of order, or a stamp that contradicts the others: the next one will do
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of far stamps: the age of the pose tells
+                self._tracker.add_pose(stamp, pose.world_R_body, pose.position)
+        except EagorError as error:
+            self._say("poses", f"a pose is left out: {error}", event.arrival)
+            return
+        self._pose, self._first = stamp, min(self._first, stamp)
+
+    def _evidence(self, event: EvidenceCame) -> None:
+        stamp = self._of_picture(event.stamp)
+        if event.query not in self.queries or stamp is None:
+            return
+        if stamp > event.arrival + REFRESHED:
+            self._say("clock", f"a picture of {stamp - event.arrival:.2f} s ahead of time is left out", event.arrival)
+            return
+        for look in event.looks:
+            own = stamp if look.stamp is None else stamp + (look.stamp - event.told)
+            if own < self._first < math.inf:
+                if own < self._first - HELD:
+                    text = f"a look is left out: its picture was taken {self._first - own:.2f} s before the first pose"
+                    self._say("poses", text, event.arrival)
+                    continue
+                own = self._first
+            self._early.append((event.query, replace(look, stamp=checked_stamp(own))))
+        self._settle(event.arrival)
+
+    def _settle(self, now: float) -> None:
+        """Give the tracker the evidence that is not of the future."""
+        for query, look in [each for each in self._early if each[1].stamp <= now]:  # type: ignore[operator]
+            assert look.stamp is not None
+            try:
+                self._tracker.observe(look, query)
+            except EagorError as error:
+                self._say("perception", f"a look at {query!r} is left out: {error}", now)
+                continue
+            self._looks[query] = max(self._looks.get(query, -math.inf), look.stamp)
+            self._fresh.add(query)
+        self._early = [each for each in self._early if each[1].stamp > now]  # type: ignore[operator]
+
+    def _of_picture(self, stamp: float) -> float | None:
+        """The stamp of a picture on our clock, as it was related when the picture came."""
+        return next((ours for its, ours in reversed(list(self._pictures)) if its == stamp), None)
+
+    @staticmethod
+    def _related(clock: RelatedClock, stamp: float, arrival: float) -> tuple[float | None, str | None]:
+        try:
+            return clock.take(stamp, arrival)
+        except TimeError as error:
+            return None, f"a stamp of the {clock.name} is left out: {error}"
+
+    def _trouble(self, event: Trouble) -> None:
+        if not event.text:
+            self._faults.pop(event.part, None)
+            return
+        before = self._faults.get(event.part)
+        since = event.arrival if before is None else before.since
+        self._faults[event.part] = Fault(event.part, event.text, since)
+
+    def _lost(self, event: PosesLost) -> None:
+        self._tracker.reset()
+        self._pose, self._first = -math.inf, math.inf
+        self._full.clear()
+        self._fresh.clear()
+        self._looks.clear()
+        self._early.clear()
+        self._say("poses", event.text, event.arrival)
+
+    def _say(self, part: Part, text: str, now: float) -> None:
+        """Something that happened: it stays among the faults for a while."""
+        self._news = [each for each in self._news if each.text != text][-8:] + [Fault(part, text, now)]
+
+    def _answers(self, now: float) -> list[Answer]:
+        self._settle(now)
+        since, self._asked = now - self._asked, now
+        faults = tuple(self._wrong(now))
+        answers = []
+        due = [query for query in self.queries if self._is_due(query, now)]
+        due.sort(key=lambda query: self._full[query].stamp if query in self._full else -math.inf)
+        # The same work in each round: a belief that waits is turned meanwhile.
+        most = math.ceil(len(self.queries) * min(since / REFRESHED, 1.0) - 1e-9)
+        computed = {query: self._computed(query, now) for query in due[: max(1, most)]}
+        for query in self.queries:
+            estimate = computed.get(query) or self._turned(query, now)
+            answers.append(
+                Answer(
+                    now, query, estimate,
+                    pose_age=now - self._pose if self.has_poses else None,
+                    look_age=now - self._looks.get(query, -math.inf),
+                    image_age=now - self._image,
+                    faults=faults,
+                )
+            )  # fmt: skip
+        return answers
+
+    def _is_due(self, query: str, now: float) -> bool:
+        full = self._full.get(query)
+        return full is None or query in self._fresh or now - full.stamp >= REFRESHED or now < full.stamp
+
+    def _computed(self, query: str, now: float) -> Estimate:
+        self._fresh.discard(query)
+        known = query in self._tracker.targets
+        estimate = self._tracker.estimate(now, query) if known else self._unknown(now)
+        self._full[query] = estimate
+        return estimate
+
+    def _turned(self, query: str, now: float) -> Estimate:
+        full = self._full.get(query)
+        if full is None:
+            return self._computed(query, now)
+        return full.turned(now, self._tracker.pose_at(now)[0])
+
+    def _unknown(self, now: float) -> Estimate:
+        """The estimate of a target without evidence."""
+        from eagor.tracking.state import State
+
+        pose, position = self._tracker.pose_at(now)
+        return Estimate(now, math.inf, State.blank(self.config, now, position).cases, pose, self.config)
+
+    def _wrong(self, now: float) -> list[Fault]:
+        """What is wrong at this time: what was reported, what is overdue, what has just happened."""
+        begun = now if self._begun is None else self._begun
+        found = list(self._faults.values())
+        stale = max(STALE_IMAGE, INTERVALS * self._interval)
+        if now - self._image > stale and now - begun > stale:
+            found.append(_overdue("camera", "picture", now, self._image, begun))
+        if self.has_poses and now - self._pose > HELD and now - begun > HELD:
+            fault = _overdue("poses", "pose", now, self._pose, begun)
+            if not math.isinf(self._pose):
+                fault = replace(fault, text=f"the last pose holds for {now - self._pose:.2f} s already: turns since are not known")
+            found.append(fault)
+        if self.queries:
+            looked = max((self._looks.get(query, -math.inf) for query in self.queries), default=-math.inf)
+            if now - looked > STALE_LOOK and now - begun > STALE_LOOK and "perception" not in self._faults:
+                found.append(_overdue("perception", "look", now, looked, begun))
+        self._news = [each for each in self._news if now - each.since <= TOLD]
+        return sorted([*found, *self._news], key=lambda fault: fault.since)
+
+
+def _overdue(part: Part, what: str, now: float, last: float, begun: float) -> Fault:
+    if math.isinf(last):
+        return Fault(part, f"no {what} yet, after {now - begun:.1f} s", begun)
+    return Fault(part, f"no {what} for {now - last:.1f} s", last)
