@@ -105,7 +105,7 @@ def _stale(name: str, what: str, stamp: float | None, most: float, limits: Limit
 
 
 def _of_body(limits: Limits, now: float, body: Body | None) -> Iterator[Fault]:
-    yield from _stale("state", "state of the robot", body and body.stamp, limits.pose_age, limits, now)
+    yield from _stale("state", "state of the robot", body and body.stamp, limits.state_age, limits, now)
     if body is None:
         return
     if not all(map(math.isfinite, (body.roll, body.pitch, body.speed, body.turn))):

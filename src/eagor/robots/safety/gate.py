@@ -89,7 +89,9 @@ class Gate:
             faults += (Fault("clock", f"the clock went back by {state.time - now:.2f} s"),)
         latched = inputs.emergency or (state.latched and not inputs.reset)
         pressed = latched and not state.latched
-        blocked = bool(faults) or latched
+        if latched:
+            faults += (Fault("emergency", "the emergency stop was pressed; it stands until somebody releases that"),)
+        blocked = bool(faults)
         time = now if math.isfinite(now) else state.time
         if blocked or time is None:
             state = replace(state, clear=None)
@@ -147,7 +149,7 @@ class Gate:
     def _moves(self, time: float, inputs: Inputs) -> bool | None:
         """Whether the robot moves, by its own state; None if that is not known."""
         body, limits = inputs.body, self.limits
-        if body is None or not abs(time - body.stamp) <= limits.pose_age:
+        if body is None or not abs(time - body.stamp) <= limits.state_age:
             return None
         if not (math.isfinite(body.speed) and math.isfinite(body.turn)):
             return None

@@ -54,7 +54,8 @@ class Limits:
 
     - `command_age`: the wanted velocity. It becomes zero before it reaches this age.
     - `heartbeat_age`: the newest word of the parent process.
-    - `pose_age`: the newest pose that the parent used, and the newest state that the gate's process read itself.
+    - `state_age`: the newest state of the robot that the gate's process read itself.
+    - `pose_age`: the newest pose that the parent used.
     - `image_age`: the newest picture, since its capture.
     - `belief_age`: the newest evidence, since its capture. A model that needs 1.4 s per look comes to 2.8 s.
     - `early`: how far a stamp may lie in the future: clocks that differ.
@@ -85,6 +86,7 @@ class Limits:
     turn_acceleration: float = 1.6
     command_age: float = 0.25
     heartbeat_age: float = 0.25
+    state_age: float = 0.1
     pose_age: float = 0.1
     image_age: float = 1.0
     belief_age: float = 3.0
@@ -112,7 +114,7 @@ class Limits:
         checks |= {name: (above(getattr(self, name), 0, 3600), "a number above 0") for name in rest}
         codes = isinstance(self.calm_codes, tuple) and all(whole(code, 0, 2**32 - 1) for code in self.calm_codes)
         require(self, checks | {"calm_codes": (codes, "whole numbers from 0 on, in a tuple")})
-        shortest = min(self.command_age, self.heartbeat_age, self.pose_age)
+        shortest = min(self.command_age, self.heartbeat_age, self.state_age, self.pose_age)
         orders = {
             "period": (2 * self.period < shortest, f"less than half of the shortest age, {shortest:g} s"),
             "creep": (self.creep > 2 * self.still_speed, "more than twice still_speed: else it cannot be seen"),
