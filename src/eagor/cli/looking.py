@@ -28,7 +28,6 @@ from eagor.tracking.config import TrackerConfig
 if TYPE_CHECKING:
     from eagor.robots.pictures import PanoramaFile
 
-IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 MAX_DEGREE = 63
 LEAST_ROWS = 8
 ROUNDING = 2  # columns by which a panorama may fail to be 2:1
@@ -174,24 +173,16 @@ def warn_of_detector(detector: str | None, looks: Sequence[Evidence]) -> None:
 
 def find_frames(places: Sequence[Path]) -> tuple[Path, ...]:
     """The images in `places` (one folder, or image files), sorted by name; numbers in names sort by value."""
+    from eagor.robots.pictures import in_order, pictures_in
+
     if len(places) == 1 and os.path.isdir(places[0]):
-        try:
-            inside = sorted(places[0].iterdir())
-        except OSError as error:
-            raise ImageError(
-                f"{places[0]} cannot be read ({error.strerror}); make it readable, or name another"
-            ) from error
-        found = [p for p in inside if p.suffix.lower() in IMAGES and not p.name.startswith(".")]
-        if not found:
-            raise ImageError(f"{places[0]} holds no images; wanted files that end in {', '.join(IMAGES)}")
-    else:
-        found = list(places)
-        for place in found:  # os.path returns False where Path would raise: a name too long, a closed folder
-            if os.path.isdir(place):
-                raise UsageError(f"{place} is a folder; give one folder, or only image files")
-            if not os.path.exists(place):
-                raise ImageError(f"there is no file {place}; give a folder of panoramas, or image files")
-    return tuple(sorted(found, key=lambda p: (_natural(p.name), str(p))))
+        return pictures_in(places[0])
+    for place in places:  # os.path returns False where Path would raise: a name too long, a closed folder
+        if os.path.isdir(place):
+            raise UsageError(f"{place} is a folder; give one folder, or only image files")
+        if not os.path.exists(place):
+            raise ImageError(f"there is no file {place}; give a folder of panoramas, or image files")
+    return in_order(places)
 
 
 def say_of_video(name: str, facts: Sequence[str], duration: float | None) -> None:
@@ -278,7 +269,3 @@ def closing(perception: Perception, query: str, looks: int) -> str | None:
 def is_input_fault(error: EagorError) -> bool:
     """Whether every other frame would fail in the same way."""
     return isinstance(error, QueryError)
-
-
-def _natural(name: str) -> list[tuple[int, str | int]]:
-    return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"([0-9]+)", name) if part]

@@ -60,8 +60,8 @@ class First:
     timed: bool
 
 
-def opened(path: str, entry: str = "") -> tuple[InputContainer, VideoStream]:
-    """The file and its first stream of pictures; `entry`: its codec, if known otherwise. Raises `ImageError`."""
+def opened(path: str, entry: str = "", track: int = 0) -> tuple[InputContainer, VideoStream]:
+    """The file and one of its streams of pictures; `entry`: its codec, if known otherwise. Raises `ImageError`."""
     import av
     from av.error import FFmpegError
 
@@ -75,7 +75,7 @@ def opened(path: str, entry: str = "") -> tuple[InputContainer, VideoStream]:
             "Wanted an MP4, MOV, MKV or WebM file: copy it again from the camera"
         ) from error
     try:
-        stream = _stream(container, path, entry)
+        stream = _stream(container, path, entry, track)
         context = stream.codec_context
         pixels = context.width * context.height
         if pixels > LARGEST:
@@ -91,7 +91,7 @@ def opened(path: str, entry: str = "") -> tuple[InputContainer, VideoStream]:
     return container, stream
 
 
-def _stream(container: InputContainer, path: str, entry: str) -> VideoStream:
+def _stream(container: InputContainer, path: str, entry: str, track: int) -> VideoStream:
     kind = container.format.name
     if kind.endswith("_pipe") or kind in ("image2", "tty"):
         what = "text" if kind == "tty" else "a single picture"
@@ -100,9 +100,11 @@ def _stream(container: InputContainer, path: str, entry: str) -> VideoStream:
     if not streams:
         others = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
         raise ImageError(f"{path} has no stream of pictures, but: {others}. Give a video")
-    if streams[0].codec_context is None:
+    if not 0 <= track < len(streams):
+        raise ImageError(f"{path} has {len(streams)} tracks of pictures, and number {track} was asked for, from 0")
+    if streams[track].codec_context is None:
         raise ImageError(f"{path} is in a codec {entry!r} that this FFmpeg cannot decode; {CONVERT.format(path)}")
-    return streams[0]
+    return streams[track]
 
 
 def first_picture(container: InputContainer, stream: VideoStream, path: str) -> tuple[First, VideoFrame]:

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import os
+import re
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from eagor.errors import ImageError
 from eagor.perception.pictures import resized
 from eagor.robots.projection import Projection, of_photograph
 from eagor.robots.xmp import GPANO, properties
 from eagor.worlds.panorama import FORMATS, read_panorama
 
-__all__ = ["PanoramaFile", "read_photograph"]
+__all__ = ["IMAGES", "PanoramaFile", "in_order", "pictures_in", "read_photograph"]
+
+IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 
 JPEG_XMP = b"http://ns.adobe.com/xap/1.0/\0"  # how a JPEG's APP1 segment with XMP begins (XMP specification, part 3)
 
@@ -33,6 +39,27 @@ class PanoramaFile:
     level_R_body: np.ndarray | None = None
     world_R_body: np.ndarray | None = None
     facts: tuple[str, ...] = ()
+
+
+def pictures_in(folder: Path) -> tuple[Path, ...]:
+    """The image files in a folder, `in_order`. Raises `ImageError` if it cannot be read, or there are none."""
+    try:
+        inside = sorted(folder.iterdir())
+    except OSError as error:
+        raise ImageError(f"{folder} cannot be read ({error.strerror}); make it readable, or name another") from error
+    found = [path for path in inside if path.suffix.lower() in IMAGES and not path.name.startswith(".")]
+    if not found:
+        raise ImageError(f"{folder} holds no images; wanted files that end in {', '.join(IMAGES)}")
+    return in_order(found)
+
+
+def in_order(paths: Sequence[Path]) -> tuple[Path, ...]:
+    """`paths` sorted by name; numbers in names sort by value."""
+    return tuple(sorted(paths, key=lambda path: (_natural(path.name), str(path))))
+
+
+def _natural(name: str) -> list[tuple[int, str | int]]:
+    return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"([0-9]+)", name) if part]
 
 
 def read_photograph(path: str | os.PathLike[str]) -> PanoramaFile:

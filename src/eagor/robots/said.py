@@ -24,7 +24,8 @@ class Said:
     """`projection`: None if the file names none. `motion`: None if it has no motion track that can be used.
 
     `missing`: bytes that are cut off at the end of the file. `entry`: the codec's four letters, "" if unknown. `facts`:
-    sentences about these. `raw`: whether the camera may have left its lenses' circles as they are.
+    sentences about these. `raw`: whether the camera may have left its lenses' circles as they are. `tracks`: how many
+    tracks of pictures it has, as far as its index tells.
     """
 
     projection: Projection | None = None
@@ -33,17 +34,21 @@ class Said:
     entry: str = ""
     facts: tuple[str, ...] = ()
     raw: bool = False
+    tracks: int = 1
 
 
-def read_said(path: str) -> Said:
-    """What the file at `path` says. Raises `ImageError` for one that is cut off before its index, or not stitched."""
+def read_said(path: str, lenses: bool = False) -> Said:
+    """What the file at `path` says. Raises `ImageError` for one that is cut off before its index.
+
+    Also for one with a track for each lens, unless `lenses` are wanted.
+    """
     with open(path, "rb") as file:
         try:
             movie = read_movie(file)
         except FormatError as error:
             raise ImageError(f"{path} {error}. Copy it again from the camera") from error
         if movie is not None:
-            return _of_movie(path, movie, file)
+            return _of_movie(path, movie, file, lenses)
         head = read_head(file)
     if head is None:
         return Said(raw=path.lower().endswith(UNSTITCHED))
@@ -52,7 +57,7 @@ def read_said(path: str) -> Said:
     return Said(of_head(head), missing=head.missing, facts=facts)
 
 
-def _of_movie(path: str, movie: Movie, file: BinaryIO) -> Said:
+def _of_movie(path: str, movie: Movie, file: BinaryIO, wanted: bool) -> Said:
     motion, facts = None, ()
     raw = path.lower().endswith(UNSTITCHED)
     try:
@@ -71,13 +76,16 @@ def _of_movie(path: str, movie: Movie, file: BinaryIO) -> Said:
     if motion is not None:
         facts += ("the motion track is the camera's: where its app steadied the pictures, they turn otherwise",)
     lenses = len(movie.pictures)
-    if raw and lenses > 1:
-        raise ImageError(f"{os.path.basename(path)} holds {lenses} tracks of pictures, one for each lens. {EXPORT}")
-    if lenses > 1:
+    if raw and lenses > 1 and not wanted:
+        raise ImageError(
+            f"{os.path.basename(path)} holds {lenses} tracks of pictures, one for each lens. Give the lenses with "
+            f"--rig FILE.yaml (eagor camera calibrate makes one). Or: {EXPORT}"
+        )
+    if lenses > 1 and not wanted:
         facts += (f"it has {lenses} tracks of pictures, of which the first is taken",)
     if not movie.pictures:
         return Said(None, motion, movie.missing, "", facts, raw)
     picture = movie.pictures[0]
     if find(picture.extensions, "clap") is not None:
         facts += ("its pictures are to be cropped (box clap), which is not done",)
-    return Said(of_track(picture), motion, movie.missing, picture.entry, facts, raw)
+    return Said(of_track(picture), motion, movie.missing, picture.entry, facts, raw, lenses)

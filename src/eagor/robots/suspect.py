@@ -169,8 +169,9 @@ def problems(panorama: np.ndarray) -> tuple[str, ...]:
     if circles:
         what = "the two circles of a dual fisheye camera" if circles == 2 else "the circle of a fisheye lens"
         return (
-            f"this is {what}, not a panorama: directions would be wrong. Stitch it first, in the camera's own app, or "
-            "with FFmpeg's filter v360=dfisheye:e",
+            f"this is {what}, not a panorama: directions would be wrong. Give its lenses with --rig FILE.yaml (eagor "
+            "camera calibrate makes one), or stitch it first, in the camera's own app or with FFmpeg's filter "
+            "v360=dfisheye:e",
         )
     seam = seam_of(panorama)
     if seam.visible:

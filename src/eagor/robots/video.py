@@ -37,7 +37,9 @@ class Video:
 
     `rate`: pictures per second to take: of each tick `start`, `start` + 1 / `rate`, ... the first picture at or after
     it, each picture once; None takes all. `start`, `end`: seconds of the file; the picture at `end` is not taken.
-    `rows`: the most rows of a picture; larger ones are shrunk by area while they are decoded.
+    `rows`: the most rows of a picture; larger ones are shrunk by area while they are decoded. `lenses`: the pictures
+    are those of a camera's lenses, for `eagor.robots.cameras` to stitch: fisheye circles are wanted, and what the file
+    says of its projection does not count. `track`: which of several tracks of pictures, from 0.
 
     Stamps are the presentation times in seconds from the start of the file, and increase: a picture whose time is
     missing, or not after that of the one before, gets that time plus the mean interval. If only some lack it, a
@@ -63,19 +65,25 @@ class Video:
         start: float = 0.0,
         end: float | None = None,
         rows: int | None = None,
+        lenses: bool = False,
+        track: int = 0,
     ) -> None:
         need("reading a video", "photos", "av")
         _check(rate, start, end, rows)
         self.path = os.fspath(path)
         self.rate, self.start, self.end = rate, start, end
-        said = read_said(_checked_path(self.path))
-        projection = said.projection or Projection("nothing", "rectangular")
+        self._track = track
+        said = read_said(_checked_path(self.path), lenses)
+        projection = (None if lenses else said.projection) or Projection("nothing", "rectangular")
         projection.check(self.path)  # before FFmpeg, which refuses some of them without a word
-        container, stream = opened(self.path, said.entry)
+        container, stream = opened(self.path, said.entry, track)
         with container:
             first, picture = first_picture(container, stream, self.path)
-            if said.raw and fisheye_circles(to_rgb(picture, *CHECKED)):
-                raise ImageError(f"{self.path} shows the circles of a fisheye camera, not stitched yet. {EXPORT}")
+            if said.raw and not lenses and fisheye_circles(to_rgb(picture, *CHECKED)):
+                raise ImageError(
+                    f"{self.path} shows the circles of a fisheye camera, not stitched yet. Give the lenses with --rig "
+                    f"FILE.yaml (eagor camera calibrate makes one). Or: {EXPORT}"
+                )
         if first.duration is not None and start >= first.duration:
             raise TimeError(f"start = {start:g} s is beyond the end of {self.path}, which lasts {first.duration:.2f} s")
         self._first, self._missing = first, said.missing
@@ -86,7 +94,7 @@ class Video:
         self.duration, self.frame_rate = first.duration, first.rate
         self.level_R_body = projection.level_R_body if projection.pitch or projection.roll else None
         self.motion = said.motion
-        self.facts = tuple(_facts(said, first))
+        self.facts = tuple(_facts(said, first, lenses))
         self.count = self._count()
 
     def __iter__(self) -> Iterator[Frame]:
@@ -109,11 +117,11 @@ class Video:
 
     def _decoded(self, run: _Run) -> Iterator[tuple[float, VideoFrame]]:
         """Stamp and picture of all that can be decoded, from the key picture before `start` on."""
-        container, stream = opened(self.path)
+        container, stream = opened(self.path, track=self._track)
         try:
             if self.start > 0 and self._first.timed and not sought(container, stream, self.start + self._first.zero):
                 container.close()
-                container, stream = opened(self.path)
+                container, stream = opened(self.path, track=self._track)
             for picture in pictures(container, stream, run.damage):
                 stamp = None if picture.time is None else picture.time - self._first.zero
                 if stamp is None or (run.last is not None and stamp <= run.last):
@@ -203,7 +211,7 @@ def _checked_path(path: str) -> str:
     return path
 
 
-def _facts(said: Said, first: First) -> Iterator[str]:
+def _facts(said: Said, first: First, lenses: bool) -> Iterator[str]:
     high, wide = first.shape
     yield f"{first.codec}, {first.size[1]} x {first.size[0]} pixels"
     if first.camera:
@@ -216,7 +224,9 @@ def _facts(said: Said, first: First) -> Iterator[str]:
         yield f"its colours are HDR ({HDR[first.transfer]}) and taken as they are: they look pale"
     if not first.timed:
         yield f"its pictures have no times; {first.rate or PLAIN:g} a second are assumed"
-    if said.projection is not None:
+    if lenses:
+        yield "its pictures are those of lenses, and are stitched"
+    elif said.projection is not None:
         yield from said.projection.facts()
     elif abs(wide - 2 * high) > ROUNDING:
         yield f"it is {wide} x {high}, not 2:1, and says nothing of its projection"

@@ -1,0 +1,253 @@
+"""Lenses: which pixel of a picture sees which direction.
+
+The frame of a lens is FLU as everywhere: x along the optical axis, y to the left, z up in its picture. Pixel
+coordinates grow to the right and down; the centre of the first pixel is at (0.5, 0.5), as in `eagor.grids`. OpenCV
+counts from that centre: add 0.5 to the centre of a calibration made with it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from eagor._checks import above, within
+from eagor.errors import GridError
+from eagor.sphere import check_rotation
+
+__all__ = ["FisheyeLens", "Lens", "PinholeLens"]
+
+WIDEST = math.radians(280)  # full field of a fisheye: beyond, there is no glass
+NEWTON = 12  # rounds; each doubles the digits, and the start is within a few degrees
+FLAT = 89.0  # degrees off the axis that a plane can show at most
+FINE = 1441  # angles at which it is looked whether a curve rises
+
+
+@dataclass(frozen=True, eq=False)
+class FisheyeLens:
+    """A fisheye: ``radius(angle) = focal * (angle + k1 angle^3 + k2 angle^5 + k3 angle^7 + k4 angle^9)``.
+
+    The polynomial is that of J. Kannala and S. S. Brandt (IEEE TPAMI 28, 2006), in OpenCV's order; without it the lens
+    is equidistant. `centre`: x and y of the optical axis, pixels. `focal`: pixels per radian at the centre. `radius`:
+    pixels from the centre up to which there is a picture. `polynomial`: up to four numbers. `body_R_lens` ``(3, 3)``.
+    `picture`: which of the camera's pictures it is in.
+
+    Raises `GridError` for values that no lens has, `RotationError`.
+    """
+
+    name: str
+    centre: tuple[float, float]
+    focal: float
+    radius: float
+    polynomial: tuple[float, ...] = ()
+    body_R_lens: np.ndarray = field(default_factory=lambda: np.eye(3))
+    picture: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "body_R_lens", _rotation(self.body_R_lens))
+        object.__setattr__(self, "polynomial", tuple(float(k) for k in self.polynomial))
+        if not (above(self.focal, 0) and above(self.radius, 0) and all(within(v, -1e6, 1e6) for v in self.centre)):
+            raise GridError(
+                f"the lens {self.name!r} has centre {self.centre}, focal {self.focal!r} and radius {self.radius!r}; "
+                "wanted pixels, focal (pixels per radian) and radius above 0"
+            )
+        if len(self.polynomial) > 4 or not all(within(k, -10, 10) for k in self.polynomial):
+            raise GridError(
+                f"the lens {self.name!r} has the polynomial {list(self.polynomial)}; wanted up to four numbers, the "
+                "factors of angle^3, angle^5, angle^7, angle^9 (radians)"
+            )
+        if not self.reach > 0:
+            raise GridError(
+                f"the lens {self.name!r} never reaches the radius of {self.radius:g} pixels within "
+                f"{math.degrees(WIDEST) / 2:g} degrees of its axis: its curve is too flat, or turns back. Give another "
+                "polynomial, a larger focal, or a smaller radius"
+            )
+
+    @property
+    def reach(self) -> float:
+        """Angle (radians) off the axis at the rim; 0 if the curve does not rise up to there."""
+        angles = np.linspace(0, WIDEST / 2, FINE)
+        radii = self.focal * _odd(self.polynomial, angles)
+        beyond = radii >= self.radius * (1 - 1e-9)
+        if not beyond.any() or (np.diff(radii[: int(beyond.argmax()) + 1]) <= 0).any():
+            return 0.0
+        return float(np.interp(self.radius, radii[: int(beyond.argmax()) + 1], angles[: int(beyond.argmax()) + 1]))
+
+    @classmethod
+    def of_field(cls, name: str, centre: tuple[float, float], radius: float, fov: float, **other) -> FisheyeLens:
+        """The lens whose circle of `radius` pixels spans `fov` radians, from rim to rim."""
+        if not above(fov, 0, WIDEST):
+            raise GridError(
+                f"the lens {name!r} has a field of {math.degrees(fov):g} degrees; wanted more than 0, and at most "
+                f"{math.degrees(WIDEST):g}"
+            )
+        scale = float(_odd(other.get("polynomial", ()), np.array(fov / 2)))
+        if not above(scale, 0):
+            raise GridError(f"the polynomial of the lens {name!r} is not above 0 at its rim; wanted a curve that rises")
+        return cls(name, centre, radius / scale, radius, **other)
+
+    def project(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pixel coordinates (x, y) of body directions ``(..., 3)``, and how deep they are inside the rim, radians.
+
+        The depth is negative for what the lens does not see.
+        """
+        rays = np.asarray(directions) @ self.body_R_lens
+        off_axis = np.hypot(rays[..., 1], rays[..., 2])
+        angle = np.arctan2(off_axis, rays[..., 0])
+        radius = self.focal * _odd(self.polynomial, np.minimum(angle, self.reach))
+        scale = radius / np.maximum(off_axis, 1e-12)
+        return self.centre[0] - rays[..., 1] * scale, self.centre[1] - rays[..., 2] * scale, self.reach - angle
+
+    def unproject(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Body directions ``(..., 3)`` at pixel coordinates."""
+        right, down = np.broadcast_arrays(np.asarray(x, float) - self.centre[0], np.asarray(y, float) - self.centre[1])
+        radius = np.hypot(right, down)
+        angle = self.angle_at(radius)
+        scale = np.where(radius > 0, np.sin(angle) / np.maximum(radius, 1e-12), 1 / self.focal)
+        return np.stack([np.cos(angle), -right * scale, -down * scale], axis=-1) @ self.body_R_lens.T
+
+    def angle_at(self, radius: np.ndarray) -> np.ndarray:
+        """Angle off the axis (radians) at radii (pixels), by Newton's method; beyond the rim it goes on straight."""
+        inside = np.minimum(radius, self.radius) / self.focal
+        angle = np.minimum(inside, self.reach)
+        for _ in range(NEWTON if any(self.polynomial) else 1):
+            angle = angle - (_odd(self.polynomial, angle) - inside) / np.maximum(_slope(self.polynomial, angle), 1e-3)
+            angle = np.clip(angle, 0, self.reach * 1.001)
+        slope = max(float(_slope(self.polynomial, np.array(self.reach))), 1e-3)
+        return angle + np.maximum(radius - self.radius, 0) / (self.focal * slope)
+
+    @property
+    def density(self) -> float:
+        """Pixels per radian, about the mean over the picture."""
+        return self.radius / self.reach
+
+    def scaled(self, factor: float) -> FisheyeLens:
+        """The same lens in a picture that is `factor` times as large."""
+        x, y = (c * factor for c in self.centre)
+        return replace(self, centre=(x, y), focal=self.focal * factor, radius=self.radius * factor)
+
+
+@dataclass(frozen=True, eq=False)
+class PinholeLens:
+    """An ordinary lens with the distortion of Brown and Conrady, as OpenCV has it.
+
+    `size`: width and height of its picture in pixels, from the left upper corner. `focal`: x and y, pixels. `centre`:
+    the principal point. `distortion`: k1, k2, p1, p2, k3, k4, k5, k6 in OpenCV's order; later ones may be left out.
+    `body_R_lens` ``(3, 3)``; `picture`: which of the camera's pictures it is in.
+
+    Raises `GridError` for values that no lens has, `RotationError`.
+    """
+
+    name: str
+    size: tuple[int, int]
+    focal: tuple[float, float]
+    centre: tuple[float, float]
+    distortion: tuple[float, ...] = ()
+    body_R_lens: np.ndarray = field(default_factory=lambda: np.eye(3))
+    picture: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "body_R_lens", _rotation(self.body_R_lens))
+        object.__setattr__(self, "distortion", tuple(float(k) for k in self.distortion))
+        if not (all(above(f, 0) for f in self.focal) and all(within(c, -1e6, 1e6) for c in self.centre)):
+            raise GridError(
+                f"the lens {self.name!r} has focal {self.focal} and centre {self.centre}; wanted pixels, focal above 0"
+            )
+        if len(self.distortion) > 8 or not all(within(k, -1e3, 1e3) for k in self.distortion):
+            raise GridError(
+                f"the lens {self.name!r} has the distortion {list(self.distortion)}; wanted up to eight numbers: k1, "
+                "k2, p1, p2, k3, k4, k5, k6, as OpenCV orders them"
+            )
+
+    @property
+    def reach(self) -> float:
+        """Angle (radians) off the axis of the corner that is farthest off."""
+        return self._border[1]
+
+    @property
+    def _border(self) -> tuple[float, float]:
+        """Least and largest angle off the axis along the border of the picture, undistorted."""
+        wide, high = self.size
+        t = np.linspace(0, 1, 33)
+        x = np.concatenate([t * wide, t * wide, 0 * t, 0 * t + wide])
+        y = np.concatenate([0 * t, 0 * t + high, t * high, t * high])
+        off = np.hypot(*self._plane(x, y))
+        limit = math.tan(math.radians(FLAT))
+        return tuple(float(np.arctan(min(v, limit))) for v in (off.min(), off.max()))  # type: ignore[return-value]
+
+    def project(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As `FisheyeLens.project`; the depth is that to the nearest edge of the picture."""
+        rays = np.asarray(directions) @ self.body_R_lens
+        ahead = rays[..., 0] > math.cos(math.radians(FLAT))
+        depth = np.where(ahead, rays[..., 0], 1.0)
+        u, v = -rays[..., 1] / depth, -rays[..., 2] / depth
+        # Beyond the corners the polynomials may come back into the picture: what is far outside is not distorted.
+        outside = ~ahead | (np.hypot(u, v) > math.tan(min(self.reach + math.radians(1), math.radians(FLAT))))
+        a, b = self._distorted(np.where(outside, 0.0, u), np.where(outside, 0.0, v))
+        x, y = self.centre[0] + self.focal[0] * a, self.centre[1] + self.focal[1] * b
+        wide, high = self.size
+        sides = np.minimum(np.minimum(x, wide - x) / self.focal[0], np.minimum(y, high - y) / self.focal[1])
+        return x, y, np.where(outside, -1.0, np.arctan(sides))
+
+    def unproject(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Body directions ``(..., 3)`` at pixel coordinates; the distortion is undone by fixed-point rounds."""
+        u, v = self._plane(np.asarray(x, float), np.asarray(y, float))
+        rays = np.stack([np.ones_like(u), -u, -v], axis=-1)
+        return (rays / np.linalg.norm(rays, axis=-1, keepdims=True)) @ self.body_R_lens.T
+
+    @property
+    def density(self) -> float:
+        """Pixels per radian at the centre."""
+        return math.sqrt(self.focal[0] * self.focal[1])
+
+    def scaled(self, factor: float) -> PinholeLens:
+        """The same lens in a picture that is `factor` times as large."""
+        wide, high = (max(1, round(n * factor)) for n in self.size)
+        focal, centre = (tuple(v * factor for v in pair) for pair in (self.focal, self.centre))
+        return replace(self, size=(wide, high), focal=focal, centre=centre)
+
+    def _plane(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The plane at distance 1 (right, down), without distortion, at pixel coordinates."""
+        a, b = np.broadcast_arrays((x - self.centre[0]) / self.focal[0], (y - self.centre[1]) / self.focal[1])
+        u, v = a, b
+        for _ in range(40 if any(self.distortion) else 0):
+            c, d = self._distorted(u, v)
+            u, v = u + a - c, v + b - d
+            u, v = (np.clip(each, -60.0, 60.0) for each in (u, v))
+        return u, v
+
+    def _distorted(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where points of the plane appear (D. C. Brown, Photogrammetric Engineering 32, 1966; OpenCV, calib3d)."""
+        k1, k2, p1, p2, k3, k4, k5, k6 = (*self.distortion, *([0.0] * (8 - len(self.distortion))))
+        q = u * u + v * v
+        radial = (1 + q * (k1 + q * (k2 + q * k3))) / (1 + q * (k4 + q * (k5 + q * k6)))
+        x = u * radial + 2 * p1 * u * v + p2 * (q + 2 * u * u)
+        y = v * radial + p1 * (q + 2 * v * v) + 2 * p2 * u * v
+        return x, y
+
+
+Lens = FisheyeLens | PinholeLens
+
+
+def _odd(polynomial: tuple[float, ...], angle: np.ndarray) -> np.ndarray:
+    """angle + k1 angle^3 + k2 angle^5 + ..."""
+    squared, total = angle * angle, np.zeros_like(angle)
+    for k in reversed(polynomial):
+        total = (total + k) * squared
+    return angle * (1 + total)
+
+
+def _slope(polynomial: tuple[float, ...], angle: np.ndarray) -> np.ndarray:
+    """The derivative of `_odd`."""
+    squared, total = angle * angle, np.zeros_like(angle)
+    for power in range(len(polynomial), 0, -1):
+        total = (total + (2 * power + 1) * polynomial[power - 1]) * squared
+    return 1 + total
+
+
+def _rotation(matrix: np.ndarray) -> np.ndarray:
+    """A read-only copy of `matrix`, checked to be a rotation."""
+    checked = np.array(check_rotation(np.asarray(matrix, dtype=np.float64), "body_R_lens"))
+    checked.setflags(write=False)
+    return checked
