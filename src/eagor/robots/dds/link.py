@@ -176,7 +176,13 @@ class Reader:
     @property
     def writers(self) -> int:
         """How many writers it has now."""
-        return len(self._reader.get_matched_publications())
+        return len(self.matched)
+
+    @property
+    def matched(self) -> frozenset[int]:
+        """Numbers of its writers; the same writer has the same number at every reader of this link."""
+        reader = self._reader
+        return frozenset() if reader is None else frozenset(reader.get_matched_publications())
 
     def close(self) -> None:
         """Stop reading; waits for the thread unless it is the caller's."""

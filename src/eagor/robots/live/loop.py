@@ -12,6 +12,7 @@ from typing import Any, Literal, Protocol
 
 from eagor._checks import above
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
+from eagor.evidence import BodyMask
 from eagor.perception import Perception
 from eagor.robots.frames import CameraSource, Frame, Pose, PoseSource
 from eagor.robots.live.answers import Answer, Part
@@ -21,6 +22,7 @@ from eagor.robots.live.fast import at_once
 from eagor.robots.live.keeper import PATIENCE, Failed, Keeper, Looked
 from eagor.robots.live.playing import LoopClock, Pace, paced_frames, paced_poses
 from eagor.robots.live.reading import Reader, opener
+from eagor.robots.live.recorder import Pictures, Recorder
 from eagor.robots.live.turns import Turns, TurnsThread
 from eagor.robots.live.worker import Picture, Worker
 from eagor.tracking import TrackerConfig
@@ -31,6 +33,7 @@ RATE = 20.0  # answers per second
 STALLED = 10.0  # seconds without a picture after which a stream is opened again
 SLIPPED = 0.1  # seconds by which this machine's clock is set before it is worth a word
 LONGEST_LATE = 60.0  # seconds: evidence may come so late, if the perception has the patience
+ON_DEMAND = 0.2  # seconds between pictures while the perception is busy
 LEAVING = 5.0  # seconds that threads have to come back from a device
 
 Camera = CameraSource | Callable[[], CameraSource]
@@ -73,7 +76,8 @@ class LiveLoop:
     `perception`: text for `eagor.perception.load`, or an object that can be pickled; it runs in a process of its own,
     which is killed and started anew if one look takes more than `patience` seconds. `poses`: a source of odometry, or a
     function that opens one; "auto": rotation from the pictures; "level": the same for a camera that stays level; None:
-    the camera stands still. `record`: a folder for a bag of all that happens. `watchers` see it, too.
+    the camera stands still. `record`: a new folder for a bag of all that happens (`eagor.robots.live.recorder`), with
+    the `pictures` as "jpeg", "png" or "none". `mask`: what the camera never sees. `watchers` see all that happens, too.
 
     Iterate over it for answers, one per query and tick, or call `run`. Once only. Neither the camera, the poses nor the
     perception can hold up an answer; what is wrong with them is said in each answer's `faults`. The sources are closed
@@ -93,7 +97,9 @@ class LiveLoop:
         rate: float = RATE,
         patience: float = PATIENCE,
         record: Path | None = None,
+        pictures: Pictures = "jpeg",
         fast: bool = False,
+        mask: BodyMask | None = None,
         watchers: Sequence[Watcher] = (),
     ) -> None:
         for name, value in (("rate", rate), ("patience", patience)):
@@ -116,11 +122,12 @@ class LiveLoop:
         settings = Settings(tuple(queries), config, poses is not None, self._camera.latency)
         self.core = LiveCore(settings)
         self._watchers = [*watchers]
+        self._recorder: Recorder | None = None
         if record is not None:
-            from eagor.robots.live.recorder import Recorder
-
-            self._watchers.append(Recorder(record, settings, lambda text: self._trouble("recording", text)))
-        self._keeper = Keeper(perception, patience=patience)
+            self._recorder = Recorder(record, settings, lambda text: self._trouble("recording", text), pictures)
+            self._watchers.append(self._recorder)
+        masks = [each for each in (mask, _mask_of(self._camera)) if each is not None]
+        self._keeper = Keeper(perception, patience=patience, masks=masks)
         self._events: SimpleQueue[Event | None] = SimpleQueue()
         self._stopped = threading.Event()
         self._pace = Pace(self.clock, self._stopped)
@@ -150,9 +157,12 @@ class LiveLoop:
                 trouble=lambda text: self._trouble("poses", text),
                 ended=lambda text: self._trouble("poses", text) if text else None,
             )
+        # A source that keeps the newest picture itself makes it a panorama when asked: not more often than needed.
+        self._on_demand = getattr(self._camera, "keeps_newest", False) and self._turns is None and record is None
         self._last_frame = self.clock.now()  # its arrival
         self._over = False
         self._slip = 0.0
+        self._problem: str | None = None  # what the camera says of itself
 
     def __iter__(self) -> Iterator[Answer]:
         """The answers, until the source ends or `stop` is called: at each tick one per query, in their order."""
@@ -169,6 +179,11 @@ class LiveLoop:
                 on_answer(answer)
         finally:
             answers.close()  # type: ignore[attr-defined]
+
+    @property
+    def recording_problem(self) -> str | None:
+        """Why the recording has ended before the loop, in words; None if it has not."""
+        return None if self._recorder is None else self._recorder.problem
 
     def stop(self) -> None:
         """End the loop, from any thread or from `on_answer`."""
@@ -206,11 +221,21 @@ class LiveLoop:
             self.core.queries,
             lambda picture, said: self._found(picture, said, self.clock.now()),
             self._perception_ended,
-            lambda: self._trouble("perception", ""),
+            self._ready,
             self.core.orientation,
         )
         if self._turns is not None:
             self._seer = TurnsThread(self._turns, self._post, self.clock.now)
+        if self.live:
+            self._start_reading()
+
+    def _ready(self) -> None:
+        """The perception is loaded: a recording begins now."""
+        self._trouble("perception", "")
+        if not self.live:
+            self._start_reading()
+
+    def _start_reading(self) -> None:
         self._last_frame = self.clock.now()
         self._frames.start()
         if self._odometry is not None:
@@ -285,6 +310,10 @@ class LiveLoop:
         if self.live and now - self._last_frame > STALLED:
             self._last_frame = now
             self._frames.interrupt()
+        problem = getattr(self._frames.source, "problem", None)
+        if problem != self._problem:
+            self._problem = problem
+            self._trouble("camera", problem or "")
         slip = self.clock.slip()
         if abs(slip - self._slip) > SLIPPED:
             way = "forward" if slip > self._slip else "back"
@@ -316,6 +345,8 @@ class LiveLoop:
             self._seer.give(picture)
         assert self._worker is not None
         self._worker.give(picture)
+        if self._on_demand:
+            self._worker.wait(ON_DEMAND)
 
     def _found(self, picture: Picture | None, said: Looked | Failed, now: float) -> None:
         """What the perception says."""
@@ -352,3 +383,9 @@ class LiveLoop:
 def _as_told(source: CameraSource) -> Iterator[tuple[Frame, float]]:
     for frame in source:
         yield frame, frame.stamp
+
+
+def _mask_of(camera: CameraSource) -> BodyMask | None:
+    """What no picture of a camera shows, if it says so."""
+    unseen = getattr(camera, "unseen", None)
+    return None if unseen is None or not unseen.any() else BodyMask(~unseen)

@@ -42,11 +42,17 @@ class Reader(Generic[Item]):
         trouble: Callable[[str], Any],
         ended: Callable[[str], Any],
     ) -> None:
-        self.name, self._source, self._open = name, source, open
+        self.name, self._open = name, open
+        self._source: Any = source
         self._items, self._again = items, again
         self._give, self._trouble, self._ended = give, trouble, ended
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._read, name=f"eagor {name}", daemon=True)
+
+    @property
+    def source(self) -> Any:
+        """What is read now; None while it is gone."""
+        return self._source
 
     def start(self) -> None:
         """Begin to read."""
@@ -94,8 +100,9 @@ class Reader(Generic[Item]):
             bad = True
             self._trouble(f"{text or f'the {self.name} ended'}; opened again")
             if self._open is not None:
-                with suppress(Exception):
-                    self._source.close()
+                gone: Any = self._source
                 self._source = None
+                with suppress(Exception):
+                    gone.close()
             self._stopped.wait(pause)
             pause = min(2 * pause, REOPENED[1])

@@ -1,0 +1,10 @@
+"""Unitree's Go2: its state, its commands, its remote control, and a simulated one that speaks the same wire.
+
+- `idl`: the messages as DDS types; `wire`: the same as bytes, quickly; `low`: battery and remote control.
+- `state`: where the robot is (`Go2State`); `sport`: what it is told (`SportClient`); `check`: whether all that works.
+- `plant`: how a Go2 answers commands; `sim`: a simulated Go2 in a simulated world; `sim_server`: the same over DDS.
+
+Nothing here decides to move: `eagor.robots.safety` does.
+"""
+
+from __future__ import annotations

@@ -1,0 +1,256 @@
+"""Where a Go2 is and how it moves, as it says itself: its state messages, or its lidar's odometry."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from eagor.errors import DeviceError, FormatError
+from eagor.robots.clocks import RelatedClock
+from eagor.robots.dds import Link, Reader
+from eagor.robots.frames import Pose
+from eagor.robots.go2.wire import SportFields, raw
+
+__all__ = ["MODES", "SOURCES", "BodyState", "Go2State"]
+
+# Topics of the robot's own estimate of its pose, by the name that options give them.
+SOURCES = {
+    "sport": "rt/sportmodestate",  # 200 Hz or more
+    "slow": "rt/lf/sportmodestate",  # 20 Hz
+    "lidar": "rt/utlidar/robot_odom",  # nav_msgs/Odometry
+}
+# `BodyState.mode` in words (Unitree's sports services).
+MODES = {
+    0: "idle", 1: "standing", 2: "posing", 3: "walking", 5: "lying", 6: "standing with locked joints", 7: "limp",
+    8: "getting up", 10: "sitting",
+}  # fmt: skip
+KEPT = 2000  # states that wait for whoever iterates: 10 s at 200 Hz
+LOOK = 1.0  # seconds between looks at who publishes
+
+
+@dataclass(frozen=True, eq=False)
+class BodyState:
+    """What the robot says at one time.
+
+    `stamp`: of the measurement, on this machine's clock (``time.time()``). `world_R_body` ``(3, 3)`` and `position`
+    ``(3,)`` (metres) of the body in the robot's odometry frame, whose z points up. `velocity` ``(3,)``: metres per
+    second along the axes of that frame (the firmware's documents do not say which frame; its size is sure). `yaw_rate`:
+    radians per second, left is positive. `mode` (`MODES`) is None where the source knows none. `error_code`: 0 if the
+    robot is well. `robot_stamp`: on the robot's clock; `received`: when it came.
+    """
+
+    stamp: float
+    world_R_body: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    yaw_rate: float
+    mode: int | None = None
+    error_code: int = 0
+    gyroscope: np.ndarray | None = None
+    accelerometer: np.ndarray | None = None
+    body_height: float | None = None
+    robot_stamp: float = 0.0
+    received: float = 0.0
+
+    @property
+    def tilt(self) -> float:
+        """Radians between the body's vertical axis and the world's."""
+        return float(np.arccos(np.clip(self.world_R_body[2, 2], -1.0, 1.0)))
+
+    @property
+    def speed(self) -> float:
+        """Metres per second over the ground."""
+        return float(np.hypot(self.velocity[0], self.velocity[1]))
+
+
+class Go2State:
+    """The states of the Go2 on `link`; iterating gives `Pose` of the body, as `eagor.robots.frames.PoseSource`.
+
+    `source`: a name of `SOURCES`. `received(state)` is called for each state, in a thread. `mount` ``(3,)``: the point
+    of the body whose position is given when iterating, metres in the body frame (where the camera is). States come on
+    this machine's clock: the robot's is related to it by `eagor.robots.clocks.RelatedClock`; `news` says how.
+
+    Both forms of the message are read. A message of another length, two publishers of the same topic, or a pose that is
+    no pose are faults: everything here then raises `DeviceError` that says so; with two publishers, until one ends.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        source: str = "sport",
+        *,
+        received: Callable[[BodyState], None] | None = None,
+        mount: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        if source not in SOURCES:
+            raise DeviceError(f"there is no odometry {source!r} of a Go2; wanted one of {', '.join(SOURCES)}")
+        self.topic = SOURCES[source]
+        self.clock = RelatedClock("Go2")
+        self.count = self.dropped = self.doubtful = 0
+        self.news: deque[str] = deque(maxlen=20)  # about the robot's clock, in words
+        self.bytes: int | None = None  # length of the message, which tells the firmware's form
+        self._link, self._mount = link, np.asarray(mount, dtype=np.float64)
+        self._told = received
+        self._newest: BodyState | None = None
+        self._wrong: str | None = None  # for good
+        self._crowd = 0  # publishers, at the last look
+        self._looked = 0.0
+        self._ended = False
+        self._turn = threading.Condition()
+        self._waiting: deque[BodyState] = deque(maxlen=KEPT)
+        self._readers = self._subscribed(source)
+
+    # --- asking ---
+
+    @property
+    def newest(self) -> BodyState | None:
+        """The last state; None before the first. Raises `DeviceError` for a fault."""
+        self._check()
+        return self._newest
+
+    @property
+    def fault(self) -> str | None:
+        """What is wrong, in words; None if nothing is."""
+        self._look()
+        if self._wrong is None and self._crowd > 1:
+            return (
+                f"{self._crowd} publish {self.topic}, so the poses of different robots would mix: end all but one "
+                "(a simulator?), or use another DDS domain or interface"
+            )
+        return self._wrong
+
+    def wait(self, timeout: float = 5.0) -> BodyState:
+        """The newest state; waits for the first. Raises `DeviceError` if none comes within `timeout` seconds."""
+        end = time.monotonic() + timeout
+        while True:
+            with self._turn:
+                self._turn.wait_for(lambda: self._newest is not None, min(0.1, max(0.0, end - time.monotonic())))
+            self._check()
+            if self._newest is not None:
+                return self._newest
+            if time.monotonic() >= end:
+                raise DeviceError(self._silence(timeout))
+
+    def __iter__(self) -> Iterator[Pose]:
+        while True:
+            with self._turn:
+                self._turn.wait_for(lambda: self._waiting or self._ended, LOOK)
+                state = self._waiting.popleft() if self._waiting else None
+            if state is not None:
+                yield Pose(state.stamp, state.world_R_body, state.position + state.world_R_body @ self._mount)
+            elif self._ended:
+                return
+            self._check()
+
+    def close(self) -> None:
+        """Stop listening; who iterates comes to the end."""
+        with self._turn:
+            self._ended = True
+            self._turn.notify_all()
+        for reader in self._readers:
+            reader.close()
+
+    # --- listening ---
+
+    def _subscribed(self, source: str) -> tuple[Reader, ...]:
+        if source == "lidar":
+            return (self._link.subscribe(self.topic, "nav_msgs/msg/Odometry", self._odometry),)
+        from eagor.robots.go2.idl import ShortSportModeState, SportModeState
+
+        # DDS hands over only what is announced as the reader's own type, so each form has a reader. A writer that
+        # announces no type reaches both: the length then decides who takes the message.
+        return tuple(
+            self._link.subscribe(self.topic, raw(kind), self._sport) for kind in (SportModeState, ShortSportModeState)
+        )
+
+    def _sport(self, message: Any, when: float) -> None:
+        try:
+            fields = SportFields.from_bytes(message.data)
+        except FormatError as error:
+            self._wrong = str(error)
+            raise
+        self.bytes = len(message.data)
+        w, *xyz = fields.quaternion
+        stamp = fields.sec + 1e-9 * fields.nanosec
+        self._take(
+            stamp,
+            when,
+            (*xyz, w),
+            fields.position,
+            fields.velocity,
+            fields.yaw_speed,
+            mode=fields.mode,
+            error_code=fields.error_code,
+            gyroscope=np.array(fields.gyroscope),
+            accelerometer=np.array(fields.accelerometer),
+            body_height=fields.body_height,
+        )
+
+    def _odometry(self, message: Any, when: float) -> None:
+        pose, twist, stamp = message.pose.pose, message.twist.twist, message.header.stamp
+        turned = (pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w)
+        place = (pose.position.x, pose.position.y, pose.position.z)
+        speed = (twist.linear.x, twist.linear.y, twist.linear.z)  # in the body frame (nav_msgs/Odometry)
+        seconds = stamp.sec + 1e-9 * stamp.nanosec
+        self._take(seconds, when, turned, place, speed, twist.angular.z, of_body=True)
+
+    def _take(
+        self, robot_stamp: float, when: float, xyzw: tuple, position: tuple, velocity: tuple, yaw_rate: float,
+        *, of_body: bool = False, **more: Any,
+    ) -> None:  # fmt: skip
+        size = np.linalg.norm(xyzw)
+        if not (abs(size - 1.0) < 0.1 and np.isfinite([*position, *velocity, yaw_rate]).all()):
+            raise FormatError(f"a state without a pose: orientation {xyzw}, position {position}, velocity {velocity}")
+        stamp: float | None = when  # where the robot tells no time
+        if robot_stamp > 0:
+            stamp, news = self.clock.take(robot_stamp, when)
+            if news:
+                self.news.append(news)
+        if stamp is None:
+            self.doubtful += 1
+            return
+        turned = Rotation.from_quat(xyzw).as_matrix()
+        speed = turned @ velocity if of_body else np.array(velocity)
+        about = {"robot_stamp": robot_stamp, "received": when, **more}
+        state = BodyState(stamp, turned, np.array(position), speed, float(yaw_rate), **about)
+        with self._turn:
+            self.dropped += len(self._waiting) == KEPT
+            self._waiting.append(state)
+            self._newest = state
+            self.count += 1
+            self._turn.notify_all()
+        if self._told is not None:
+            self._told(state)
+
+    # --- faults ---
+
+    def _check(self) -> None:
+        if (fault := self.fault) is not None:
+            raise DeviceError(fault)
+
+    def _look(self) -> None:
+        """Count who publishes, once in a while."""
+        now = time.monotonic()
+        if now - self._looked >= LOOK or self._crowd > 1:
+            self._looked = now
+            self._crowd = len(frozenset().union(*(reader.matched for reader in self._readers)))
+
+    def _silence(self, timeout: float) -> str:
+        """Why no state came."""
+        where = f"domain {self._link.domain}, {self._link.interface or 'automatic interface'}"
+        if kind := self._link.topics(0.5).get(self.topic):
+            return (
+                f"somebody publishes {self.topic} as {kind}, but in a form that is not known, or nothing arrives: the "
+                "robot's firmware is newer or another one than these, or a firewall holds back UDP"
+            )
+        return (
+            f"no robot is heard within {timeout:g} s ({self.topic}, {where}): is it on, is this machine on its network "
+            "(192.168.123.x), and is the interface right?"
+        )

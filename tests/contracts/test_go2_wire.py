@@ -1,0 +1,127 @@
+"""A Go2 over DDS: what our client says, a simulated robot does; what it says, our client reads."""
+
+from __future__ import annotations
+
+import math
+import threading
+
+import numpy as np
+import pytest
+from ddsmaking import free_domain
+from processes import wait_for
+
+from eagor.errors import DeviceError
+from eagor.robots.dds import Link
+from eagor.robots.frames import PoseSource
+from eagor.robots.go2 import sport
+from eagor.robots.go2.low import Go2Low, Remote
+from eagor.robots.go2.plant import Plant, PlantSettings
+from eagor.robots.go2.sim_server import Go2Server, WireSettings
+from eagor.robots.go2.state import Go2State
+
+
+def robot(link: Link, wire: WireSettings | None = None, **settings) -> Go2Server:
+    plant = Plant(PlantSettings(**settings), np.random.default_rng(3))
+    return Go2Server(plant, link, wire, rng=np.random.default_rng(4))
+
+
+@pytest.mark.parametrize("short", [False, True])
+@pytest.mark.parametrize("source", ["sport", "slow", "lidar"])
+def test_states_come_in_both_forms_and_from_the_lidar_on_our_clock(short, source):
+    domain = free_domain()
+    wire = WireSettings(short=short, clock_offset=-4000.5)
+    with Link(domain, "lo") as link, robot(link, wire) as server:
+        state = Go2State(link, source, mount=(0.0, 0.0, 0.4))
+        assert isinstance(state, PoseSource)
+        first = state.wait(20)
+        assert first.robot_stamp < first.received - 4000
+        assert abs(first.stamp - first.received) < 10
+        wait_for(lambda: state.count > 20)
+        newest = state.newest
+        np.testing.assert_allclose(newest.world_R_body, server.truth.pose.world_R_body, atol=1e-6)
+        assert (newest.mode, newest.error_code) == ((1, 0) if source != "lidar" else (None, 0))
+        pose = next(iter(state))
+        np.testing.assert_allclose(pose.position, [0, 0, 0.72], atol=1e-6)
+        ender = threading.Timer(0.3, state.close)
+        ender.start()
+        stamps = [pose.stamp for pose in state]
+        assert stamps == sorted(stamps)
+        ender.join()
+    if source != "lidar":
+        assert state.bytes == (236 if short else 516)
+
+
+def test_a_robot_walks_where_it_is_told_and_stops():
+    domain = free_domain()
+    with Link(domain, "lo") as link, robot(link, scale_drift=0, turn_drift=0, yaw_drift=0) as server:
+        state, client = Go2State(link), sport.SportClient(link)
+        assert client.wait(20)
+        assert client.api_version() == (0, "1.0.0.1")
+        assert client.balance_stand() == sport.OK
+        for _ in range(4):
+            assert client.move(0.5, 0.0, 0.4) == sport.OK
+            seen = state.count
+            wait_for(lambda: state.count > seen + 60)  # noqa: B023
+        newest = state.newest
+        assert newest.mode == 3
+        assert newest.speed > 0.2
+        assert newest.yaw_rate > 0.2
+        assert client.stop() == sport.OK
+        wait_for(lambda: state.newest.speed < 0.01 and abs(state.newest.yaw_rate) < 0.02)
+        assert state.newest.position[0] > 0.2
+        assert [number for _, number, _ in server.requests] == [1002, 1008, 1008, 1008, 1008, 1003]
+        np.testing.assert_allclose(server.truth.pose.position[:2], state.newest.position[:2], atol=0.02)
+
+
+def test_the_remote_control_and_the_battery_are_read():
+    domain = free_domain()
+    with Link(domain, "lo") as link, robot(link, WireSettings(battery=55)) as server:
+        server.remote = Remote(frozenset({"L2", "B"}), (0.5, -1.0), (0.25, 0.0))
+        low = Go2Low(link)
+        assert low.wait(20).soc == 55
+        assert low.wait().remote == server.remote
+        assert 20 < low.wait().volts < 35
+
+
+def test_two_robots_on_one_domain_are_refused():
+    domain = free_domain()
+    with Link(domain, "lo") as link, robot(link):
+        state = Go2State(link)
+        state.wait(20)
+        with Link(domain, "lo") as other, robot(other):
+            wait_for(lambda: state.fault)
+            with pytest.raises(DeviceError, match="2 publish rt/sportmodestate"):
+                _ = state.newest
+        wait_for(lambda: state.fault is None)
+        assert state.wait() is not None
+
+
+def test_nobody_there_is_said_and_commands_have_a_code():
+    with Link(free_domain(), "lo") as link:
+        with pytest.raises(DeviceError, match=r"no robot is heard within 0\.2 s"):
+            Go2State(link).wait(0.2)
+        client = sport.SportClient(link, timeout=0.2)
+        assert client.stop() == client.move(0.1, 0, 0) == sport.SEND
+        assert sport.in_words(sport.SEND) == "could not be sent: no robot listens"
+
+
+def test_what_a_robot_does_not_know_or_understand_has_a_code():
+    with Link(free_domain(), "lo") as link, robot(link):
+        client = sport.SportClient(link)
+        client.wait(20)
+        client._allowed = frozenset(range(3000))
+        assert client.call(1030)[0] == 3203
+        assert client.call(sport.MOVE, {"x": "?"})[0] == 3204
+
+
+@pytest.mark.parametrize("number", [1030, 1031, 1032, *range(2041, 2048), 1006, 1001, 0])
+def test_dangerous_commands_are_never_sent(number):
+    with Link(free_domain(), "lo") as link, robot(link) as server:
+        client = sport.SportClient(link)
+        client.wait(20)
+        with pytest.raises(DeviceError, match=f"command {number} of 'sport' is never sent"):
+            client.call(number)
+        with pytest.raises(DeviceError, match="three finite numbers"):
+            client.move(math.nan, 0, 0)
+        assert client.api_version()[0] == 0
+        assert server.requests == []

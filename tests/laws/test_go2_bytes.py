@@ -1,0 +1,144 @@
+"""Unitree's messages as bytes: the same as cyclonedds writes, with `byte` for every octet."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import eagor.robots
+from eagor.errors import FormatError
+from eagor.robots.go2 import idl
+from eagor.robots.go2.low import BUTTONS, Remote
+from eagor.robots.go2.wire import LONG, LOW, SHORT, LowFields, SportFields
+
+KINDS = [getattr(idl, name) for name in idl.__all__]
+octets = st.integers(0, 255)
+numbers = st.floats(-1e6, 1e6, width=32)
+
+
+def vector(size):
+    return st.tuples(*[numbers] * size)
+
+
+states = st.builds(
+    SportFields,
+    st.integers(-(2**31), 2**31 - 1), st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1),
+    vector(4), vector(3), vector(3), vector(3), octets, numbers, octets, numbers,
+    vector(3), numbers, vector(3), numbers,
+)  # fmt: skip
+lows = st.builds(
+    LowFields,
+    vector(4), vector(3), vector(3), vector(3), octets, st.integers(-(2**31), 2**31 - 1), st.integers(0, 2**32 - 1),
+    st.binary(min_size=40, max_size=40), numbers, numbers,
+)  # fmt: skip
+
+
+def plain(value):
+    """A message of cyclonedds as nested tuples."""
+    if dataclasses.is_dataclass(value):
+        return tuple(plain(getattr(value, field.name)) for field in dataclasses.fields(value))
+    return tuple(map(plain, value)) if isinstance(value, list | tuple | bytes) else value
+
+
+@given(states, st.booleans())
+def test_states_are_what_cyclonedds_writes_and_come_back(fields, short):
+    data = fields.to_bytes(short)
+    assert len(data) == (SHORT if short else LONG) == (236 if short else 516)
+    assert SportFields.from_bytes(data) == fields
+    kind = idl.ShortSportModeState if short else idl.SportModeState
+    theirs = kind.deserialize(data)
+    assert theirs.serialize(use_version_2=False) == data
+    assert (theirs.stamp.sec, theirs.stamp.nanosec, theirs.error_code) == (
+        fields.sec,
+        fields.nanosec,
+        fields.error_code,
+    )
+    assert (theirs.mode, theirs.progress, theirs.gait_type) == (fields.mode, fields.progress, fields.gait_type)
+    assert plain(theirs.imu_state)[:4] == (fields.quaternion, fields.gyroscope, fields.accelerometer, fields.rpy)
+    assert plain([theirs.position, theirs.velocity]) == (fields.position, fields.velocity)
+    assert (theirs.body_height, theirs.yaw_speed) == (fields.body_height, fields.yaw_speed)
+
+
+@given(lows)
+def test_low_states_are_what_cyclonedds_writes_and_come_back(fields):
+    data = fields.to_bytes()
+    assert len(data) == LOW == 1180
+    assert LowFields.from_bytes(data) == fields
+    theirs = idl.LowState.deserialize(data)
+    assert theirs.serialize(use_version_2=False) == data
+    assert (theirs.bms_state.soc, theirs.bms_state.current) == (fields.soc, fields.current)
+    assert (theirs.tick, theirs.power_v, theirs.power_a) == (fields.tick, fields.power_v, fields.power_a)
+    assert plain(theirs.wireless_remote) == tuple(fields.wireless_remote)
+    assert plain(theirs.imu_state)[:4] == (fields.quaternion, fields.gyroscope, fields.accelerometer, fields.rpy)
+
+
+@given(states, st.booleans())
+def test_the_other_byte_order_and_cdr_2_are_read_too(fields, short):
+    kind = idl.ShortSportModeState if short else idl.SportModeState
+    message = kind.deserialize(fields.to_bytes(short))
+    big = bytearray(message.serialize(use_version_2=False))
+    assert SportFields.from_bytes(bytes([0, 7]) + bytes(big[2:])) == fields
+    body = np.frombuffer(bytes(big[4:]), np.uint8).copy()
+    words = [slice(at, at + 4) for at in range(0, 232, 4) if at not in (64, 72, *range(128, 136, 4))]
+    for part in words:
+        body[part] = body[part][::-1]
+    assert SportFields.from_bytes(bytes([0, 0, 0, 0]) + body.tobytes()) == fields
+
+
+@given(st.binary(max_size=600))
+def test_bytes_that_are_no_state_are_refused_in_words(data):
+    if len(data) not in (SHORT, LONG):
+        with pytest.raises(FormatError, match=f"has {len(data)} bytes; known are 516 and 236"):
+            SportFields.from_bytes(data)
+    elif data[:2] not in (b"\0\0", b"\0\1", b"\0\6", b"\0\7"):
+        with pytest.raises(FormatError, match="wanted plain CDR"):
+            SportFields.from_bytes(data)
+    if len(data) != LOW:
+        with pytest.raises(FormatError, match="its firmware is another one"):
+            LowFields.from_bytes(data)
+
+
+@given(st.sets(st.sampled_from(BUTTONS)), vector(2), vector(2))
+def test_the_remote_control_comes_back(pressed, left, right):
+    remote = Remote(frozenset(pressed), left, right)
+    assert len(remote.to_bytes()) == 40
+    assert Remote.from_bytes(remote.to_bytes()) == remote
+
+
+def test_the_buttons_are_where_the_robot_has_them():
+    data = bytearray(40)
+    data[2], data[3] = 0b0010_0000, 0b0000_0010
+    assert Remote.from_bytes(bytes(data)).pressed == {"L2", "B"}
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_no_member_is_a_uint8_or_int8(kind):
+    """Which would end every process with Cyclone 0.10 that hears of it, the robot's own among them."""
+    said = {field.name: repr(kind.__annotations__[field.name]) for field in dataclasses.fields(kind)}
+    assert all("int8" not in about for about in said.values()), said
+
+
+def test_no_source_of_the_robots_names_these_types():
+    """Whatever is declared anywhere: `types.uint8`, `from cyclonedds.idl.types import int8`, and the like."""
+    for path in Path(eagor.robots.__file__).parent.rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        theirs = {
+            alias.asname or alias.name: alias.name
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Import | ast.ImportFrom)
+            for alias in node.names
+            if isinstance(node, ast.Import) or (node.module or "").startswith("cyclonedds")
+        }
+        assert not {"uint8", "int8"} & {*theirs, *theirs.values()}, path
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Attribute) and node.attr in ("uint8", "int8"):
+                root = node.value
+                while isinstance(root, ast.Attribute):
+                    root = root.value
+                assert not (isinstance(root, ast.Name) and root.id in theirs and theirs[root.id] != "numpy"), path
