@@ -23,6 +23,7 @@ from eagor.cli.live_options import Live
 from eagor.cli.looking import (
     check_looks,
     checked_folder,
+    checked_out,
     checked_query,
     make_perception,
     perception_for,
@@ -73,7 +74,12 @@ def live(options: Live) -> int:
         )
     camera = opens()
     told = _Told(options, queries)
+    watchers = []
     try:
+        if options.rerun is not None:
+            from eagor.drawing.rerun_live import LiveLog
+
+            watchers.append(LiveLog(checked_out(options.rerun, "--rerun"), f"{', '.join(queries)}: {source}"))
         loop = LiveLoop(
             _First(camera, opens) if camera.live else camera,
             spec,
@@ -86,8 +92,11 @@ def live(options: Live) -> int:
             pictures=options.pictures,
             fast=options.fast,
             mask=mask,
+            watchers=watchers,
         )
     except BaseException:
+        for watcher in watchers:
+            watcher.close()
         camera.close()
         raise
     terminal.log(
@@ -104,6 +113,9 @@ def live(options: Live) -> int:
         loop.run(answered)
     finally:
         told.close()
+        for watcher in watchers:
+            if watcher.problem is not None:
+                terminal.warning(watcher.problem)
         counts = loop.counts
         terminal.log(
             f"{counts.frames} pictures, {counts.looks} looks, {counts.poses} poses, {counts.answers} answers"

@@ -32,8 +32,9 @@ from eagor.cli.looking import (
     tracker_config,
     warn_of_detector,
 )
-from eagor.cli.options import Track, given
+from eagor.cli.options import Track
 from eagor.cli.poses import Pose, read_poses
+from eagor.cli.shared_options import given
 from eagor.cli.steps import LEAST_ROWS, Film, Source, Step, images, is_video, thinned, with_file, with_imu, with_sight
 from eagor.cli.tables import table
 from eagor.drawing.words import answer_in_words

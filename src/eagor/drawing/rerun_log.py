@@ -32,6 +32,7 @@ SHORTEST, LONGEST, ANYWHERE = 0.6, 20.0, 2.0  # metres: of arrows; the last to a
 CALENDAR = 1e8  # seconds: stamps beyond count from 1970, and are shown as dates
 OURS, MODE, TRUTH, OTHER = (255, 176, 0), (255, 120, 60), (60, 220, 120), (150, 160, 180)
 DOTTED = ("azimuth", "truth")  # angles that jump where they cross the back: drawn as dots, without lines over the plot
+BLANK = (60, 64, 72)
 LEVELS = {"stale": "WARN"}
 
 
@@ -105,11 +106,15 @@ class RerunLog:
             others: directions ``(3,)`` of other methods by name.
             problem: what went wrong, in words.
         """
+        import rerun
+
         self._at(stamp)
         heat = heat_of(estimate)
         self._pose(estimate.world_R_body, position)
         if panorama is not None:
             self._picture(panorama, heat)
+        elif not self._said:  # the ball has to have some colour before the first picture
+            self._log.log("world/body/ball", rerun.Mesh3D.from_fields(vertex_colors=[BLANK] * len(_vertices())))
         name = re.sub(r"[^\w\-]+", "_", query).strip("_") or "target"
         self._marks(name, estimate, heat, truth, others or {})
         self._arrows(name, estimate, truth, others or {})
