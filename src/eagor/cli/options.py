@@ -6,96 +6,33 @@ text; a text too long for one line is therefore several strings in brackets, whi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg, subcommand
 
+from eagor.cli.live_options import Live
+from eagor.cli.shared_options import (
+    Common,
+    DataOfRun,
+    Detector,
+    Flag,
+    Floor,
+    Force,
+    ForceRun,
+    Labels,
+    Mask,
+    Modes,
+    Name,
+    Out,
+    Rows,
+    Scoring,
+    TaskOfRun,
+    Whole,
+    bare,
+)
 from eagor.errors import EagorError
-
-
-def _bare(metavar: str | None = None, help: str | None = None) -> Any:
-    """An option without a default value; its text says what happens then, and "(default: None)" is not shown."""
-    return arg(metavar=metavar, help=help, help_behavior_hint="")
-
-
-Name = Annotated[str, arg(metavar="NAME")]
-Whole = Annotated[int, arg(metavar="N")]
-Flag = Annotated[bool, _bare()]
-TaskOfRun = Annotated[str | None, _bare("NAME", "The benchmark (default: that of the run).")]
-DataOfRun = Annotated[Path | None, _bare("DIR", "Its published files (default: those of the run).")]
-Rows = Annotated[
-    int | None,
-    _bare("N", "Rows of rendered panoramas (default: those of the perception, else 256; truth reads ids instead)."),
-]
-Scoring = Annotated[
-    Literal["official", "strict"] | None,
-    _bare("WAY", "H*Bench: official (default), or strict (checks the pitch also where a window crosses yaw 0)."),
-]
-Labels = Annotated[
-    Literal["official", "corrected", "both"] | None,
-    _bare("WHICH", "OSR-Bench: official labels (default), corrected (left and right exchanged back), or both."),
-]
-
-
-Detector = Annotated[
-    str | None,
-    _bare(
-        "pd=P,clutter=N,spread=DEG",
-        "Error model of the detector: detection probability, false alarms per look, spread in degrees. Also "
-        "repeats=SHARE of mistakes that the next look repeats, and repeats_for=SECONDS and repeats_within=METRES in "
-        "which the share fades (default: it does not). pd and clutter are learnt if omitted or ?.",
-    ),
-]
-Modes = Annotated[int, arg(metavar="K", help="Maximum number of candidate directions in the output.")]
-Floor = Annotated[
-    float | None,
-    _bare(
-        "Z",
-        "Height of the floor in the world of the poses, metres. Objects stand on it, so distances are known sooner. "
-        "In locate the camera is at height 0: a floor 1.3 m below it is at -1.3.",
-    ),
-]
-Out = Annotated[
-    Path | None,
-    _bare("FILE", "Write the answer, one line per frame, to FILE.csv, FILE.jsonl or FILE.parquet (extra parquet)."),
-]
-Mask = Annotated[
-    Path | None,
-    _bare("FILE.png", "What the camera never sees (tripod, robot's back): black there, white elsewhere, 2:1."),
-]
-Force = Annotated[
-    bool,
-    _bare(
-        help="Accept pictures that are not 2:1 (all columns for 360 degrees, all rows for 180), and a calibration that "
-        "was fitted for another perception."
-    ),
-]
-ForceRun = Annotated[
-    bool,
-    _bare(
-        help="Accept a calibration that was fitted for another perception, and resume a run although the code, the "
-        "data or the model has changed."
-    ),
-]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Common:
-    """Options of every command."""
-
-    json: Flag = False
-    """Print exactly one JSON object on stdout."""
-    debug: Flag = False
-    """Show the traceback of an error."""
-
-
-def given(options: Common, names: Sequence[str]) -> list[str]:
-    """Those of `names` that differ from their default."""
-    defaults = {field.name: field.default for field in fields(options)}
-    return [name for name in names if getattr(options, name) != defaults[name]]
 
 
 def pairs_of(pairs: tuple[str, ...]) -> dict[str, str]:
@@ -119,7 +56,7 @@ class Locate(Common):
     """An equirectangular image, or a 360-degree video; its centre is forward."""
     query: Annotated[str, Positional, arg(metavar="QUERY")]
     """What to look for, in words."""
-    perception: Annotated[str | None, _bare("NAME")] = None
+    perception: Annotated[str | None, bare("NAME")] = None
     (
         "The detector (default: colour if the query names one, otherwise coco): colour (the colour that the query "
         "names; colour:rows=512 for things of 1 degree), "
@@ -132,12 +69,12 @@ class Locate(Common):
     floor: Floor = None
     degree: Whole = 15
     """Degree of the spherical harmonics, 1 to 63; the resolution is about 180 / N degrees."""
-    calibration: Annotated[Path | None, _bare("FILE.json")] = None
+    calibration: Annotated[Path | None, bare("FILE.json")] = None
     """Calibration of the perception, from `eagor calibrate`."""
     detector: Detector = None
-    stamp: Annotated[float | None, _bare("SECONDS")] = None
+    stamp: Annotated[float | None, bare("SECONDS")] = None
     """Time of the replay record to use (default: the first record for this query), or of a video's frame."""
-    picture: Annotated[Path | None, _bare("FILE.png")] = None
+    picture: Annotated[Path | None, bare("FILE.png")] = None
     """Draw the belief over the panorama."""
     out: Out = None
     mask: Mask = None
@@ -159,25 +96,25 @@ class Track(Common):
         "the columns stamp,qw,qx,qy,qz (world_R_body) or stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch nose DOWN); "
         "also x,y,z (metres) and frame (file name)."
     )
-    rate: Annotated[float | None, _bare("HZ")] = None
+    rate: Annotated[float | None, bare("HZ")] = None
     (
         "Looks per second of a video (default: 2). For images with --poses auto or level: at how many per second they "
         "were taken (default: 1)."
     )
     start: Annotated[float, arg(metavar="SECONDS")] = 0.0
     """Where to begin in a video."""
-    end: Annotated[float | None, _bare("SECONDS")] = None
+    end: Annotated[float | None, bare("SECONDS")] = None
     """Where to stop in a video (default: at its end)."""
-    video: Annotated[Path | None, _bare("FILE.mp4")] = None
+    video: Annotated[Path | None, bare("FILE.mp4")] = None
     """Write a video with the answer drawn in: .mp4, .mkv, .webm, .gif or .webp."""
-    fps: Annotated[float | None, _bare("HZ")] = None
+    fps: Annotated[float | None, bare("HZ")] = None
     """Frames per second of --video (default: 10). Between looks the belief moves with the camera."""
-    page: Annotated[Path | None, _bare("FILE.html")] = None
+    page: Annotated[Path | None, bare("FILE.html")] = None
     """Write one self-contained web page: the frames with the answers, a time line, a table."""
-    perception: Annotated[str | None, _bare("NAME")] = None
+    perception: Annotated[str | None, bare("NAME")] = None
     """The detector: colour, coco, replay:FILE.jsonl, onnx:MODEL.onnx, a model, or an installed one (as for locate)."""
     floor: Floor = None
-    calibration: Annotated[Path | None, _bare("FILE.json")] = None
+    calibration: Annotated[Path | None, bare("FILE.json")] = None
     """Calibration of the perception and of forgetting, from `eagor calibrate`."""
     detector: Detector = None
     drift: Annotated[float, arg(metavar="DEG_PER_S")] = 0.0
@@ -200,9 +137,9 @@ class Demo(Common):
 
     runs: ClassVar[str] = "eagor.cli.demo_photo:demo"
 
-    photo: Annotated[Path | None, _bare("PICTURE")] = None
+    photo: Annotated[Path | None, bare("PICTURE")] = None
     """Turn a camera in this panorama of yours, an equirectangular image, instead of walking in an apartment."""
-    query: Annotated[str | None, _bare("QUERY")] = None
+    query: Annotated[str | None, bare("QUERY")] = None
     """With --photo: what to look for (default: what the detector is surest of)."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path("eagor-demo")
@@ -229,45 +166,45 @@ class BenchRun(Common):
 
     task: Annotated[str, Positional, arg(metavar="TASK")]
     """waypoint, navigation, tracking, an installed task, or a benchmark: hstar-hos, hstar-hps, osr, ..."""
-    perception: Annotated[str | None, _bare("NAME")] = None
+    perception: Annotated[str | None, bare("NAME")] = None
     (
         "The detector: scout (default of simulated tasks), a small network on the rendered pictures; truth, a noisy "
         "detector with the ground truth of the simulator or the annotations (truth:ideal has no noise, "
         "truth:miss=0.5,spread=4 sets it); a model (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, "
         "endpoint:MODEL@http://HOST:PORT/v1); or another."
     )
-    data: Annotated[Path | None, _bare("DIR")] = None
+    data: Annotated[Path | None, bare("DIR")] = None
     """Benchmarks: the folder with the published files."""
-    agent: Annotated[str | None, _bare("NAME")] = None
+    agent: Annotated[str | None, bare("NAME")] = None
     """Benchmarks: the agent (default: eagor)."""
-    model: Annotated[str | None, _bare("MODEL")] = None
+    model: Annotated[str | None, bare("MODEL")] = None
     (
         "Benchmarks: the model of the agent vlm: FOLDER or hub name on this machine, or MODEL@ADDRESS on a server; "
         "options after ?."
     )
     scoring: Scoring = None
     labels: Labels = None
-    limit: Annotated[int | None, _bare("N")] = None
+    limit: Annotated[int | None, bare("N")] = None
     """Benchmarks: only the first N cases."""
-    shard: Annotated[str | None, _bare("I/N")] = None
+    shard: Annotated[str | None, bare("I/N")] = None
     """Benchmarks: every N-th case from the I-th on, for several machines, which may share one --out."""
     engine: Literal["processes", "threads", "ray"] = "processes"
     """Kind of --workers: processes; threads, for perceptions and models on servers; ray, for a Ray cluster."""
-    address: Annotated[str | None, _bare("ADDRESS")] = None
+    address: Annotated[str | None, bare("ADDRESS")] = None
     """Address of the Ray cluster (default: RAY_ADDRESS, else this machine)."""
-    methods: Annotated[tuple[str, ...], _bare("NAME ...")] = ()
+    methods: Annotated[tuple[str, ...], bare("NAME ...")] = ()
     (
         "The methods (default: all eight, and for a vision-language model plain, its own answer); variants such as "
         "eagor:degree=7,decode=mean; in navigation also oracle."
     )
     episodes: Whole = 20
     """Number of episodes; five in each apartment."""
-    seed: Annotated[int | None, _bare("N")] = None
+    seed: Annotated[int | None, bare("N")] = None
     (
         "The first apartment (default 2000). 0 to 1999 are for development, 2000 to 9999 for results. Benchmarks: seed "
         "of truth and of random agents (default 0)."
     )
-    out: Annotated[Path | None, _bare("RUN")] = None
+    out: Annotated[Path | None, bare("RUN")] = None
     """The folder of the run (default: runs/TASK-PERCEPTION-SEED). Finished episodes in it are not played again."""
     workers: Whole = 1
     """Number of parallel workers."""
@@ -280,7 +217,7 @@ class BenchRun(Common):
     """The camera bobs and sways, and the odometry drifts."""
     latency: Whole = 0
     """Delay of responses in steps."""
-    set: Annotated[tuple[str, ...], _bare("RULE=VALUE ...")] = ()
+    set: Annotated[tuple[str, ...], bare("RULE=VALUE ...")] = ()
     (
         "Rules to change, such as success_distance=0.5 max_steps=200 stop=call sliding=false. Benchmarks: other "
         "options, such as sure=0.8."
@@ -288,7 +225,7 @@ class BenchRun(Common):
     world: Annotated[str, arg(metavar="WORLD")] = "apartment"
     """apartment, an installed world, or a GLB file."""
     rows: Rows = None
-    calibration: Annotated[Path | None, _bare("FILE.json")] = None
+    calibration: Annotated[Path | None, bare("FILE.json")] = None
     """Calibration of our tracker, from `eagor calibrate`."""
     detector: Detector = None
     force: ForceRun = False
@@ -302,7 +239,7 @@ class BenchReport(Common):
 
     folders: Annotated[tuple[Path, ...], Positional, arg(metavar="RUN ...", help_behavior_hint="(required)")]
     """The folder of the run; for benchmarks also several."""
-    out: Annotated[Path | None, _bare("DIR")] = None
+    out: Annotated[Path | None, bare("DIR")] = None
     """Folder for the report (default: the first run's)."""
 
 
@@ -317,7 +254,7 @@ class BenchInfo(Common):
 
     data: Annotated[Path, Positional, arg(metavar="DATA")]
     """The folder."""
-    task: Annotated[str | None, _bare("NAME")] = None
+    task: Annotated[str | None, bare("NAME")] = None
     """The benchmark (default: all that can read the folder)."""
 
 
@@ -334,9 +271,9 @@ class BenchScore(Common):
     data: DataOfRun = None
     scoring: Scoring = None
     labels: Labels = None
-    set: Annotated[tuple[str, ...], _bare("OPTION=VALUE ...")] = ()
+    set: Annotated[tuple[str, ...], bare("OPTION=VALUE ...")] = ()
     """Other options of the benchmark."""
-    out: Annotated[Path | None, _bare("RUN")] = None
+    out: Annotated[Path | None, bare("RUN")] = None
     """Save the records as a run, for report, compare and failures."""
 
 
@@ -346,9 +283,9 @@ class BenchCompare(Common):
 
     a: Annotated[Path, Positional, arg(metavar="A")]
     """The folder of a run."""
-    b: Annotated[Path | None, Positional, _bare("[B]")] = None
+    b: Annotated[Path | None, Positional, bare("[B]")] = None
     """The folder of another run; without it, two methods of A are compared."""
-    methods: Annotated[tuple[str, ...], _bare("METHOD ...")] = ()
+    methods: Annotated[tuple[str, ...], bare("METHOD ...")] = ()
     """Simulated tasks: one method for both runs, or one for A and one for B (default: eagor)."""
 
 
@@ -358,7 +295,7 @@ class BenchFailures(Common):
 
     run: Annotated[Path, Positional, arg(metavar="RUN")]
     """The folder of the run."""
-    method: Annotated[str | None, _bare("NAME")] = None
+    method: Annotated[str | None, bare("NAME")] = None
     """Of a simulated task: whose episodes (default: eagor)."""
     limit: Whole = 20
     """Number of cases to list."""
@@ -368,19 +305,19 @@ class BenchFailures(Common):
 class BenchExport(Common):
     """Export a run, or a benchmark's cases, for other software."""
 
-    run: Annotated[Path | None, Positional, _bare("[RUN]")] = None
+    run: Annotated[Path | None, Positional, bare("[RUN]")] = None
     """The folder of a run; omit it for exports that only need the data."""
     to: Annotated[str, arg(metavar="FORMAT")] = "jsonl"
     (
         "jsonl (the records; of a benchmark, samples with lmms-eval's keys), csv or parquet (the figures of each case; "
         "parquet needs the extra of that name), or a format of the benchmark: lmms-eval, hstar-txt, ..."
     )
-    task: Annotated[str | None, _bare("NAME")] = None
+    task: Annotated[str | None, bare("NAME")] = None
     """The benchmark, if no run is given."""
     data: DataOfRun = None
-    set: Annotated[tuple[str, ...], _bare("OPTION=VALUE ...")] = ()
+    set: Annotated[tuple[str, ...], bare("OPTION=VALUE ...")] = ()
     """The benchmark's options, if no run is given."""
-    out: Annotated[Path | None, _bare("DIR")] = None
+    out: Annotated[Path | None, bare("DIR")] = None
     """The folder to write to (default: that of the run)."""
 
 
@@ -415,16 +352,16 @@ class Calibrate(Common):
     """responses: calibrate any perception. heads: find the heads of a local model (Qwen2.5-VL, Gemma 3, ...)."""
     perception: Name = "scout"
     """The perception; for heads a model (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, options after ?)."""
-    replay: Annotated[Path | None, _bare("FILE.jsonl")] = None
+    replay: Annotated[Path | None, bare("FILE.jsonl")] = None
     """Fit the error model of the detector that wrote this replay file (docs/replay-format.md); needs --truth."""
-    truth: Annotated[Path | None, _bare("FILE.jsonl")] = None
+    truth: Annotated[Path | None, bare("FILE.jsonl")] = None
     """The true directions for --replay: lines of stamp, query and targets (docs/replay-format.md)."""
-    out: Annotated[Path | None, _bare("FILE.json")] = None
+    out: Annotated[Path | None, bare("FILE.json")] = None
     (
         "File for the calibration (default: calibration-PERCEPTION.json; pass it to other commands as --calibration) "
         "or for the heads (default: heads-MODEL.json; pass it to a model as FOLDER?heads=FILE.json)."
     )
-    labels: Annotated[Path | None, _bare("FILE.jsonl")] = None
+    labels: Annotated[Path | None, bare("FILE.jsonl")] = None
     """heads: labelled panoramas of your own (docs/models.md), instead of apartments."""
     take: Whole = 3
     """heads: number of heads."""
@@ -477,6 +414,7 @@ class Doctor(Common):
 Command = (
     Annotated[Locate, subcommand("locate")]
     | Annotated[Track, subcommand("track")]
+    | Annotated[Live, subcommand("live")]
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[Calibrate, subcommand("calibrate")]

@@ -17,6 +17,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
+from eagor._processes import leave_with_parent
 from eagor.errors import EagorError
 from eagor.evaluation.crew import Lost, Seat, work_together
 from eagor.evaluation.units import Unit, WorkError, attempt_unit, failure, load

@@ -150,5 +150,7 @@ class RelatedClock:
                 news = f"the clock of the {self.name} jumped {way} by {abs(jump.seconds):.2f} s, to this machine's time"
         elif self.related and not was:
             way = "behind" if self.shift > 0 else "ahead of"
-            news = f"the clock of the {self.name} is {abs(self.shift):.3f} s {way} this machine's; its stamps are shifted"
+            news = (
+                f"the clock of the {self.name} is {abs(self.shift):.3f} s {way} this machine's; its stamps are shifted"
+            )
         return stamp + self.shift, news

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -52,33 +53,48 @@ class Answer:
         status = f"{self.estimate.status}, held" if self.estimate.held else self.estimate.status
         return "; ".join([status, *(fault.text for fault in self.faults)])
 
-    def as_json(self, modes: int = 3) -> dict[str, Any]:
-        """This answer for a line of JSON, with at most so many candidates; what is not known is None."""
-        e = self.estimate
+    def as_json(self, modes: int = 3, exact: bool = False) -> dict[str, Any]:
+        """This answer for a line of JSON, with at most so many candidates; what is not known is None.
+
+        `exact`: numbers are not rounded, so that answers can be compared bit for bit.
+        """
+        digits = None if exact else 6
+        e, distance = self.estimate, None
+        if e.direction is not None and e.status != "searching":
+            distance = e.distance
         return {
-            "stamp": round(self.stamp, 6),
+            "stamp": _number(self.stamp, digits),
             "query": self.query,
-            "azimuth_deg": _degrees(e.azimuth),
-            "elevation_deg": _degrees(e.elevation),
-            "direction": None if e.direction is None else [round(float(each), 6) for each in e.direction],
-            "credible_angle_deg": None if e.direction is None else _degrees(e.credible_angle),
-            "presence": round(e.presence, 6),
+            **_angles(e.azimuth, e.elevation, digits),
+            "direction": None if e.direction is None else [_number(float(each), digits) for each in e.direction],
+            "credible_angle_deg": None if e.direction is None else _degrees(e.credible_angle, digits),
+            "presence": _number(e.presence, digits),
+            "distance_m": _number(distance, digits),
             "status": e.status,
             "held": e.held,
             "modes": [
-                {"azimuth_deg": _degrees(m.azimuth), "elevation_deg": _degrees(m.elevation), "weight": round(m.weight, 6)}
-                for m in e.modes[:modes]
+                _angles(mode.azimuth, mode.elevation, digits) | {"weight": _number(mode.weight, digits)}
+                for mode in e.modes[:modes]
             ],
-            "pose_age": _seconds(self.pose_age),
-            "look_age": _seconds(self.look_age),
-            "image_age": _seconds(self.image_age),
-            "faults": [{"part": each.part, "text": each.text, "since": round(each.since, 6)} for each in self.faults],
+            "pose_age": _number(self.pose_age, digits),
+            "look_age": _number(self.look_age, digits),
+            "image_age": _number(self.image_age, digits),
+            "faults": [
+                {"part": each.part, "text": each.text, "since": _number(each.since, digits)} for each in self.faults
+            ],
         }
 
 
-def _degrees(angle: float | None) -> float | None:
-    return None if angle is None else round(float(np.degrees(angle)), 4)
+def _angles(azimuth: float | None, elevation: float | None, digits: int | None) -> dict[str, float | None]:
+    return {"azimuth_deg": _degrees(azimuth, digits), "elevation_deg": _degrees(elevation, digits)}
 
 
-def _seconds(age: float | None) -> float | None:
-    return None if age is None or not np.isfinite(age) else round(age, 6)
+def _degrees(angle: float | None, digits: int | None) -> float | None:
+    return None if angle is None else _number(math.degrees(angle), digits)
+
+
+def _number(value: float | None, digits: int | None) -> float | None:
+    """The number, rounded; None for what is not known, and for ages before anything came."""
+    if value is None or not math.isfinite(value):
+        return None
+    return float(value) if digits is None else round(float(value), digits)

@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from eagor.robots.live.answers import Answer, Fault, Part
 from eagor.robots.live.events import Asked, Event, EvidenceCame, Following, FrameCame, PoseCame, PosesLost, Trouble
 from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 
-__all__ = ["LiveCore"]
+__all__ = ["LiveCore", "Settings"]
 
 HELD = 0.05  # seconds for which the last pose may hold without a word
 STALE_IMAGE = 1.0  # seconds without a picture that are worth a word
@@ -33,27 +32,31 @@ SLOWEST = 1.0  # seconds: a camera's quickest picture takes no longer; a larger 
 TOLD = 5.0  # seconds for which an event of a moment (a clock that jumped) stays among the faults
 
 
-class LiveCore:
-    """Follows `queries`. `poses`: whether poses are expected; without, the camera is taken to stand still.
+@dataclass(frozen=True)
+class Settings:
+    """What a core starts with: `queries`, the tracker's `config`, whether `poses` are expected, the camera's `latency`.
 
-    `latency`: the camera's, as far as its stamps are set back by it. Between looks a belief is computed anew at most
-    every `REFRESHED` seconds, and otherwise turned with the camera, which is exact for turns and cheap.
+    Without poses the camera is taken to stand still. `latency`: seconds by which the camera's stamps are set back.
     """
 
-    def __init__(
-        self,
-        queries: Sequence[str],
-        config: TrackerConfig | None = None,
-        *,
-        poses: bool = True,
-        latency: float = 0.0,
-    ) -> None:
-        self.config = config or TrackerConfig()
-        self.queries = tuple(queries)
-        self.has_poses = poses
-        self._camera = RelatedClock("camera", latency, SLOWEST)
+    queries: tuple[str, ...]
+    config: TrackerConfig = field(default_factory=TrackerConfig)
+    poses: bool = True
+    latency: float = 0.0
+
+
+class LiveCore:
+    """Follows targets by `settings`, event by event. Not for several threads, except `orientation`.
+
+    Between looks a belief is computed anew at most every `REFRESHED` seconds, and otherwise turned with the camera,
+    which is exact for turns and cheap.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.config, self.queries, self.has_poses = settings.config, settings.queries, settings.poses
+        self._camera = RelatedClock("camera", settings.latency, SLOWEST)
         self._odometry = RelatedClock("odometry")
-        self._tracker = DirectionTracker(self.config)
+        self._tracker = DirectionTracker(settings.config)
         self._pictures: deque[tuple[float, float]] = deque(maxlen=PICTURES)  # stamp of the source, and ours
         self._image = self._pose = -math.inf
         self._interval = 0.0
@@ -196,7 +199,8 @@ class LiveCore:
 
     def _say(self, part: Part, text: str, now: float) -> None:
         """Something that happened: it stays among the faults for a while."""
-        self._news = [each for each in self._news if each.text != text][-8:] + [Fault(part, text, now)]
+        others = [each for each in self._news if each.text != text]
+        self._news = [*others[-8:], Fault(part, text, now)]
 
     def _answers(self, now: float) -> list[Answer]:
         self._settle(now)
@@ -255,7 +259,9 @@ class LiveCore:
         if self.has_poses and now - self._pose > HELD and now - begun > HELD:
             fault = _overdue("poses", "pose", now, self._pose, begun)
             if not math.isinf(self._pose):
-                fault = replace(fault, text=f"the last pose holds for {now - self._pose:.2f} s already: turns since are not known")
+                fault = replace(
+                    fault, text=f"the last pose holds for {now - self._pose:.2f} s already: turns since are not known"
+                )
             found.append(fault)
         if self.queries:
             looked = max((self._looks.get(query, -math.inf) for query in self.queries), default=-math.inf)

@@ -19,7 +19,7 @@ import numpy as np
 
 from eagor._processes import one_thread
 from eagor.errors import EagorError, ImageError
-from eagor.evidence import Evidence
+from eagor.evidence import BodyMask, Evidence
 from eagor.perception import Perception
 from eagor.robots.live.looker import serve
 from eagor.tracking.checkpoint import unpacked
@@ -59,11 +59,14 @@ class Keeper:
 
     `patience`: seconds that a look may take; then the process is killed, and started anew with the next picture. One
     that dies is started anew after a pause, which grows while that goes on. Loading may take `LOADING` seconds, or
-    `patience` if that is longer. Not for several threads, except `kill`.
+    `patience` if that is longer. `masks`: where looks say nothing; where all pictures are black about a pole, they do
+    not either. Not for several threads, except `kill`.
     """
 
-    def __init__(self, perception: str | Perception, *, patience: float = PATIENCE) -> None:
-        self.perception, self.patience = perception, patience
+    def __init__(
+        self, perception: str | Perception, *, patience: float = PATIENCE, masks: Sequence[BodyMask] = ()
+    ) -> None:
+        self.perception, self.patience, self.masks = perception, patience, tuple(masks)
         self.starts = 0
         self._process: Any = None
         self._line: Connection | None = None
@@ -85,7 +88,7 @@ class Keeper:
         with self._lock:
             if self._killed.is_set():
                 return
-            process = context.Process(target=serve, args=(there, self.perception, os.getpid()), daemon=True)
+            process = context.Process(target=serve, args=(there, self.perception, self.masks, os.getpid()), daemon=True)
             try:
                 with one_thread():
                     process.start()

@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
@@ -22,16 +23,17 @@ import numpy as np
 
 from eagor._processes import leave_with_parent
 from eagor.errors import EagorError, FormatError, QueryError
-from eagor.evidence import Evidence
+from eagor.evidence import BodyMask, Evidence
 from eagor.perception import Perception, load
 from eagor.perception.looks import look_if_recorded
+from eagor.robots.suspect import NeverSeen
 from eagor.tracking.checkpoint import packed
 
 DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux's prctl
 
 
-def serve(line: Connection, perception: str | Perception, parent: int) -> None:
-    """The life of the process; it ends when the line or its parent does."""
+def serve(line: Connection, perception: str | Perception, masks: Sequence[BodyMask], parent: int) -> None:
+    """The life of the process; it ends when the line or its parent does. `masks`: where looks say nothing."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of the terminal; the parent decides
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     _die_with(parent)
@@ -44,6 +46,7 @@ def serve(line: Connection, perception: str | Perception, parent: int) -> None:
             line.send(("unusable", _said(error)))
             return
         line.send(("ready",))
+        black = NeverSeen()
         while (order := line.recv()) is not None:
             name, queries, stamp, shape, pose = order
             if memory is None or memory.name != name:
@@ -52,8 +55,10 @@ def serve(line: Connection, perception: str | Perception, parent: int) -> None:
                 memory = SharedMemory(name)
             seen = np.ndarray(shape, dtype=np.uint8, buffer=memory.buf)
             seen.flags.writeable = False
+            hidden = black.add(seen)
+            covers = [*masks, BodyMask(~hidden)] if hidden.any() and not hidden.all() else masks
             for query in queries:
-                line.send(_looked(looking, seen, query, stamp, pose))
+                line.send(_looked(looking, seen, query, stamp, pose, covers))
             del seen
             line.send(("done",))
     if memory is not None:
@@ -61,11 +66,15 @@ def serve(line: Connection, perception: str | Perception, parent: int) -> None:
             memory.close()
 
 
-def _looked(perception: Perception, seen: np.ndarray, query: str, stamp: float, pose: Any) -> tuple[Any, ...]:
+def _looked(
+    perception: Perception, seen: np.ndarray, query: str, stamp: float, pose: Any, covers: Sequence[BodyMask]
+) -> tuple[Any, ...]:
     """One look, as it is said; whatever the perception raises is said too."""
     began = time.perf_counter()
     try:
         looks = look_if_recorded(perception, seen, query, stamp, pose)
+        for mask in covers:
+            looks = tuple(look.covered(mask) for look in looks)
         return "looked", query, _in_bytes(looks), time.perf_counter() - began
     except Exception as error:
         return "failed", query, _said(error), isinstance(error, QueryError)

@@ -27,9 +27,9 @@ class Picture:
 class Worker:
     """Looks at the newest of the pictures that are given to it; those that it does not come to are `skipped`.
 
-    `found` is called for each look, in the worker's thread, with the picture (None for what happens while loading); `ended` once, with the error if the
-    perception cannot be loaded. `ready` is called once it is. `pose` gives the orientation ``(3, 3)`` at a picture that
-    is about to be looked at, or None.
+    All of these are called in the worker's thread. `found`: for each look, with the picture (None for what happens
+    while loading); `ended`: once, with the error if the perception cannot be loaded; `ready`: once it is. `pose` gives
+    the orientation ``(3, 3)`` at a picture that is about to be looked at, or None.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Worker:
         with self._news:
             self.skipped += self._next is not None
             self._next = picture
-            self._news.notify()
+            self._news.notify_all()
 
     @property
     def idle(self) -> bool:
@@ -64,11 +64,16 @@ class Worker:
         with self._news:
             return not self._thread.is_alive() or (self._next is None and not self._busy)
 
+    def wait(self, seconds: float) -> None:
+        """Wait so long, or until the next picture is wanted."""
+        with self._news:
+            self._news.wait_for(lambda: self._stopped or (self._next is None and not self._busy), seconds)
+
     def stop(self) -> None:
         """End the perception's process and the thread, at once."""
         with self._news:
             self._stopped = True
-            self._news.notify()
+            self._news.notify_all()
         self.keeper.kill()
         self._thread.join()
 
@@ -82,6 +87,7 @@ class Worker:
                 self._look(picture)
                 with self._news:
                     self._busy = False
+                    self._news.notify_all()
         except UnusableError as unusable:
             error = unusable
         finally:

@@ -1,0 +1,92 @@
+"""What the options of several commands share: names of values, and the options of every command."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from tyro.conf import arg
+
+
+def bare(metavar: str | None = None, help: str | None = None) -> Any:
+    """An option without a default value; its text says what happens then, and "(default: None)" is not shown."""
+    return arg(metavar=metavar, help=help, help_behavior_hint="")
+
+
+Name = Annotated[str, arg(metavar="NAME")]
+Whole = Annotated[int, arg(metavar="N")]
+Flag = Annotated[bool, bare()]
+TaskOfRun = Annotated[str | None, bare("NAME", "The benchmark (default: that of the run).")]
+DataOfRun = Annotated[Path | None, bare("DIR", "Its published files (default: those of the run).")]
+Rows = Annotated[
+    int | None,
+    bare("N", "Rows of rendered panoramas (default: those of the perception, else 256; truth reads ids instead)."),
+]
+Scoring = Annotated[
+    Literal["official", "strict"] | None,
+    bare("WAY", "H*Bench: official (default), or strict (checks the pitch also where a window crosses yaw 0)."),
+]
+Labels = Annotated[
+    Literal["official", "corrected", "both"] | None,
+    bare("WHICH", "OSR-Bench: official labels (default), corrected (left and right exchanged back), or both."),
+]
+
+
+Detector = Annotated[
+    str | None,
+    bare(
+        "pd=P,clutter=N,spread=DEG",
+        "Error model of the detector: detection probability, false alarms per look, spread in degrees. Also "
+        "repeats=SHARE of mistakes that the next look repeats, and repeats_for=SECONDS and repeats_within=METRES in "
+        "which the share fades (default: it does not). pd and clutter are learnt if omitted or ?.",
+    ),
+]
+Modes = Annotated[int, arg(metavar="K", help="Maximum number of candidate directions in the output.")]
+Floor = Annotated[
+    float | None,
+    bare(
+        "Z",
+        "Height of the floor in the world of the poses, metres. Objects stand on it, so distances are known sooner. "
+        "In locate the camera is at height 0: a floor 1.3 m below it is at -1.3.",
+    ),
+]
+Out = Annotated[
+    Path | None,
+    bare("FILE", "Write the answer, one line per frame, to FILE.csv, FILE.jsonl or FILE.parquet (extra parquet)."),
+]
+Mask = Annotated[
+    Path | None,
+    bare("FILE.png", "What the camera never sees (tripod, robot's back): black there, white elsewhere, 2:1."),
+]
+Force = Annotated[
+    bool,
+    bare(
+        help="Accept pictures that are not 2:1 (all columns for 360 degrees, all rows for 180), and a calibration that "
+        "was fitted for another perception."
+    ),
+]
+ForceRun = Annotated[
+    bool,
+    bare(
+        help="Accept a calibration that was fitted for another perception, and resume a run although the code, the "
+        "data or the model has changed."
+    ),
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Common:
+    """Options of every command."""
+
+    json: Flag = False
+    """Print exactly one JSON object on stdout."""
+    debug: Flag = False
+    """Show the traceback of an error."""
+
+
+def given(options: Common, names: Sequence[str]) -> list[str]:
+    """Those of `names` that differ from their default."""
+    defaults = {field.name: field.default for field in fields(options)}
+    return [name for name in names if getattr(options, name) != defaults[name]]

@@ -1,0 +1,81 @@
+"""Sources of poses for the live loop: recorded ones, a video's motion track, and those that a name tells."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from importlib import import_module
+from typing import Any
+
+from eagor.errors import DeviceError
+from eagor.robots.frames import Pose, PoseSource
+from eagor.robots.motion import MotionTrack
+
+__all__ = ["GO2", "ROS", "GivenPoses", "MotionPoses", "open_poses"]
+
+ROS, GO2 = "ros:", "go2"
+RATE = 100.0  # poses per second that are taken from a motion track
+
+
+class GivenPoses:
+    """Poses that are there already, in order of time."""
+
+    def __init__(self, poses: Sequence[Pose]) -> None:
+        self._poses = tuple(poses)
+
+    def __iter__(self) -> Iterator[Pose]:
+        return iter(self._poses)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class MotionPoses:
+    """Orientations of a video's motion track, `RATE` per second."""
+
+    def __init__(self, track: MotionTrack) -> None:
+        self.track = track
+
+    def __iter__(self) -> Iterator[Pose]:
+        count = int((self.track.end - self.track.start) * RATE) + 1
+        for number in range(count):
+            stamp = self.track.start + number / RATE
+            yield Pose(stamp, self.track.world_R_body(stamp))
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class _Go2Poses:
+    """The odometry of a Go2, with the link that it comes over."""
+
+    def __init__(self, source: str, domain: int, interface: str | None) -> None:
+        from eagor.robots.dds import Link
+        from eagor.robots.go2.state import Go2State
+
+        with ExitStack() as stack:
+            link: Any = stack.enter_context(Link(domain, interface))
+            self._state = Go2State(link, source) if source else Go2State(link)
+            self._held = stack.pop_all()
+
+    def __iter__(self) -> Iterator[Pose]:
+        return iter(self._state)
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._state.close()
+        self._held.close()
+
+
+def open_poses(text: str, *, domain: int | None = None, interface: str | None = None) -> PoseSource:
+    """The live source of poses that `text` names: "ros:/odom", "go2", or "go2:lidar" (`eagor.robots.go2.state`).
+
+    `domain`, `interface`: of DDS. Raises `DeviceError` for another text, or if the network cannot be used;
+    `MissingExtraError`.
+    """
+    if text.startswith(ROS):
+        ros: Any = import_module("eagor.robots.ros.sources")
+        return ros.RosPoses(text.removeprefix(ROS), domain=domain, interface=interface)
+    if text.partition(":")[0] == GO2:
+        return _Go2Poses(text.partition(":")[2], domain or 0, interface)
+    raise DeviceError(f"no poses are called {text!r}; wanted ros:/TOPIC or go2")

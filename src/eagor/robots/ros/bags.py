@@ -1,0 +1,258 @@
+"""ROS 2 bags: recordings of topics, in MCAP or SQLite, as a folder or as a single file.
+
+They are written as MCAP (`eagor.robots.ros.recording`). A file without an end, as a crash leaves it, is read up to
+where it breaks off (`eagor.robots.ros.mcap`).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from eagor._extras import need
+from eagor.errors import EagorError, FormatError
+from eagor.robots.dds.ros_types import store
+from eagor.robots.ros import mcap
+from eagor.robots.ros.messages import NANO
+from eagor.robots.ros.recording import BagWriter
+
+__all__ = ["SUFFIXES", "Bag", "BagWriter", "bag_topics", "is_bag", "read_bag"]
+
+SUFFIXES = (".mcap", ".db3")
+ROS_1 = b"#ROSBAG V"
+
+
+def is_bag(path: str | Path) -> bool:
+    """Whether `path` looks like a bag: a file by its name, a folder by what is in it."""
+    path = Path(path)
+    try:
+        if path.is_dir():
+            return (path / "metadata.yaml").is_file() or any(file.suffix in SUFFIXES for file in path.iterdir())
+        return path.suffix.lower() in (*SUFFIXES, ".bag")
+    except OSError:
+        return False
+
+
+def read_bag(path: str | Path, topics: Collection[str] | None = None) -> Iterator[tuple[float, str, str, Any]]:
+    """(stamp, topic, kind, message) of each message, in order of the time of recording, seconds.
+
+    `topics`: only these. Messages are `rosbags`' dataclasses. Raises `FormatError` as `Bag`, for a topic that the bag
+    does not have, and for a type that neither the bag nor ROS 2 defines.
+    """
+    return Bag(path).messages(topics)
+
+
+def bag_topics(path: str | Path) -> dict[str, str]:
+    """The topics of a bag with their types, such as {"/odom": "nav_msgs/msg/Odometry"}. Raises as `Bag`."""
+    return Bag(path).topics
+
+
+@dataclass(frozen=True)
+class _Stream:
+    """One topic in one file of a bag."""
+
+    topic: str
+    kind: str
+    encoding: str  # of its definition: "ros2msg", "ros2idl"
+    definition: str
+    count: int
+    key: Any
+
+
+class Bag:
+    """A ROS 2 bag: a folder, or one .mcap or .db3 file.
+
+    `topics`: name to type. `counts`: name to number of messages. A recording that was cut off is read as far as it
+    goes, with a `UserWarning`. Raises `FormatError` for what is no bag of ROS 2, `MissingExtraError`.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        need("reading bags", "robot", "rosbags")
+        self.path = Path(path)
+        self._files = [_File(file) for file in _files(self.path)]
+        self.topics: dict[str, str] = {}
+        self.counts: dict[str, int] = {}
+        for stream in (stream for file in self._files for stream in file.streams):
+            known = self.topics.setdefault(stream.topic, stream.kind)
+            if known != stream.kind:
+                raise FormatError(f"{path}: the topic {stream.topic} has two types, {known} and {stream.kind}")
+            self.counts[stream.topic] = self.counts.get(stream.topic, 0) + stream.count
+        self.topics = dict(sorted(self.topics.items()))
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[tuple[float, str, str, Any]]:
+        """As `read_bag`."""
+        for topic in topics or ():
+            if topic not in self.topics:
+                raise FormatError(f"{self.path} has no topic {topic}; it has {listed(self.topics)}")
+        return self._messages(topics)
+
+    def _messages(self, topics: Collection[str] | None) -> Iterator[tuple[float, str, str, Any]]:
+        for file in self._files:  # a bag of several files was split in time
+            decode: dict[str, Any] = {}
+            for stream, nanos, data in file.messages(topics):
+                if stream.topic not in decode:
+                    decode[stream.topic] = _decoder(self.path, stream)
+                try:
+                    found = decode[stream.topic](data, stream.kind)
+                except Exception as error:
+                    raise FormatError(
+                        f"{self.path}: a message of {stream.topic} at {nanos / NANO:.3f} s is no {stream.kind} "
+                        f"({type(error).__name__}: {error})"
+                    ) from error
+                yield nanos / NANO, stream.topic, stream.kind, found
+
+
+def listed(topics: dict[str, str]) -> str:
+    """Topics and their types in words."""
+    return ", ".join(f"{name} ({kind})" for name, kind in topics.items()) or "none"
+
+
+class _File:
+    """One file of a bag: read by `rosbags` if it is whole, else by our scan."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._scanned: mcap.Unfinished | None = None
+        self.streams = self._look()
+
+    def _look(self) -> list[_Stream]:
+        from rosbags.rosbag2 import Reader
+
+        try:
+            with Reader(self.path) as reader:
+                bare = self.path.suffix == ".mcap" and reader.message_count and not getattr(reader.storage, "chunks", 1)
+                if not bare:
+                    return [
+                        _Stream(c.topic, c.msgtype, _encoding(c), c.msgdef.data, c.msgcount, c.id)
+                        for c in reader.connections
+                    ]
+        except Exception as error:  # it may raise anything for damaged files
+            if self.path.suffix != ".mcap":
+                raise FormatError(f"{self.path} cannot be read as a bag ({error}); copy it again") from error
+        self._scanned = found = mcap.scan(self.path)
+        many = sum(found.counts.values())
+        if not many:
+            raise FormatError(f"{self.path} holds no message ({found.broken or 'it is empty'}); record it again")
+        if found.broken:
+            warnings.warn(
+                f"{self.path.name} was cut off ({found.broken}); its first {many} messages are read", stacklevel=5
+            )
+        return [
+            _Stream(c.topic, c.kind, c.encoding, c.definition, found.counts[number], number)
+            for number, c in found.channels.items()
+        ]
+
+    def messages(self, topics: Collection[str] | None) -> Iterator[tuple[_Stream, int, bytes]]:
+        """Each message of these topics, with its time in nanoseconds."""
+        wanted = {stream.key: stream for stream in self.streams if topics is None or stream.topic in topics}
+        if not wanted:
+            return
+        if self._scanned is not None:
+            yield from ((wanted[key], nanos, data) for key, nanos, data in self._scanned.messages(wanted))
+            return
+        from rosbags.rosbag2 import Reader
+
+        with Reader(self.path) as reader:
+            chosen = [c for c in reader.connections if c.id in wanted]
+            found = iter(reader.messages(chosen))
+            while True:
+                try:
+                    connection, nanos, data = next(found)
+                except StopIteration:
+                    return
+                except Exception as error:  # as above
+                    raise FormatError(f"{self.path} is damaged ({error}); copy or record it again") from error
+                yield wanted[connection.id], nanos, data
+
+
+def _encoding(connection: Any) -> str:
+    return {"MSG": "ros2msg", "IDL": "ros2idl"}.get(connection.msgdef.format.name, "")
+
+
+def _files(path: Path) -> Sequence[Path]:
+    """The files of a bag, in order of time. Raises `FormatError`."""
+    try:
+        if path.is_dir():
+            return _in_folder(path)
+        with path.open("rb") as file:
+            head = file.read(16)
+    except OSError as error:
+        raise FormatError(
+            f"{path} cannot be read ({error.strerror}); give a ROS 2 bag: a folder, .mcap or .db3"
+        ) from error
+    if head.startswith(ROS_1):
+        raise FormatError(
+            f"{path} is a bag of ROS 1; convert it: rosbags-convert --src {path} --dst {path.with_suffix('')}"
+        )
+    if not head:
+        raise FormatError(f"{path} is empty; a recording that was never begun, or a copy that failed")
+    if path.suffix not in SUFFIXES:
+        raise FormatError(f"{path} is no bag of ROS 2; wanted a folder, or a file that ends in {' or '.join(SUFFIXES)}")
+    return [path]
+
+
+def _in_folder(path: Path) -> Sequence[Path]:
+    """The files that metadata.yaml names; all bag files where it is missing, as after a crash."""
+    inside = sorted((file for file in path.iterdir() if file.suffix in SUFFIXES), key=_numbered)
+    about = path / "metadata.yaml"
+    if about.is_file():
+        from ruamel.yaml import YAML, YAMLError
+
+        try:
+            told = YAML(typ="safe").load(about.read_text("utf-8"))["rosbag2_bagfile_information"]
+            if told.get("compression_mode", "").lower() in ("file", "message"):
+                raise FormatError(
+                    f"{path} is compressed by {told['compression_mode'].lower()}; unpack it: "
+                    f"rosbags-convert --src {path} --dst {path.name}-unpacked"
+                )
+            inside = [path / Path(name).name for name in told["relative_file_paths"]]
+        except (YAMLError, KeyError, TypeError, AttributeError, ValueError, OSError) as error:
+            if isinstance(error, EagorError):
+                raise
+            raise FormatError(f"{about} is not that of a bag ({type(error).__name__}: {error})") from error
+        if missing := [file.name for file in inside if not file.is_file()]:
+            raise FormatError(
+                f"{path} lacks {', '.join(missing)}, which its metadata.yaml names; copy the whole folder"
+            )
+    if not inside:
+        raise FormatError(f"{path} holds no bag: no metadata.yaml, no {' or '.join(SUFFIXES)} file")
+    return inside
+
+
+def _numbered(path: Path) -> tuple[int, str]:
+    """Sorts name_2 before name_10."""
+    last = path.stem.rpartition("_")[2]
+    return (int(last) if last.isdigit() else 0, path.name)
+
+
+def _decoder(path: Path, stream: _Stream) -> Any:
+    """What decodes the messages of a topic: our types where they are the same, else those that the bag defines."""
+    from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+
+    known = store()
+    if not stream.definition:
+        if stream.kind in known.fielddefs:
+            return known.deserialize_cdr
+        raise FormatError(
+            f"{path}: {stream.topic} is of type {stream.kind}, which neither the bag nor ROS 2 Humble defines; record "
+            "it as MCAP, which keeps the definitions"
+        )
+    try:
+        if stream.encoding == "ros2idl":
+            types: dict[str, Any] = {}
+            for part in stream.definition.split("=" * 80 + "\n"):
+                types |= (
+                    get_types_from_idl(part.partition("\n")[2] if part.startswith("IDL: ") else part) if part else {}
+                )
+        else:
+            types = get_types_from_msg(stream.definition, stream.kind)
+        if all(name in known.fielddefs and known.fielddefs[name][1] == about[1] for name, about in types.items()):
+            return known.deserialize_cdr
+        own = get_typestore(Stores.EMPTY)
+        own.register({name: about for name, about in types.items() if name not in own.fielddefs})
+        return own.deserialize_cdr
+    except TypesysError as error:
+        raise FormatError(f"{path}: the definition of {stream.kind} cannot be read ({error})") from error

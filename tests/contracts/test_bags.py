@@ -1,0 +1,209 @@
+"""Bags: what `rosbags` and what we write comes back equal, from every form in which a bag can lie on a disk."""
+
+from __future__ import annotations
+
+import signal
+import sqlite3
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosmaking import READ, cdr, random_message
+
+from eagor.robots.dds.ros_types import store
+from eagor.robots.ros import messages as m
+from eagor.robots.ros.bags import Bag, BagWriter, bag_topics, is_bag, read_bag
+
+MANY = 1000
+START = 1_700_000_000
+
+
+def stamps(count):
+    return START + np.sort(np.random.default_rng(0).uniform(0, 100, count))
+
+
+@pytest.fixture(scope="module")
+def sent():
+    """1,000 messages of each type that we read, interleaved, with their times."""
+    rng, times = np.random.default_rng(1), stamps(MANY)
+    return [(float(t), topic, kind, random_message(kind, rng, float(t))) for t in times for topic, kind in READ.items()]
+
+
+def written_by_rosbags(path, sent, plugin, version=9, compression=None):
+    writer = Writer(path, version=version, storage_plugin=plugin)
+    if compression:
+        writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
+        known = {topic: writer.add_connection(topic, kind, typestore=store()) for topic, kind in READ.items()}
+        for stamp, topic, kind, message in sent:
+            writer.write(known[topic], m.nanoseconds(stamp), store().serialize_cdr(message, kind))
+
+
+def check_equal(found, sent):
+    found = list(found)
+    assert len(found) == len(sent)
+    for (t1, topic1, kind1, one), (t2, topic2, kind2, two) in zip(
+        sorted(found, key=lambda x: x[:2]), sorted(sent, key=lambda x: x[:2]), strict=True
+    ):
+        assert (t1, topic1, kind1) == (t2, topic2, kind2)
+        assert type(one) is type(two)
+        assert cdr(kind1, one) == cdr(kind2, two)
+
+
+@pytest.mark.parametrize("version", [8, 9])
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_1000_messages_of_each_type_written_by_rosbags(tmp_path, sent, plugin, version):
+    written_by_rosbags(tmp_path / "bag", sent, plugin, version)
+    assert bag_topics(tmp_path / "bag") == dict(sorted(READ.items()))
+    check_equal(read_bag(tmp_path / "bag"), sent)
+    (file,) = (tmp_path / "bag").glob("bag.*")
+    check_equal(read_bag(file), sent)
+
+
+def test_1000_messages_of_each_type_written_by_us(tmp_path, sent):
+    with BagWriter(tmp_path / "bag") as bag:
+        for stamp, topic, kind, message in sent:
+            bag.write(topic, kind, message, stamp)
+    check_equal(read_bag(tmp_path / "bag"), sent)
+    with Reader(tmp_path / "bag") as reader:  # as others read it
+        assert reader.message_count == len(sent)
+        theirs = [
+            (nanos / 10**9, c.topic, c.msgtype, store().deserialize_cdr(data, c.msgtype))
+            for c, nanos, data in reader.messages()
+        ]
+    check_equal(theirs, sent)
+
+
+def test_compressed_chunks_are_read(tmp_path, sent):
+    written_by_rosbags(tmp_path / "bag", sent[:800], StoragePlugin.MCAP, compression=CompressionMode.STORAGE)
+    check_equal(read_bag(tmp_path / "bag"), sent[:800])
+    whole = (tmp_path / "bag" / "bag.mcap").read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole[:-100])  # the index is damaged, and all messages are there
+    check_equal(read_bag(cut), sent[:800])
+
+
+def test_only_the_topics_asked_for(tmp_path, sent):
+    written_by_rosbags(tmp_path / "bag", sent[:800], StoragePlugin.MCAP)
+    some = [each for each in sent[:800] if each[1] in ("/odom", "/imu")]
+    check_equal(read_bag(tmp_path / "bag", ["/odom", "/imu"]), some)
+    assert list(read_bag(tmp_path / "bag", [])) == []
+
+
+def test_stamps_come_back_as_the_same_float(tmp_path):
+    times = [float(t) for t in stamps(500)] + [0.1, 1.5, 2.0**31 - 1]
+    with BagWriter(tmp_path / "bag") as bag:
+        for t in times:
+            bag.write("/a", m.TEXT, m.text_message("x"), t)
+    assert [each[0] for each in read_bag(tmp_path / "bag")] == sorted(times)
+
+
+def test_messages_that_were_recorded_late_come_in_order(tmp_path):
+    """A slow recorder: the stamps of a chunk, and of several, overlap."""
+    times = np.random.default_rng(2).permutation(300) + float(START)
+    with BagWriter(tmp_path / "bag", at_risk=0) as bag:  # every message in a chunk of its own
+        for t in times:
+            bag.write("/a", m.TEXT, m.text_message(str(t)), float(t))
+    assert [each[0] for each in read_bag(tmp_path / "bag")] == sorted(times)
+    file = tmp_path / "bag" / "bag.mcap"
+    file.write_bytes(file.read_bytes()[:-20])  # without the index
+    assert [each[0] for each in read_bag(file)] == sorted(times)
+
+
+RECORD = """
+import sys, time
+import numpy as np
+from eagor.robots.ros import messages as m
+from eagor.robots.ros.bags import BagWriter
+bag = BagWriter(sys.argv[1], at_risk=0.05)
+picture = np.zeros((100, 200, 3), np.uint8)
+for i in range(10**6):
+    bag.write("/n", m.TEXT, m.text_message(str(i)), 1000.0 + i)
+    if i % 100 == 0:
+        bag.write("/image", m.IMAGE, m.image_message(picture, 1000.0 + i, "x3"), 1000.0 + i)
+    if i % 50 == 49:
+        bag.flush()
+        print(i, flush=True)
+"""
+
+
+def test_what_was_written_before_a_kill_is_read(tmp_path):
+    with subprocess.Popen([sys.executable, "-c", RECORD, tmp_path / "bag"], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        told = [int(process.stdout.readline()) for _ in range(40)]
+        process.send_signal(signal.SIGKILL)
+        told += [int(line) for line in process.stdout]
+    with pytest.warns(UserWarning, match="was cut off"):
+        bag = Bag(tmp_path / "bag")
+    numbers = [int(message.data) for _, _, _, message in bag.messages(["/n"])]
+    assert numbers == list(range(len(numbers)))
+    assert len(numbers) >= told[-1] + 1
+    assert len(list(bag.messages(["/image"]))) >= told[-1] // 100 + 1
+
+
+def test_every_cut_is_read_up_to_it(tmp_path, sent):
+    """A file that ends anywhere gives a beginning of what was written, and nothing else."""
+    with BagWriter(tmp_path / "bag", at_risk=0) as bag:
+        for stamp, topic, kind, message in sent[:64]:
+            bag.write(topic, kind, message, stamp)
+    whole, cut = (tmp_path / "bag" / "bag.mcap").read_bytes(), tmp_path / "cut.mcap"
+    lengths = []
+    for size in np.random.default_rng(3).integers(2000, whole.rindex(b"\x0f\x04\0\0\0\0\0\0\0"), 60):  # its DataEnd
+        cut.write_bytes(whole[:size])
+        with pytest.warns(UserWarning, match="was cut off"):
+            found = list(read_bag(cut))
+        check_equal(found, sent[: len(found)])
+        lengths.append(len(found))
+    assert min(lengths) < 20
+    assert max(lengths) == 64
+
+
+def test_a_bag_of_several_files(tmp_path, sent):
+    """As `ros2 bag record` splits them: by size or duration."""
+    for number, part in enumerate([sent[:80], sent[80:160]]):
+        written_by_rosbags(tmp_path / f"part_{number}", part, StoragePlugin.MCAP)
+    folder = tmp_path / "split"
+    folder.mkdir()
+    for number in range(2):
+        (tmp_path / f"part_{number}" / f"part_{number}.mcap").rename(folder / f"split_{number}.mcap")
+    check_equal(read_bag(folder), sent[:160])  # without metadata.yaml
+    assert is_bag(folder)
+    assert Bag(folder).counts["/odom"] == 20
+
+
+def test_a_type_of_its_own_is_read_by_the_definition_in_the_bag(tmp_path):
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    own = get_typestore(Stores.ROS2_HUMBLE)
+    own.register(get_types_from_msg("float32 volts\nuint8[] cells\n", "robot_msgs/msg/Battery"))
+    kind = "robot_msgs/msg/Battery"
+    message = own.types[kind](volts=28.5, cells=np.arange(3, dtype=np.uint8))
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/battery", kind, typestore=own)
+        writer.write(connection, 5, own.serialize_cdr(message, kind))
+    ((_, topic, found, battery),) = read_bag(tmp_path / "bag")
+    assert (topic, found, battery.volts, battery.cells.tolist()) == ("/battery", kind, 28.5, [0, 1, 2])
+
+
+def test_an_old_sqlite_bag_without_definitions(tmp_path, sent):
+    """ROS 2 Foxy to Humble: schema without definitions and hashes."""
+    file = tmp_path / "old.db3"
+    some = [each for each in sent[:160] if each[1] in ("/odom", "/image")]
+    with sqlite3.connect(file) as database:
+        database.executescript(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, serialization_format "
+            "TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);"
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL, "
+            "data BLOB NOT NULL);"
+        )
+        for number, topic in enumerate(["/odom", "/image"]):
+            database.execute("INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')", (number, topic, READ[topic]))
+            for stamp, _, kind, message in (each for each in some if each[1] == topic):
+                database.execute(
+                    "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
+                    (number, m.nanoseconds(stamp), cdr(kind, message)),
+                )
+    database.close()
+    check_equal(read_bag(file), some)
