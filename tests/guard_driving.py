@@ -118,8 +118,12 @@ def until(what: Callable[[], Any], seconds: float = 20.0) -> Any:
 
 
 def bring_to_speed(driver: Driver, robot: Any) -> None:
-    """Wait until the robot goes as fast as it is told."""
-    full = driver.velocity
+    """Wait until the robot goes as fast as the driver wants."""
+    fast_enough(robot, driver.velocity)
+
+
+def fast_enough(robot: Any, full: tuple[float, float, float]) -> None:
+    """Wait until the robot is told this velocity, and has come near it."""
     until(lambda: robot.commanded(time.monotonic()) == full)
     until(lambda: math.hypot(*robot.speeds[-1][1][:2]) > 0.9 * 0.8 * full[0])
 
