@@ -81,7 +81,7 @@ TRIALS = {
     "stale command": is_so("driver", "mumbles", True, False),
     "stale image": says(image_age=1.01),
     "no image": says(image_age=None),
-    "stale pose": says(pose_age=0.12),
+    "stale pose": says(pose_age=0.26),
     "stale belief (perception hangs)": says(belief_age=3.01),
     "presence too low": says(presence=0.3),
     "NaN wanted": says(velocity=(math.nan, 0.0, 0.0)),

@@ -27,7 +27,6 @@ from eagor.cli.looking import (
 from eagor.cli.robot_run_options import RobotRun
 from eagor.cli.steps import LEAST_ROWS
 from eagor.drawing.robot_page import Plan, RobotPage, Sample, summary
-from eagor.errors import DeviceError
 from eagor.perception import is_model, rows_of
 from eagor.robots.cameras import open_camera
 from eagor.robots.dds import Link
@@ -42,7 +41,9 @@ from eagor.robots.safety.walking import WalkSettings
 
 RATE = 20.0  # answers, and so commands, per second
 THERE = 2.0  # seconds for which it has to have arrived
+QUIET, LOUD = 1.0, ("stopping", "latched")  # seconds between two lines; modes that are told at once
 LONGEST = 120.0  # seconds of a simulated walk
+PICTURE, PICTURES = 128, 5.0  # rows of a simulated picture, and pictures per second
 FLOOR = 0.0  # metres: the odometry of a Go2 begins on the floor
 
 
@@ -66,7 +67,8 @@ def robot_run(options: RobotRun) -> int:
     """Run the command; returns its exit code."""
     query = checked_query(options.query)
     _check(options)
-    spec = perception_for(query, options.perception)
+    # In a rendered house the network for such pictures is better than a colour alone.
+    spec = "scout" if options.sim and options.perception is None else perception_for(query, options.perception)
     check_looks(spec)
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
     config = replace(config, floor_height=FLOOR)
@@ -82,7 +84,7 @@ def robot_run(options: RobotRun) -> int:
     limits = replace(Limits(), belief_age=options.belief_age, calm_codes=(0, *options.calm))
     walking = WalkSettings(distance=options.distance, speed=options.speed, blind=options.blind)
     with ExitStack() as stack:
-        place = stack.enter_context(_simulated(options, query) if options.sim else _real(options, spec))
+        place = stack.enter_context(_simulated(options, query, spec) if options.sim else _real(options, spec))
         guard = stack.enter_context(
             Guard(
                 armed=options.arm, deadman=deadman, limits=limits, domain=place.domain, interface=place.interface,
@@ -148,9 +150,34 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
 
 
 @contextmanager
-def _simulated(options: RobotRun, query: str) -> Iterator[Place]:
-    raise DeviceError("not yet")
-    yield
+def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
+    from eagor.robots.go2.house import ball_of, load_house
+    from eagor.robots.go2.sim import SimSettings
+    from eagor.robots.go2.sim_camera import CameraSettings
+    from eagor.robots.ros.sources import RosCamera
+    from eagor.robots.safety.rehearsal import CAMERA, INTERFACE, Rehearsal
+
+    rows = options.rows or max(PICTURE, 0 if is_model(spec) else rows_of(make_perception(spec)))
+    camera = CameraSettings(rows=rows, rate=PICTURES, latency=options.latency, mount=options.mount)
+    settings = SimSettings(options.world, options.seed, query, camera=camera)
+    terminal.log("the simulated robot starts")
+    with Rehearsal(settings) as robot:
+        terminal.log(f"it stands in {options.world} {options.seed}, on DDS domain {robot.domain} of the interface lo")
+        house = load_house(options.world, options.seed, ball=ball_of(query))
+        ground = house.ground
+        places = [(float(thing.centre[0]), float(thing.centre[1])) for thing in house.targets(query)]
+        plan = Plan(
+            ground.free, ground.structure, (float(ground.origin[0]), float(ground.origin[1])), ground.cell, places
+        )
+        # Its stamps are those of capture.
+        yield Place(
+            robot.domain,
+            INTERFACE,
+            lambda: RosCamera(CAMERA.partition(":")[2], domain=robot.domain, interface=INTERFACE, rows=rows),
+            robot.truth,
+            robot.targets,
+            plan,
+        )
 
 
 class _Poses:
@@ -170,15 +197,16 @@ class _Poses:
 
 def _walk(options: RobotRun, steps: Iterator[Step], page: RobotPage, place: Place) -> str:
     """Walk until it is over; why it is."""
-    begun, there, said = time.monotonic(), None, None
+    begun, there, said, spoke = time.monotonic(), None, None, -math.inf
     longest = options.seconds or (LONGEST if options.sim else math.inf)
     for step in steps:
         now = time.monotonic()
         sample = _sample(step, now - begun, place)
         page.add(sample, step.panorama, step.answer.estimate)
         words = f"{sample.mode}, {sample.doing}: {'; '.join(sample.reasons) or sample.words}"
-        if (told := (sample.mode, sample.doing, sample.reasons[:1] and sample.reasons[0][:24])) != said:
-            said = told
+        told = sample.mode, sample.doing, sample.reasons[:1] and sample.reasons[0][:16]
+        if told != said and (now - spoke >= QUIET or sample.mode in LOUD):
+            said, spoke = told, now
             terminal.log(f"{sample.time:6.2f} s  {words}")
         there = (there or now) if sample.doing == "arrived" else None
         if there is not None and now - there >= THERE and not options.stay:
@@ -191,6 +219,7 @@ def _walk(options: RobotRun, steps: Iterator[Step], page: RobotPage, place: Plac
 def _sample(step: Step, seconds: float, place: Place) -> Sample:
     estimate, state = step.answer.estimate, step.state
     known = estimate.direction is not None
+    far = step.sight.distance if step.sight.distance is not None and math.isfinite(step.sight.distance) else None
     error, true_xy = None, None
     if (truth := place.truth()) is not None:
         at, world_R_body = truth
@@ -201,9 +230,9 @@ def _sample(step: Step, seconds: float, place: Place) -> Sample:
             error = float(np.arccos(np.clip(ways @ (world_R_body @ estimate.direction), -1, 1)).min())
     return Sample(
         seconds, estimate.status, estimate.presence, estimate.azimuth, estimate.credible_angle if known else None,
-        estimate.distance if known else None, step.wish.doing, step.wish.words, step.wish.velocity.parts,
+        far, step.wish.doing, step.wish.words, step.wish.velocity.parts,
         None if state.sent is None else state.sent.parts, state.stops, state.mode, state.reasons, state.speed,
-        state.turn, step.xy, step.yaw, true_xy, error,
+        state.turn, step.sight.xy, step.sight.yaw or 0.0, true_xy, error,
     )  # fmt: skip
 
 
