@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -17,8 +17,6 @@ class RobotRun(Common):
 
     Read docs/how-to/robot-safety.md before the first --arm. --sim does all of it with a simulated robot.
     """
-
-    runs: ClassVar[str] = "eagor.cli.robot_run:robot_run"
 
     query: Annotated[str, Positional, arg(metavar="QUERY")]
     """What to walk to, in words."""
