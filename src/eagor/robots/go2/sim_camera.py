@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from eagor._checks import require, whole, within
+from eagor._lazy import lazy
 from eagor.errors import DeviceError
 from eagor.robots.frames import Pose
 from eagor.worlds.ball import Ball, with_ball
@@ -86,6 +87,17 @@ class SimulatedCamera:
 
         (picture,) = seen_by(self._rig, self._rendered(camera, ball, self._rig.rows))
         return picture
+
+    def received(self, picture: np.ndarray) -> np.ndarray:
+        """The panorama ``(rows, 2 rows, 3)`` that whoever receives such a picture makes of it."""
+        return picture if self._rig is None else self._stitcher.stitch(picture)
+
+    @lazy
+    def _stitcher(self):
+        from eagor.robots.cameras.stitching import Stitcher
+
+        assert self._rig is not None
+        return Stitcher(self._rig, self.settings.rows)
 
     def _rendered(self, camera: Pose, ball: Ball | None, rows: int) -> np.ndarray:
         assert camera.position is not None
