@@ -12,6 +12,7 @@ from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg, subcommand
 
+from eagor.cli.camera_options import Camera
 from eagor.cli.live_options import Live
 from eagor.cli.shared_options import (
     Common,
@@ -418,6 +419,7 @@ Command = (
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[Calibrate, subcommand("calibrate")]
+    | Annotated[Camera, subcommand("camera")]
     | Annotated[Models, subcommand("models")]
     | Annotated[Doctor, subcommand("doctor")]
 )
