@@ -27,6 +27,7 @@ from eagor.cli.shared_options import (
     Modes,
     Name,
     Out,
+    RigFile,
     Rows,
     Scoring,
     TaskOfRun,
@@ -79,6 +80,7 @@ class Locate(Common):
     """Draw the belief over the panorama."""
     out: Out = None
     mask: Mask = None
+    rig: RigFile = None
     force: Force = False
 
 
@@ -129,6 +131,7 @@ class Track(Common):
     """Draw each frame with the belief into this folder."""
     out: Out = None
     mask: Mask = None
+    rig: RigFile = None
     force: Force = False
 
 
