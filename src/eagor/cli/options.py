@@ -13,6 +13,7 @@ from typing import Annotated, ClassVar, Literal
 from tyro.conf import Positional, arg, subcommand
 
 from eagor.cli.live_options import Live
+from eagor.cli.ros_options import Ros
 from eagor.cli.shared_options import (
     Common,
     DataOfRun,
@@ -419,6 +420,7 @@ Command = (
     Annotated[Locate, subcommand("locate")]
     | Annotated[Track, subcommand("track")]
     | Annotated[Live, subcommand("live")]
+    | Annotated[Ros, subcommand("ros")]
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[Calibrate, subcommand("calibrate")]
