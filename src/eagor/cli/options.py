@@ -13,6 +13,7 @@ from typing import Annotated, ClassVar, Literal
 from tyro.conf import Positional, arg, subcommand
 
 from eagor.cli.live_options import Live
+from eagor.cli.robot_options import Robot
 from eagor.cli.shared_options import (
     Common,
     DataOfRun,
@@ -419,6 +420,7 @@ Command = (
     Annotated[Locate, subcommand("locate")]
     | Annotated[Track, subcommand("track")]
     | Annotated[Live, subcommand("live")]
+    | Annotated[Robot, subcommand("robot")]
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[Calibrate, subcommand("calibrate")]
