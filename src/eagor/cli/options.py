@@ -13,6 +13,7 @@ from typing import Annotated, ClassVar, Literal
 from tyro.conf import Positional, arg, subcommand
 
 from eagor.cli.live_options import Live
+from eagor.cli.robot_options import Robot
 from eagor.cli.ros_options import Ros
 from eagor.cli.shared_options import (
     Common,
@@ -421,6 +422,7 @@ Command = (
     | Annotated[Track, subcommand("track")]
     | Annotated[Live, subcommand("live")]
     | Annotated[Ros, subcommand("ros")]
+    | Annotated[Robot, subcommand("robot")]
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[Calibrate, subcommand("calibrate")]
