@@ -14,6 +14,7 @@ from tyro.conf import Positional, arg, subcommand
 
 from eagor.cli.live_options import Live
 from eagor.cli.robot_options import Robot
+from eagor.cli.ros_options import Ros
 from eagor.cli.shared_options import (
     Common,
     DataOfRun,
@@ -421,6 +422,7 @@ Command = (
     | Annotated[Track, subcommand("track")]
     | Annotated[Live, subcommand("live")]
     | Annotated[Robot, subcommand("robot")]
+    | Annotated[Ros, subcommand("ros")]
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[Calibrate, subcommand("calibrate")]
