@@ -127,9 +127,9 @@ def test_wrong_usage_is_one_line(words, said):
 
 def test_nobody_there_is_said():
     domain = free_domain()
-    done = check(domain, "--seconds", 0.5)
+    done = check(domain, "--seconds", 1)
     assert (done.returncode, done.stdout) == (2, "")
-    assert f"no Go2 is heard within 2 s (domain {domain}, lo). Is it on?" in done.stderr
+    assert f"no Go2 is heard within 3 s (domain {domain}, lo). Is it on?" in done.stderr
 
 
 def test_a_taken_domain_is_refused():
