@@ -155,7 +155,9 @@ def test_the_page_about_the_go2_runs_as_written_and_begins_with_safety():
                 busy = words[2] == "check" and "processor" in done.stdout  # this machine, not the robot
                 assert done.returncode == (1 if busy else 0), (words, done.stdout, done.stderr)
                 if words[1] == "live":
-                    assert re.search(r"[1-9]\d* pictures, [1-9]\d* looks, [1-9]\d* poses, [1-9]\d* answers", done.stderr)
+                    assert re.search(
+                        r"[1-9]\d* pictures, [1-9]\d* looks, [1-9]\d* poses, [1-9]\d* answers", done.stderr
+                    )
         finally:
             robot.send_signal(signal.SIGINT)
             _, log = robot.communicate(timeout=60)

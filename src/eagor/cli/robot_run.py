@@ -151,21 +151,25 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
 
 @contextmanager
 def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
-    from eagor.robots.go2.house import ball_of, load_house
-    from eagor.robots.go2.sim import SimSettings
+    from eagor.robots.go2.sim import SimSettings, SimulatedGo2
     from eagor.robots.go2.sim_camera import CameraSettings
     from eagor.robots.ros.sources import RosCamera
-    from eagor.robots.safety.rehearsal import CAMERA, INTERFACE, Rehearsal
+    from eagor.robots.safety.rehearsal import CAMERA, INTERFACE, Rehearsal, clear_start
 
     rows = options.rows or max(PICTURE, 0 if is_model(spec) else rows_of(make_perception(spec)))
     camera = CameraSettings(rows=rows, rate=PICTURES, latency=options.latency, mount=options.mount)
-    settings = SimSettings(options.world, options.seed, query, camera=camera)
+    start = options.start and (*options.start[:2], math.radians(options.start[2]))
+    settings = SimSettings(options.world, options.seed, query, start=start, camera=camera)
+    twin = SimulatedGo2(settings)  # knows where things are before the robot starts
+    house = twin.house
+    assert house is not None
+    if settings.start is None:
+        settings = replace(settings, start=clear_start(house, twin.targets, np.random.default_rng(options.seed)))
     terminal.log("the simulated robot starts")
     with Rehearsal(settings) as robot:
         terminal.log(f"it stands in {options.world} {options.seed}, on DDS domain {robot.domain} of the interface lo")
-        house = load_house(options.world, options.seed, ball=ball_of(query))
         ground = house.ground
-        places = [(float(thing.centre[0]), float(thing.centre[1])) for thing in house.targets(query)]
+        places = [(float(thing.centre[0]), float(thing.centre[1])) for thing in twin.targets]
         plan = Plan(
             ground.free, ground.structure, (float(ground.origin[0]), float(ground.origin[1])), ground.cell, places
         )

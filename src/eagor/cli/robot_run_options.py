@@ -70,6 +70,8 @@ class RobotRun(Common):
     """Odometry of the robot: sport (its state, 200 Hz), slow (the same at 20 Hz), lidar."""
     seed: Whole = 602
     """--sim: the apartment, 0 to 1999, and what chance decides."""
+    start: Annotated[tuple[float, float, float] | None, bare("X Y DEG")] = None
+    """--sim: where it starts, metres, and its heading (default: somewhere with a free way to the object)."""
     world: Name = "apartment"
     """--sim: apartment, an installed world, or a GLB file."""
     degree: Whole = 15

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 import multiprocessing
 import random
 import signal
 import socket
+from collections.abc import Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any, Self
@@ -17,19 +19,22 @@ from eagor._processes import leave_with_parent, one_thread
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import DeviceError, EagorError
 from eagor.robots.dds import Link
+from eagor.robots.go2.house import House, Thing
 from eagor.robots.go2.sim import SimSettings
 from eagor.robots.go2.sim_live import TRUTH_THINGS
 from eagor.robots.go2.sim_pictures import CAMERA_TOPIC
 from eagor.robots.go2.sim_server import TRUTH
 from eagor.robots.ros.messages import TEXT
 
-__all__ = ["CAMERA", "INTERFACE", "Rehearsal", "free_domain"]
+__all__ = ["CAMERA", "INTERFACE", "Rehearsal", "clear_start", "free_domain"]
 
 INTERFACE = "lo"
 CAMERA = "ros:" + CAMERA_TOPIC.removeprefix("rt")
 STARTING = 120.0  # seconds for the house and its light
 ENDING = 10.0
 FIRST_PORT, PORTS, PARTICIPANTS = 7400, 250, 8  # of DDS: of domain 0, per domain, participants that are looked at
+TRIES, ROOM, NEAR, FAR = 2000, 0.35, 2.5, 5.0  # draws; metres around the start; metres to the target
+BEFORE = 0.8  # metres before the target's centre at which the way may end: things fill some floor
 DOMAINS = range(1, 120)  # above, ports meet those that the system gives away
 
 
@@ -104,6 +109,25 @@ class Rehearsal:
 
     def _told_things(self, message: Any, _: float) -> None:
         self._things = json.loads(message.data)
+
+
+def clear_start(house: House, targets: Sequence[Thing], rng: np.random.Generator) -> tuple[float, float, float] | None:
+    """A place (x, y in metres) and a heading (radians) some metres from a target, with a straight way there.
+
+    The policy goes straight, and around nothing. None if no such place was found.
+    """
+    ground = house.ground
+    for _ in range(TRIES):
+        spot = ground.sample(rng, min(ROOM, float(ground.clearance[ground.free].max())))
+        for thing in targets:
+            way = thing.centre[:2] - spot
+            far = float(np.hypot(*way))
+            if not NEAR <= far <= FAR:
+                continue
+            steps = np.arange(0.0, far - BEFORE, ground.cell / 2)[:, None] * way / far
+            if bool(ground.is_free(spot + steps).all()):
+                return float(spot[0]), float(spot[1]), float(rng.uniform(-math.pi, math.pi))
+    return None
 
 
 def free_domain() -> int:
