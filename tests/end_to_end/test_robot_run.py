@@ -1,0 +1,99 @@
+"""``eagor robot run``: a simulated walk in one command, its report, and that nothing stays behind."""
+
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from processes import alive, sessions_of, wait_for
+
+from eagor.cli import main
+
+pytest.importorskip("cyclonedds")
+pytest.importorskip("rosbags")
+pytest.importorskip("onnxruntime")
+
+
+def command(*words):
+    return [sys.executable, "-m", "eagor", "robot", "run", *words]
+
+
+def test_a_simulated_robot_walks_to_the_sofa_and_leaves_a_report(tmp_path):
+    words = command("white sofa", "--sim", "--arm", "--seconds", "240", "--report", str(tmp_path / "walk"), "--json")
+    done = subprocess.run(words, capture_output=True, text=True, timeout=400)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["ended"] == "arrived"
+    record = json.loads((tmp_path / "walk" / "run.json").read_text())
+    samples, limits = record["samples"], record["limits"]
+    assert record["summary"]["metres"] > 0.5
+    last = samples[-1]
+    true, begun = last["true_xy"], next(sample["true_xy"] for sample in samples if sample["true_xy"])
+    assert math.dist(true, begun) > 0.5
+    assert last["error"] < math.radians(35)  # a sofa is wide, and near
+    for sample in samples:
+        if sample["sent"]:
+            forward, left, turn = sample["sent"]
+            assert sample["mode"] == "armed"
+            assert -limits["backward"] <= forward <= limits["forward"]
+            assert left == 0
+            assert abs(turn) <= limits["turn"]
+    page = (tmp_path / "walk" / "report.html").read_text()
+    assert "To “white sofa”" in page
+    assert page.count("<img ") >= 3
+    assert "armed" in page
+    assert not re.search(r"(src|href)=\"(?!data:)", page)  # one file, which sends no request
+
+
+def test_a_dry_run_moves_nothing(tmp_path):
+    words = command("white sofa", "--sim", "--seconds", "6", "--report", str(tmp_path / "dry"))
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert "dry run: nothing is commanded" in done.stderr
+    record = json.loads((tmp_path / "dry" / "run.json").read_text())
+    assert {sample["mode"] for sample in record["samples"]} == {"dry run"}
+    assert all(sample["sent"] is None and sample["stops"] == 0 for sample in record["samples"])
+    places = [sample["true_xy"] for sample in record["samples"] if sample["true_xy"]]
+    assert max(math.dist(place, places[0]) for place in places) < 1e-6
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_walk_that_is_ended_leaves_no_process(tmp_path, how):
+    words = command("white sofa", "--sim", "--arm", "--report", str(tmp_path / "walk"))
+    child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    assert child.stderr is not None
+    for line in child.stderr:
+        if " armed, " in line:
+            break
+    sessions = sessions_of(child.pid)
+    assert len(alive(sessions)) >= 4  # the command, the robot, its camera, the perception, the guard
+    os.kill(child.pid, how)
+    child.stderr.read()
+    code = child.wait(60)
+    assert code == {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGKILL: -signal.SIGKILL}[how]
+    child.stderr.close()
+    wait_for(lambda: not alive(sessions))
+    assert (tmp_path / "walk" / "report.html").exists() == (how != signal.SIGKILL)
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    (["red chair"], "a robot needs a camera"),
+    (["red chair", "--source", "x.mp4", "--arm", "--deadman", "none"], "--deadman none is only for --sim"),
+    (["red chair", "--sim", "--interface", "eth0"], "--sim brings its own camera and network"),
+    (["red chair", "--sim", "--seconds", "-1"], "wanted seconds above 0"),
+    (["red chair", "--sim", "--distance", "0"], "distance = 0.0"),
+    (["red chair", "--sim", "--seed", "602"], "there is no red chair in apartment"),
+    (["red chair", "--source", "x.mp4", "--interface", "eth7"], "there is no network interface 'eth7'"),
+])  # fmt: skip
+def test_what_cannot_be_is_said_and_nothing_is_started(words, said, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    begun = time.monotonic()
+    assert main(["robot", "run", *words]) == 2
+    assert said in capsys.readouterr().err
+    assert time.monotonic() - begun < 120
+    assert not list(tmp_path.iterdir())
