@@ -3,8 +3,8 @@
 python benchmarks/dynamic_tracking.py record RUNS [--over dds] [--runs 30] [--seed 8400]
 python benchmarks/dynamic_tracking.py judge RUNS
 
-Three scenes, each with a red ball in a built-in apartment, in sight at first: the robot stands and the ball rolls; the robot walks and the
-ball lies; both move. A run is a ROS 2 bag: the camera's pictures, the robot's own odometry, and, for the judge alone,
+Three scenes, each with a red ball in a built-in apartment, in sight at first: the robot stands and the ball rolls; the
+robot walks and the ball lies; both move. A run is a ROS 2 bag: the camera's pictures, the robot's own odometry, and, for the judge alone,
 the true poses and the ball's true places. With ``--over dds`` the robot, its camera and the one who steers it are
 processes that talk over DDS in real time, as with a real Go2: clocks apart, states at 200 Hz, pictures as JPEG. Without
 it the same body, camera and odometry run on a simulated clock. What steers the robot knows the floor plan and goes from
@@ -32,6 +32,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -325,7 +326,7 @@ def figures(run: Run, seen: np.ndarray, played: dict[str, np.ndarray], first: fl
     stamps, said = played["stamps"][keep], played["said"][keep]
     true = np.array([run.bearing(float(now))[0] for now in stamps])
     errors = angular_distance(said, true)
-    turned = [run.truth.at(float(b))[0].T @ run.truth.at(float(a))[0] for a, b in zip(stamps, stamps[1:], strict=False)]
+    turned = [run.truth.at(float(b))[0].T @ run.truth.at(float(a))[0] for a, b in pairwise(stamps)]
     moved = np.array([
         _least_turn(turn @ true[k], true[k + 1]) @ turn @ said[k] for k, turn in enumerate(turned)
     ])  # fmt: skip
