@@ -4,11 +4,11 @@ python benchmarks/dynamic_tracking.py record RUNS [--over dds] [--runs 30] [--se
 python benchmarks/dynamic_tracking.py judge RUNS
 
 Three scenes, each with a red ball in a built-in apartment, in sight at first: the robot stands and the ball rolls; the
-robot walks and the ball lies; both move. A run is a ROS 2 bag: the camera's pictures, the robot's own odometry, and, for the judge alone,
-the true poses and the ball's true places. With ``--over dds`` the robot, its camera and the one who steers it are
-processes that talk over DDS in real time, as with a real Go2: clocks apart, states at 200 Hz, pictures as JPEG. Without
-it the same body, camera and odometry run on a simulated clock. What steers the robot knows the floor plan and goes from
-one random place to another: it is the same for all methods.
+robot walks and the ball lies; both move. A run is a ROS 2 bag: the camera's pictures, the robot's own odometry, and,
+for the judge alone, the true poses and the ball's true places. With ``--over dds`` the robot, its camera and whoever
+steers it are processes that talk over DDS in real time, as with a real Go2: clocks apart, states at 200 Hz, pictures as
+JPEG. Without it the same body, camera and odometry run on a simulated clock. What steers the robot knows the floor plan
+and goes from one random place to another: it is the same for all methods.
 
 The perception (`scout`) looks at one picture after the other. It is given 0, 0.4 or 1.6 s for each, as a larger model
 would take, and looks at the newest picture whenever it is free. "late" uses a look at the time of its picture; "as new"
@@ -85,6 +85,11 @@ class Run:
     odometry: PoseHistory
     truth: PoseHistory
     balls: list[tuple[float, np.ndarray]]
+
+    @property
+    def begin(self) -> float:
+        """From when on all is known."""
+        return max(self.pictures[0][0], self.balls[0][0], self.odometry.first, self.truth.first)
 
     def bearing(self, stamp: float) -> tuple[np.ndarray, np.ndarray]:
         """The true direction ``(3,)`` to the ball in the body frame, and the camera's place ``(3,)``."""
@@ -260,6 +265,8 @@ def look_at(run: Run, perception: Any) -> list[Evidence]:
     """What the perception says of every picture."""
     found = []
     for stamp, panorama in run.pictures:
+        if stamp < run.begin:
+            continue
         evidence = perception(panorama, QUERY, stamp=stamp)
         found.append(evidence if isinstance(evidence, Evidence) else evidence[0])
     return found
@@ -281,7 +288,7 @@ def arrivals(looks: Sequence[Evidence], seconds: float) -> list[tuple[float, Evi
 
 def play(run: Run, looks: Sequence[tuple[float, Evidence]], method: Method, late: bool) -> dict[str, np.ndarray]:
     """The answers of a method, ten times a second: stamps, directions, mass above the truth (NaN without a belief)."""
-    begin, end = run.pictures[0][0], min(run.pictures[-1][0], run.balls[-1][0])
+    begin, end = run.begin, min(run.pictures[-1][0], run.balls[-1][0])
     grid = begin + STEP * np.arange(1, int((end - begin) / STEP))
     events: list[tuple[float, int, Any]] = [(float(now), 2, None) for now in grid]
     for arrival, look in looks:
