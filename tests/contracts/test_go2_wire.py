@@ -16,8 +16,9 @@ from eagor.robots.frames import PoseSource
 from eagor.robots.go2 import sport
 from eagor.robots.go2.low import Go2Low, Remote
 from eagor.robots.go2.plant import Plant, PlantSettings
-from eagor.robots.go2.sim_server import Go2Server, WireSettings
+from eagor.robots.go2.sim_server import Go2Server
 from eagor.robots.go2.state import Go2State
+from eagor.robots.go2.wire_settings import WireSettings
 
 
 def robot(link: Link, wire: WireSettings | None = None, **settings) -> Go2Server:

@@ -5,8 +5,6 @@ The file needs nothing else: it opens from disk and sends no request. All words 
 
 from __future__ import annotations
 
-import base64
-import io
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -21,7 +19,7 @@ import numpy as np
 from eagor._files import written
 from eagor._version import __version__
 from eagor.drawing.animation import Thinned
-from eagor.drawing.page_parts import FULL, LEFT, WIDE, key, moment_in_words, row, time_line
+from eagor.drawing.page_parts import FULL, LEFT, WIDE, as_address, key, moment_in_words, row, time_line
 from eagor.drawing.step import ScenePainter
 from eagor.drawing.timeline import Moment, TimeLine
 from eagor.drawing.words import STATUS, answer_in_words, far_in_words
@@ -30,9 +28,8 @@ from eagor.tracking.estimate import Estimate
 
 __all__ = ["BeliefPage", "Step", "write_page"]
 
-PICTURES, LARGEST = 60, 92_000  # pictures, and bytes of each: 7.4 MB as text, so that the page can be sent by mail
+PICTURES = 60  # of `as_address`: 7.4 MB as text, so that the page can be sent by mail
 WIDTH = 1120  # columns of a picture
-QUALITIES = (82, 74, 66, 58, 48, 36)  # of JPEG, best first
 ROWS = 1500  # of the table
 NAMED = 50  # problems that are listed
 COLUMNS = ("frame", "time (s)", "picture", "azimuth (°)", "elevation (°)", "90 % cone (°)", "presence", "status")
@@ -99,7 +96,7 @@ class BeliefPage:
             self._problems.append((name, problem))
         picture = None
         if self._pictures.wants:
-            picture = _as_address(self._painter.paint(panorama, estimate, problem))
+            picture = as_address(self._painter.paint(panorama, estimate, problem))
         self._pictures.add((picture, self._rows.count, name, moment))
         self._rows.add((self._rows.count, name, moment))
 
@@ -234,17 +231,3 @@ def _said(name: str, moment: Moment) -> str:
     """A frame and its answer in a line; its time only once, if it is in the name too."""
     at, words = f"{moment.stamp:.2f} s", moment_in_words(moment)
     return f"{name}: {words.removeprefix(f'{at}, ') if name.endswith(at) else words}"
-
-
-def _as_address(pixels: np.ndarray) -> str:
-    """A picture as a data URL of a JPEG of at most `LARGEST` bytes; a picture too busy for that is made smaller."""
-    from PIL import Image
-
-    picture = Image.fromarray(pixels)
-    while True:
-        for quality in QUALITIES:
-            buffer = io.BytesIO()
-            picture.save(buffer, "JPEG", quality=quality, optimize=True)
-            if buffer.tell() <= LARGEST:
-                return f"data:image/jpeg;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
-        picture = picture.resize((picture.width * 3 // 4, picture.height * 3 // 4))

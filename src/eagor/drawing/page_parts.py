@@ -1,7 +1,9 @@
-"""The parts of a track's page: the time line as SVG, rows of the table, a moment in words."""
+"""The parts of a track's page: the time line as SVG, rows of the table, a moment in words, a picture as an address."""
 
 from __future__ import annotations
 
+import base64
+import io
 import math
 from html import escape
 
@@ -10,10 +12,12 @@ import numpy as np
 from eagor.drawing.timeline import COLOURS, Moment, TimeLine, ticks
 from eagor.drawing.words import in_words, signed
 
-__all__ = ["FULL", "LEFT", "WIDE", "key", "moment_in_words", "row", "time_line"]
+__all__ = ["FULL", "LEFT", "WIDE", "as_address", "key", "moment_in_words", "row", "time_line"]
 
 FULL, LEFT, WIDE = 1000, 64, 914  # user units: the whole width, where the axis begins, its width
 AZIMUTH, PRESENCE, STATUS, TALL = (8, 148), (158, 186), (194, 206), 226  # rows: from, to; the whole height
+LARGEST = 92_000  # bytes of a picture
+QUALITIES = (82, 74, 66, 58, 48, 36)  # of JPEG, best first
 SIDES = ((180, "behind"), (90, "left"), (0, "ahead"), (-90, "right"), (-180, "behind"))
 
 
@@ -90,3 +94,17 @@ def row(index: int, name: str, moment: Moment, picture: int | None) -> str:
     status += ", left out" if moment.problem else ""
     cells = [f"{moment.stamp:.3f}", show, *angles, cone, f"{moment.presence:.2f}", status]
     return f'<tr id="row{index}"><td>{escape(name)}</td>{"".join(f"<td>{cell}</td>" for cell in cells)}</tr>'
+
+
+def as_address(pixels: np.ndarray) -> str:
+    """A picture as a data URL of a JPEG of at most `LARGEST` bytes; a picture too busy for that is made smaller."""
+    from PIL import Image
+
+    picture = Image.fromarray(pixels)
+    while True:
+        for quality in QUALITIES:
+            buffer = io.BytesIO()
+            picture.save(buffer, "JPEG", quality=quality, optimize=True)
+            if buffer.tell() <= LARGEST:
+                return f"data:image/jpeg;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
+        picture = picture.resize((picture.width * 3 // 4, picture.height * 3 // 4))

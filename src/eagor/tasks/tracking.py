@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
@@ -12,11 +13,11 @@ from eagor.errors import WorldError
 from eagor.sphere import world_R_body
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.places import LOOK_ROWS, Place, load_place
-from eagor.tasks.routes import along, follow_path, length_of
 from eagor.tasks.rules import Camera, TrackingRules
 from eagor.tasks.task import Played
 from eagor.worlds.ball import PAINTS, Ball, with_ball
 from eagor.worlds.render import Frame
+from eagor.worlds.routes import follow_path, stroll
 
 SCENARIOS = ("moving target", "moving camera", "target gone")
 RADIUS = (0.2, 0.32)  # metres, range for the balls
@@ -134,11 +135,8 @@ def _pixels(frame: Frame, position: np.ndarray, ball: np.ndarray, radius: float)
 
 def _stroll(place: Place, start: np.ndarray, step: float, steps: int, rng: np.random.Generator) -> list:
     """One centre ``(3,)`` per step of a ball that rolls along paths to one random goal after another."""
-    points = start[None, :2]
-    while len(points) < steps:
-        path = place.ground.path(points[-1], place.ground.sample(rng))
-        points = np.concatenate([points, along(path, np.arange(step, max(length_of(path), step) + 1e-9, step))])
-    return [np.array([x, y, start[2]]) for x, y in points[:steps]]
+    points = islice(stroll(place.ground, start[:2], step, rng), steps)
+    return [np.array([x, y, start[2]]) for x, y in points]
 
 
 def _walk(

@@ -16,9 +16,9 @@ from eagor.errors import WorldError
 from eagor.sphere import world_R_body
 from eagor.tasks.episodes import Episode, Slot, choose_target
 from eagor.tasks.places import Place, load_place
-from eagor.tasks.routes import follow_path, initial_heading
 from eagor.tasks.rules import LEGS, Camera, WaypointRules
 from eagor.tasks.task import Played
+from eagor.worlds.routes import follow_path, initial_heading
 
 ATTEMPTS = 200  # to find routes at all: small rooms have few legs of four metres
 SLACK = 30.0  # degrees by which turns may finally miss their ranges if nothing fits

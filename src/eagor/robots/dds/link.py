@@ -97,18 +97,28 @@ class Link:
         return reader
 
     def topics(self, wait: float = 1.0) -> dict[str, str]:
-        """Topics that others write on this domain, with their types' DDS names, as found within `wait` seconds."""
+        """Topics that are written on this domain, with their types' DDS names, as found within `wait` seconds."""
+        return dict(sorted(self.publications(wait)))
+
+    def publications(self, wait: float = 1.0, *, own: bool = True) -> list[tuple[str, str]]:
+        """Topic and type's DDS name of every writer on this domain, as found within `wait` seconds.
+
+        `own`: also those of this link.
+        """
         from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 
         reader = BuiltinDataReader(self._joined(), BuiltinTopicDcpsPublication)
-        found: dict[str, str] = {}
+        found: dict[Any, tuple[str, str]] = {}
         end = time.monotonic() + wait
-        while time.monotonic() < end:
+        while True:
             for sample in reader.take(N=100):
-                if name := getattr(sample, "topic_name", None):
-                    found[name] = sample.type_name
+                if (name := getattr(sample, "topic_name", None)) is None:  # a writer that has gone
+                    continue
+                if own or sample.participant_key != self._joined().guid:
+                    found[sample.key] = name, sample.type_name
+            if time.monotonic() >= end:
+                return list(found.values())
             time.sleep(0.02)
-        return dict(sorted(found.items()))
 
     def _joined(self) -> Any:
         if self._participant is None:

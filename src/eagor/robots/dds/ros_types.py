@@ -14,7 +14,7 @@ from typing import Any
 
 from eagor.errors import FormatError
 
-__all__ = ["Encoded", "encoded_type", "store", "topic_name"]
+__all__ = ["Encoded", "encoded_type", "ros_names", "store", "topic_name"]
 
 _BASES = {
     "bool": bool,
@@ -57,6 +57,14 @@ def store() -> Any:
 def topic_name(ros_name: str) -> str:
     """The DDS topic of a ROS 2 topic: "/odom" or "odom" is "rt/odom"; a name that begins with "rt/" stays."""
     return ros_name if ros_name.startswith("rt/") else "rt/" + ros_name.strip("/")
+
+
+def ros_names(topic: str, kind: str) -> tuple[str, str] | None:
+    """The ROS 2 names of a DDS topic and its type, or None if they are none of ROS: the way back of `topic_name`."""
+    package, _, rest = kind.partition("::msg::dds_::")
+    if not topic.startswith("rt/") or not rest.endswith("_"):
+        return None
+    return topic[2:], f"{package}/msg/{rest[:-1]}"
 
 
 def encoded_type(name: str) -> type[Encoded]:

@@ -9,57 +9,25 @@ import threading
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from eagor._checks import require, stretch, within
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
-from eagor.robots.dds.ros_types import store
 from eagor.robots.go2.low import Remote
-from eagor.robots.go2.plant import GRAVITY, Motion, Plant
-from eagor.robots.go2.wire import LowFields, SportFields, raw
+from eagor.robots.go2.plant import Motion, Plant
+from eagor.robots.go2.sim_state import odometry_of, sport_fields
+from eagor.robots.go2.wire import LowFields, raw
+from eagor.robots.go2.wire_settings import WireSettings
 
-__all__ = ["TRUTH", "Go2Server", "WireSettings"]
+__all__ = ["TRUTH", "Go2Server"]
 
 TRUTH = "rt/eagor/truth"  # the true pose (nav_msgs/Odometry): no robot has this topic
 SLOW = 10  # steps between messages of the slow topics: 20 Hz at 200 Hz
 VERSIONS = {"sport": "1.0.0.1", "obstacles_avoid": "1.0.0.2"}
 NOT_KNOWN, NOT_UNDERSTOOD = 3203, 3204
 LATEST = 0.1  # seconds by which the simulation may lag behind before it skips
-
-
-@dataclass(frozen=True)
-class WireSettings:
-    """How a simulated Go2's wire behaves.
-
-    `clock_offset`: seconds by which the robot's clock is ahead of this machine's at first; `clock_drift`: seconds per
-    second by which it gains. `drop`: share of messages that get lost, in both directions. `delay`: from and to how many
-    seconds messages take. `short`: states without the planned path. `battery`: per cent at the start.
-    """
-
-    clock_offset: float = 0.0
-    clock_drift: float = 0.0
-    drop: float = 0.0
-    delay: tuple[float, float] = (0.0, 0.0)
-    short: bool = False
-    battery: int = 87
-
-    def __post_init__(self) -> None:
-        require(
-            self,
-            {
-                "clock_offset": (within(self.clock_offset, -1e8, 1e8), "seconds"),
-                "clock_drift": (within(self.clock_drift, -0.01, 0.01), "at most 0.01 s per second"),
-                "drop": (within(self.drop, 0, 1), "a share, 0 to 1"),
-                "delay": (stretch(self.delay, 0, 10), "seconds (from, to), at most 10"),
-                "battery": (within(self.battery, 0, 100), "0 to 100"),
-            },
-            DeviceError,
-        )
 
 
 class Go2Server:
@@ -116,7 +84,7 @@ class Go2Server:
         self._begun = 0.0
 
     def __enter__(self) -> Self:
-        self._begun = time.time()
+        self._begun = time.time() - self.plant.seconds
         self._thread.start()
         return self
 
@@ -158,21 +126,23 @@ class Go2Server:
                 truth, believed, steps = self.plant.truth, self.plant.odometry, self.plant.steps
             try:
                 self._tell(truth, believed, steps)
+                if self._every_step is not None:
+                    self._every_step(truth, self._begun + truth.pose.stamp)
             except DeviceError as error:
                 warnings.warn(f"the simulated Go2 cannot send: {error}", stacklevel=2)
             self._send_late()
 
     def _tell(self, truth: Motion, believed: Motion, steps: int) -> None:
         host = self._begun + truth.pose.stamp
-        robot = host + self.wire.clock_offset + self.wire.clock_drift * truth.pose.stamp
-        fields = self._fields(believed, robot)
+        robot = self.wire.robot_time(host, truth.pose.stamp)
+        fields = sport_fields(believed, robot, self.error_code)
         slow = steps % SLOW == 0
         data = fields.to_bytes(self.wire.short)
         self._send("rt/sportmodestate", self._state(data))
         if slow:
             self._send("rt/lf/sportmodestate", self._state(data))
-            self._send("rt/utlidar/robot_odom", odometry_message(believed, robot, "odom", "base_link"))
-            self._send(TRUTH, odometry_message(truth, host, "world", "base_link"))
+            self._send("rt/utlidar/robot_odom", odometry_of(believed, robot))
+            self._send(TRUTH, odometry_of(truth, host, "world"))
         battery = self.wire.battery - int(truth.pose.stamp / 60)  # a full battery lasts for an hour and a half or so
         low = LowFields(
             fields.quaternion, fields.gyroscope, fields.accelerometer, fields.rpy,
@@ -182,30 +152,6 @@ class Go2Server:
         self._send("rt/lowstate", self._low(low))
         if slow:
             self._send("rt/lf/lowstate", self._low(low))
-
-    def _fields(self, motion: Motion, stamp: float) -> SportFields:
-        pose = motion.pose
-        assert pose.position is not None
-        up = pose.world_R_body.T @ (0.0, 0.0, GRAVITY)
-        turned = Rotation.from_matrix(pose.world_R_body)
-        x, y, z, w = turned.as_quat()
-        yaw, pitch, roll = turned.as_euler("ZYX")
-        return SportFields(
-            int(stamp),
-            int(1e9 * (stamp - int(stamp))),
-            self.error_code,
-            (w, x, y, z),
-            tuple(motion.rates),
-            tuple(up),
-            (roll, pitch, yaw),
-            motion.mode,
-            gait_type=1 if motion.mode == 3 else 0,
-            foot_raise_height=0.09,
-            position=tuple(pose.position),
-            body_height=float(pose.position[2]),
-            velocity=tuple(motion.velocity),
-            yaw_speed=motion.yaw_rate,
-        )
 
     # --- requests ---
 
@@ -284,30 +230,3 @@ class Go2Server:
                     return
                 _, _, writer, message = heapq.heappop(self._late)
             writer.write(message)
-
-
-def odometry_message(motion: Motion, stamp: float, frame: str, child: str) -> Any:
-    """A nav_msgs/Odometry of `motion`; the twist is in the body frame, as that message wants it."""
-    types = store().types
-    pose = motion.pose
-    assert pose.position is not None
-    vector, point = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Point"]
-    x, y, z, w = Rotation.from_matrix(pose.world_R_body).as_quat().tolist()
-    velocity = pose.world_R_body.T @ motion.velocity
-    second = int(stamp)
-    time_of = types["builtin_interfaces/msg/Time"](sec=second, nanosec=int(1e9 * (stamp - second)))
-    header = types["std_msgs/msg/Header"](stamp=time_of, frame_id=frame)
-    placed = types["geometry_msgs/msg/Pose"](
-        position=point(*map(float, pose.position)),
-        orientation=types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w),
-    )
-    twist = types["geometry_msgs/msg/Twist"](
-        linear=vector(*map(float, velocity)), angular=vector(*map(float, motion.rates))
-    )
-    nothing = np.zeros(36)
-    return types["nav_msgs/msg/Odometry"](
-        header=header,
-        child_frame_id=child,
-        pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=placed, covariance=nothing),
-        twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=nothing),
-    )

@@ -6,7 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -58,6 +58,25 @@ class BodyState:
     body_height: float | None = None
     robot_stamp: float = 0.0
     received: float = 0.0
+
+    @classmethod
+    def of(cls, fields: SportFields, stamp: float, received: float) -> BodyState:
+        """From the robot's own message, with its time on this machine's clock. Raises `FormatError` for no pose."""
+        w, *xyz = fields.quaternion
+        return cls(
+            stamp,
+            _rotation((*xyz, w)),
+            _finite(fields.position),
+            _finite(fields.velocity),
+            float(_finite([fields.yaw_speed])[0]),
+            fields.mode,
+            fields.error_code,
+            np.array(fields.gyroscope),
+            np.array(fields.accelerometer),
+            fields.body_height,
+            fields.sec + 1e-9 * fields.nanosec,
+            received,
+        )
 
     @property
     def tilt(self) -> float:
@@ -177,49 +196,26 @@ class Go2State:
             self._wrong = str(error)
             raise
         self.bytes = len(message.data)
-        w, *xyz = fields.quaternion
-        stamp = fields.sec + 1e-9 * fields.nanosec
-        self._take(
-            stamp,
-            when,
-            (*xyz, w),
-            fields.position,
-            fields.velocity,
-            fields.yaw_speed,
-            mode=fields.mode,
-            error_code=fields.error_code,
-            gyroscope=np.array(fields.gyroscope),
-            accelerometer=np.array(fields.accelerometer),
-            body_height=fields.body_height,
-        )
+        self._take(BodyState.of(fields, when, when))
 
     def _odometry(self, message: Any, when: float) -> None:
         pose, twist, stamp = message.pose.pose, message.twist.twist, message.header.stamp
-        turned = (pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w)
-        place = (pose.position.x, pose.position.y, pose.position.z)
-        speed = (twist.linear.x, twist.linear.y, twist.linear.z)  # in the body frame (nav_msgs/Odometry)
-        seconds = stamp.sec + 1e-9 * stamp.nanosec
-        self._take(seconds, when, turned, place, speed, twist.angular.z, of_body=True)
+        turned = _rotation((pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w))
+        place = _finite((pose.position.x, pose.position.y, pose.position.z))
+        speed = _finite((twist.linear.x, twist.linear.y, twist.linear.z))  # in the body frame (nav_msgs/Odometry)
+        turning = float(_finite([twist.angular.z])[0])
+        said = stamp.sec + 1e-9 * stamp.nanosec
+        self._take(BodyState(when, turned, place, turned @ speed, turning, robot_stamp=said, received=when))
 
-    def _take(
-        self, robot_stamp: float, when: float, xyzw: tuple, position: tuple, velocity: tuple, yaw_rate: float,
-        *, of_body: bool = False, **more: Any,
-    ) -> None:  # fmt: skip
-        size = np.linalg.norm(xyzw)
-        if not (abs(size - 1.0) < 0.1 and np.isfinite([*position, *velocity, yaw_rate]).all()):
-            raise FormatError(f"a state without a pose: orientation {xyzw}, position {position}, velocity {velocity}")
-        stamp: float | None = when  # where the robot tells no time
-        if robot_stamp > 0:
-            stamp, news = self.clock.take(robot_stamp, when)
+    def _take(self, state: BodyState) -> None:
+        if state.robot_stamp > 0:  # otherwise the robot tells no time, and the arrival counts
+            stamp, news = self.clock.take(state.robot_stamp, state.received)
             if news:
                 self.news.append(news)
-        if stamp is None:
-            self.doubtful += 1
-            return
-        turned = Rotation.from_quat(xyzw).as_matrix()
-        speed = turned @ velocity if of_body else np.array(velocity)
-        about = {"robot_stamp": robot_stamp, "received": when, **more}
-        state = BodyState(stamp, turned, np.array(position), speed, float(yaw_rate), **about)
+            if stamp is None:
+                self.doubtful += 1
+                return
+            state = replace(state, stamp=stamp)
         with self._turn:
             self.dropped += len(self._waiting) == KEPT
             self._waiting.append(state)
@@ -254,3 +250,18 @@ class Go2State:
             f"no robot is heard within {timeout:g} s ({self.topic}, {where}): is it on, is this machine on its network "
             "(192.168.123.x), and is the interface right?"
         )
+
+
+def _rotation(xyzw: tuple[float, ...]) -> np.ndarray:
+    """The rotation of a quaternion that may be somewhat too long or short."""
+    size = float(np.linalg.norm(xyzw))
+    if not abs(size - 1.0) < 0.1:
+        raise FormatError(f"a state with the orientation {xyzw}; wanted a quaternion of length 1")
+    return Rotation.from_quat(xyzw).as_matrix()
+
+
+def _finite(values: Any) -> np.ndarray:
+    array = np.array(values, dtype=np.float64)
+    if not np.isfinite(array).all():
+        raise FormatError(f"a state with the numbers {array.tolist()}; wanted finite ones")
+    return array

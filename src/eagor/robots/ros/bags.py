@@ -18,6 +18,7 @@ from eagor.robots.dds.ros_types import store
 from eagor.robots.ros import mcap
 from eagor.robots.ros.messages import NANO
 from eagor.robots.ros.recording import BagWriter
+from eagor.robots.ros.topics import listed
 
 __all__ = ["SUFFIXES", "Bag", "BagWriter", "bag_topics", "is_bag", "read_bag"]
 
@@ -103,11 +104,6 @@ class Bag:
                         f"({type(error).__name__}: {error})"
                     ) from error
                 yield nanos / NANO, stream.topic, stream.kind, found
-
-
-def listed(topics: dict[str, str]) -> str:
-    """Topics and their types in words."""
-    return ", ".join(f"{name} ({kind})" for name, kind in topics.items()) or "none"
 
 
 class _File:

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
+
+from eagor.worlds.ground import Ground
+
+__all__ = ["along", "follow_path", "initial_heading", "length_of", "stroll"]
 
 
 def initial_heading(path: np.ndarray, ahead: float = 0.5) -> float:
@@ -42,3 +47,14 @@ def follow_path(path: np.ndarray, yaw: float, step: float, turn: float) -> np.nd
         yaw = heading
         rows.append((there[0], there[1], yaw))
     return np.array(rows)
+
+
+def stroll(ground: Ground, start: np.ndarray, step: float, rng: np.random.Generator) -> Iterator[np.ndarray]:
+    """Points ``(2,)`` without end, `step` metres apart: along paths from `start` to one random goal after another."""
+    last = np.asarray(start, dtype=np.float64)
+    yield last
+    while True:
+        path = ground.path(last, ground.sample(rng))
+        points = along(path, np.arange(step, max(length_of(path), step) + 1e-9, step))
+        yield from points
+        last = points[-1]

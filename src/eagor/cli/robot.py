@@ -1,0 +1,15 @@
+"""``eagor robot``: to the module of its command."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from eagor.cli.robot_options import Robot, RobotCheck, RobotSim
+
+RUNS = {RobotSim: "eagor.cli.robot_sim:sim", RobotCheck: "eagor.cli.robot_check:check"}
+
+
+def robot(options: Robot) -> int:
+    """Run the command; returns its exit code."""
+    module, _, function = RUNS[type(options.action)].partition(":")
+    return getattr(import_module(module), function)(options.action)

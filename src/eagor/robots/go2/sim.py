@@ -1,0 +1,223 @@
+"""A simulated Go2 with a 360-degree camera in a simulated house: on a clock of its own, or live over DDS.
+
+`SimulatedGo2` alone has a simulated clock: `advance` gives what arrives meanwhile, as fast as it can be computed, and
+the same again for the same seed. `eagor.robots.go2.sim_live.LiveGo2` puts the same robot on DDS, in real time.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from eagor._lazy import lazy
+from eagor.errors import DeviceError
+from eagor.robots.clocks import RelatedClock
+from eagor.robots.frames import Frame
+from eagor.robots.go2.house import House, Thing, ball_of, load_house
+from eagor.robots.go2.plant import Motion, Plant, PlantSettings
+from eagor.robots.go2.sim_camera import CameraSettings, SimulatedCamera
+from eagor.robots.go2.sim_state import sport_fields
+from eagor.robots.go2.sport import OK
+from eagor.robots.go2.state import BodyState
+from eagor.robots.go2.wire import SportFields
+from eagor.robots.go2.wire_settings import WireSettings
+
+__all__ = ["SimSettings", "SimulatedGo2"]
+
+
+@dataclass(frozen=True)
+class SimSettings:
+    """What is simulated.
+
+    - `world`, `seed`: the house, as `eagor.worlds.load` has it; None: an endless empty floor, without pictures.
+    - `target`: what the robot is to find, in words, such as "red chair". A ball ("red ball") is brought into the house,
+      and rolls at `speed` metres per second.
+    - `start`: x, y (metres) and heading (radians); None: drawn from the seed, some metres from the target.
+    - `plant`, `wire`, `camera`: body, wire and camera; `camera` None: no pictures.
+    """
+
+    world: str | None = "apartment"
+    seed: int = 7
+    target: str | None = None
+    speed: float = 0.0
+    start: tuple[float, float, float] | None = None
+    plant: PlantSettings = field(default_factory=PlantSettings)
+    wire: WireSettings = field(default_factory=WireSettings)
+    camera: CameraSettings | None = field(default_factory=CameraSettings)
+
+
+class SimulatedGo2:
+    """A Go2 that walks in a house. `begun`: seconds of the host's clock at its start.
+
+    It is told what to do as `eagor.robots.go2.sport.SportClient` is: `move`, `stop`, `balance_stand`, `stand_up`,
+    `stand_down`, each with a status code. Everything random comes from the seed. Raises `WorldError`, `QueryError`,
+    `DeviceError` for settings that cannot be.
+    """
+
+    def __init__(self, settings: SimSettings | None = None, *, begun: float = 0.0) -> None:
+        self.settings = settings = settings or SimSettings()
+        self.begun = begun
+        draws = [np.random.default_rng(part) for part in np.random.SeedSequence(settings.seed).spawn(4)]
+        self.house: House | None = None
+        if settings.world is not None:
+            colour = ball_of(settings.target)
+            self.house = load_house(settings.world, settings.seed, ball=colour, speed=settings.speed, rng=draws[0])
+        elif settings.target is not None:
+            raise DeviceError("a robot on an empty floor has no target; give a world, or no target")
+        self.targets: tuple[Thing, ...] = ()
+        start = settings.start or (0.0, 0.0, 0.0)
+        slide = ahead = None
+        if self.house is not None:
+            if settings.target is not None:
+                self.targets = self.house.targets(settings.target)
+            start = self._start(draws[1])
+            slide, ahead = self.house.slide, self.house.ahead
+        self.plant = Plant(settings.plant, draws[2], start, slide, ahead)
+        self._wire_rng = draws[3]
+        self._clock = RelatedClock("Go2")
+        self._numbers = itertools.count()
+        self._commands: list[tuple[float, int, Callable[[], None]]] = []  # when they arrive
+        self._arriving: list[tuple[float, int, BodyState | Frame | SportFields]] = []
+        self._pictures = 0
+
+    def _start(self, rng: np.random.Generator) -> tuple[float, float, float]:
+        assert self.house is not None
+        if (start := self.settings.start) is None:
+            return self.house.start(rng, self.targets)
+        spot = self.house.ground.snap(np.array(start[:2]))
+        if spot is None:
+            raise DeviceError(f"start = {start}; wanted x, y (metres) and heading (radians), finite")
+        return float(spot[0]), float(spot[1]), float(start[2])
+
+    # --- time ---
+
+    @property
+    def now(self) -> float:
+        """The host's clock, seconds."""
+        return self.begun + self.plant.seconds
+
+    def advance(self, seconds: float) -> list[BodyState | Frame]:
+        """Let time pass; the states and pictures that arrive meanwhile, in the order of arrival.
+
+        Stamps are on the host's clock: a state's as related by its messages, a picture's of its capture.
+        """
+        end = self.plant.steps + round(seconds / self.settings.plant.step)
+        came: list[BodyState | Frame] = []
+        while self.plant.steps < end:
+            while self._commands and self._commands[0][0] <= self.now:
+                heapq.heappop(self._commands)[2]()
+            self.plant.advance()
+            self._send_state()
+            self._send_picture()
+            while self._arriving and self._arriving[0][0] <= self.now:
+                when, _, message = heapq.heappop(self._arriving)
+                if not isinstance(message, SportFields):
+                    came.append(message)
+                    continue
+                stamp, _ = self._clock.take(message.sec + 1e-9 * message.nanosec, when)
+                if stamp is not None:
+                    came.append(BodyState.of(message, stamp, when))
+        return came
+
+    # --- commands ---
+
+    def move(self, vx: float, vy: float, wz: float) -> int:
+        """Walk forward and left (m/s), turn left (rad/s), for about a second."""
+        if not all(map(math.isfinite, (vx, vy, wz))):
+            raise DeviceError(f"velocities {(vx, vy, wz)}; wanted three finite numbers")
+        return self._do(lambda: self.plant.move(vx, vy, wz))
+
+    def stop(self) -> int:
+        """Stand still."""
+        return self._do(self.plant.stop)
+
+    def balance_stand(self) -> int:
+        """Stand, ready to walk."""
+        return self._do(self.plant.balance_stand)
+
+    def stand_up(self) -> int:
+        """Stand up, with locked joints."""
+        return self._do(self.plant.stand_up)
+
+    def stand_down(self) -> int:
+        """Lie down."""
+        return self._do(self.plant.stand_down)
+
+    def _do(self, command: Callable[[], None]) -> int:
+        if not self._lost():
+            heapq.heappush(self._commands, (self.now + self._delay(), next(self._numbers), command))
+        return OK
+
+    # --- truth ---
+
+    @property
+    def truth(self) -> Motion:
+        """The body as it is."""
+        return self.plant.truth
+
+    def things(self) -> tuple[Thing, ...]:
+        """All that could be asked for, where it is now."""
+        return () if self.house is None else self.house.things(self.plant.seconds)
+
+    def targets_now(self) -> tuple[Thing, ...]:
+        """The things that the target names, where they are now."""
+        wanted = {thing.id for thing in self.targets}
+        return tuple(thing for thing in self.things() if thing.id in wanted)
+
+    def bearing(self, thing: Thing) -> tuple[np.ndarray, float]:
+        """True direction ``(3,)`` from the camera (body axes) and distance, metres, of a thing, now."""
+        mount = self.settings.camera or CameraSettings()
+        camera = mount.pose(self.plant.truth.pose)
+        assert camera.position is not None
+        offset = camera.world_R_body.T @ (thing.centre - camera.position)
+        distance = float(np.linalg.norm(offset))
+        return offset / distance, distance
+
+    # --- the wire ---
+
+    @lazy
+    def camera(self) -> SimulatedCamera:
+        """The camera. Raises `DeviceError` if there is none."""
+        if self.house is None or self.settings.camera is None:
+            raise DeviceError("this simulated robot has no camera; give it a world and a camera")
+        return SimulatedCamera(self.house.scene, self.settings.camera)
+
+    def picture_due(self) -> bool:
+        """Whether the camera takes a picture at this step; asking counts it as taken."""
+        camera = self.settings.camera
+        if camera is None or self.house is None or self.plant.seconds < self._pictures / camera.rate:
+            return False
+        self._pictures = math.floor(self.plant.seconds * camera.rate) + 1
+        return True
+
+    def _send_state(self) -> None:
+        if not self._lost():
+            stamp = self.settings.wire.robot_time(self.now, self.plant.seconds)
+            self._post(self.now + self._delay(), sport_fields(self.plant.odometry, stamp))
+
+    def _send_picture(self) -> None:
+        if not self.picture_due() or self._lost():
+            return
+        assert self.house is not None
+        assert self.settings.camera is not None
+        pose = self.settings.camera.pose(self.plant.truth.pose)
+        ball = None if self.house.ball is None else self.house.ball.at(self.plant.seconds)
+        panorama = self.camera.received(self.camera.picture(pose, ball))
+        frame = Frame(self.now, panorama, f"picture {self._pictures}")
+        self._post(self.now + self.settings.camera.latency, frame)
+
+    def _post(self, when: float, message: BodyState | Frame | SportFields) -> None:
+        heapq.heappush(self._arriving, (when, next(self._numbers), message))
+
+    def _lost(self) -> bool:
+        drop = self.settings.wire.drop
+        return drop > 0 and bool(self._wire_rng.random() < drop)
+
+    def _delay(self) -> float:
+        low, high = self.settings.wire.delay
+        return float(self._wire_rng.uniform(low, high)) if high > 0 else 0.0

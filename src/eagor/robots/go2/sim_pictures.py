@@ -1,0 +1,133 @@
+"""The process that draws a simulated Go2's pictures and sends them: drawing must not hold up 200 states per second."""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import time
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from eagor._processes import leave_with_parent, one_thread
+from eagor.errors import DeviceError, EagorError
+from eagor.robots.frames import Pose
+from eagor.robots.go2.sim_camera import CameraSettings
+from eagor.worlds.ball import Ball
+
+__all__ = ["CAMERA_FRAME", "CAMERA_TOPIC", "Moment", "PictureProcess"]
+
+CAMERA_TOPIC = "rt/x3/image/compressed"  # /x3/image/compressed in ROS
+CAMERA_FRAME = "x3_link"
+LOADING = 300.0  # seconds for the scene and its light
+ENDING = 5.0  # seconds for the process to leave by itself
+
+
+class Moment(NamedTuple):
+    """When and where a picture is taken: the host's clock, the camera's pose, the ball."""
+
+    stamp: float
+    pose: Pose
+    ball: Ball | None
+
+
+class PictureProcess:
+    """A process with a renderer of its own, which writes `CAMERA_TOPIC`.
+
+    `offer` gives it a moment if it is idle; moments that come while it draws are `skipped`. It ends with this one.
+    """
+
+    def __init__(self, world: str, seed: int, camera: CameraSettings, domain: int, interface: str | None) -> None:
+        self.skipped = self.drawn = 0
+        self._idle = False
+        context = multiprocessing.get_context("spawn")
+        self._line, there = context.Pipe()
+        self._process = context.Process(target=_draw, args=(there, world, seed, camera, domain, interface), daemon=True)
+        with one_thread():
+            self._process.start()
+        there.close()
+
+    def wait(self, timeout: float = LOADING) -> None:
+        """Wait until it can draw. Raises `DeviceError` if it cannot."""
+        end = time.monotonic() + timeout
+        while not self._heard() and not self._idle:
+            if not self._process.is_alive() and not self._line.poll():
+                raise DeviceError(f"the camera's process ended by itself (exit code {self._process.exitcode})")
+            if time.monotonic() > end:
+                raise DeviceError(f"the camera is not ready after {timeout:g} s")
+            self._line.poll(0.1)
+
+    def offer(self, moment: Moment) -> bool:
+        """Have a picture of this moment drawn; whether it is. Never waits."""
+        self._heard()
+        if not self._idle:
+            self.skipped += 1
+            return False
+        try:
+            self._line.send(moment)
+        except OSError:
+            return False
+        self._idle = False
+        return True
+
+    @property
+    def alive(self) -> bool:
+        """Whether it still draws."""
+        return self._process.is_alive()
+
+    def close(self) -> None:
+        """End the process."""
+        self._line.close()
+        self._process.join(ENDING)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._process.close()
+
+    def _heard(self) -> bool:
+        """Take in what it says; whether it said that it is ready for the next."""
+        with suppress(EOFError, OSError):
+            while self._line.poll():
+                said = self._line.recv()
+                if isinstance(said, str):
+                    raise DeviceError(f"the simulated camera cannot draw: {said}")
+                self.drawn += said
+                self._idle = True
+        return self._idle
+
+
+def _draw(line: Connection, world: str, seed: int, camera: CameraSettings, domain: int, interface: str | None) -> None:
+    """The life of the process."""
+    for number in (signal.SIGINT, signal.SIGTERM):  # it ends with its parent, which is told as well
+        signal.signal(number, signal.SIG_IGN)
+    leave_with_parent()
+    from eagor.robots.dds import Link
+    from eagor.robots.go2.sim_camera import SimulatedCamera
+    from eagor.robots.ros.messages import COMPRESSED, compressed_message
+    from eagor.sphere import world_R_body
+    from eagor.worlds import load
+
+    try:
+        drawer = SimulatedCamera(load(world)(seed), camera)
+        drawer.picture(Pose(0.0, world_R_body(0.0), np.zeros(3)))  # the light, and what else comes first
+        with Link(domain, interface) as link:
+            writer = link.publish(CAMERA_TOPIC, COMPRESSED, reliable=False, depth=5)
+            waiting: list[tuple[float, Any]] = []  # pictures on their way: when they arrive
+            line.send(0)
+            while True:
+                pause = max(0.0, waiting[0][0] - time.time()) if waiting else None
+                if line.poll(pause):
+                    moment: Moment = line.recv()
+                    picture = drawer.picture(moment.pose, moment.ball)
+                    message = compressed_message(picture, moment.stamp, CAMERA_FRAME, quality=camera.quality)
+                    waiting.append((moment.stamp + camera.latency, message))
+                    line.send(1)
+                while waiting and waiting[0][0] <= time.time():
+                    writer.write(waiting.pop(0)[1])
+    except (EOFError, OSError):  # the parent has gone
+        return
+    except EagorError as error:
+        with suppress(OSError):
+            line.send(str(error))

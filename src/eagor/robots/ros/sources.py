@@ -1,0 +1,296 @@
+"""Cameras and odometry on topics of a running ROS 2 system."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+import warnings
+from collections import deque
+from collections.abc import Iterator
+from typing import Any
+
+from eagor.errors import DeviceError, EagorError, TimeError
+from eagor.robots.cameras.making import Panoramas
+from eagor.robots.cameras.rig import Rig
+from eagor.robots.frames import Frame, Pose
+from eagor.robots.ros.graph import DdsGraph, Graph, GraphReader
+from eagor.robots.ros.messages import TRANSFORMS, panorama_of, stamp_of
+from eagor.robots.ros.odometry import BODY, PoseReader
+from eagor.robots.ros.topics import MOTION, PICTURES, TF, TF_STATIC, find_topic
+
+__all__ = ["RosCamera", "RosPoses", "address"]
+
+FIRST = 10.0  # seconds in which the first message has to come
+SETTLING = 1.0  # seconds for transforms that were said before to come, once a topic is found
+WAITING = 0.2  # seconds after which a waiting iterator looks whether it was closed
+LATEST = 4000  # poses that wait to be taken: ten seconds at 400 per second
+COUNTED = 1.0  # seconds between two looks at who writes the odometry
+
+
+def address(text: str) -> tuple[str | None, dict[str, Any]]:
+    """Topic and settings of a text such as ``/image?domain=3&interface=eth0``. Raises `DeviceError`."""
+    topic, _, query = text.partition("?")
+    settings: dict[str, Any] = {}
+    for pair in filter(None, query.split("&")):
+        name, _, value = pair.partition("=")
+        if name not in ("domain", "interface") or (name == "domain" and not value.isdigit()):
+            raise DeviceError(f"ros:{text}: {pair!r}; wanted ros:/topic?domain=N&interface=NAME, both optional")
+        settings[name] = int(value) if name == "domain" else value
+    return topic or None, settings
+
+
+class RosCamera:
+    """A `CameraSource`: an Image or CompressedImage topic; None is the only one that there is.
+
+    Stamps are those of the headers, which are times of capture, less the `latency` (for drivers that stamp later). A
+    header without a time is said once; the time of arrival less the latency takes its place. Only the newest picture is
+    kept, and decoded when it is asked for; `dropped` counts the others, and those that were damaged. `rows`: the most
+    rows of a panorama; `rig`: the lenses, if the topic has their pictures. `domain`: None is that of the environment;
+    `graph`: a graph to use instead of an own one. `frame`: the frame that the pictures name. `problem`: what is wrong
+    now, or None. Raises `DeviceError` if there is no such topic or no picture comes, `ImageError` for pictures that are
+    no panoramas.
+    """
+
+    live = True
+    keeps_newest = True
+
+    def __init__(
+        self,
+        topic: str | None = None,
+        *,
+        domain: int | None = None,
+        interface: str | None = None,
+        latency: float = 0.0,
+        rows: int | None = None,
+        rig: Rig | None = None,
+        graph: Graph | None = None,
+        wait: float = FIRST,
+    ) -> None:
+        if not math.isfinite(latency):
+            raise TimeError(f"latency = {latency!r}; wanted seconds from capture to the stamp, 0 or more")
+        asked, settings = address(topic or "")
+        self.latency, self.problem = latency, None
+        self._changed = threading.Condition()
+        self._newest: tuple[Any, float] | None = None
+        self._closed, self._dropped = False, 0
+        self._last, self._said = -math.inf, set[str]()
+        self._own = None if graph else DdsGraph(settings.get("domain", domain), settings.get("interface", interface))
+        self._graph: Graph = graph or self._own  # type: ignore[assignment]
+        self._reader: GraphReader | None = None
+        try:
+            self.topic, self.kind, _ = find_topic(self._graph, PICTURES, asked, option="--image-topic")
+            self._reader = self._graph.subscribe(self.topic, self.kind, self._received, depth=5)
+            first = self._first(wait)
+            picture = panorama_of(first)
+            self.frame: str = first.header.frame_id
+            self._panoramas = Panoramas(((picture.shape[1], picture.shape[0]),), rig, rows, self.topic)
+            self._panoramas.check(picture)
+        except BaseException:
+            self.close()
+            raise
+        self._size = picture.shape
+        self.grid, self.unseen = self._panoramas.grid, self._panoramas.unseen
+
+    @property
+    def dropped(self) -> int:
+        return self._dropped
+
+    def __iter__(self) -> Iterator[Frame]:
+        while (taken := self._take()) is not None:
+            received, when = taken
+            try:
+                stamp = self._stamp(received, when)
+                picture = panorama_of(received)
+                if picture.shape != self._size:
+                    raise DeviceError(
+                        f"it is {picture.shape[1]} x {picture.shape[0]}, and the first was {self._size[1]} x "
+                        f"{self._size[0]}: another camera or mode? Set it back, or start again"
+                    )
+                panorama = self._panoramas.make(picture)
+            except EagorError as error:
+                self._dropped += 1
+                self.problem = f"{self.topic}: a picture is left out: {error}"
+                self._warn(self.problem)
+                continue
+            if stamp <= self._last:  # sent twice, or out of order
+                self._dropped += 1
+                continue
+            self._last, self.problem = stamp, None
+            yield Frame(stamp, panorama, f"{self.topic} at {stamp:.3f} s")
+
+    def close(self) -> None:
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        if self._reader is not None:
+            self._reader.close()
+        if self._own is not None:
+            self._own.close()
+
+    def _received(self, message: Any, when: float) -> None:
+        with self._changed:
+            self._dropped += self._newest is not None
+            self._newest = message, when
+            self._changed.notify_all()
+
+    def _first(self, wait: float) -> Any:
+        """The first picture; it is not taken away."""
+        with self._changed:
+            if self._changed.wait_for(lambda: self._newest is not None, wait):
+                assert self._newest is not None
+                return self._newest[0]
+        writers = 0 if self._reader is None else self._reader.writers
+        raise DeviceError(
+            f"no picture came on {self.topic} within {wait:g} s from its {writers} publishers; is the camera running, "
+            "and does its size pass the network (prefer CompressedImage)?"
+        )
+
+    def _take(self) -> tuple[Any, float] | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._newest is not None or self._closed)
+            taken, self._newest = self._newest, None
+            return None if self._closed else taken
+
+    def _stamp(self, received: Any, when: float) -> float:
+        stamp = stamp_of(received)
+        if stamp > 0:
+            return stamp - self.latency
+        self._warn(
+            f"{self.topic} tells no times (its headers have the stamp 0): each picture is stamped with its arrival "
+            f"less the latency ({self.latency:g} s), and carries the jitter of its way"
+        )
+        return when - self.latency
+
+    def _warn(self, text: str) -> None:
+        """Once for each kind of trouble."""
+        if text[:60] not in self._said:
+            self._said.add(text[:60])
+            warnings.warn(text, UserWarning, stacklevel=3)
+
+
+class RosPoses:
+    """A `PoseSource`: Odometry, PoseStamped, the orientation of an Imu, or the transforms of /tf (`PoseReader`).
+
+    `topic`: None is the only one of its kind, odometry first. `camera`, `body`, `world`, `strict`: as for `PoseReader`;
+    /tf_static and /tf are always read. Otherwise as `RosCamera`. Raises `DeviceError` if there is no such topic, if two
+    publishers write it, or if nothing comes.
+    """
+
+    live = True
+
+    def __init__(
+        self,
+        topic: str | None = None,
+        *,
+        camera: str | None = None,
+        body: str = BODY,
+        world: str | None = None,
+        strict: bool = False,
+        domain: int | None = None,
+        interface: str | None = None,
+        graph: Graph | None = None,
+        wait: float = FIRST,
+    ) -> None:
+        asked, settings = address(topic or "")
+        self._changed = threading.Condition()
+        self._poses: deque[Pose] = deque(maxlen=LATEST)
+        self._error: DeviceError | None = None
+        self._closed, self._counted, self.dropped = False, 0.0, 0
+        self._own = None if graph else DdsGraph(settings.get("domain", domain), settings.get("interface", interface))
+        self._graph: Graph = graph or self._own  # type: ignore[assignment]
+        self._readers: list[GraphReader] = []
+        try:
+            self.topic, self.kind, writers = find_topic(self._graph, MOTION, asked, option="--odom-topic")
+            self._check_alone(writers)
+            self.reader = PoseReader(self.topic, self.kind, camera=camera, body=body, world=world, strict=strict)
+            subscribe = self._graph.subscribe
+            self._readers.append(
+                subscribe(TF_STATIC, TRANSFORMS, self._fixed, reliable=True, depth=100, transient=True)
+            )
+            if self.kind != TRANSFORMS:
+                self._readers.append(subscribe(TF, TRANSFORMS, self._moved, depth=100))
+                self._settle()
+            self._main = subscribe(self.topic, self.kind, self._received, depth=100)
+            self._readers.append(self._main)
+            self._wait_for_first(wait)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def problem(self) -> str | None:
+        """What is wrong now, in words, or None."""
+        return self.reader.problem
+
+    def __iter__(self) -> Iterator[Pose]:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._poses or self._closed or self._error)
+                if self._closed:
+                    return
+                if self._error is not None:
+                    raise self._error
+                pose = self._poses.popleft()
+            yield pose
+
+    def close(self) -> None:
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        for reader in self._readers:
+            reader.close()
+        if self._own is not None:
+            self._own.close()
+
+    def _fixed(self, message: Any, _: float) -> None:
+        self._take(lambda: self.reader.transforms(message, True))
+
+    def _moved(self, message: Any, _: float) -> None:
+        self._take(lambda: self.reader.transforms(message, False))
+
+    def _received(self, message: Any, _: float) -> None:
+        self._take(lambda: self.reader.take(message))
+        now = time.monotonic()
+        if now - self._counted > COUNTED and self._main is not None:
+            self._counted = now
+            try:
+                self._check_alone(self._main.writers)
+            except DeviceError as error:
+                self._fail(error)
+
+    def _take(self, what: Any) -> None:
+        try:
+            with self._changed:
+                self._poses.extend(what())
+                self._changed.notify_all()
+        except DeviceError as error:
+            self._fail(error)
+
+    def _fail(self, error: DeviceError) -> None:
+        with self._changed:
+            self._error = error
+            self._changed.notify_all()
+
+    def _check_alone(self, writers: int) -> None:
+        if writers > 1 and self.kind != TRANSFORMS:  # many nodes write /tf, each its own frames
+            raise DeviceError(
+                f"{writers} publishers write {self.topic}, and their poses would be mixed; stop all but one "
+                f"(ros2 topic info -v {self.topic} names them), or take another topic with --odom-topic"
+            )
+
+    def _settle(self) -> None:
+        """Wait for the fixed transforms, if anybody tells them."""
+        end = time.monotonic() + SETTLING
+        while time.monotonic() < end and not self.reader.tree.frames:
+            time.sleep(0.02)
+
+    def _wait_for_first(self, wait: float) -> None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._poses or self._error, wait)
+            if self._error is not None:
+                raise self._error
+            if self._poses:
+                return
+        told = self.reader.problem or "are its stamps set, and does it run?"
+        raise DeviceError(f"no pose came on {self.topic} within {wait:g} s: {told}")

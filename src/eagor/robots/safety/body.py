@@ -1,0 +1,128 @@
+"""The robot's side of the guard: what it tells a Go2, without ever waiting, and what it reads from it."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from eagor.errors import DeviceError
+from eagor.robots.dds import Link
+from eagor.robots.go2.low import Go2Low
+from eagor.robots.go2.sport import OK, AvoidClient, SportClient, in_words
+from eagor.robots.go2.state import MODES, BodyState, Go2State
+from eagor.robots.safety.faults import Body
+from eagor.robots.safety.limits import Velocity
+
+__all__ = ["Go2Body"]
+
+PATIENCE = 0.1  # seconds until a StopMove counts as not acknowledged; others are on their way meanwhile
+AT_ONCE = 4  # StopMove that may wait for their answers
+STARTING = 2.0  # seconds that commands before the first move may take
+LOCKED = 6  # `MODES`: stands with locked joints
+ABLE = (0, 1, 2, 3, 6, 9)  # modes from which it can walk
+
+
+class Go2Body:
+    """A Go2 as the guard sees it; a context manager. `avoid`: it walks around obstacles by itself.
+
+    With `armed` False it never has a writer, so it cannot command anything. Raises `DeviceError`, `MissingExtraError`.
+    """
+
+    def __init__(
+        self, domain: int, interface: str | None, *, armed: bool, avoid: bool = False, remote: bool = False
+    ) -> None:
+        self.body: Body | None = None
+        self.mode: int | None = None
+        self.acknowledged: int | None = None
+        self.problem: str | None = None  # of the last command
+        self._armed = armed
+        self._link = Link(domain, interface)
+        self._state = Go2State(self._link, received=self._received)
+        self._low = Go2Low(self._link) if remote else None
+        self._sport = SportClient(self._link, timeout=PATIENCE) if armed else None
+        self._avoid = AvoidClient(self._link, timeout=STARTING) if armed and avoid else None
+        self._stoppers = ThreadPoolExecutor(AT_ONCE, "StopMove")
+        self._stops = 0
+
+    def __enter__(self) -> Go2Body:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stoppers.shutdown(cancel_futures=True)
+        if self._avoid is not None:
+            self._avoid.end()
+        self._state.close()
+        self._link.close()
+
+    def start(self, timeout: float) -> None:
+        """Wait for the robot, and make it ready to walk if it is armed. Raises `DeviceError`."""
+        self._state.wait(timeout)
+        if self._sport is None:
+            return
+        if not self._sport.wait(timeout):
+            raise DeviceError(
+                "the robot tells its state, but nobody takes commands (rt/api/sport/request): its walking service is "
+                "off, or another program holds it; switch to sport mode in the robot's app"
+            )
+        if self.mode == LOCKED:
+            self._started("BalanceStand", SportClient(self._link, timeout=STARTING).balance_stand())
+        if self._avoid is not None:
+            self._started("obstacle avoidance", self._avoid.start())
+
+    @staticmethod
+    def _started(what: str, code: int) -> None:
+        if code != OK:
+            raise DeviceError(f"{what}: {in_words(code)}; look at the robot, then try again")
+
+    def move(self, wanted: Velocity) -> None:
+        """Send a velocity. Nothing comes back."""
+        client = self._avoid or self._sport
+        assert client is not None
+        self._note("Move", client.move(*wanted.parts))
+
+    def stop(self, number: int) -> None:
+        """Send StopMove number `number`; `acknowledged` becomes that when the robot says so. Returns at once."""
+        assert self._sport is not None
+        if self._avoid is not None:
+            self._avoid.stop()
+        self._stoppers.submit(self._stop, number)
+
+    def _stop(self, number: int) -> None:
+        assert self._sport is not None
+        code = self._sport.stop()
+        self._note("StopMove", code)
+        if code == OK:
+            self.acknowledged = max(self.acknowledged or 0, number)
+
+    def _note(self, what: str, code: int) -> None:
+        self.problem = None if code == OK else f"{what}: {in_words(code)}"
+
+    def faults(self) -> tuple[str, ...]:
+        """What is wrong with the robot beside what `Body` tells, in words."""
+        found = [self._state.fault, None]
+        if self.mode is not None and self.mode not in ABLE:
+            found[1] = (
+                f"the robot cannot walk: it is {MODES.get(self.mode, f'in mode {self.mode}')}; let it stand first"
+            )
+        return tuple(text for text in found if text)
+
+    @property
+    def pressed(self) -> frozenset[str] | None:
+        """The buttons of the remote control that are pressed; None if that was not heard within 0.2 s."""
+        reading = self._low and self._low.newest
+        if reading is None or abs(time.time() - reading.received) > 0.2:
+            return None
+        return reading.remote.pressed
+
+    def _received(self, state: BodyState) -> None:
+        self.mode = state.mode
+        self.body = Body(time.monotonic(), *_lean(state.world_R_body), state.speed, state.yaw_rate, state.error_code)
+
+
+def _lean(world_R_body: Any) -> tuple[float, float]:
+    """Roll and pitch (REP-103: nose down), radians."""
+    up = np.asarray(world_R_body)[2]
+    return float(np.arctan2(up[1], up[2])), float(np.arcsin(np.clip(-up[0], -1, 1)))

@@ -1,0 +1,265 @@
+"""The guard: what a program uses to move a robot safely. The gate runs in a process of its own behind it."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from types import TracebackType
+from typing import Any, Self
+
+from eagor import errors
+from eagor.errors import DeviceError, EagorError
+from eagor.robots.safety.deadman import Deadman, checked_deadman
+from eagor.robots.safety.gate import Mode
+from eagor.robots.safety.limits import Limits, Velocity
+from eagor.robots.safety.lines import LineReader, as_line, write_now
+
+__all__ = ["Guard", "GuardState"]
+
+STARTING = 20.0  # seconds beyond its patience for the process to start
+ENDING = 6.0  # seconds for it to end: it stops the robot first
+STATED, WORDS = 5, 200  # faults that are passed on, and characters of each
+
+
+@dataclass(frozen=True)
+class GuardState:
+    """What the guard did at its last step.
+
+    `time`: ``time.monotonic()``. `sent`: the velocity that was sent, if one was; `would`: the velocity that would have
+    been sent if the guard were armed; `stops`: StopMove sent so far. `faults`: name and words of each fault; `remarks`:
+    other reasons why the robot does not do what is wanted. `roll`, `pitch` (radians), `speed` (m/s), `turn` (rad/s): of
+    the robot, as it says itself; NaN before its first state. `posture`: its mode (`eagor.robots.go2.state.MODES`).
+    """
+
+    time: float
+    mode: Mode
+    sent: Velocity | None = None
+    would: Velocity | None = None
+    stops: int = 0
+    faults: tuple[tuple[str, str], ...] = ()
+    remarks: tuple[str, ...] = ()
+    roll: float = math.nan
+    pitch: float = math.nan
+    speed: float = math.nan
+    turn: float = math.nan
+    posture: int | None = None
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the robot does not do what is wanted, in words."""
+        return tuple(words for _, words in self.faults) + self.remarks
+
+    @classmethod
+    def from_message(cls, message: dict[str, Any]) -> GuardState:
+        sent, would, body = message["sent"], message["would"], message["body"]
+        more = {} if body is None else dict(zip(("roll", "pitch", "speed", "turn"), body[1:], strict=True))
+        return cls(
+            message["time"], Mode(message["mode"]),
+            None if sent is None else Velocity(*sent), None if would is None else Velocity(*would),
+            message["stops"], tuple((name, words) for name, words in message["faults"]), tuple(message["remarks"]),
+            posture=message["posture"], **more,
+        )  # fmt: skip
+
+
+@dataclass
+class _Said:
+    """All that the parent knows now: every message says all of it, so that none is missed."""
+
+    wanted: tuple[float, float, float] | None = None
+    command: float | None = None
+    image: float | None = None
+    pose: float | None = None
+    belief: float | None = None
+    presence: float | None = None
+    stated: list[str] = field(default_factory=list)
+    emergency: bool = False
+    resets: int = 0
+
+
+class Guard:
+    """The only way from a program to a Go2's legs; a context manager, which stops the robot when it is left.
+
+    - `armed`: False is a dry run: the guard says what it would do, and never commands.
+    - `deadman`: what somebody holds while the robot may move: "key" (the space bar of this terminal), "remote" (L1 of
+      the robot's remote control), or "none", which only a simulated robot on the interface "lo" allows.
+    - `limits`: see there. `domain`, `interface`: of DDS. `avoid`: the robot walks around obstacles by itself.
+    - `watch(state)`: called after every step of the gate, 50 times a second, in a thread.
+
+    Call `command` and `status` again and again: the robot stands as soon as they are older than the limits. A program
+    that hangs, or is killed, leaves a robot that stands. Raises `DeviceError` if there is no robot or no switch.
+    """
+
+    def __init__(
+        self,
+        *,
+        armed: bool = False,
+        deadman: Deadman = "key",
+        limits: Limits | None = None,
+        domain: int = 0,
+        interface: str | None = None,
+        avoid: bool = False,
+        patience: float = 10.0,
+        watch: Callable[[GuardState], Any] | None = None,
+    ) -> None:
+        self.armed, self.limits = armed, limits or Limits()
+        deadman = checked_deadman(deadman, armed, interface)
+        if not armed and deadman == "key" and not sys.stdin.isatty():
+            deadman = "none"  # a dry run needs no switch
+        self._settings = {
+            "armed": armed, "deadman": deadman, "domain": domain, "interface": interface, "avoid": avoid,
+            "patience": patience, "limits": asdict(self.limits),
+        }  # fmt: skip
+        self._patience, self._watch = patience, watch
+        self._said, self._turn = _Said(), threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._out = -1
+        self._state: GuardState | None = None
+        self._error: EagorError | None = None
+        self._heard = threading.Event()
+
+    def __enter__(self) -> Self:
+        inlet, self._out = os.pipe()
+        there, outlet = os.pipe()
+        os.set_blocking(inlet, False)
+        os.set_blocking(self._out, False)
+        os.set_blocking(outlet, False)
+        command = [sys.executable, "-m", "eagor.robots.safety.process", json.dumps(self._settings)]
+        try:
+            self._process = subprocess.Popen(
+                [*command, str(inlet), str(outlet)], pass_fds=(inlet, outlet), stdin=subprocess.DEVNULL
+            )
+        finally:
+            os.close(inlet)
+            os.close(outlet)
+        self._thread = threading.Thread(target=self._listen, args=(there,), name="guard", daemon=True)
+        self._thread.start()
+        self._heard.wait(self._patience + STARTING)
+        if self._state is None:
+            self.close()
+            raise self._error or DeviceError("the guard's process ended before its first step; its words are above")
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def state(self) -> GuardState:
+        """What the guard did at its last step. Raises `DeviceError` if it has ended."""
+        if self._state is None or self._process is None or self._process.poll() is not None:
+            raise self._error or DeviceError("the guard has ended, so the robot stands; start the program again")
+        return self._state
+
+    @property
+    def pid(self) -> int:
+        """The number of the guard's process."""
+        assert self._process is not None
+        return self._process.pid
+
+    def command(self, forward: float, left: float, turn: float) -> None:
+        """The wanted velocity from now on, for `Limits.command_age` seconds: m/s, m/s, rad/s (left is positive)."""
+        with self._turn:
+            self._said.wanted, self._said.command = (forward, left, turn), time.monotonic()
+            self._send()
+
+    def status(
+        self,
+        *,
+        image_age: float | None,
+        pose_age: float | None,
+        belief_age: float | None,
+        presence: float | None,
+        faults: Sequence[str] = (),
+    ) -> None:
+        """What the program knows now; ages in seconds since capture, None or infinite: nothing came yet.
+
+        `faults`: what is wrong, in words; the robot stands while there are any.
+        """
+        now = time.monotonic()
+        with self._turn:
+            said = self._said
+            said.image, said.pose, said.belief = (_before(now, age) for age in (image_age, pose_age, belief_age))
+            said.presence, said.stated = presence, [text[:WORDS] for text in faults[:STATED]]
+            self._send()
+
+    def pose(self, age: float) -> None:
+        """A pose that was true `age` seconds ago has come; between two calls of `status`."""
+        with self._turn:
+            self._said.pose = _before(time.monotonic(), age)
+            self._send()
+
+    def stop(self) -> None:
+        """Stand, until the next `command`."""
+        with self._turn:
+            self._said.wanted = self._said.command = None
+            self._send()
+
+    def emergency(self) -> None:
+        """The emergency stop: nothing but `reset` leads out."""
+        with self._turn:
+            self._said.emergency = True
+            self._send()
+
+    def reset(self) -> None:
+        """Release the emergency stop. The robot moves again after `Limits.settle` seconds, if it is commanded."""
+        with self._turn:
+            self._said.emergency, self._said.resets = False, self._said.resets + 1
+            self._send()
+
+    def close(self) -> None:
+        """Stop the robot and end the process. May be called twice."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        with suppress(BrokenPipeError):
+            write_now(self._out, as_line({"end": "the program ends"}))
+        os.close(self._out)  # the end of the pipe says it too
+        try:
+            process.wait(ENDING)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        self._thread.join(1.0)
+
+    def _send(self) -> None:
+        """Write all that is known. A guard that does not read is one that hangs: the robot's own timer stops it."""
+        if self._process is None:
+            raise DeviceError("the guard is not running: use it in a with statement")
+        message = vars(self._said) | {"heartbeat": time.monotonic()}
+        try:
+            write_now(self._out, as_line(message))
+        except BrokenPipeError:
+            raise self._error or DeviceError(
+                "the guard has ended, so the robot stands; start the program again"
+            ) from None
+
+    def _listen(self, there: int) -> None:
+        """Take what the process says, in a thread, until it ends."""
+        reader = LineReader()
+        try:
+            while data := os.read(there, 65536):
+                for message in reader.feed(data):
+                    if "error" in message:
+                        kind = getattr(errors, message["kind"], DeviceError)
+                        self._error = kind(message["error"])
+                        continue
+                    self._state = GuardState.from_message(message)
+                    self._heard.set()
+                    if self._watch is not None:
+                        self._watch(self._state)
+        finally:
+            os.close(there)
+            self._heard.set()
+
+
+def _before(now: float, age: float | None) -> float | None:
+    return None if age is None or age == math.inf else now - age

@@ -1,0 +1,108 @@
+"""A robot walks to a thing: the answers of the live loop go through the policy to the guard.
+
+Everything here runs in the thread that iterates, so a loop that hangs is a program that hangs, and the guard's process
+stops the robot.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from eagor.robots.live.answers import Answer
+from eagor.robots.live.events import Event, FrameCame, PoseCame
+from eagor.robots.safety.guard import GuardState
+from eagor.robots.safety.walking import Sight, Walk, WalkSettings, Wish, walk
+
+__all__ = ["Guarding", "Odometer", "Step", "steer"]
+
+PARTS = ("camera", "poses", "perception")  # of the loop, whose faults stop the robot; the ages tell of clocks
+POSES = 0.02  # seconds between two words to the guard that poses come
+
+
+class Guarding(Protocol):
+    """What steering needs of `eagor.robots.safety.guard.Guard`."""
+
+    @property
+    def state(self) -> GuardState: ...
+    def command(self, forward: float, left: float, turn: float) -> None: ...
+    def status(
+        self,
+        *,
+        image_age: float | None,
+        pose_age: float | None,
+        belief_age: float | None,
+        presence: float | None,
+        faults: Sequence[str] = (),
+    ) -> None: ...
+    def pose(self, age: float) -> None: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One answer, and what became of it.
+
+    `panorama`: the newest picture ``(H, W, 3)`` uint8, which is older than the answer; `xy` (metres), `yaw` (radians):
+    the odometry's; `wish`: of the policy; `state`: of the guard, at its newest step.
+    """
+
+    answer: Answer
+    panorama: np.ndarray | None
+    xy: tuple[float, float] | None
+    yaw: float
+    wish: Wish
+    state: GuardState
+
+
+class Odometer:
+    """A watcher of the live loop (`eagor.robots.live.loop.Watcher`): the newest place and picture.
+
+    It tells the guard of poses as they come, which is more often than answers are given. `now`: the loop's clock.
+    """
+
+    def __init__(self, guard: Guarding, now: Callable[[], float]) -> None:
+        self.xy: tuple[float, float] | None = None
+        self.panorama: np.ndarray | None = None
+        self._guard, self._now = guard, now
+        self._told = -math.inf
+
+    def take(self, event: Event, answers: Sequence[Answer]) -> None:
+        """An event of the loop."""
+        if isinstance(event, FrameCame):
+            self.panorama = event.panorama
+        elif isinstance(event, PoseCame):
+            place = event.pose.position
+            self.xy = None if place is None else (float(place[0]), float(place[1]))
+            if event.arrival - self._told >= POSES:
+                self._told = event.arrival
+                self._guard.pose(max(0.0, self._now() - event.arrival))
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+def steer(loop: Any, guard: Guarding, odometer: Odometer, settings: WalkSettings) -> Iterator[Step]:
+    """Walk by the answers of `loop` (`eagor.robots.live.loop.LiveLoop`, with one query) until it ends.
+
+    `odometer` has to be one of its watchers. Raises what the loop and the guard raise.
+    """
+    state = Walk()
+    for answer in loop:
+        estimate = answer.estimate
+        state, wish = walk(settings, state, Sight.of(estimate, odometer.xy))
+        late = max(0.0, loop.clock.now() - answer.stamp)
+        guard.status(
+            image_age=answer.image_age + late,
+            pose_age=math.inf if answer.pose_age is None else answer.pose_age + late,
+            belief_age=answer.look_age + late,
+            presence=estimate.presence,
+            faults=[fault.text for fault in answer.faults if fault.part in PARTS],
+        )
+        guard.command(*wish.velocity.parts)
+        forward = estimate.world_R_body[:, 0]
+        yaw = math.atan2(float(forward[1]), float(forward[0]))
+        yield Step(answer, odometer.panorama, odometer.xy, yaw, wish, guard.state)

@@ -1,0 +1,221 @@
+"""From an answer to a wanted velocity: turn towards it, walk to it, stop before it. Pure; the gate stands behind it.
+
+The robot turns in place until the answer is ahead, and walks only while it stays there. It slows down as the distance
+shrinks, and stops at the wanted one. Where the distance is not known, it walks slowly, and only so far. While nothing
+is known it turns to search; while the answer is ambiguous or old it stands.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from eagor._checks import above, require, within
+from eagor.robots.safety.limits import STILL, Velocity
+from eagor.sphere import azimuth_elevation
+from eagor.tracking.estimate import Estimate, Status
+
+__all__ = ["Doing", "Sight", "Walk", "WalkSettings", "Wish", "walk"]
+
+Doing = Literal["searching", "turning", "walking", "arrived", "holding"]
+STEEP = math.radians(70)  # of elevation: beyond, an azimuth says little about where to go
+UNHEARD = 1.0  # seconds between two sights after which the way in between is not counted
+
+
+@dataclass(frozen=True)
+class WalkSettings:
+    """How to walk.
+
+    - `distance`: metres over the ground from the camera to the thing, at which it stops; `again`: metres beyond that
+      from which it follows a thing that goes away.
+    - `cone`: radians of azimuth within which it walks; `ahead`: radians within which it begins to.
+    - `speed` (m/s), `turn` (rad/s): the fastest. `turn_gain`: rad/s per radian of azimuth. `speed_gain`: m/s per metre
+      that is left. A Go2 follows a command after 0.45 s; gains of 1 per second and less do not overshoot by much.
+    - `slowest`: m/s on the last stretch.
+    - `spread`: standard deviation of the logarithm of the distance up to which a distance counts as known.
+    - `nearest`: metres; it stops where the thing may be as near as this (one standard deviation).
+    - `blind`: metres that it walks, at `blind_speed`, without knowing the distance.
+    - `search_turn`: rad/s of searching; `search_turns`: whole turns before it gives that up until something is seen.
+    - `stuck`: seconds of walking without getting on after which it stands; `progress`: metres that count as getting on.
+    """
+
+    distance: float = 1.0
+    again: float = 0.3
+    cone: float = math.radians(20)
+    ahead: float = math.radians(10)
+    speed: float = 0.4
+    turn: float = 0.6
+    turn_gain: float = 0.9
+    speed_gain: float = 0.6
+    slowest: float = 0.12
+    spread: float = 0.35
+    nearest: float = 0.4
+    blind: float = 3.0
+    blind_speed: float = 0.2
+    search_turn: float = 0.4
+    search_turns: float = 2.0
+    stuck: float = 4.0
+    progress: float = 0.1
+
+    def __post_init__(self) -> None:
+        angles = {name: (within(getattr(self, name), 0.01, math.pi), "radians") for name in ("cone", "ahead")}
+        rest = [name for name in self.__dataclass_fields__ if name not in angles and name != "blind"]
+        fields = angles | {name: (above(getattr(self, name), 0, 1000), "a number above 0") for name in rest}
+        require(self, fields | {"blind": (within(self.blind, 0, 1000), "metres, from 0 on")})
+        require(self, {"ahead": (self.ahead <= self.cone, f"at most cone, {self.cone:.2f}")})
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What is known at one time: of the answer, and of the robot's own way (odometry).
+
+    `stamp`: seconds; `azimuth`, `elevation`: radians, body frame, None while nothing is known; `distance`: metres to
+    the thing, with `spread`, the standard deviation of its logarithm. `xy`: metres; `yaw`: radians; None: not known.
+    """
+
+    stamp: float
+    status: Status
+    azimuth: float | None = None
+    elevation: float | None = None
+    distance: float | None = None
+    spread: float | None = None
+    xy: tuple[float, float] | None = None
+    yaw: float | None = None
+
+    @classmethod
+    def of(cls, estimate: Estimate, xy: tuple[float, float] | None = None) -> Sight:
+        """What an estimate says; its pose gives the heading. `xy`: the odometry's place at that time."""
+        known = estimate.azimuth is not None
+        yaw = float(azimuth_elevation(estimate.world_R_body[:, 0])[0])
+        return cls(
+            estimate.stamp, estimate.status, estimate.azimuth, estimate.elevation,
+            estimate.distance if known else None, estimate.distance_spread if known else None, xy, yaw,
+        )  # fmt: skip
+
+    @property
+    def ground(self) -> float | None:
+        """Metres to the thing over the ground."""
+        return None if self.distance is None else self.distance * math.cos(self.elevation or 0.0)
+
+
+@dataclass(frozen=True)
+class Walk:
+    """What the policy remembers between two sights."""
+
+    doing: Doing = "holding"
+    last: Sight | None = None
+    side: float = 1.0  # to search: 1 left, -1 right; where the thing was last
+    turned: float = 0.0  # radians, while searching
+    blind: float = 0.0  # metres walked since the distance was known
+    anchor: tuple[float, tuple[float, float]] | None = None  # when and where it last got on
+    blocked: bool = False
+
+
+@dataclass(frozen=True)
+class Wish:
+    """The wanted velocity, what the robot is doing, and why, in words."""
+
+    velocity: Velocity
+    doing: Doing
+    words: str
+
+
+def walk(settings: WalkSettings, state: Walk, sight: Sight) -> tuple[Walk, Wish]:
+    """The next state and the wanted velocity, from what is known now. Call it for every answer."""
+    state = _moved(settings, state, sight)
+    state, wish = _wish(settings, state, sight)
+    walks = wish.velocity.walks
+    anchor = state.anchor if walks else None
+    if walks and anchor is None and sight.xy is not None:
+        anchor = sight.stamp, sight.xy
+    return replace(state, doing=wish.doing, last=sight, anchor=anchor), wish
+
+
+def _moved(settings: WalkSettings, state: Walk, sight: Sight) -> Walk:
+    """Count the way and the turn since the last sight."""
+    last, searching = state.last, sight.status == "searching"
+    if not searching:
+        side = math.copysign(1.0, sight.azimuth) if sight.azimuth else state.side
+        state = replace(state, turned=0.0, side=side)
+    if last is None or not 0 <= sight.stamp - last.stamp <= UNHEARD:
+        return replace(state, anchor=None)
+    gone = 0.0
+    if sight.xy is not None and last.xy is not None:
+        gone = math.dist(sight.xy, last.xy)
+    elif state.doing == "walking":  # without odometry: as if it had gone as fast as it was told
+        gone = settings.blind_speed * (sight.stamp - last.stamp)
+    turned = 0.0
+    if sight.yaw is not None and last.yaw is not None:
+        turned = abs(math.remainder(sight.yaw - last.yaw, 2 * math.pi))
+    known = _known(settings, sight)
+    state = replace(state, blind=0.0 if known else state.blind + gone)
+    state = replace(state, turned=state.turned + turned if searching and state.doing == "searching" else state.turned)
+    if state.anchor is not None and sight.xy is not None:
+        when, where = state.anchor
+        if math.dist(sight.xy, where) >= settings.progress:
+            return replace(state, anchor=(sight.stamp, sight.xy))
+        if sight.stamp - when > settings.stuck:
+            return replace(state, blocked=True)
+    return state
+
+
+def _known(settings: WalkSettings, sight: Sight) -> bool:
+    return sight.distance is not None and sight.spread is not None and sight.spread <= settings.spread
+
+
+def _wish(settings: WalkSettings, state: Walk, sight: Sight) -> tuple[Walk, Wish]:
+    if sight.status == "searching" or sight.azimuth is None:
+        return state, _search(settings, state)
+    if sight.status != "tracking":
+        why = "several places are likely" if sight.status == "ambiguous" else "the answer is old"
+        return state, Wish(STILL, "holding", f"{why}: it stands")
+    if sight.elevation is not None and abs(sight.elevation) > STEEP:
+        where = "above" if sight.elevation > 0 else "below"
+        return state, Wish(STILL, "arrived", f"the thing is right {where} the camera")
+    turn = _clipped(settings.turn_gain * sight.azimuth, settings.turn)
+    away = abs(sight.azimuth)
+    if away > (settings.cone if state.doing == "walking" else settings.ahead):
+        # What was in the way may not be on the new heading.
+        state = replace(state, blocked=state.blocked and away <= settings.cone)
+        words = f"it turns {'left' if turn > 0 else 'right'}: the answer is {math.degrees(away):.0f}° off"
+        return state, Wish(Velocity(turn=turn), "turning", words)
+    speed, words = _speed(settings, state, sight)
+    if speed == 0:
+        return state, Wish(Velocity(turn=turn), "arrived" if _known(settings, sight) else "holding", words)
+    if state.blocked:
+        return state, Wish(STILL, "holding", "it does not get on: something is in the way")
+    return state, Wish(Velocity(speed * math.cos(sight.azimuth), 0.0, turn), "walking", words)
+
+
+def _search(settings: WalkSettings, state: Walk) -> Wish:
+    if state.turned >= 2 * math.pi * settings.search_turns:
+        return Wish(STILL, "holding", f"nothing was found in {settings.search_turns:g} turns: it stands and looks")
+    side = "left" if state.side > 0 else "right"
+    return Wish(Velocity(turn=state.side * settings.search_turn), "searching", f"it searches, turning {side}")
+
+
+def _speed(settings: WalkSettings, state: Walk, sight: Sight) -> tuple[float, str]:
+    """How fast to walk straight on, 0 to stop; and why."""
+    if not _known(settings, sight) or sight.ground is None or sight.spread is None:
+        if state.blind >= settings.blind:
+            return 0.0, f"the distance is still not known after {settings.blind:g} m: it stands"
+        return (
+            settings.blind_speed,
+            f"it walks slowly: the distance is not known ({settings.blind - state.blind:.1f} m left)",
+        )
+    left = sight.ground - settings.distance
+    least = sight.ground * math.exp(-sight.spread)
+    told = f"{sight.ground:.1f} m (68 %: {least:.1f} to {sight.ground * math.exp(sight.spread):.1f} m)"
+    if least <= settings.nearest:
+        return 0.0, f"the thing may be as near as {least:.1f} m: it stands"
+    if left <= (settings.again if state.doing == "arrived" else 0.0):
+        return 0.0, f"it is there: {told}"
+    # The cautious distance sets the speed, the likely one where to stop.
+    return max(
+        min(settings.speed, settings.speed_gain * (least - settings.distance)), settings.slowest
+    ), f"it walks: {told}"
+
+
+def _clipped(value: float, most: float) -> float:
+    return min(max(value, -most), most)

@@ -1,0 +1,188 @@
+"""Over DDS, against a robot of the tests' own: the time from each fault to zero and to standing."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from ddsmaking import free_domain
+from processes import wait_for
+
+pytest.importorskip("cyclonedds")
+
+from go2_peer import Peer
+from guard_driving import TRIALS, Driver, bring_to_speed, measured, until
+
+from eagor.errors import DeviceError
+from eagor.robots.safety.guard import Guard, GuardState
+from eagor.robots.safety.limits import Limits
+
+ZERO = 0.5  # seconds from a fault to the command being zero, at most; 0.25 for a stale command
+QUICK = Limits(acceleration=4.0, turn_acceleration=4.0, settle=0.1)  # so that the tests are quick
+COASTING = 1.0  # seconds that the body needs after that: 0.15 dead time, then a third of the speed each 0.33 s
+
+
+@pytest.fixture(scope="module")
+def driven():
+    domain = free_domain()
+    with (
+        Peer(domain) as peer,
+        Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK) as guard,
+        Driver(guard) as driver,
+    ):
+        yield driver, peer
+
+
+@pytest.mark.parametrize("name", TRIALS)
+def test_each_fault_stops_the_robot_in_time(driven, name):
+    driver, peer = driven
+    trial = TRIALS[name]
+    bring_to_speed(driver, peer)
+    begun = time.monotonic()
+    trial.begin(driver, peer)
+    try:
+        took = measured(peer, begun)
+        assert took.zero <= ZERO
+        assert took.standing <= ZERO + COASTING
+        if name == "robot falls silent":
+            assert driver.guard.state.mode == "stopping"  # nobody knows whether it stands
+        else:
+            until(lambda: driver.guard.state.mode in ("standing", "latched"))
+        assert driver.guard.state.reasons
+    finally:
+        trial.end(driver, peer)
+    until(lambda: driver.guard.state.mode == "armed")  # and it goes on when all is well again
+
+
+def test_a_stale_command_is_zero_within_a_quarter_of_a_second(driven):
+    driver, peer = driven
+    bring_to_speed(driver, peer)
+    driver.mumbles = True
+    last = driver.guard._said.command
+    took = measured(peer, last)
+    assert took.zero <= Limits().command_age + 0.05  # and the way over DDS
+    driver.mumbles = False
+
+
+def test_stopmove_comes_again_and_again_until_it_is_acknowledged(driven):
+    driver, peer = driven
+    bring_to_speed(driver, peer)
+    peer.deaf = 4
+    begun = time.monotonic()
+    driver.wrong = {"presence": 0.1}
+    took = measured(peer, begun)
+    driver.wrong = {}
+    refused = [told for told in peer.told if told.api_id == -1003 and told.when > begun]
+    assert len(refused) == 4
+    assert took.zero <= ZERO
+
+
+CHILD = """
+import sys, time
+sys.path.insert(0, {tests!r})
+from guard_driving import Driver
+from eagor.robots.safety import Limits
+from eagor.robots.safety.guard import Guard
+QUICK = Limits(acceleration=4.0, turn_acceleration=4.0, settle=0.1)
+with Guard(armed=True, deadman="none", domain={domain}, interface="lo", limits=QUICK) as guard, Driver(guard):
+    print(guard.pid, flush=True)
+    time.sleep(120)
+"""
+
+
+def program(domain):
+    """A program that drives, and the number of its guard's process."""
+    code = CHILD.format(tests=str(Path(__file__).parents[1]), domain=domain)
+    child = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, start_new_session=True)
+    assert child.stdout is not None
+    return child, int(child.stdout.readline())
+
+
+def gone(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+
+
+@pytest.mark.parametrize(("whom", "how"), [
+    ("program", signal.SIGKILL), ("program", signal.SIGSTOP), ("program", signal.SIGTERM), ("both", signal.SIGINT),
+    ("guard", signal.SIGTERM), ("guard", signal.SIGINT), ("guard", signal.SIGHUP),
+])  # fmt: skip
+def test_a_program_or_guard_that_is_ended_leaves_a_robot_that_stands_and_no_process(whom, how):
+    domain = free_domain()
+    with Peer(domain) as peer:
+        child, guard = program(domain)
+        try:
+            until(lambda: peer.moves)
+            time.sleep(0.5)
+            begun = time.monotonic()
+            if whom == "both":
+                os.killpg(child.pid, how)
+            else:
+                os.kill(child.pid if whom == "program" else guard, how)
+            took = measured(peer, begun)
+            assert took.zero <= ZERO
+            assert took.standing <= ZERO + COASTING
+            assert [told for told in peer.told if told.api_id == 1003 and told.when > begun]
+        finally:
+            child.kill()
+            child.wait()
+            child.stdout.close()
+        wait_for(lambda: gone(guard))
+
+
+def test_a_guard_that_is_killed_leaves_the_rest_to_the_robot_and_the_program_hears_of_it():
+    domain = free_domain()
+    with Peer(domain) as peer, Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK) as guard:
+        driver = Driver(guard)
+        while not peer.moves:
+            driver.say(time.monotonic())
+            time.sleep(0.05)
+        begun = time.monotonic()
+        os.kill(guard.pid, signal.SIGKILL)
+        assert measured(peer, begun).zero < 1.2  # the robot's own timer: no Move holds for more than a second
+        with pytest.raises(DeviceError, match="the guard has ended"):
+            driver.say(time.monotonic())
+        with pytest.raises(DeviceError, match="the guard has ended"):
+            _ = guard.state
+
+
+def test_a_dry_run_says_what_it_would_do_and_has_no_voice():
+    domain, seen = free_domain(), []
+    with (
+        Peer(domain) as peer,
+        Guard(deadman="none", domain=domain, interface="lo", limits=QUICK, watch=seen.append) as guard,
+        Driver(guard),
+    ):
+        until(lambda: guard.state.would is not None and guard.state.would.forward > 0.4)
+        assert guard.state.mode == "dry run"
+    assert peer.told == []
+    assert all(isinstance(state, GuardState) and state.sent is None and state.stops == 0 for state in seen)
+
+
+def test_a_robot_that_ignores_move_is_told_little():
+    domain = free_domain()
+    with (
+        Peer(domain, stuck=True) as peer,
+        Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK) as guard,
+        Driver(guard),
+    ):
+        until(lambda: any("does not move" in reason for reason in guard.state.reasons))
+        until(lambda: peer.told[-1].velocity == (Limits().creep, 0.0, Limits().creep_turn))
+
+
+def test_a_robot_that_lies_is_not_told_to_walk():
+    domain = free_domain()
+    with (
+        Peer(domain, mode=5) as peer,
+        Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK) as guard,
+        Driver(guard),
+    ):
+        until(lambda: any("lying" in reason for reason in guard.state.reasons))
+        time.sleep(1.0)
+        assert not [told for told in peer.told if told.api_id == 1008]

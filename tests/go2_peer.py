@@ -1,0 +1,125 @@
+"""A Go2's wire as the tests of the guard need it, written apart from the simulator: it notes what it is told, and when.
+
+Its body is the same physics in another form: after a dead time the speed goes to what is commanded, first order.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+import time
+from dataclasses import dataclass, field
+
+from eagor.robots.dds import Link
+from eagor.robots.go2 import idl
+from eagor.robots.go2.wire import SportFields, raw
+
+GAINS, LAG, DEAD, EXPIRY = (0.80, 0.74, 0.90), 0.30, 0.15, 1.0
+
+
+@dataclass
+class Told:
+    """A request: when it came (monotonic), its number, the velocity of a Move."""
+
+    when: float
+    api_id: int
+    velocity: tuple[float, float, float] | None = None
+
+
+@dataclass
+class Peer:
+    """A robot on `domain` (interface lo); a context manager. Change the fields to make something wrong."""
+
+    domain: int
+    roll: float = 0.0
+    error_code: int = 0
+    mute: bool = False  # tells no state
+    deaf: int = 0  # so many StopMove are neither obeyed nor acknowledged
+    stuck: bool = False  # Move has no effect
+    mode: int = 1
+    told: list[Told] = field(default_factory=list)
+    speeds: list[tuple[float, tuple[float, ...]]] = field(default_factory=list)  # of the body, with times
+
+    def __enter__(self):
+        self._ended, self._turn = threading.Event(), threading.Lock()
+        self._link = Link(self.domain, "lo")
+        self._state = self._link.publish("rt/sportmodestate", raw(idl.SportModeState))
+        self._reply = self._link.publish("rt/api/sport/response", idl.Response)
+        self._link.subscribe("rt/api/sport/request", idl.Request, self._request, reliable=True)
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._ended.set()
+        self._thread.join()
+        self._link.close()
+
+    def commanded(self, when: float) -> tuple[float, float, float]:
+        """The velocity that holds at a time, as far as requests have come."""
+        for told in reversed(self.told):
+            if told.when > when or told.api_id not in (1003, 1008):
+                continue
+            return told.velocity if told.velocity and when - told.when < EXPIRY else (0.0, 0.0, 0.0)
+        return (0.0, 0.0, 0.0)
+
+    def zero_since(self, when: float) -> float | None:
+        """The first time from `when` on at which nothing is commanded, and from which nothing is; None: it still is."""
+        now, zero = time.monotonic(), (when if not any(self.commanded(when)) else None)
+        last = max((told.when for told in self.told if told.velocity and told.when <= when), default=-math.inf)
+        for told in [*self.told, Told(now, 0)]:
+            if told.when < when or told.api_id not in (0, 1003, 1008):
+                continue
+            if zero is None and told.when - last > EXPIRY:
+                zero = last + EXPIRY
+            moves = told.velocity is not None and any(told.velocity)
+            last = told.when if moves else last
+            if told.api_id:
+                zero = None if moves else (told.when if zero is None else zero)
+        return zero
+
+    def still_since(self, when: float) -> float | None:
+        """The time since when the body is below 0.05 m/s and 0.05 rad/s; None if it is not, or was not seen since."""
+        found = None
+        for stamp, (x, y, turn) in list(self.speeds):
+            still = math.hypot(x, y) < 0.05 and abs(turn) < 0.05
+            found = (stamp if found is None else found) if still else None
+        return None if found is None else max(found, when)
+
+    @property
+    def moves(self) -> bool:
+        x, y, turn = self.speeds[-1][1] if self.speeds else (0.0, 0.0, 0.0)
+        return math.hypot(x, y) > 0.05 or abs(turn) > 0.05
+
+    def _request(self, request, _):
+        now, identity = time.monotonic(), request.header.identity
+        told = Told(now, identity.api_id)
+        if told.api_id == 1003 and self.deaf > 0:
+            self.deaf -= 1
+            told.api_id = -1003
+        if told.api_id == 1008:
+            asked = json.loads(request.parameter)
+            told.velocity = (asked["x"], asked["y"], asked["z"])
+        with self._turn:
+            self.told.append(told)
+        if told.api_id > 0 and not request.header.policy.noreply:
+            head = idl.ResponseHeader(idl.RequestIdentity(identity.id, identity.api_id), idl.ResponseStatus(0))
+            self._reply.write(idl.Response(head, "", []))
+
+    def _run(self):
+        before, speed, kind = time.monotonic(), (0.0, 0.0, 0.0), raw(idl.SportModeState)
+        while not self._ended.wait(0.005):
+            now = time.monotonic()
+            share = 1 - math.exp(-(now - before) / LAG)
+            told = (0.0, 0.0, 0.0) if self.stuck else self.commanded(now - DEAD)
+            speed = tuple(v + share * (g * c - v) for v, g, c in zip(speed, GAINS, told, strict=True))
+            before = now
+            self.speeds.append((now, speed))
+            stamp, half = time.time(), self.roll / 2
+            fields = SportFields(
+                int(stamp), int(1e9 * (stamp % 1)), self.error_code, (math.cos(half), math.sin(half), 0.0, 0.0),
+                rpy=(self.roll, 0.0, 0.0), mode=self.mode, velocity=(*speed[:2], 0.0), yaw_speed=speed[2],
+            )  # fmt: skip
+            if not self.mute:
+                self._state.write(kind(fields.to_bytes()))
