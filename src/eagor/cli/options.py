@@ -12,6 +12,7 @@ from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg, subcommand
 
+from eagor.cli.camera_options import Camera
 from eagor.cli.live_options import Live
 from eagor.cli.robot_options import Robot
 from eagor.cli.ros_options import Ros
@@ -29,6 +30,7 @@ from eagor.cli.shared_options import (
     Name,
     Out,
     Rerun,
+    RigFile,
     Rows,
     Scoring,
     TaskOfRun,
@@ -81,6 +83,7 @@ class Locate(Common):
     """Draw the belief over the panorama."""
     out: Out = None
     mask: Mask = None
+    rig: RigFile = None
     force: Force = False
 
 
@@ -136,6 +139,7 @@ class Track(Common):
     rerun: Rerun = None
     out: Out = None
     mask: Mask = None
+    rig: RigFile = None
     force: Force = False
 
 
@@ -432,6 +436,7 @@ Command = (
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[Calibrate, subcommand("calibrate")]
+    | Annotated[Camera, subcommand("camera")]
     | Annotated[Models, subcommand("models")]
     | Annotated[Doctor, subcommand("doctor")]
 )
