@@ -108,7 +108,7 @@ def _journey(options: Track, places: Sequence[Path], perception: Perception) -> 
     for name in ("rate", "fps"):
         if (value := getattr(options, name)) is not None and not (math.isfinite(value) and value > 0):
             raise terminal.UsageError(f"--{name} {value:g}; wanted a number per second above 0")
-    from eagor.robots.ros.bags import is_bag
+    from eagor.robots.bag_files import is_bag
 
     if len(places) == 1 and is_bag(places[0]):
         return _recorded(options, places[0], poses, perception)

@@ -208,6 +208,7 @@ class RosPoses:
         self._own = None if graph else DdsGraph(settings.get("domain", domain), settings.get("interface", interface))
         self._graph: Graph = graph or self._own  # type: ignore[assignment]
         self._readers: list[GraphReader] = []
+        self._main: GraphReader | None = None  # messages come before it is there
         try:
             self.topic, self.kind, writers = find_topic(self._graph, MOTION, asked, option="--odom-topic")
             self._check_alone(writers)
@@ -279,6 +280,10 @@ class RosPoses:
                 self._changed.notify_all()
         except DeviceError as error:
             self._fail(error)
+        except EagorError as error:
+            self.dropped += 1
+            if self.dropped == 1:
+                warnings.warn(f"a pose of {self.topic} is left out: {error}", UserWarning, stacklevel=2)
 
     def _fail(self, error: DeviceError) -> None:
         with self._changed:
