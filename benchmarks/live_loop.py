@@ -190,11 +190,14 @@ class Odometry:
 
 
 class Seeing:
-    """Sees each thing somewhere, at once."""
+    """Sees each thing where it is in the world, at once."""
 
-    def __call__(self, panorama, query, *, stamp=None):
-        direction = np.array([[1.0, 0.3 * QUERIES.index(query), 0.0]])
-        return Evidence.from_points(direction, scores=np.array([0.9]), stamp=stamp)
+    takes_pose = True
+
+    def __call__(self, panorama, query, *, stamp=None, world_R_body=None):
+        angle = 2 * np.pi * QUERIES.index(query) / TARGETS
+        seen = np.array([[np.cos(angle), np.sin(angle), 0.0]]) @ (np.eye(3) if world_R_body is None else world_R_body)
+        return Evidence.from_points(seen, scores=np.array([0.9]), stamp=stamp)
 
 
 def real(positions: bool, seconds: float) -> None:
