@@ -573,8 +573,8 @@ def test_a_plugin_is_opened_by_its_name(monkeypatch):
     assert rest == "left/eye"
     assert (settings["latency"], settings["rows"], settings["rig"]) == (0.25, 64, None)
     monkeypatch.setitem(opening.BUILT_IN, "ros", f"{__name__}:fake_camera")
-    with pytest.raises(DeviceError, match="ROS topic has panoramas"):
-        open_camera("ros:/image", rig=LENSES)
+    rest, settings = open_camera("ros:/image?domain=3", rig=LENSES, rate=5)
+    assert (rest, settings) == ("/image?domain=3", {"latency": 0.0, "rows": None, "rig": LENSES})
 
 
 def fake_camera(rest, **settings):

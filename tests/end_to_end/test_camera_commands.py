@@ -59,24 +59,25 @@ def test_calibrate_writes_a_rig_that_view_finds_better(capsys, place):
     assert rig.read_text().startswith("# ")
     gaps = []
     for words in ((), ("--rig", rig)):
-        code, out, err = run(capsys, "camera", "view", pictures[0], *words, "--out", place / "seam.png", "--json")
+        code, out, _ = run(capsys, "camera", "view", pictures[0], *words, "--out", place / "seam.png", "--json")
         assert code == 0
         gaps.append(json.loads(out))
     assert gaps[1]["median_deg"] < 0.5 < gaps[0]["median_deg"]
     assert gaps[1]["grey_levels"] < gaps[0]["grey_levels"]
     with Image.open(place / "seam.png") as image:
         assert image.width == image.height
-    code, out, _ = run(
-        capsys, "camera", "view", pictures[0], "--rig", rig, "--stitched", place / "whole.png", "--rows", 64
-    )
-    assert (code, Image.open(place / "whole.png").size) == (0, (128, 64))
+    whole = place / "whole.png"
+    code, out, _ = run(capsys, "camera", "view", pictures[0], "--rig", rig, "--stitched", whole, "--rows", 64)
+    assert code == 0
+    with Image.open(whole) as image:
+        assert image.size == (128, 64)
     assert "deg apart (median of" in out
 
 
 def test_calibrate_says_what_the_overlap_leaves_open(capsys, place):
-    pictures = [place / f"turned{k}.png" for k in range(2)]
+    pictures = [place / f"turned{k}.png" for k in range(4)]
     code, out, err = run(capsys, "camera", "calibrate", *pictures, "--out", place / "overlap.yaml")
-    assert code == 0
+    assert code == 0, err
     assert "from rim to rim" in out
     assert "the overlap does not tell what is inside the circles" in err
     assert "--turned" in err
@@ -142,8 +143,6 @@ def test_latency_is_estimated_from_pictures_and_odometry(capsys, swinging):
     told = json.loads(out)
     assert told["latency_s"] == pytest.approx(0.2, abs=0.02)
     assert told["low_s"] - 0.01 <= 0.2 <= told["high_s"] + 0.01
-    code, out, _ = run(capsys, "camera", "latency", swinging / "frames", "--poses", swinging / "odometry.csv")
-    assert "--latency 0." in out
 
 
 def test_latency_refuses_what_cannot_tell(capsys, swinging):
@@ -177,6 +176,6 @@ def test_mistakes_are_named(capsys, place, monkeypatch, words, says):
 def test_an_ideal_rig_is_the_default(capsys, tmp_path):
     rig = dual_fisheye(256, 128)
     Image.fromarray(seen_by(rig, painted_room(128, 256))[0]).save(tmp_path / "a.png")
-    code, out, err = run(capsys, "camera", "view", tmp_path / "a.png")
+    code, _, err = run(capsys, "camera", "view", tmp_path / "a.png")
     assert code == 0
     assert "two ideal lenses of 200 degrees" in err

@@ -114,8 +114,6 @@ def _plugin(text: str, settings: dict[str, Any]) -> CameraSource:
     name, _, rest = text.partition(":")
     point = plugins.known(GROUP, BUILT_IN)[name]
     make = plugins.bring(point, "camera")
-    if name == "ros":  # its pictures are panoramas, made elsewhere
-        if settings["rig"] is not None:
-            raise DeviceError("--rig is for pictures of lenses; a ROS topic has panoramas. Leave it out")
-        return make(rest, latency=settings["latency"], rows=settings["rows"])
+    if name in BUILT_IN:  # a topic has the rate that it has
+        settings = {key: value for key, value in settings.items() if key != "rate"}
     return make(rest, **settings)
