@@ -40,7 +40,7 @@ def pose(now: float, positions: bool) -> Pose:
 
 
 def looks(draw: np.random.Generator, world: np.ndarray, at: Pose) -> list[Evidence]:
-    """What a detector says of each thing ``(n, 3)``, metres: mostly there, sometimes missed, sometimes elsewhere too."""
+    """What a detector says of each thing ``(n, 3)``, metres: sometimes missed, sometimes elsewhere too."""
     found = []
     for thing in world:
         directions = []

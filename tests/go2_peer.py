@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 
 from eagor.robots.dds import Link
 from eagor.robots.go2 import idl
-from eagor.robots.go2.wire import SportFields, raw
+from eagor.robots.go2.low import Remote
+from eagor.robots.go2.wire import LowFields, SportFields, raw
 
 GAINS, LAG, DEAD, EXPIRY = (0.80, 0.74, 0.90), 0.30, 0.15, 1.0
 
@@ -38,6 +39,7 @@ class Peer:
     deaf: int = 0  # so many StopMove are neither obeyed nor acknowledged
     stuck: bool = False  # Move has no effect
     mode: int = 1
+    pressed: frozenset[str] | None = frozenset()  # buttons of its remote control; None: it tells nothing of them
     told: list[Told] = field(default_factory=list)
     speeds: list[tuple[float, tuple[float, ...]]] = field(default_factory=list)  # of the body, with times
 
@@ -45,6 +47,7 @@ class Peer:
         self._ended, self._turn = threading.Event(), threading.Lock()
         self._link = Link(self.domain, "lo")
         self._state = self._link.publish("rt/sportmodestate", raw(idl.SportModeState))
+        self._low = self._link.publish("rt/lf/lowstate", raw(idl.LowState))
         self._reply = self._link.publish("rt/api/sport/response", idl.Response)
         self._link.subscribe("rt/api/sport/request", idl.Request, self._request, reliable=True)
         self._thread = threading.Thread(target=self._run)
@@ -108,7 +111,8 @@ class Peer:
             self._reply.write(idl.Response(head, "", []))
 
     def _run(self):
-        before, speed, kind = time.monotonic(), (0.0, 0.0, 0.0), raw(idl.SportModeState)
+        before, speed, count = time.monotonic(), (0.0, 0.0, 0.0), 0
+        kind, low = raw(idl.SportModeState), raw(idl.LowState)
         while not self._ended.wait(0.005):
             now = time.monotonic()
             share = 1 - math.exp(-(now - before) / LAG)
@@ -123,3 +127,6 @@ class Peer:
             )  # fmt: skip
             if not self.mute:
                 self._state.write(kind(fields.to_bytes()))
+            if self.pressed is not None and (count := count + 1) % 10 == 0:
+                remote = Remote(self.pressed).to_bytes()
+                self._low.write(low(LowFields(wireless_remote=remote).to_bytes()))

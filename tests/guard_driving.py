@@ -81,7 +81,7 @@ TRIALS = {
     "stale command": is_so("driver", "mumbles", True, False),
     "stale image": says(image_age=1.01),
     "no image": says(image_age=None),
-    "stale pose": says(pose_age=0.12),
+    "stale pose": says(pose_age=0.26),
     "stale belief (perception hangs)": says(belief_age=3.01),
     "presence too low": says(presence=0.3),
     "NaN wanted": says(velocity=(math.nan, 0.0, 0.0)),
@@ -118,8 +118,12 @@ def until(what: Callable[[], Any], seconds: float = 20.0) -> Any:
 
 
 def bring_to_speed(driver: Driver, robot: Any) -> None:
-    """Wait until the robot goes as fast as it is told."""
-    full = driver.velocity
+    """Wait until the robot goes as fast as the driver wants."""
+    fast_enough(robot, driver.velocity)
+
+
+def fast_enough(robot: Any, full: tuple[float, float, float]) -> None:
+    """Wait until the robot is told this velocity, and has come near it."""
     until(lambda: robot.commanded(time.monotonic()) == full)
     until(lambda: math.hypot(*robot.speeds[-1][1][:2]) > 0.9 * 0.8 * full[0])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+import warnings
 
 import numpy as np
 import pytest
@@ -13,11 +14,12 @@ from processes import wait_for
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
 from eagor.robots.frames import PoseSource
-from eagor.robots.go2 import sport
+from eagor.robots.go2 import idl, sport
 from eagor.robots.go2.low import Go2Low, Remote
 from eagor.robots.go2.plant import Plant, PlantSettings
 from eagor.robots.go2.sim_server import Go2Server
 from eagor.robots.go2.state import Go2State
+from eagor.robots.go2.wire import SportFields, raw
 from eagor.robots.go2.wire_settings import WireSettings
 
 
@@ -126,3 +128,89 @@ def test_dangerous_commands_are_never_sent(number):
             client.move(math.nan, 0, 0)
         assert client.api_version()[0] == 0
         assert server.requests == []
+
+
+def test_a_robot_of_another_firmware_is_said_in_words():
+    """A known type with another length (nothing else reaches us), and a type that is not known at all."""
+    with Link(free_domain(), "lo") as link:
+        kind = raw(idl.SportModeState)
+        writer = link.publish("rt/sportmodestate", kind)
+        state = Go2State(link)
+        wait_for(lambda: writer.readers)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            writer.write(kind(bytes(300)))
+            wait_for(lambda: state.fault)
+            wait_for(lambda: said)
+        with pytest.raises(DeviceError, match="the robot's state has 300 bytes; known are 516 and 236"):
+            next(iter(state))
+        with pytest.raises(DeviceError, match="Its firmware is newer or another one"):
+            state.wait(1)
+    with Link(free_domain(), "lo") as link:
+        link.publish("rt/sportmodestate", idl.LowState)
+        with pytest.raises(DeviceError, match="in a form that is not known"):
+            Go2State(link).wait(0.3)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"quaternion": (0.0,) * 4}, {"quaternion": (math.nan,) * 4}, {"position": (math.inf, 0, 0)}]
+)
+def test_states_without_a_pose_are_left_out_and_counted(wrong):
+    with Link(free_domain(), "lo") as link, warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        kind = raw(idl.SportModeState)
+        writer = link.publish("rt/sportmodestate", kind)
+        state = Go2State(link)
+        wait_for(lambda: writer.readers)
+        writer.write(kind(SportFields(sec=5, **wrong).to_bytes()))
+        wait_for(lambda: said)
+        assert state.newest is None
+        writer.write(kind(SportFields(sec=6, position=(1.0, 2.0, 3.0)).to_bytes()))
+        assert state.wait(20).position.tolist() == [1.0, 2.0, 3.0]
+        assert state.fault is None
+
+
+def test_a_robot_that_tells_no_time_is_stamped_at_arrival():
+    with Link(free_domain(), "lo") as link:
+        kind = raw(idl.SportModeState)
+        writer = link.publish("rt/sportmodestate", kind)
+        state = Go2State(link)
+        wait_for(lambda: writer.readers)
+        writer.write(kind(SportFields().to_bytes()))
+        newest = state.wait(20)
+        assert newest.stamp == newest.received
+
+
+def test_lost_and_late_messages_are_lost_and_late_but_commands_are_asked_again():
+    domain = free_domain()
+    with Link(domain, "lo") as link, robot(link, WireSettings(drop=0.3, delay=(0.0, 0.05))) as server:
+        state, client = Go2State(link), sport.SportClient(link, timeout=0.5)
+        state.wait(20)
+        client.wait(20)
+        codes = [client.stop() for _ in range(25)]
+        assert set(codes) <= {sport.OK, sport.TIMEOUT}
+        assert sport.OK in codes
+        assert sport.TIMEOUT in codes  # 51 % of the answers come on average
+        steps, count = server.plant.steps, state.count
+        wait_for(lambda: server.plant.steps > steps + 400)
+        assert 200 < state.count - count < 400
+
+
+def test_moving_carefully_needs_to_be_turned_on():
+    domain = free_domain()
+    with Link(domain, "lo") as link, robot(link, dead_time=0.0) as server:
+        state, client = Go2State(link), sport.AvoidClient(link)
+        assert client.wait(20)
+        assert client.api_version() == (0, "1.0.0.2")
+        assert client.on() is False
+        assert client.move(0.3, 0.0, 0.0) == sport.OK
+        wait_for(lambda: any(number == 1003 for _, number, _ in server.requests))
+        assert server.plant.walked == 0.0
+        assert client.start() == sport.OK
+        assert client.on() is True
+        client.move(0.3, 0.0, 0.0)
+        wait_for(lambda: server.plant.walked > 0.02)
+        assert client.stop() == sport.OK
+        assert client.end() == sport.OK
+        assert client.on() is False
+        assert state.wait(20).error_code == 0

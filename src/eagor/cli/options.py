@@ -15,6 +15,7 @@ from tyro.conf import Positional, arg, subcommand
 from eagor.cli.camera_options import Camera
 from eagor.cli.live_options import Live
 from eagor.cli.robot_options import Robot
+from eagor.cli.ros_options import Ros
 from eagor.cli.shared_options import (
     Common,
     DataOfRun,
@@ -28,6 +29,7 @@ from eagor.cli.shared_options import (
     Modes,
     Name,
     Out,
+    Rerun,
     RigFile,
     Rows,
     Scoring,
@@ -134,6 +136,7 @@ class Track(Common):
     modes: Modes = 3
     picture: Annotated[Path | None, arg(name="pictures", metavar="DIR", help_behavior_hint="")] = None
     """Draw each frame with the belief into this folder."""
+    rerun: Rerun = None
     out: Out = None
     mask: Mask = None
     rig: RigFile = None
@@ -308,6 +311,10 @@ class BenchFailures(Common):
     """Of a simulated task: whose episodes (default: eagor)."""
     limit: Whole = 20
     """Number of cases to list."""
+    rerun: Annotated[Path | None, bare("FILE.rrd")] = None
+    """Play the worst episode of a simulated task again and log it for the Rerun viewer (extra rerun)."""
+    episode: Annotated[str | None, bare("NAME")] = None
+    """With --rerun: this episode, as it is named in the list."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -425,6 +432,7 @@ Command = (
     | Annotated[Track, subcommand("track")]
     | Annotated[Live, subcommand("live")]
     | Annotated[Robot, subcommand("robot")]
+    | Annotated[Ros, subcommand("ros")]
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[Calibrate, subcommand("calibrate")]

@@ -5,8 +5,13 @@ from __future__ import annotations
 from importlib import import_module
 
 from eagor.cli.robot_options import Robot, RobotCheck, RobotSim
+from eagor.cli.robot_run_options import RobotRun
 
-RUNS = {RobotSim: "eagor.cli.robot_sim:sim", RobotCheck: "eagor.cli.robot_check:check"}
+RUNS = {
+    RobotRun: "eagor.cli.robot_run:robot_run",
+    RobotSim: "eagor.cli.robot_sim:sim",
+    RobotCheck: "eagor.cli.robot_check:check",
+}
 
 
 def robot(options: Robot) -> int:

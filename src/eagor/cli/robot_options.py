@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import arg, subcommand
 
+from eagor.cli.robot_run_options import RobotRun
 from eagor.cli.shared_options import Common, Flag, Whole, bare
 
 Seconds = Annotated[float, arg(metavar="SECONDS")]
@@ -79,6 +80,8 @@ class Robot:
     runs: ClassVar[str] = "eagor.cli.robot:robot"
 
     action: Annotated[
-        Annotated[RobotSim, subcommand("sim")] | Annotated[RobotCheck, subcommand("check")],
+        Annotated[RobotRun, subcommand("run")]
+        | Annotated[RobotSim, subcommand("sim")]
+        | Annotated[RobotCheck, subcommand("check")],
         arg(name=""),  # as in `Bench`
     ]

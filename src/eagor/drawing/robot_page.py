@@ -9,7 +9,6 @@ import math
 from collections.abc import Mapping, Sequence
 from html import escape
 from importlib.resources import files
-from itertools import pairwise
 from pathlib import Path
 from string import Template
 
@@ -29,6 +28,7 @@ __all__ = ["Plan", "RobotPage", "Sample", "summary"]
 PICTURES, WIDTH, KEPT = 24, 800, 1120  # pictures; columns of each, and of what is kept of a panorama
 EVERY = 1.0  # seconds between two pictures, at least
 ROWS = 400  # of the table
+SWAY = 0.1  # metres
 
 
 class RobotPage:
@@ -120,7 +120,10 @@ def summary(samples: Sequence[Sample]) -> dict[str, float | int | None]:
     if not samples:
         return {}
     places = [sample.xy for sample in samples if sample.xy is not None]
-    metres = sum(math.dist(a, b) for a, b in pairwise(places))
+    metres, mark = 0.0, places[0] if places else (0.0, 0.0)
+    for place in places:  # a camera on a walking robot sways: only what adds up is a way
+        if (away := math.dist(place, mark)) >= SWAY:
+            metres, mark = metres + away, place
     errors = [sample.error for sample in samples if sample.error is not None and sample.status == "tracking"]
     return {
         "seconds": samples[-1].time - samples[0].time,

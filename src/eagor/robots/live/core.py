@@ -30,6 +30,7 @@ STALE_LOOK = 5.0  # seconds since the newest look that are worth a word
 REFRESHED = 0.1  # seconds for which a belief is only turned with the camera, while no evidence comes
 PICTURES = 512  # stamps of pictures that are remembered, for evidence that comes late
 SLOWEST = 1.0  # seconds: a camera's quickest picture takes no longer; a larger difference is one of clocks
+ONE_CLOCK = 0.5  # seconds: two clocks that differ by less from ours, in the same sense, are one
 TOLD = 5.0  # seconds for which an event of a moment (a clock that jumped) stays among the faults
 
 
@@ -116,10 +117,17 @@ class LiveCore:
         if news:
             self._say("clock", news, event.arrival)
         if stamp is not None:
+            stamp -= self._later()
             self._pictures.append((event.stamp, stamp))
             if stamp > self._image > -math.inf:
                 self._interval = stamp - self._image
             self._image = max(self._image, stamp)
+
+    def _later(self) -> float:
+        """Seconds by which even the quickest picture comes later than the quickest pose of the same robot's clock."""
+        both = self._camera.related and self._odometry.related
+        later = self._camera.shift - self._odometry.shift if both else 0.0
+        return later if 0 < later < ONE_CLOCK else 0.0
 
     def _take_pose(self, event: PoseCame) -> None:
         pose = event.pose

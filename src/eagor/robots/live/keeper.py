@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
@@ -90,7 +90,7 @@ class Keeper:
                 return
             process = context.Process(target=serve, args=(there, self.perception, self.masks, os.getpid()), daemon=True)
             try:
-                with one_thread():
+                with one_thread(), _deaf_to_ctrl_c():
                     process.start()
             except Exception as error:  # the perception cannot be pickled, or the system has no more processes
                 ours.close()
@@ -212,3 +212,16 @@ class _Silent(Exception):
     def __init__(self, seconds: float) -> None:
         super().__init__(seconds)
         self.seconds = seconds
+
+
+@contextmanager
+def _deaf_to_ctrl_c() -> Iterator[None]:
+    """Processes started inside are not interrupted until they say so: Ctrl-C reaches all of a terminal's."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

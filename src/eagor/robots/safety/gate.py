@@ -162,7 +162,7 @@ class Gate:
             return STILL, "no velocity is wanted yet"
         if stamp <= state.barrier:
             return STILL, "no velocity is wanted since the last fault"
-        if time + limits.period - stamp > limits.command_age:  # it would be stale before the next step
+        if time + 2 * limits.period - stamp > limits.command_age:  # it would be stale before the next step has acted
             return STILL, f"the wanted velocity is {time - stamp:.2f} s old"
         turn = limits.turn if inputs.presence is not None and inputs.presence >= limits.presence else limits.blind_turn
         found = Velocity(

@@ -20,7 +20,9 @@ from eagor.robots.safety.walking import Sight, Walk, WalkSettings, Wish, walk
 
 __all__ = ["Guarding", "Odometer", "Step", "steer"]
 
-PARTS = ("camera", "poses", "perception")  # of the loop, whose faults stop the robot; the ages tell of clocks
+PARTS = ("camera", "perception")  # of the loop, whose faults stop the robot; ages tell of poses and clocks
+RANGED = 0.5  # seconds for which a distance holds: reading one takes as long as an answer
+UNKNOWN = (math.inf, math.inf)  # a distance that is not known, and its spread
 POSES = 0.02  # seconds between two words to the guard that poses come
 
 
@@ -46,14 +48,13 @@ class Guarding(Protocol):
 class Step:
     """One answer, and what became of it.
 
-    `panorama`: the newest picture ``(H, W, 3)`` uint8, which is older than the answer; `xy` (metres), `yaw` (radians):
-    the odometry's; `wish`: of the policy; `state`: of the guard, at its newest step.
+    `panorama`: the newest picture ``(H, W, 3)`` uint8, older than the answer; `sight`: what the policy knew, of the
+    odometry and the distance too; `wish`: what it wants; `state`: of the guard, at its newest step.
     """
 
     answer: Answer
     panorama: np.ndarray | None
-    xy: tuple[float, float] | None
-    yaw: float
+    sight: Sight
     wish: Wish
     state: GuardState
 
@@ -90,10 +91,16 @@ def steer(loop: Any, guard: Guarding, odometer: Odometer, settings: WalkSettings
 
     `odometer` has to be one of its watchers. Raises what the loop and the guard raise.
     """
-    state = Walk()
+    state, far, read = Walk(), None, -math.inf
     for answer in loop:
         estimate = answer.estimate
-        state, wish = walk(settings, state, Sight.of(estimate, odometer.xy))
+        if estimate.direction is None:
+            far = None
+        elif answer.stamp - read >= RANGED or answer.stamp < read:
+            read, far = answer.stamp, (estimate.distance, estimate.distance_spread)
+        known = None if far is None or far[0] is None or far[1] is None else (far[0], far[1])
+        sight = Sight.of(estimate, odometer.xy, known or UNKNOWN)
+        state, wish = walk(settings, state, sight)
         late = max(0.0, loop.clock.now() - answer.stamp)
         guard.status(
             image_age=answer.image_age + late,
@@ -103,6 +110,4 @@ def steer(loop: Any, guard: Guarding, odometer: Odometer, settings: WalkSettings
             faults=[fault.text for fault in answer.faults if fault.part in PARTS],
         )
         guard.command(*wish.velocity.parts)
-        forward = estimate.world_R_body[:, 0]
-        yaw = math.atan2(float(forward[1]), float(forward[0]))
-        yield Step(answer, odometer.panorama, odometer.xy, yaw, wish, guard.state)
+        yield Step(answer, odometer.panorama, sight, wish, guard.state)

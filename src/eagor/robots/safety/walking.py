@@ -84,13 +84,19 @@ class Sight:
     yaw: float | None = None
 
     @classmethod
-    def of(cls, estimate: Estimate, xy: tuple[float, float] | None = None) -> Sight:
-        """What an estimate says; its pose gives the heading. `xy`: the odometry's place at that time."""
-        known = estimate.azimuth is not None
+    def of(
+        cls, estimate: Estimate, xy: tuple[float, float] | None = None, far: tuple[float, float] | None = None
+    ) -> Sight:
+        """What an estimate says; its pose gives the heading. `xy`: the odometry's place at that time.
+
+        `far`: distance and its spread, where they are known already: reading them from an estimate takes long.
+        """
+        if far is None and estimate.distance is not None and estimate.distance_spread is not None:
+            far = estimate.distance, estimate.distance_spread
+        distance, spread = (None, None) if far is None or estimate.azimuth is None else far
         yaw = float(azimuth_elevation(estimate.world_R_body[:, 0])[0])
         return cls(
-            estimate.stamp, estimate.status, estimate.azimuth, estimate.elevation,
-            estimate.distance if known else None, estimate.distance_spread if known else None, xy, yaw,
+            estimate.stamp, estimate.status, estimate.azimuth, estimate.elevation, distance, spread, xy, yaw
         )  # fmt: skip
 
     @property
@@ -108,6 +114,7 @@ class Walk:
     side: float = 1.0  # to search: 1 left, -1 right; where the thing was last
     turned: float = 0.0  # radians, while searching
     blind: float = 0.0  # metres walked since the distance was known
+    mark: tuple[float, float] | None = None  # where the way was counted last
     anchor: tuple[float, tuple[float, float]] | None = None  # when and where it last got on
     blocked: bool = False
 
@@ -139,17 +146,19 @@ def _moved(settings: WalkSettings, state: Walk, sight: Sight) -> Walk:
         side = math.copysign(1.0, sight.azimuth) if sight.azimuth else state.side
         state = replace(state, turned=0.0, side=side)
     if last is None or not 0 <= sight.stamp - last.stamp <= UNHEARD:
-        return replace(state, anchor=None)
-    gone = 0.0
-    if sight.xy is not None and last.xy is not None:
-        gone = math.dist(sight.xy, last.xy)
+        return replace(state, anchor=None, mark=sight.xy)
+    gone, mark = 0.0, state.mark or sight.xy
+    if sight.xy is not None and mark is not None:
+        # A camera on a walking robot sways: only what adds up is a way.
+        if (away := math.dist(sight.xy, mark)) >= settings.progress:
+            gone, mark = away, sight.xy
     elif state.doing == "walking":  # without odometry: as if it had gone as fast as it was told
         gone = settings.blind_speed * (sight.stamp - last.stamp)
     turned = 0.0
     if sight.yaw is not None and last.yaw is not None:
         turned = abs(math.remainder(sight.yaw - last.yaw, 2 * math.pi))
     known = _known(settings, sight)
-    state = replace(state, blind=0.0 if known else state.blind + gone)
+    state = replace(state, blind=0.0 if known else state.blind + gone, mark=mark)
     state = replace(state, turned=state.turned + turned if searching and state.doing == "searching" else state.turned)
     if state.anchor is not None and sight.xy is not None:
         when, where = state.anchor

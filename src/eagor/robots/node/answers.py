@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -77,7 +78,7 @@ def markers(answer: Answer, body_R_camera: np.ndarray, body: str, number: int = 
     d = body_R_camera @ answer.direction
     rgb = PALETTE[number % len(PALETTE)]
     angle = answer.estimate.credible_angle
-    told = f"{answer.query}: {_said(answer)}, {answer.estimate.status}"
+    told = f"{answer.query}: {_said(d)}, {answer.estimate.status}"
     made = [
         _marker(answer, body, 0, ARROW, _pointing(d), scale=(REACH, 0.03, 0.06), colour=(*rgb, 1.0)),
         _marker(answer, body, 1, TRIANGLES, np.eye(3), scale=(1, 1, 1), colour=(*rgb, 0.25), points=_cone(d, angle)),
@@ -115,7 +116,12 @@ def belief_coefficients(answer: Answer, rows: int = 64) -> Any:
 
 
 def diagnostics(
-    stamp: float, answers: Sequence[Answer], parts: Sequence[str], told: Mapping[str, str], name: str = "eagor"
+    stamp: float,
+    answers: Sequence[Answer],
+    body_R_camera: np.ndarray,
+    parts: Sequence[str],
+    told: Mapping[str, str],
+    name: str = "eagor",
 ) -> Any:
     """A DiagnosticArray: one status for each of the `parts`, in words, one for each query; `told`: further values.
 
@@ -138,7 +144,8 @@ def diagnostics(
             "look_age_s": f"{answer.look_age:.2f}",
             "image_age_s": f"{answer.image_age:.2f}",
         }
-        found.append(_status(OK, f"{name}: {answer.query}", f"{_said(answer)}; {e.status}", values))
+        d = None if answer.direction is None else body_R_camera @ answer.direction
+        found.append(_status(OK, f"{name}: {answer.query}", f"{_said(d)}; {e.status}", values))
     if told:
         found.append(_status(OK, f"{name}: counts", "", told))
     return message(DIAGNOSTICS, header=header(stamp, ""), status=found)
@@ -149,12 +156,13 @@ def trouble(stamp: float, text: str, level: int = ERROR, name: str = "eagor") ->
     return message(DIAGNOSTICS, header=header(stamp, ""), status=[_status(level, name, text, {})])
 
 
-def _said(answer: Answer) -> str:
-    """The direction in degrees, in the camera's axes."""
-    e = answer.estimate
-    if e.azimuth is None or e.elevation is None:
+def _said(d: np.ndarray | None) -> str:
+    """A direction of the body frame in degrees."""
+    if d is None:
         return "not known"
-    return f"{math.degrees(e.azimuth):+.1f} degrees to the left, {math.degrees(e.elevation):+.1f} up"
+    azimuth, elevation = (math.degrees(float(angle)) for angle in azimuth_elevation(d))
+    side, height = "left" if azimuth >= 0 else "right", "up" if elevation >= 0 else "down"
+    return f"{abs(azimuth):.0f} degrees to the {side}, {abs(elevation):.0f} {height}"
 
 
 def _status(level: int, name: str, text: str, values: Mapping[str, str]) -> Any:
@@ -176,7 +184,7 @@ def _cone(d: np.ndarray, angle: float) -> list[Any]:
     turns = np.linspace(0, 2 * np.pi, SIDES + 1)
     rim = REACH * (math.cos(angle) * d + math.sin(angle) * (np.cos(turns)[:, None] * y + np.sin(turns)[:, None] * z))
     origin = point((0, 0, 0))
-    return [each for a, b in zip(rim[:-1], rim[1:], strict=True) for each in (origin, point(a), point(b))]
+    return [each for a, b in pairwise(rim) for each in (origin, point(a), point(b))]
 
 
 def _marker(

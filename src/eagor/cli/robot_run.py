@@ -1,0 +1,281 @@
+"""``eagor robot run``: walk a Go2 to an object, through the safety gate, and leave a report."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor._files import written
+from eagor._version import __version__
+from eagor.cli import terminal
+from eagor.cli.looking import (
+    check_looks,
+    checked_folder,
+    checked_query,
+    make_perception,
+    perception_for,
+    tracker_config,
+)
+from eagor.cli.robot_run_options import RobotRun
+from eagor.cli.steps import LEAST_ROWS
+from eagor.drawing.robot_page import Plan, RobotPage, Sample, summary
+from eagor.perception import is_model, rows_of
+from eagor.robots.cameras import open_camera
+from eagor.robots.dds import Link
+from eagor.robots.frames import CameraSource, Pose
+from eagor.robots.go2.state import Go2State
+from eagor.robots.live.loop import LiveLoop
+from eagor.robots.safety.deadman import DEADMEN
+from eagor.robots.safety.guard import Guard
+from eagor.robots.safety.limits import Limits
+from eagor.robots.safety.steering import Odometer, Step, steer
+from eagor.robots.safety.walking import WalkSettings
+
+RATE = 20.0  # answers, and so commands, per second
+THERE = 2.0  # seconds for which it has to have arrived
+QUIET, LOUD = 1.0, ("stopping", "latched")  # seconds between two lines; modes that are told at once
+LONGEST = 120.0  # seconds of a simulated walk
+PICTURE, PICTURES = 128, 5.0  # rows of a simulated picture, and pictures per second
+FLOOR = 0.0  # metres: the odometry of a Go2 begins on the floor
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where to walk: the robot's network, its camera, and what only a simulation knows.
+
+    `truth()` gives the true position ``(3,)`` and orientation ``(3, 3)`` of the camera now, `targets()` the true places
+    ``(n, 3)`` of the things.
+    """
+
+    domain: int
+    interface: str | None
+    camera: Callable[[], CameraSource]
+    truth: Callable[[], tuple[np.ndarray, np.ndarray] | None] = lambda: None
+    targets: Callable[[], np.ndarray] = lambda: np.zeros((0, 3))
+    plan: Plan | None = None
+
+
+def robot_run(options: RobotRun) -> int:
+    """Run the command; returns its exit code."""
+    query = checked_query(options.query)
+    _check(options)
+    # In a rendered house the network for such pictures is better than a colour alone.
+    spec = "scout" if options.sim and options.perception is None else perception_for(query, options.perception)
+    check_looks(spec)
+    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
+    config = replace(config, floor_height=FLOOR)
+    mask = None
+    if options.mask is not None:
+        from eagor.perception.masked import read_mask
+
+        mask = read_mask(options.mask)
+    folder = options.report or (Path("eagor-walk") if options.sim else None)
+    if folder is not None:
+        checked_folder(folder, "--report")
+    deadman = options.deadman or ("none" if options.sim or not options.arm else "key")
+    limits = replace(Limits(), belief_age=options.belief_age, calm_codes=(0, *options.calm))
+    walking = WalkSettings(distance=options.distance, speed=options.speed, blind=options.blind)
+    with ExitStack() as stack:
+        place = stack.enter_context(_simulated(options, query, spec) if options.sim else _real(options, spec))
+        guard = stack.enter_context(
+            Guard(
+                armed=options.arm, deadman=deadman, limits=limits, domain=place.domain, interface=place.interface,
+                avoid=options.avoid,
+            )
+        )  # fmt: skip
+        loop: LiveLoop
+        odometer = Odometer(guard, lambda: loop.clock.now())
+        loop = LiveLoop(
+            place.camera,
+            spec,
+            [query],
+            poses=lambda: _Poses(place.domain, place.interface, options),
+            config=config,
+            rate=RATE,
+            patience=options.patience,
+            mask=mask,
+            watchers=[odometer],
+        )
+        used = {
+            "robot": "simulated Go2" if options.sim else "Go2", "perception": spec,
+            "dead-man switch": f"{deadman}: {DEADMEN[deadman]}", "armed": "yes" if options.arm else "no (dry run)",
+            "distance": f"{options.distance:g} m", "version": f"eagor {__version__}",
+        }  # fmt: skip
+        page = RobotPage(query, used, place.plan)
+        terminal.log("armed: " + DEADMEN[deadman] if options.arm else "dry run: nothing is commanded (--arm moves it)")
+        why = None
+        try:
+            why = _walk(options, steer(loop, guard, odometer, walking), page, place)
+        finally:
+            loop.stop()
+            guard.stop()
+            if folder is not None and page.samples:
+                _leave(folder, page, options, walking, limits, why)
+    return _end(options, page, folder, why)
+
+
+def _check(options: RobotRun) -> None:
+    """Raise `UsageError` for what cannot be, before anything is started."""
+    if options.sim:
+        if options.source is not None or options.interface is not None:
+            raise terminal.UsageError("--sim brings its own camera and network: leave out --source and --interface")
+    elif options.source is None:
+        raise terminal.UsageError("a robot needs a camera: --source /dev/video0, rtsp://..., ros:/image; or take --sim")
+    elif options.deadman == "none" and options.arm:
+        raise terminal.UsageError("--deadman none is only for --sim: a real robot moves while somebody holds a switch")
+    if options.seconds is not None and not 0 < options.seconds < math.inf:
+        raise terminal.UsageError(f"--seconds {options.seconds:g}; wanted seconds above 0")
+    if not 0 <= options.latency < math.inf:
+        raise terminal.UsageError(f"--latency {options.latency:g}; wanted seconds, 0 or more")
+
+
+@contextmanager
+def _real(options: RobotRun, spec: str) -> Iterator[Place]:
+    rows = options.rows or max(LEAST_ROWS, 0 if is_model(spec) else rows_of(make_perception(spec)))
+    source = options.source
+    assert source is not None
+    yield Place(
+        options.domain,
+        options.interface,
+        lambda: open_camera(source, latency=options.latency, rows=rows, rig=options.rig),
+    )
+
+
+@contextmanager
+def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
+    from eagor.robots.go2.sim import SimSettings, SimulatedGo2
+    from eagor.robots.go2.sim_camera import CameraSettings
+    from eagor.robots.ros.sources import RosCamera
+    from eagor.robots.safety.rehearsal import CAMERA, INTERFACE, Rehearsal, clear_start
+
+    rows = options.rows or max(PICTURE, 0 if is_model(spec) else rows_of(make_perception(spec)))
+    camera = CameraSettings(rows=rows, rate=PICTURES, latency=options.latency, mount=options.mount)
+    start = options.start and (*options.start[:2], math.radians(options.start[2]))
+    settings = SimSettings(options.world, options.seed, query, start=start, camera=camera)
+    twin = SimulatedGo2(settings)  # knows where things are before the robot starts
+    house = twin.house
+    assert house is not None
+    if settings.start is None:
+        settings = replace(settings, start=clear_start(house, twin.targets, np.random.default_rng(options.seed)))
+    terminal.log("the simulated robot starts")
+    with Rehearsal(settings) as robot:
+        terminal.log(f"it stands in {options.world} {options.seed}, on DDS domain {robot.domain} of the interface lo")
+        ground = house.ground
+        places = [(float(thing.centre[0]), float(thing.centre[1])) for thing in twin.targets]
+        plan = Plan(
+            ground.free, ground.structure, (float(ground.origin[0]), float(ground.origin[1])), ground.cell, places
+        )
+        # Its stamps are those of capture.
+        yield Place(
+            robot.domain,
+            INTERFACE,
+            lambda: RosCamera(CAMERA.partition(":")[2], domain=robot.domain, interface=INTERFACE, rows=rows),
+            robot.truth,
+            robot.targets,
+            plan,
+        )
+
+
+class _Poses:
+    """The camera's poses by the robot's odometry, with the link that they come over."""
+
+    def __init__(self, domain: int, interface: str | None, options: RobotRun) -> None:
+        self._link = Link(domain, interface)
+        self._state = Go2State(self._link, options.odometry, mount=options.mount)
+
+    def __iter__(self) -> Iterator[Pose]:
+        return iter(self._state)
+
+    def close(self) -> None:
+        self._state.close()
+        self._link.close()
+
+
+def _walk(options: RobotRun, steps: Iterator[Step], page: RobotPage, place: Place) -> str:
+    """Walk until it is over; why it is."""
+    begun, there, said, spoke = time.monotonic(), None, None, -math.inf
+    longest = options.seconds or (LONGEST if options.sim else math.inf)
+    for step in steps:
+        now = time.monotonic()
+        sample = _sample(step, now - begun, place)
+        page.add(sample, step.panorama, step.answer.estimate)
+        words = f"{sample.mode}, {sample.doing}: {'; '.join(sample.reasons) or sample.words}"
+        told = sample.mode, sample.doing, sample.reasons[:1] and sample.reasons[0][:16]
+        if told != said and (now - spoke >= QUIET or sample.mode in LOUD):
+            said, spoke = told, now
+            terminal.log(f"{sample.time:6.2f} s  {words}")
+        there = (there or now) if sample.doing == "arrived" else None
+        if there is not None and now - there >= THERE and not options.stay:
+            return "arrived"
+        if now - begun >= longest:
+            return "time"
+    return "ended"
+
+
+def _sample(step: Step, seconds: float, place: Place) -> Sample:
+    estimate, state = step.answer.estimate, step.state
+    known = estimate.direction is not None
+    far = step.sight.distance if step.sight.distance is not None and math.isfinite(step.sight.distance) else None
+    error, true_xy = None, None
+    if (truth := place.truth()) is not None:
+        at, world_R_body = truth
+        true_xy = float(at[0]), float(at[1])
+        targets = place.targets()
+        if estimate.direction is not None and len(targets):
+            ways = (targets - at) / np.linalg.norm(targets - at, axis=1, keepdims=True)
+            error = float(np.arccos(np.clip(ways @ (world_R_body @ estimate.direction), -1, 1)).min())
+    return Sample(
+        seconds, estimate.status, estimate.presence, estimate.azimuth, estimate.credible_angle if known else None,
+        far, step.wish.doing, step.wish.words, step.wish.velocity.parts,
+        None if state.sent is None else state.sent.parts, state.stops, state.mode, state.reasons, state.speed,
+        state.turn, step.sight.xy, step.sight.yaw or 0.0, true_xy, error,
+    )  # fmt: skip
+
+
+def _leave(
+    folder: Path, page: RobotPage, options: RobotRun, walking: WalkSettings, limits: Limits, why: str | None
+) -> None:
+    """The report: report.html and run.json."""
+    folder.mkdir(parents=True, exist_ok=True)
+    record = {
+        "query": options.query, "ended": why, "armed": options.arm, "simulated": options.sim, "used": page.used,
+        "summary": summary(page.samples), "walking": asdict(walking), "limits": asdict(limits),
+        "samples": [_plain(asdict(sample)) for sample in page.samples],
+    }  # fmt: skip
+    written(folder / "run.json", json.dumps(record, ensure_ascii=False, allow_nan=False))
+    page.write(folder / "report.html")
+    terminal.log(f"report: {folder / 'report.html'}")
+
+
+def _plain(value: Any) -> Any:
+    """Numbers that are not finite as None, and none longer than it needs to be."""
+    if isinstance(value, float):
+        return round(value, 5) if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return value
+
+
+def _end(options: RobotRun, page: RobotPage, folder: Path | None, why: str | None) -> int:
+    """Say how it ended; the exit code."""
+    if not page.samples:
+        raise terminal.RunError("there was no answer")
+    facts, last = summary(page.samples), page.samples[-1]
+    if options.json:
+        report = None if folder is None else str(folder / "report.html")
+        terminal.emit({"query": options.query, "ended": why, "report": report, "at_the_end": last.words} | facts)
+    else:
+        print(f"{why}: {last.words}; {facts['metres']:.2f} m in {facts['seconds']:.1f} s")
+    if why == "time" and options.sim and options.arm and last.doing != "arrived":
+        raise terminal.RunError(f"it did not get there in {facts['seconds']:.0f} s: {last.words}")
+    return terminal.OK

@@ -1,0 +1,166 @@
+"""A simulated Go2 in a process of its own, to walk with before a real one: its wire, its camera, the truth beside."""
+
+from __future__ import annotations
+
+import json
+import math
+import multiprocessing
+import random
+import signal
+import socket
+from collections.abc import Sequence
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Any, Self
+
+import numpy as np
+
+from eagor._processes import leave_with_parent, one_thread
+from eagor.conventions import rotation_from_wxyz
+from eagor.errors import DeviceError, EagorError
+from eagor.robots.dds import Link
+from eagor.robots.go2.house import House, Thing
+from eagor.robots.go2.sim import SimSettings
+from eagor.robots.go2.sim_live import TRUTH_THINGS
+from eagor.robots.go2.sim_pictures import CAMERA_TOPIC
+from eagor.robots.go2.sim_server import TRUTH
+from eagor.robots.ros.messages import TEXT
+
+__all__ = ["CAMERA", "INTERFACE", "Rehearsal", "clear_start", "free_domain"]
+
+INTERFACE = "lo"
+CAMERA = "ros:" + CAMERA_TOPIC.removeprefix("rt")
+STARTING = 120.0  # seconds for the house and its light
+ENDING = 10.0
+FIRST_PORT, PORTS, PARTICIPANTS = 7400, 250, 8  # of DDS: of domain 0, per domain, participants that are looked at
+TRIES, ROOM, NEAR, FAR = 2000, 0.35, 2.5, 5.0  # draws; metres around the start; metres to the target
+BEFORE = 0.8  # metres before the target's centre at which the way may end: things fill some floor
+DOMAINS = range(1, 120)  # above, ports meet those that the system gives away
+
+
+class Rehearsal:
+    """A simulated Go2 on a free DDS domain of this machine; a context manager. It ends with this process.
+
+    `truth()` is the camera's true place ``(3,)`` and orientation ``(3, 3)``, None before the first message;
+    `targets()` the true places ``(n, 3)`` of the things that were asked for. Raises what the simulation raises.
+    """
+
+    def __init__(self, settings: SimSettings, domain: int | None = None) -> None:
+        self.settings = settings
+        self.domain = free_domain() if domain is None else domain
+        self._pose: tuple[np.ndarray, np.ndarray] | None = None
+        self._things: dict[str, Any] = {"targets": [], "things": []}
+        self._process: Any = None
+
+    def __enter__(self) -> Self:
+        context = multiprocessing.get_context("spawn")
+        self._line, there = context.Pipe()
+        self._process = context.Process(target=_robot, args=(there, self.settings, self.domain), name="simulated Go2")
+        with one_thread():
+            self._process.start()
+        there.close()
+        try:
+            said = self._line.recv() if self._line.poll(STARTING) else "it is not ready in time"
+        except EOFError:
+            said = f"its process ended by itself (exit code {self._process.exitcode})"
+        except BaseException:
+            self.close()
+            raise
+        if said is not None:
+            self.close()
+            raise said if isinstance(said, EagorError) else DeviceError(f"the simulated robot does not start: {said}")
+        self._link = Link(self.domain, INTERFACE)
+        self._link.subscribe(TRUTH, "nav_msgs/msg/Odometry", self._told_pose)
+        self._link.subscribe(TRUTH_THINGS, TEXT, self._told_things, reliable=True, transient=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._link.close()
+        self.close()
+
+    def close(self) -> None:
+        """End the robot."""
+        if self._process is None:
+            return
+        self._line.close()
+        self._process.join(ENDING)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._process = None
+
+    def truth(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Where the camera really is, and how it is turned."""
+        return self._pose
+
+    def targets(self) -> np.ndarray:
+        """Where the things that were asked for really are."""
+        asked = {*self._things["targets"]}
+        places = [thing["position"] for thing in self._things["things"] if thing["id"] in asked]
+        return np.array(places, dtype=np.float64).reshape(-1, 3)
+
+    def _told_pose(self, message: Any, _: float) -> None:
+        pose = message.pose.pose
+        turned = pose.orientation
+        world_R_body = rotation_from_wxyz(np.array([turned.w, turned.x, turned.y, turned.z]))
+        place = np.array([pose.position.x, pose.position.y, pose.position.z])
+        mount = (0.0, 0.0, 0.0) if self.settings.camera is None else self.settings.camera.mount
+        self._pose = place + world_R_body @ np.asarray(mount), world_R_body
+
+    def _told_things(self, message: Any, _: float) -> None:
+        self._things = json.loads(message.data)
+
+
+def clear_start(house: House, targets: Sequence[Thing], rng: np.random.Generator) -> tuple[float, float, float] | None:
+    """A place (x, y in metres) and a heading (radians) some metres from a target, with a straight way there.
+
+    The policy goes straight, and around nothing. None if no such place was found.
+    """
+    ground = house.ground
+    for _ in range(TRIES):
+        spot = ground.sample(rng, min(ROOM, float(ground.clearance[ground.free].max())))
+        for thing in targets:
+            way = thing.centre[:2] - spot
+            far = float(np.hypot(*way))
+            if not NEAR <= far <= FAR:
+                continue
+            steps = np.arange(0.0, far - BEFORE, ground.cell / 2)[:, None] * way / far
+            if bool(ground.is_free(spot + steps).all()):
+                return float(spot[0]), float(spot[1]), float(rng.uniform(-math.pi, math.pi))
+    return None
+
+
+def free_domain() -> int:
+    """A DDS domain on which nobody of this machine listens. Raises `DeviceError` if there is none."""
+    for domain in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
+        if all(_is_free(FIRST_PORT + PORTS * domain + 10 + 2 * index) for index in range(PARTICIPANTS)):
+            return domain
+    raise DeviceError("every DDS domain of this machine is in use: end some programs that use DDS")
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True
+
+
+def _robot(line: Connection, settings: SimSettings, domain: int) -> None:
+    """The life of the process."""
+    for number in (signal.SIGINT, signal.SIGTERM):  # it ends with its parent, which is told as well
+        signal.signal(number, signal.SIG_IGN)
+    leave_with_parent()
+    from eagor.robots.go2.sim import SimulatedGo2
+    from eagor.robots.go2.sim_live import LiveGo2
+
+    try:
+        with LiveGo2(SimulatedGo2(settings), domain, INTERFACE) as robot:
+            robot.wait_for_camera()
+            line.send(None)
+            with suppress(EOFError, OSError):
+                line.recv()  # until the parent closes it
+    except EagorError as error:
+        with suppress(OSError):
+            line.send(error)

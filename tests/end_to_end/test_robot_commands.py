@@ -1,0 +1,142 @@
+"""``eagor robot sim`` and ``eagor robot check``, as they are typed."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from ddsmaking import free_domain
+from processes import alive, sessions_of, wait_for
+
+from eagor.robots.dds import Link
+from eagor.robots.go2.plant import Plant, PlantSettings
+from eagor.robots.go2.sim_server import Go2Server
+from eagor.robots.go2.wire_settings import WireSettings
+
+
+def eagor(*words, **how):
+    return subprocess.run(
+        [sys.executable, "-m", "eagor", *map(str, words)], capture_output=True, text=True, timeout=300, **how
+    )
+
+
+def check(domain, *words):
+    return eagor("robot", "check", "--domain", domain, "--interface", "lo", *words)
+
+
+@contextmanager
+def simulated(domain, *words):
+    """A robot that is ready, with what it says of itself."""
+    command = [sys.executable, "-m", "eagor", "robot", "sim", "--domain", str(domain), "--rows", "16", *map(str, words)]
+    with subprocess.Popen(
+        [*command, "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        try:
+            assert process.stdout is not None
+            yield process, json.loads(process.stdout.readline() or process.stderr.read())
+        finally:
+            process.terminate()
+            process.communicate(timeout=60)
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_simulated_robot_is_heard_checked_and_ends_with_nothing_left(number, code):
+    domain = free_domain()
+    with simulated(domain, "--target", "green sofa", "--seed", 7) as (process, said):
+        assert said["domain"] == domain
+        assert said["targets"][0]["name"] == "green sofa"
+        assert said["things"]["green sofa"] == 1
+        assert "rt/x3/image/compressed" in said["topics"]
+        done = check(domain, "--json", "--seconds", 2)
+        report = json.loads(done.stdout)
+        assert set(said["topics"]) - {"rt/api/sport/request", "rt/api/obstacles_avoid/request"} <= {*report["topics"]}
+        assert (report["firmware"], report["mode"]) == ("states of 516 bytes, with a planned path", "standing")
+        assert (report["battery"], report["sport_version"], report["error_code"]) == (87, "1.0.0.1", 0)
+        assert report["cameras"] == ["rt/x3/image/compressed"]
+        assert report["rates"]["rt/sportmodestate"] > 0
+        slow = [problem for problem in report["problems"] if "processor" not in problem]  # this machine may be busy
+        assert slow == []
+        assert done.returncode == (1 if report["problems"] else 0)
+        sessions = sessions_of(process.pid)
+        process.send_signal(number)
+        _, log = process.communicate(timeout=60)
+        assert process.returncode == code
+        assert "interrupted" in log or "terminated" in log
+        wait_for(lambda: not alive(sessions))
+
+
+def test_a_simulated_robot_ends_by_itself_and_says_what_happened():
+    domain = free_domain()
+    words = ("--camera", "none", "--seconds", 1, "--lying", "--short")
+    done = eagor("robot", "sim", "--domain", domain, *words)
+    assert done.returncode == 0, done.stderr
+    assert f"DDS domain {domain} on lo, which only this machine can hear" in done.stdout
+    assert "lying" in done.stdout
+    assert "rt/x3/image/compressed" not in done.stdout
+    assert "walked 0.00 m, 0 commands" in done.stderr
+
+
+def test_what_is_wrong_with_a_robot_is_said_with_what_to_change():
+    domain = free_domain()
+    wire = WireSettings(short=True, battery=9, clock_offset=-777.0)
+    with Link(domain, "lo") as link:
+        servers = [Go2Server(Plant(PlantSettings(), np.random.default_rng(k)), link, wire) for k in range(2)]
+        servers[0].error_code = 1001
+        with servers[0]:
+            done = check(domain, "--seconds", 1.5)
+            assert done.returncode == 1, done.stderr
+            assert "states of 236 bytes, without a planned path" in done.stdout
+            assert "777." in done.stdout
+            assert "behind this machine's" in done.stdout
+            assert "problem: the robot reports error 1001" in done.stdout
+            assert "problem: the battery is at 9 %: charge it" in done.stdout
+            assert "2 publish rt/sportmodestate" in done.stdout
+            assert done.stdout.endswith("it cannot be used like this\n")
+            assert servers[0].requests == []  # nothing was moved
+        servers[1].close()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("check", "--interface", "wlan77"), "there is no network interface 'wlan77'; this machine has"),
+        (("check", "--interface", "lo", "--domain", "233"), "wanted a whole number from 0 to 232"),
+        (("check", "--interface", "lo", "--seconds", "0"), "--seconds 0: wanted 0.5 to 600"),
+        (("sim", "--interface", "wlan77", "--camera", "none"), "there is no network interface 'wlan77'"),
+        (("sim", "--world", "moon"), "there is no world 'moon'"),
+        (("sim", "--target", "elephant"), "names nothing known here"),
+        (("sim", "--rows", "33"), "rows = 33; wanted an even number"),
+        (("sim", "--speed", "9"), "--speed 9: wanted 0 to 3"),
+        (("sim", "--drop", "2"), "drop = 2.0; wanted a share"),
+        (("walk",), "unknown command 'walk'; wanted"),
+    ],
+)
+def test_wrong_usage_is_one_line(words, said):
+    done = eagor("robot", *words)
+    assert (done.returncode, done.stdout) == (2, "")
+    errors = [line for line in done.stderr.splitlines() if line.startswith("eagor: error:")]
+    assert len(errors) == 1
+    assert said in errors[0]
+
+
+def test_nobody_there_is_said():
+    domain = free_domain()
+    done = check(domain, "--seconds", 0.5)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert f"no Go2 is heard within 2 s (domain {domain}, lo). Is it on?" in done.stderr
+
+
+def test_a_taken_domain_is_refused():
+    domain = free_domain()
+    with Link(domain, "lo") as link, Go2Server(Plant(PlantSettings(), np.random.default_rng(0)), link):
+        time.sleep(0.1)
+        done = eagor("robot", "sim", "--domain", domain, "--camera", "none", "--seconds", 1)
+    assert done.returncode == 2
+    assert f"a robot already speaks on DDS domain {domain} on lo" in done.stderr
+    assert "take another --domain" in done.stderr

@@ -1,0 +1,82 @@
+"""Lines between the guard and its parent: whatever happens to the bytes, only whole messages come out."""
+
+import math
+import os
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eagor.robots.safety.lines import LONGEST, LineReader, as_line, read_now, write_now
+
+values = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=20)
+messages = st.dictionaries(st.text(max_size=8), values | st.lists(values, max_size=3), max_size=6)
+
+
+@given(st.lists(messages, max_size=6), st.lists(st.integers(1, 40), min_size=1))
+def test_messages_come_whole_however_the_bytes_are_cut(sent, cuts):
+    data, reader, got = b"".join(map(as_line, sent)), LineReader(), []
+    while data:
+        for cut in cuts:
+            got += reader.feed(data[:cut])
+            data = data[cut:]
+    assert got == sent
+    assert reader.damaged == 0
+
+
+@given(messages, messages, st.data())
+def test_a_damaged_line_is_dropped_and_the_next_one_is_read(first, second, data):
+    line = bytearray(as_line(first))
+    kind = data.draw(st.sampled_from(["cut", "flip", "joined", "noise"]))
+    at = data.draw(st.integers(0, len(line) - 2))
+    if kind == "cut":
+        line = line[:at] + b"\n"
+    elif kind == "flip":
+        line[at] ^= data.draw(st.integers(1, 255))
+    elif kind == "joined":
+        line = line[: at + 1]  # no line break: the next line is lost with it
+    else:
+        line = bytearray(data.draw(st.binary(max_size=100))) + b"\n"
+    reader = LineReader()
+    got = reader.feed(bytes(line) + as_line(second) + as_line({"last": 1}))
+    assert got[-1] == {"last": 1}
+    assert all(message in (first, second, {"last": 1}) for message in got)
+
+
+def test_not_a_number_and_infinity_pass():
+    (message,) = LineReader().feed(as_line({"a": math.nan, "b": -math.inf}))
+    assert math.isnan(message["a"])
+    assert message["b"] == -math.inf
+
+
+def test_what_a_pipe_does_not_take_at_once_is_refused():
+    with pytest.raises(ValueError, match="at once"):
+        as_line({"a": "x" * LONGEST})
+
+
+def test_noise_without_an_end_takes_no_memory():
+    reader = LineReader()
+    for _ in range(100):
+        assert reader.feed(b"x" * 10000) == []
+    assert reader.damaged
+    assert len(reader._rest) <= LONGEST
+    assert reader.feed(b"\n" + as_line({"a": 1})) == [{"a": 1}]
+
+
+def test_a_pipe_that_is_full_or_closed_holds_nobody_up():
+    there, here = os.pipe()
+    os.set_blocking(there, False)
+    os.set_blocking(here, False)
+    assert read_now(there) == b""
+    line = as_line({"a": "x" * 1000})
+    sent = 0
+    while write_now(here, line):
+        sent += 1
+    assert not write_now(here, line)
+    reader = LineReader()
+    data = read_now(there)
+    assert len(reader.feed(data)) == sent
+    assert reader.damaged == 0
+    os.close(here)
+    assert read_now(there) is None
+    os.close(there)
