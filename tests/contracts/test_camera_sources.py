@@ -3,6 +3,7 @@
 import io
 import socket
 import struct
+import subprocess
 import sys
 import threading
 import time
@@ -366,14 +367,37 @@ def test_stamps_of_a_pipe_are_kept_and_a_cut_picture_is_said():
         LiveCamera([opening], latency=0.1)
 
 
-def test_standard_input_is_a_camera(monkeypatch):
-    file = Slow(raw(clips.rolled(30), [2000.0 + k for k in range(30)]), ROOM.nbytes + 8)
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=file))
-    camera = open_camera("pipe:rgb24:128x64:stamped")
-    frame = next(iter(camera))
-    assert np.array_equal(frame.panorama, clips.rolled(30)[round(frame.stamp - 2000)])
-    camera.close()
-    file.close()
+READER = """
+import sys
+from eagor.robots.cameras import open_camera
+
+camera = open_camera(sys.argv[1])
+frame = next(iter(camera))
+print(frame.stamp, frame.panorama.shape, int(frame.panorama.astype(int).sum()))
+"""
+
+
+def read_by_another(source, data):
+    """What a process prints that takes one frame of its standard input, which stays open."""
+    with subprocess.Popen(
+        [sys.executable, "-W", "ignore", "-c", READER, source],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as process:  # fmt: skip
+        process.stdin.write(data)
+        process.stdin.flush()
+        try:
+            assert process.wait(2 * WAIT) == 0, process.stderr.read().decode()
+            assert process.stderr.read() == b"", "the thread that still waits for standard input is no trouble"
+            return process.stdout.read().decode()
+        finally:
+            process.kill()
+
+
+def test_standard_input_is_a_camera(tmp_path):
+    told = read_by_another("pipe:rgb24:128x64:stamped", raw([ROOM], [2000.5]).getvalue())
+    assert told == f"2000.5 (64, 128, 3) {int(ROOM.astype(int).sum())}\n"
+    encoded = clips.clip(tmp_path / "a.ts", clips.rolled(60)).read_bytes()
+    assert "(64, 128, 3)" in read_by_another("-", encoded)
 
 
 def test_only_the_newest_is_kept_and_the_rest_is_counted():
