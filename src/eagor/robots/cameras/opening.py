@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import re
-import sys
 from collections.abc import Callable
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +108,8 @@ def _device(text: str) -> Any:
 
 _OPENINGS: dict[str, Callable[[str], Any]] = {
     "input": lambda _: standard_input(),
-    "pipe": lambda text: raw_pipe(text, sys.stdin.buffer),
+    # Not sys.stdin: a thread that waits for it holds its lock, and Python then aborts at exit.
+    "pipe": lambda text: raw_pipe(text, FileIO(0, closefd=False)),
     "device": _device,
     "stream": network,
 }
