@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+import warnings
 from contextlib import contextmanager, suppress
 
 import numpy as np
@@ -218,6 +219,25 @@ def test_two_publishers_of_odometry_are_refused():
             poses.close()
             with pytest.raises(DeviceError, match="2 publishers write /odom"):
                 RosPoses("/odom", graph=graph)
+
+
+def test_poses_that_are_none_are_left_out_and_counted():
+    domain = free_domain()
+
+    def speak(publish, n):
+        message = odometry(n)
+        if n % 2:
+            message.pose.pose.orientation.w = 5.0
+        publish("/odom", m.ODOMETRY, message)
+
+    with speaking(domain, speak), DdsGraph(domain, "lo") as graph, warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        poses = RosPoses(graph=graph)
+        for pose, _ in zip(poses, range(5), strict=False):
+            assert round(float(pose.position[0])) % 2 == 0
+        poses.close()
+    assert poses.dropped >= 4
+    assert [str(each.message)[:32] for each in said] == ["a pose of /odom is left out: a q"]
 
 
 def test_closing_lets_go_of_who_waits():

@@ -18,6 +18,7 @@ import yaml
 from PIL import Image
 
 from eagor import __version__, perception, worlds
+from eagor.robots.cameras import opening as cameras
 from eagor.tasks import benchmark, task
 from eagor.worlds.painted import EYE, Room, bearing, painted_room
 
@@ -138,7 +139,7 @@ def test_nothing_of_this_machine_is_shipped(dist):
 
 def test_the_entry_points_are_those_that_work_without_metadata(dist):
     groups = PROJECT["project"]["entry-points"]
-    for module in (perception, worlds, task, benchmark):
+    for module in (perception, worlds, task, benchmark, cameras):
         assert groups[module.GROUP] == module.BUILT_IN
     text = files_of(dist[1])[f"eagor-{__version__}.dist-info/entry_points.txt"].decode()
     for group, points in groups.items():

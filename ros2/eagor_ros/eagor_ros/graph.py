@@ -61,9 +61,13 @@ class RclpyGraph:
         """As `Graph.subscribe`."""
         from rosidl_runtime_py.utilities import get_message
 
-        reader = self.node.create_subscription(
-            get_message(kind), topic, lambda message: received(message, time.time()), _qos(reliable, depth, transient)
-        )
+        def heard(message: Any) -> None:
+            try:
+                received(message, time.time())
+            except Exception as error:  # one bad message must not end the executor
+                self.node.get_logger().warning(f"{topic}: a message cannot be used ({error})")
+
+        reader = self.node.create_subscription(get_message(kind), topic, heard, _qos(reliable, depth, transient))
         return _Reader(self.node, reader)
 
     def topics(self, wait: float = 1.0) -> dict[str, tuple[str, int]]:

@@ -18,7 +18,7 @@ from eagor.errors import DeviceError, ImageError
 
 if TYPE_CHECKING:
     from eagor.robots.cameras.rig import Rig
-    from eagor.robots.frames import Frame
+    from eagor.robots.frames import Frame, Pose
 
 WANTED = 0.3  # degrees: a lens that is known so well everywhere needs no more pictures
 APART = 1.0  # degrees: a median gap in the overlap above it means that the rig does not fit
@@ -146,10 +146,8 @@ def view(options: CameraView) -> int:
 
 def latency(options: CameraLatency) -> int:
     """``eagor camera latency``."""
-    from eagor.cli.poses import read_poses
-    from eagor.robots.cameras.latency import latency_between, steps_of
+    from eagor.robots.cameras.latency import check_turning, latency_between, steps_of
     from eagor.robots.cameras.opening import open_camera
-    from eagor.robots.frames import Pose
 
     for name in ("rate", "seconds", "most"):
         if not (math.isfinite(value := getattr(options, name)) and value > 0):
@@ -157,14 +155,13 @@ def latency(options: CameraLatency) -> int:
     source = open_camera(options.source, rig=options.rig, rate=options.rate, rows=512)
     try:
         if not source.live:
-            read_poses(options.poses)  # a mistake in it is told before the work
+            check_turning(_odometry(options.poses))  # what is wrong with it is told before the work
         else:
             terminal.log(f"looking for {options.seconds:g} s: turn the camera left and right, briskly")
         steps = steps_of(_for_a_while(source, options.seconds), level=options.level)
     finally:
         source.close()
-    poses = [Pose(each.stamp, each.world_R_body, each.position) for each in read_poses(options.poses)]
-    found = latency_between(steps, poses, most=options.most)
+    found = latency_between(steps, _odometry(options.poses), most=options.most)
     low, high = found.interval
     if options.json:
         told: dict[str, Any] = {
@@ -189,6 +186,14 @@ def latency(options: CameraLatency) -> int:
     if found.seconds < 0 and high < 0:
         terminal.warning("pictures come before odometry: it is odometry that is late, or their clocks differ")
     return terminal.OK
+
+
+def _odometry(path: Path) -> list[Pose]:
+    """The poses of a CSV file."""
+    from eagor.cli.poses import read_poses
+    from eagor.robots.frames import Pose
+
+    return [Pose(each.stamp, each.world_R_body, each.position) for each in read_poses(path)]
 
 
 def _for_a_while(source: Any, seconds: float) -> Iterator[Frame]:

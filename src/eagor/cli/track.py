@@ -108,7 +108,7 @@ def _journey(options: Track, places: Sequence[Path], perception: Perception) -> 
     for name in ("rate", "fps"):
         if (value := getattr(options, name)) is not None and not (math.isfinite(value) and value > 0):
             raise terminal.UsageError(f"--{name} {value:g}; wanted a number per second above 0")
-    from eagor.robots.ros.bags import is_bag
+    from eagor.robots.bag_files import is_bag
 
     if len(places) == 1 and is_bag(places[0]):
         return _recorded(options, places[0], poses, perception)
@@ -167,7 +167,12 @@ def _recorded(options: Track, place: Path, poses: Sequence[Pose], perception: Pe
     bag = Bag(place)
     looks = options.rate or RATE
     shown = looks if options.video is None else max(looks, options.fps or FPS)
-    camera = BagCamera(bag, options.image_topic, rows=max(rows_of(perception), LEAST_ROWS))
+    rig = None
+    if options.rig is not None:
+        from eagor.robots.cameras import read_rig
+
+        rig = read_rig(options.rig)
+    camera = BagCamera(bag, options.image_topic, rows=max(rows_of(perception), LEAST_ROWS), rig=rig)
     source = BagFilm(camera, shown, options.start, options.end, options.force)
     if poses and options.odom_topic:
         raise terminal.UsageError(f"--poses {options.poses} and --odom-topic: wanted one of them")

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,7 +20,10 @@ from eagor.errors import PoseError
 from eagor.robots.frames import Frame, Pose
 from eagor.robots.rotation import VisualOdometer
 
-__all__ = ["Latency", "Steps", "latency_between", "steps_of"]
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Slerp
+
+__all__ = ["Latency", "Steps", "check_turning", "latency_between", "steps_of"]
 
 GRID = 0.005  # seconds between the shifts that are tried; the peak is found between them
 FEWEST = 20  # steps
@@ -72,11 +76,8 @@ def latency_between(steps: Steps, poses: Sequence[Pose], *, most: float = 1.0, s
     Negative: odometry is the later one. Raises `PoseError` where the motion does not tell it: too few steps that both
     cover, too little change of the turning rate, no correlation, or a peak at the end of what is searched.
     """
-    from scipy.spatial.transform import Rotation, Slerp
-
+    check_turning(poses)
     stamps = np.array([pose.stamp for pose in poses])
-    if len(stamps) < 2:
-        raise PoseError(f"odometry has {len(stamps)} poses; wanted those of the time in which the pictures were taken")
     covered = (steps.start - most >= stamps[0]) & (steps.end + most <= stamps[-1])
     n = int(covered.sum())
     if n < FEWEST:
@@ -89,16 +90,9 @@ def latency_between(steps: Steps, poses: Sequence[Pose], *, most: float = 1.0, s
     start, end, seen = steps.start[covered], steps.end[covered], steps.turned[covered]
     lengths = end - start
     shifts = np.arange(-most, most + GRID / 2, GRID)
-    slerp = Slerp(stamps, Rotation.from_matrix(np.stack([pose.world_R_body for pose in poses])))
+    slerp = _slerp(poses)
     told = np.stack([_steps(slerp, start - shift, end - shift) for shift in shifts]) / lengths  # (shifts, n)
     seen = seen / lengths
-    change = float(np.std(_rates(slerp, stamps[0], stamps[-1])))
-    if change < LEAST_CHANGE:
-        raise PoseError(
-            f"the turning rate varies by {math.degrees(change):.1f} degrees per second (standard deviation); wanted "
-            f"{math.degrees(LEAST_CHANGE):g} or more. Turn the camera left and right about its vertical axis, briskly, "
-            "for half a minute"
-        )
     values = _correlation(told, seen)
     mirrored = bool(values.max() < -values.min() - 0.2)
     if mirrored:
@@ -118,21 +112,41 @@ def latency_between(steps: Steps, poses: Sequence[Pose], *, most: float = 1.0, s
     return Latency(_peak(shifts, values), ends, float(values[at]), n, mirrored)
 
 
+def check_turning(poses: Sequence[Pose]) -> None:
+    """Raise `PoseError` if these turn too evenly to tell a latency."""
+    if len(poses) < 2:
+        raise PoseError(f"odometry has {len(poses)} poses; wanted those of the time in which the pictures were taken")
+    change = float(np.std(_rates(_slerp(poses), poses[0].stamp, poses[-1].stamp)))
+    if change < LEAST_CHANGE:
+        raise PoseError(
+            f"the turning rate varies by {math.degrees(change):.1f} degrees per second (standard deviation); wanted "
+            f"{math.degrees(LEAST_CHANGE):g} or more. Turn the camera left and right about its vertical axis, briskly, "
+            "for half a minute"
+        )
+
+
+def _slerp(poses: Sequence[Pose]) -> Slerp:
+    from scipy.spatial.transform import Rotation, Slerp
+
+    stamps = [pose.stamp for pose in poses]
+    return Slerp(stamps, Rotation.from_matrix(np.stack([pose.world_R_body for pose in poses])))
+
+
 def _about_z(old_R_new: np.ndarray) -> float:
     from scipy.spatial.transform import Rotation
 
     return float(Rotation.from_matrix(old_R_new).as_rotvec()[2])
 
 
-def _steps(slerp, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+def _steps(slerp: Slerp, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """How far odometry turned about body z between these times, radians ``(n,)``."""
     return (slerp(start).inv() * slerp(end)).as_rotvec()[:, 2]
 
 
-def _rates(slerp, first: float, last: float) -> np.ndarray:
+def _rates(slerp: Slerp, first: float, last: float) -> np.ndarray:
     """Turning rates about body z every tenth of a second."""
-    ticks = np.arange(first, last, 0.1)
-    return _steps(slerp, ticks[:-1], ticks[1:]) / 0.1
+    ticks = np.linspace(first, last, max(2, math.ceil((last - first) / 0.1)))
+    return _steps(slerp, ticks[:-1], ticks[1:]) / np.diff(ticks)
 
 
 def _correlation(told: np.ndarray, seen: np.ndarray) -> np.ndarray:

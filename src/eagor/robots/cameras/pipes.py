@@ -14,7 +14,7 @@ import struct
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -33,11 +33,19 @@ _SPEC = re.compile(r"pipe:(\w+):(\d+)x(\d+)(:stamped)?")
 STAMP = struct.Struct("<d")
 
 
+class Readable(Protocol):
+    """Where the bytes come from: a file, a pipe."""
+
+    def read(self, size: int = -1, /) -> bytes | None:
+        """Up to `size` bytes; empty at the end."""
+        ...
+
+
 @dataclass(frozen=True)
 class RawPipe:
     """Raw pictures of `kind` (a name of FFmpeg's) with `width` and `height` that `file` brings; see the module."""
 
-    file: BinaryIO
+    file: Readable
     kind: str
     width: int
     height: int
@@ -92,7 +100,7 @@ class RawPipe:
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
 
-def raw_pipe(text: str, file: BinaryIO) -> RawPipe:
+def raw_pipe(text: str, file: Readable) -> RawPipe:
     """The pipe that `text` describes, such as ``pipe:rgb24:1920x960``. Raises `DeviceError`."""
     found = _SPEC.fullmatch(text)
     if found is None or found[1] not in BYTES:
