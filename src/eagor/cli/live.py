@@ -107,6 +107,7 @@ def live(options: Live) -> int:
         counts = loop.counts
         terminal.log(
             f"{counts.frames} pictures, {counts.looks} looks, {counts.poses} poses, {counts.answers} answers"
+            + (f"; {counts.skipped} pictures skipped" if counts.skipped else "")
             + (f", recorded in {options.record}" if options.record else "")
         )
     if not counts.looks:
