@@ -28,6 +28,7 @@ from eagor.cli.shared_options import (
     Modes,
     Name,
     Out,
+    Rerun,
     Rows,
     Scoring,
     TaskOfRun,
@@ -132,6 +133,7 @@ class Track(Common):
     modes: Modes = 3
     picture: Annotated[Path | None, arg(name="pictures", metavar="DIR", help_behavior_hint="")] = None
     """Draw each frame with the belief into this folder."""
+    rerun: Rerun = None
     out: Out = None
     mask: Mask = None
     force: Force = False
@@ -305,6 +307,10 @@ class BenchFailures(Common):
     """Of a simulated task: whose episodes (default: eagor)."""
     limit: Whole = 20
     """Number of cases to list."""
+    rerun: Annotated[Path | None, bare("FILE.rrd")] = None
+    """Play the worst episode of a simulated task again and log it for the Rerun viewer (extra rerun)."""
+    episode: Annotated[str | None, bare("NAME")] = None
+    """With --rerun: this episode, as it is named in the list."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -64,6 +64,7 @@ def track(options: Track) -> int:
     check_not_read(options.picture, "--pictures", places)
     check_not_read(options.video, "--video", places)
     check_not_read(options.page, "--page", places)
+    check_not_read(options.rerun, "--rerun", places)
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
     if options.modes < 1:
         raise terminal.UsageError(f"--modes {options.modes}; wanted 1 or more")
@@ -261,6 +262,8 @@ def _sinks(options: Track, query: str, spec: str, journey: _Journey) -> Iterator
         yield nullcontext(_painter(options.picture, query, options.modes))
     if options.video:
         yield _filmed(options.video, query, journey)
+    if options.rerun:
+        yield _logged(options.rerun, query)
     if options.page:
         used = {"perception": spec, "poses": journey.told}
         used |= {"calibration": str(options.calibration)} if options.calibration else {}
@@ -288,6 +291,22 @@ def _filmed(path: Path, query: str, journey: _Journey) -> Iterator[Sink]:
                     query=query,
                     problem=result.problem,
                 )
+
+        yield add
+
+
+@contextmanager
+def _logged(path: Path, query: str) -> Iterator[Sink]:
+    from eagor.drawing.rerun_log import RerunLog
+
+    with RerunLog(checked_out(path, "--rerun"), f"{query}: {path.name}") as log:
+
+        def add(result: Result) -> None:
+            if result.panorama is not None or result.told:
+                log.add(
+                    result.panorama, result.estimate, stamp=result.stamp, query=query, position=result.position,
+                    others=result.others, problem=result.problem,
+                )  # fmt: skip
 
         yield add
 
