@@ -17,11 +17,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from eagor.cli import terminal
 from eagor.cli.live_options import Live
 from eagor.cli.looking import (
     check_looks,
     checked_folder,
+    checked_out,
     checked_query,
     make_perception,
     perception_for,
@@ -30,15 +33,18 @@ from eagor.cli.looking import (
 from eagor.cli.poses import read_poses
 from eagor.cli.steps import LEAST_ROWS
 from eagor.drawing.words import answer_in_words
+from eagor.errors import StorageError
 from eagor.perception import is_model, rows_of
 from eagor.robots.cameras import open_camera
 from eagor.robots.frames import CameraSource, Pose
 from eagor.robots.live.answers import Answer, Fault
+from eagor.robots.live.events import Event, FrameCame, PoseCame
 from eagor.robots.live.loop import LiveLoop
 from eagor.robots.live.sources import GO2, ROS, GivenPoses, MotionPoses, open_poses
 
 MOST_DRIFT = 90  # degrees
 MOST_RATE = 1000.0  # answers per second
+LOGGED = 4.0  # logs per second for the Rerun viewer
 SHOWN = 0.1  # seconds between two status lines
 BY_SIGHT = ("auto", "level")
 
@@ -71,6 +77,7 @@ def live(options: Live) -> int:
         opens = partial(
             RosCamera, topic, domain=options.domain, interface=options.interface, latency=options.latency, rows=rows
         )
+    watchers = [] if options.rerun is None else [_Logged(options.rerun, queries)]
     camera = opens()
     told = _Told(options, queries)
     try:
@@ -86,9 +93,12 @@ def live(options: Live) -> int:
             pictures=options.pictures,
             fast=options.fast,
             mask=mask,
+            watchers=watchers,
         )
     except BaseException:
         camera.close()
+        for watcher in watchers:
+            watcher.close()
         raise
     terminal.log(
         f"{'live' if camera.live else 'recorded'}: {source}, seen by {spec}, {options.rate:g} answers a second"
@@ -180,6 +190,44 @@ def _poses(options: Live, camera: CameraSource) -> Any:
         )
     found = read_poses(text)
     return GivenPoses([Pose(each.stamp, each.world_R_body, each.position) for each in found])
+
+
+class _Logged:
+    """A watcher of the loop that logs for the Rerun viewer, `LOGGED` times a second."""
+
+    def __init__(self, path: Path, queries: Sequence[str]) -> None:
+        from eagor.drawing.rerun_log import RerunLog
+
+        self._log: RerunLog | None = RerunLog(checked_out(path, "--rerun"), f"{', '.join(queries)}: {path.name}")
+        self._panorama: np.ndarray | None = None
+        self._position: np.ndarray | None = None
+        self._last = -math.inf
+
+    def take(self, event: Event, answers: Sequence[Answer]) -> None:
+        """Keep the newest picture and place; log the answers."""
+        if isinstance(event, FrameCame):
+            self._panorama = event.panorama
+        elif isinstance(event, PoseCame):
+            self._position = event.pose.position
+        if not answers or self._log is None or event.arrival - self._last < 1 / LOGGED:
+            return
+        self._last = event.arrival
+        try:
+            for answer in answers:
+                self._log.add(
+                    self._panorama, answer.estimate, stamp=answer.stamp, query=answer.query, position=self._position,
+                    problem="; ".join(fault.text for fault in answer.faults) or None,
+                )  # fmt: skip
+        except (StorageError, OSError) as error:
+            terminal.warning(f"--rerun has ended early: {error}")
+            self.close()
+        self._panorama = None
+
+    def close(self) -> None:
+        """Finish the file."""
+        log, self._log = self._log, None
+        if log is not None:
+            log.close()
 
 
 class _Told:

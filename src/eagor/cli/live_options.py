@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from eagor.cli.shared_options import Common, Detector, Flag, Floor, Force, Mask, Modes, Whole, bare
+from eagor.cli.shared_options import Common, Detector, Flag, Floor, Force, Mask, Modes, Rerun, Whole, bare
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +41,7 @@ class Live(Common):
     """Record everything into this new folder: a ROS 2 bag (MCAP)."""
     pictures: Literal["jpeg", "png", "none"] = "jpeg"
     """How --record keeps the pictures; png is exact, but slow."""
+    rerun: Rerun = None
     fast: Flag = False
     """Look at every picture of a file or folder, as fast as the detector can; time is that of the recording."""
     seconds: Annotated[float | None, bare("SECONDS")] = None
