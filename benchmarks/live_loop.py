@@ -24,6 +24,7 @@ from eagor.robots.frames import Frame, Pose
 from eagor.robots.live.core import LiveCore, Settings
 from eagor.robots.live.events import Asked, EvidenceCame, FrameCame, PoseCame
 from eagor.sphere import world_R_body
+from eagor.tracking import TrackerConfig
 
 POSES, LOOKS, ANSWERS, TARGETS = 200, 10, 50, 3  # per second, and how many things are followed
 LATENCY = 0.4  # seconds from a picture to its evidence
@@ -64,7 +65,7 @@ class Run:
     """Events of a simulated run, handed to a core second by second."""
 
     def __init__(self, positions: bool, seed: int = 0) -> None:
-        self.core = LiveCore(Settings(QUERIES))
+        self.core = LiveCore(Settings(QUERIES, TrackerConfig(history=60.0)))  # as the loop has it
         self.draw, self.positions, self.second = np.random.default_rng(seed), positions, 0
         angles = 2 * np.pi * np.arange(TARGETS) / TARGETS
         self.world = np.stack([4 * np.cos(angles), 4 * np.sin(angles), 0.2 * np.ones(TARGETS)], axis=-1)

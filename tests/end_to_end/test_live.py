@@ -91,6 +91,15 @@ def test_a_run_is_recorded_and_played_again(film, tmp_path, capsys):
     assert len(lines(capsys)) == len(first)
 
 
+def test_a_run_is_logged_for_the_rerun_viewer(film, tmp_path):
+    pytest.importorskip("rerun")
+    file = tmp_path / "run.rrd"
+    words = ["--fast", "--poses", "still", "--rerun", str(file)]
+    assert main(["live", str(film), "red chair", *words]) == 0
+    assert file.read_bytes()[:4] == b"RRF2"
+    assert file.stat().st_size > 20_000  # pictures are in it
+
+
 def test_without_a_terminal_only_json_is_printed(film, capsys):
     assert main(["live", str(film), "red chair", "--fast", "--poses", "still"]) == 0
     captured = capsys.readouterr()

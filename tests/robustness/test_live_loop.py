@@ -361,8 +361,10 @@ def test_a_run_that_is_killed_leaves_nobody_and_its_recording_can_be_played(tmp_
     script.write_text(text)
     run = subprocess.Popen([sys.executable, str(script)], start_new_session=True)
     wait_for(lambda: any("spawn_main" in each for each in alive(sessions_of(run.pid)).values()))
-    wait_for((record / "run.mcap").exists if hangs else mark.exists)
-    time.sleep(2.0)  # some of it is on the disk then
+    file = record / "run.mcap"
+    wait_for(lambda: file.exists() and file.stat().st_size > 50_000 and (hangs or mark.exists()))
+    written = file.stat().st_size
+    wait_for(lambda: file.stat().st_size > written)  # what has been answered is on the disk
     sessions = sessions_of(run.pid)
     run.send_signal(signal.SIGKILL)
     run.wait()

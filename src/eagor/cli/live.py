@@ -17,6 +17,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from eagor.cli import terminal
 from eagor.cli.bag_steps import odometry_of
 from eagor.cli.live_options import Live
@@ -32,16 +34,19 @@ from eagor.cli.looking import (
 from eagor.cli.poses import read_poses
 from eagor.cli.steps import LEAST_ROWS
 from eagor.drawing.words import answer_in_words
+from eagor.errors import StorageError
 from eagor.perception import is_model, rows_of
 from eagor.robots.cameras import open_camera
 from eagor.robots.frames import CameraSource, Pose
 from eagor.robots.live.answers import Answer, Fault
+from eagor.robots.live.events import Event, FrameCame, PoseCame
 from eagor.robots.live.loop import LiveLoop
 from eagor.robots.live.sources import GO2, ROS, GivenPoses, MotionPoses, open_poses
 from eagor.robots.ros.playing import BagCamera
 
 MOST_DRIFT = 90  # degrees
 MOST_RATE = 1000.0  # answers per second
+LOGGED = 4.0  # logs per second for the Rerun viewer
 SHOWN = 0.1  # seconds between two status lines
 BY_SIGHT = ("auto", "level")
 
@@ -81,6 +86,7 @@ def live(options: Live) -> int:
             rows=rows,
             rig=None if options.rig is None else read_rig(options.rig),
         )
+    watchers = [] if options.rerun is None else [_Logged(options.rerun, queries)]
     camera = opens()
     told = _Told(options, queries)
     watchers = []
@@ -107,6 +113,8 @@ def live(options: Live) -> int:
         for watcher in watchers:
             watcher.close()
         camera.close()
+        for watcher in watchers:
+            watcher.close()
         raise
     terminal.log(
         f"{'live' if camera.live else 'recorded'}: {source}, seen by {spec}, {options.rate:g} answers a second"
@@ -128,6 +136,7 @@ def live(options: Live) -> int:
         counts = loop.counts
         terminal.log(
             f"{counts.frames} pictures, {counts.looks} looks, {counts.poses} poses, {counts.answers} answers"
+            + (f"; {counts.skipped} pictures skipped" if counts.skipped else "")
             + (f", recorded in {options.record}" if options.record else "")
         )
     if not counts.looks:
@@ -203,6 +212,44 @@ def _poses(options: Live, camera: CameraSource) -> Any:
         )
     found = read_poses(text)
     return GivenPoses([Pose(each.stamp, each.world_R_body, each.position) for each in found])
+
+
+class _Logged:
+    """A watcher of the loop that logs for the Rerun viewer, `LOGGED` times a second."""
+
+    def __init__(self, path: Path, queries: Sequence[str]) -> None:
+        from eagor.drawing.rerun_log import RerunLog
+
+        self._log: RerunLog | None = RerunLog(checked_out(path, "--rerun"), f"{', '.join(queries)}: {path.name}")
+        self._panorama: np.ndarray | None = None
+        self._position: np.ndarray | None = None
+        self._last = -math.inf
+
+    def take(self, event: Event, answers: Sequence[Answer]) -> None:
+        """Keep the newest picture and place; log the answers."""
+        if isinstance(event, FrameCame):
+            self._panorama = event.panorama
+        elif isinstance(event, PoseCame):
+            self._position = event.pose.position
+        if not answers or self._log is None or event.arrival - self._last < 1 / LOGGED:
+            return
+        self._last = event.arrival
+        try:
+            for answer in answers:
+                self._log.add(
+                    self._panorama, answer.estimate, stamp=answer.stamp, query=answer.query, position=self._position,
+                    problem="; ".join(fault.text for fault in answer.faults) or None,
+                )  # fmt: skip
+        except (StorageError, OSError) as error:
+            terminal.warning(f"--rerun has ended early: {error}")
+            self.close()
+        self._panorama = None
+
+    def close(self) -> None:
+        """Finish the file."""
+        log, self._log = self._log, None
+        if log is not None:
+            log.close()
 
 
 class _Told:

@@ -57,7 +57,7 @@ class Counts:
     """What has happened so far.
 
     `frames`, `poses` came; `looks`: at a picture for one query; `skipped`: pictures that the perception did not come
-    to; `answers` given; `late`: ticks that were missed.
+    to, or the camera dropped; `answers` given; `late`: ticks that were missed.
     """
 
     frames: int = 0
@@ -340,7 +340,8 @@ class LiveLoop:
     def _frame(self, item: tuple[Frame, float]) -> None:
         frame, told = item
         self._last_frame = self.clock.now()
-        self._post(FrameCame(self._last_frame, frame.stamp, frame.name, frame.panorama))
+        shown = frame.panorama if self._watchers else None  # who else would hold on to it?
+        self._post(FrameCame(self._last_frame, frame.stamp, frame.name, shown))
         picture = Picture(frame.stamp, told, frame.panorama)
         if self._seer is not None:
             self._seer.give(picture)
@@ -371,7 +372,7 @@ class LiveLoop:
         self._stopped.set()
         if self._worker is not None:
             self._worker.stop()
-            self.counts.skipped = self._worker.skipped
+            self.counts.skipped = self._worker.skipped + getattr(self._frames.source, "dropped", 0)
         self._keeper.close()
         self._frames.close(LEAVING)
         if self._seer is not None:
