@@ -143,8 +143,12 @@ class Guard:
         self._thread.start()
         self._heard.wait(self._patience + STARTING)
         if self._state is None:
+            code = self._process.poll()
+            code = "it does not answer" if code is None else f"exit code {code}"
             self.close()
-            raise self._error or DeviceError("the guard's process ended before its first step; its words are above")
+            raise self._error or DeviceError(
+                f"the guard's process ended before its first step ({code}); its words, if any, are above"
+            )
         return self
 
     def __exit__(
