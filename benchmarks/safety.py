@@ -71,9 +71,8 @@ def of_a_fault(name: str, repeats: int, robot: type) -> list[Time]:
 def of_an_end(name: str, repeats: int, robot: type) -> list[Time]:
     """The times of a program or guard that is ended from outside."""
     number, whom = ENDED[name]
-    found = []
+    found, domain = [], free_domain()  # a process keeps the ports of every domain that it was on
     for _ in range(repeats):
-        domain = free_domain()
         with robot(domain=domain) as peer:
             code = CHILD.format(tests=TESTS, domain=domain)
             child = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
