@@ -139,10 +139,10 @@ def test_a_robot_of_another_firmware_is_said_in_words():
         wait_for(lambda: writer.readers)
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
-            writer.write(kind(bytes(300)))
+            writer.write(kind(SportFields(sec=5).to_bytes() + bytes(100)))
             wait_for(lambda: state.fault)
             wait_for(lambda: said)
-        with pytest.raises(DeviceError, match="the robot's state has 300 bytes; known are 516 and 236"):
+        with pytest.raises(DeviceError, match="the robot's state has 616 bytes; known are 516 and 236"):
             next(iter(state))
         with pytest.raises(DeviceError, match="Its firmware is newer or another one"):
             state.wait(1)
@@ -214,3 +214,21 @@ def test_moving_carefully_needs_to_be_turned_on():
         assert client.end() == sport.OK
         assert client.on() is False
         assert state.wait(20).error_code == 0
+
+
+def test_a_message_that_reaches_both_readers_counts_once():
+    """Writers that announce no type reach the readers of both forms."""
+    with Link(free_domain(), "lo") as link:
+        short = raw(idl.ShortSportModeState)
+        writer = link.publish("rt/sportmodestate", short)
+        state = Go2State(link)
+        wait_for(lambda: writer.readers)
+        writer.write(short(SportFields(sec=5).to_bytes()))  # the long form, on the reader of the short one alone
+        state.wait(20)
+        other = link.publish("rt/sportmodestate", raw(idl.SportModeState))
+        wait_for(lambda: other.readers)
+        for _ in range(4):
+            writer.write(short(SportFields(sec=5).to_bytes()))
+        writer.write(short(SportFields(sec=5, error_code=7).to_bytes(short=True)))
+        wait_for(lambda: state.count >= 2)
+        assert [each.error_code for each in state._waiting] == [0, 7]

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import shlex
 import signal
 import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from itertools import pairwise, takewhile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +23,8 @@ from eagor.robots.dds import Link
 from eagor.robots.go2.plant import Plant, PlantSettings
 from eagor.robots.go2.sim_server import Go2Server
 from eagor.robots.go2.wire_settings import WireSettings
+
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "go2.md"
 
 
 def eagor(*words, **how):
@@ -125,11 +132,44 @@ def test_wrong_usage_is_one_line(words, said):
     assert said in errors[0]
 
 
+def test_the_page_about_the_go2_runs_as_written_and_begins_with_safety():
+    text = PAGE.read_text(encoding="utf-8")
+    assert 0 < text.index("(robot-safety.md)") < text.index("```sh")
+    parts = text.split("```sh\n")
+    lines = [part.split("```")[0].strip() for before, part in pairwise(parts) if "*Needs" not in before[-40:]]
+    first, *others = [shlex.split(line) for line in lines]
+    assert [words[:3] for words in (first, *others)] == [
+        ["eagor", "robot", "sim"], ["eagor", "robot", "check"], ["eagor", "live", "ros:/x3/image/compressed"],
+    ]  # fmt: skip
+    alone = os.environ | {"ROS_DOMAIN_ID": str(free_domain())}
+    command = [sys.executable, "-m", *first]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=alone, start_new_session=True
+    ) as robot:
+        try:
+            assert robot.stdout is not None
+            said = list(takewhile(lambda line: line != "end it with Ctrl-C\n", robot.stdout))
+            assert any("green sofa" in line for line in said)
+            for words in others:
+                done = eagor(*words[1:], env=alone)
+                busy = words[2] == "check" and "processor" in done.stdout  # this machine, not the robot
+                assert done.returncode == (1 if busy else 0), (words, done.stdout, done.stderr)
+                if words[1] == "live":
+                    assert re.search(
+                        r"[1-9]\d* pictures, [1-9]\d* looks, [1-9]\d* poses, [1-9]\d* answers", done.stderr
+                    )
+        finally:
+            robot.send_signal(signal.SIGINT)
+            _, log = robot.communicate(timeout=60)
+    assert robot.returncode == 130
+    assert "walked 0.00 m" in log
+
+
 def test_nobody_there_is_said():
     domain = free_domain()
-    done = check(domain, "--seconds", 0.5)
+    done = check(domain, "--seconds", 1)
     assert (done.returncode, done.stdout) == (2, "")
-    assert f"no Go2 is heard within 2 s (domain {domain}, lo). Is it on?" in done.stderr
+    assert f"no Go2 is heard within 3 s (domain {domain}, lo). Is it on?" in done.stderr
 
 
 def test_a_taken_domain_is_refused():

@@ -9,13 +9,15 @@ from eagor.cli import terminal
 from eagor.cli.robot_options import RobotCheck
 from eagor.robots.dds import Link
 from eagor.robots.go2.check import Report, examine
+from eagor.robots.ros.graph import default_domain
 
 
 def check(options: RobotCheck) -> int:
     """Run the command; exit code 1 if something is wrong."""
     if not within(options.seconds, 0.5, 600):
         raise terminal.UsageError(f"--seconds {options.seconds:g}: wanted 0.5 to 600")
-    with Link(options.domain, options.interface) as link:
+    domain = default_domain() if options.domain is None else options.domain
+    with Link(domain, options.interface) as link:
         report = examine(link, options.seconds)
     if options.json:
         terminal.emit(asdict(report) | {"usable": not report.problems})

@@ -10,6 +10,7 @@ from tyro.conf import arg, subcommand
 from eagor.cli.robot_run_options import RobotRun
 from eagor.cli.shared_options import Common, Flag, Whole, bare
 
+Domain = Annotated[int | None, bare("N")]
 Seconds = Annotated[float, arg(metavar="SECONDS")]
 
 
@@ -25,8 +26,8 @@ class RobotSim(Common):
     """Seed of the house and of all that is random."""
     world: Annotated[str, arg(metavar="WORLD")] = "apartment"
     """apartment, an installed world, or a GLB file."""
-    domain: Whole = 0
-    """DDS domain; a real robot is on 0."""
+    domain: Domain = None
+    """DDS domain (default: ROS_DOMAIN_ID, else 0). A real robot is on 0."""
     interface: Annotated[str, arg(metavar="NAME")] = "lo"
     """Network interface; lo stays on this machine."""
     target: Annotated[str | None, bare("QUERY")] = None
@@ -65,8 +66,8 @@ class RobotCheck(Common):
     Exit codes: 0 it can be used, 1 it is there but something is wrong, 2 nobody is there.
     """
 
-    domain: Whole = 0
-    """DDS domain; a real robot is on 0."""
+    domain: Domain = None
+    """DDS domain (default: ROS_DOMAIN_ID, else 0). A real robot is on 0."""
     interface: Annotated[str | None, bare("NAME")] = None
     """Network interface to the robot, such as eth0; lo for a simulated one (default: the library chooses)."""
     seconds: Seconds = 3.0

@@ -17,6 +17,7 @@ from eagor.robots.go2.sim import SimSettings, SimulatedGo2
 from eagor.robots.go2.sim_camera import CameraSettings
 from eagor.robots.go2.sim_live import LiveGo2
 from eagor.robots.go2.wire_settings import WireSettings
+from eagor.robots.ros.graph import default_domain
 
 
 def sim(options: RobotSim) -> int:
@@ -27,7 +28,8 @@ def sim(options: RobotSim) -> int:
     if not options.json:
         terminal.log(f"building the house (seed {options.seed})")
     robot = SimulatedGo2(settings)
-    with LiveGo2(robot, options.domain, options.interface) as live:
+    domain = default_domain() if options.domain is None else options.domain
+    with LiveGo2(robot, domain, options.interface) as live:
         if not options.json:
             terminal.log("waiting for the camera" if live.pictures else "without a camera")
         live.wait_for_camera()
@@ -66,7 +68,7 @@ def _facts(live: LiveGo2, options: RobotSim) -> dict[str, Any]:
     pose = robot.truth.pose
     assert pose.position is not None
     return {
-        "domain": options.domain,
+        "domain": live.link.domain,
         "interface": options.interface,
         "world": None if robot.house is None else robot.house.scene.source,
         "start": {"position": pose.position.round(3).tolist(), "yaw_deg": round(_heading(live), 1)},
@@ -84,7 +86,7 @@ def _tell(live: LiveGo2, options: RobotSim) -> None:
     x, y, _ = pose.position
     where = "only this machine" if options.interface == "lo" else f"all on {options.interface}"
     found = {
-        "simulated Go2": f"DDS domain {options.domain} on {options.interface}, which {where} can hear",
+        "simulated Go2": f"DDS domain {live.link.domain} on {options.interface}, which {where} can hear",
         "house": "" if robot.house is None else robot.house.scene.source,
         "start": f"x {x:.2f} m, y {y:.2f} m, heading {_heading(live):.0f} degrees",
         "posture": "lying" if options.lying else "standing, ready to walk",

@@ -16,7 +16,7 @@ from eagor.errors import DeviceError, FormatError
 from eagor.robots.clocks import RelatedClock
 from eagor.robots.dds import Link, Reader
 from eagor.robots.frames import Pose
-from eagor.robots.go2.wire import SportFields, raw
+from eagor.robots.go2.wire import LONG, SportFields, raw
 
 __all__ = ["MODES", "SOURCES", "BodyState", "Go2State"]
 
@@ -184,10 +184,14 @@ class Go2State:
         from eagor.robots.go2.idl import ShortSportModeState, SportModeState
 
         # DDS hands over only what is announced as the reader's own type, so each form has a reader. A writer that
-        # announces no type reaches both: the length then decides who takes the message.
-        return tuple(
-            self._link.subscribe(self.topic, raw(kind), self._sport) for kind in (SportModeState, ShortSportModeState)
-        )
+        # announces no type reaches both; the reader of the long form then takes the long ones.
+        whole = self._link.subscribe(self.topic, raw(SportModeState), self._sport)
+
+        def short(message: Any, when: float) -> None:
+            if len(message.data) != LONG or not whole.matched:
+                self._sport(message, when)
+
+        return whole, self._link.subscribe(self.topic, raw(ShortSportModeState), short)
 
     def _sport(self, message: Any, when: float) -> None:
         try:
