@@ -326,9 +326,7 @@ def test_the_node_answers_what_rclpy_feeds_it(monkeypatch):
 
     def right():
         found = [message for topic, message in ros.sent if topic == "~/direction"][-3:]
-        errors = [
-            math.degrees(angular_distance(truth, np.array([e.vector.x, e.vector.y, e.vector.z]))) for e in found
-        ]
+        errors = [math.degrees(angular_distance(truth, np.array([e.vector.x, e.vector.y, e.vector.z]))) for e in found]
         return len(errors) == 3 and max(errors) < 3 and any(topic == "~/belief" for topic, _ in ros.sent)
 
     try:

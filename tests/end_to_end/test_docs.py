@@ -129,6 +129,34 @@ def test_a_clip_is_followed_as_the_page_on_footage_says(tmp_path):
     assert check_commands(page, tmp_path, apart=1.0) == 1
 
 
+def test_a_bag_and_a_node_do_what_the_page_on_ros_says(tmp_path):
+    """The bag, the command on it; then robot, node and listener, each a process, on a domain of their own."""
+    from ddsmaking import free_domain
+
+    page, domain = DOCS / "how-to" / "ros2.md", str(free_domain())
+    bag, robot, listener = [text for text, _ in blocks(page, "python")]
+    run_python([bag], tmp_path)
+    assert check_commands(page, tmp_path, apart=0.3) == 1
+    (node,) = [text for text, _ in blocks(page, "sh") if "--domain 42" in text]
+    words = shlex.split(node.replace("--domain 42", f"--domain {domain}"))
+    started = [
+        subprocess.Popen([sys.executable, *command], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        for command in (["-c", robot.replace("domain=42", f"domain={domain}")], ["-m", *words])
+    ]
+    try:
+        for _ in range(6):  # the first looks take time: the detector is loaded
+            printed = run_python([listener.replace("domain=42", f"domain={domain}")], tmp_path)[0].splitlines()
+            if printed:
+                break
+        shown = [float(line.split()[0]) for line in printed]
+        assert printed[0].endswith(" degrees to the left of base_link")
+        assert sum(-105 <= angle <= -15 for angle in shown) > len(shown) // 2  # -24 to -92 in the table, 90 degrees on
+    finally:
+        for process in started:
+            process.kill()
+            process.communicate()
+
+
 def test_a_film_is_followed_as_the_page_on_a_live_camera_says(tmp_path):
     pytest.importorskip("cv2")
     page = DOCS / "how-to" / "live.md"

@@ -12,7 +12,7 @@ from eagor.tasks.episodes import Slot
 from eagor.tasks.eyes import is_privileged
 from eagor.tasks.methods import NAMES, TrackerMethod
 from eagor.tasks.places import APARTMENT
-from eagor.tasks.play import Player
+from eagor.tasks.play import Player, Seen
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
 from eagor.tracking.estimate import Estimate
 
@@ -76,9 +76,9 @@ def play(seed: int, index: int, perception: str, say: bool = False) -> Search:
     found: dict[str, dict[str, Any]] = {}
     record: dict[str, Any] = {}
 
-    def keep(method: Any) -> None:
-        if isinstance(method, TrackerMethod):
-            estimates.append(method.estimate)
+    def keep(seen: Seen) -> None:
+        if isinstance(seen.method, TrackerMethod):
+            estimates.append(seen.method.estimate)
 
     with terminal.progress("searching", len(NAMES)) as advance:
         for name in NAMES:

@@ -32,7 +32,8 @@ class Result:
     """The result of one frame.
 
     `problem` says why the frame could not be used, if so; `evidence` has several items for several views; `looked` and
-    `lost` as in `Step`; `others` are the other methods' directions ``(3,)`` by name, None before their first.
+    `lost` as in `Step`; `position` of the camera, if known; `others` are the other methods' directions ``(3,)`` by
+    name, None before their first.
     """
 
     frame: str
@@ -43,6 +44,7 @@ class Result:
     problem: str | None
     looked: bool = True
     lost: bool = False
+    position: np.ndarray | None = None
     others: dict[str, np.ndarray | None] = field(default_factory=dict)
 
     @property
@@ -143,6 +145,7 @@ def follow(
             problem=problem,
             looked=step.looked,
             lost=step.lost,
+            position=step.pose.position,
             others={name: method.direction() for name, method in others.items()},
         )
         before = stamp

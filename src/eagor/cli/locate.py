@@ -29,6 +29,7 @@ from eagor.cli.looking import (
 )
 from eagor.cli.options import Locate
 from eagor.cli.steps import LEAST_ROWS, is_video
+from eagor.cli.stitched import LensPictures, film_of
 from eagor.cli.tables import table
 from eagor.cli.unseen import Unseen
 from eagor.drawing.words import STATUS, answer_in_words, distance_in_words, in_words, signed
@@ -86,11 +87,17 @@ def locate(options: Locate) -> int:
 
 def _frame(options: Locate, perception: Perception) -> PanoramaFile:
     """The photograph, or the frame of a video at ``--stamp`` seconds."""
+    start, rows = options.stamp or 0.0, max(rows_of(perception), LEAST_ROWS)
     if not is_video([options.panorama]):
+        if options.rig is not None:
+            return LensPictures(options.rig).read(options.panorama)
         return read_frame(options.panorama, options.force)
     from eagor.robots.video import Video
 
-    video = Video(options.panorama, start=options.stamp or 0.0, rows=max(rows_of(perception), LEAST_ROWS))
+    if options.rig is None:
+        video = Video(options.panorama, start=start, rows=rows)
+    else:
+        video = film_of([options.panorama], options.rig, start=start, rows=rows)
     say_of_video(options.panorama.name, video.facts, video.duration)
     first = next(iter(video))
     found = PanoramaFile(first.panorama, video.unseen, video.level_R_body)

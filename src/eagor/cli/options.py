@@ -12,6 +12,7 @@ from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg, subcommand
 
+from eagor.cli.camera_options import Camera
 from eagor.cli.live_options import Live
 from eagor.cli.robot_options import Robot
 from eagor.cli.ros_options import Ros
@@ -28,6 +29,8 @@ from eagor.cli.shared_options import (
     Modes,
     Name,
     Out,
+    Rerun,
+    RigFile,
     Rows,
     Scoring,
     TaskOfRun,
@@ -80,6 +83,7 @@ class Locate(Common):
     """Draw the belief over the panorama."""
     out: Out = None
     mask: Mask = None
+    rig: RigFile = None
     force: Force = False
 
 
@@ -132,8 +136,10 @@ class Track(Common):
     modes: Modes = 3
     picture: Annotated[Path | None, arg(name="pictures", metavar="DIR", help_behavior_hint="")] = None
     """Draw each frame with the belief into this folder."""
+    rerun: Rerun = None
     out: Out = None
     mask: Mask = None
+    rig: RigFile = None
     force: Force = False
 
 
@@ -305,6 +311,10 @@ class BenchFailures(Common):
     """Of a simulated task: whose episodes (default: eagor)."""
     limit: Whole = 20
     """Number of cases to list."""
+    rerun: Annotated[Path | None, bare("FILE.rrd")] = None
+    """Play the worst episode of a simulated task again and log it for the Rerun viewer (extra rerun)."""
+    episode: Annotated[str | None, bare("NAME")] = None
+    """With --rerun: this episode, as it is named in the list."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -426,6 +436,7 @@ Command = (
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[Calibrate, subcommand("calibrate")]
+    | Annotated[Camera, subcommand("camera")]
     | Annotated[Models, subcommand("models")]
     | Annotated[Doctor, subcommand("doctor")]
 )

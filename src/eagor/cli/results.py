@@ -52,6 +52,14 @@ def failures(options: BenchFailures) -> int:
         raise terminal.UsageError(f"--limit {options.limit}; wanted 0 or more")
     run = studies.read(options.run)
     worst = run.study.worst(run, options.method)
+    if options.rerun is not None:
+        from eagor.cli.looking import checked_out
+        from eagor.evaluation.watching import log_case
+
+        case = log_case(run, worst, options.episode, checked_out(options.rerun, "--rerun"))
+        terminal.log(f"{options.rerun}: {case}, for the Rerun viewer (rerun {options.rerun})")
+    elif options.episode is not None:
+        raise terminal.UsageError("--episode names the episode for --rerun FILE.rrd; give that, too")
     if options.json:
         terminal.emit(worst.said | {"cases": worst.cases[: options.limit]})
         return terminal.OK

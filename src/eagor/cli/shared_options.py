@@ -56,6 +56,14 @@ Out = Annotated[
     Path | None,
     bare("FILE", "Write the answer, one line per frame, to FILE.csv, FILE.jsonl or FILE.parquet (extra parquet)."),
 ]
+Rerun = Annotated[
+    Path | None,
+    bare("FILE.rrd", "Log panorama, belief, directions, pose and status for the Rerun viewer (extra rerun)."),
+]
+RigFile = Annotated[
+    Path | None,
+    bare("FILE.yaml", "Lenses, for pictures that are not stitched: their circles (eagor camera calibrate)."),
+]
 Mask = Annotated[
     Path | None,
     bare("FILE.png", "What the camera never sees (tripod, robot's back): black there, white elsewhere, 2:1."),

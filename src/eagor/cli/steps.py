@@ -17,6 +17,7 @@ import numpy as np
 
 from eagor.cli.looking import checked_frame, find_frames, read_frame
 from eagor.cli.poses import Pose, pair
+from eagor.cli.stitched import LensPictures
 from eagor.cli.terminal import UsageError
 from eagor.errors import EagorError, PoseError
 from eagor.robots.pictures import PanoramaFile
@@ -70,6 +71,7 @@ class Images:
     paths: tuple[Path, ...]
     rate: float
     force: bool
+    lenses: LensPictures | None = None
 
     @property
     def count(self) -> int:
@@ -80,9 +82,15 @@ class Images:
         return None
 
     def frames(self) -> Iterator[tuple[float, str, Read]]:
-        said: set[str] = set()
+        read = self.reader()
         for number, path in enumerate(self.paths):
-            yield number / self.rate, path.name, partial(read_frame, path, self.force, said)
+            yield number / self.rate, path.name, partial(read, path)
+
+    def reader(self) -> Callable[[Path], PanoramaFile]:
+        """What reads one of them."""
+        if self.lenses is not None:
+            return self.lenses.read
+        return partial(read_frame, force=self.force, said=set())
 
 
 @dataclass(frozen=True)
@@ -107,28 +115,25 @@ class Film:
             yield frame.stamp, frame.name, partial(checked_frame, found, frame.name, self.force, said)
 
 
-def is_video(places: Sequence[Path]) -> bool:
-    """Whether the one place is a video, by its name."""
-    return len(places) == 1 and places[0].suffix.lower() in VIDEOS and not places[0].is_dir()
+def is_video(places: Sequence[Path], rig: Path | None = None) -> bool:
+    """Whether the one place is a video, by its name; with a `rig` there may be one for each lens."""
+    many = len(places) > 1 and rig is None
+    return not many and all(place.suffix.lower() in VIDEOS and not place.is_dir() for place in places)
 
 
-def images(places: Sequence[Path], rate: float, force: bool) -> Images:
-    """The panoramas in a folder, or in image files."""
+def images(places: Sequence[Path], rate: float, force: bool, rig: Path | None = None) -> Images:
+    """The panoramas in a folder, or in image files; with a `rig`, pictures of lenses."""
     if films := [place for place in places if place.suffix.lower() in VIDEOS and not place.is_dir()]:
         raise UsageError(f"{films[0]} is a video, beside other files; give one video, a folder, or image files")
-    return Images(find_frames(places), rate, force)
+    return Images(find_frames(places), rate, force, None if rig is None else LensPictures(rig))
 
 
 def with_file(source: Source, poses: Sequence[Pose], name: Path) -> Iterator[Step]:
     """Frames with the poses of a file: images by name or in order, frames of a video by time."""
     if isinstance(source, Images):
-        force = source.force
         pairs = pair(poses, source.paths, name)
-        said: set[str] = set()
-        return (
-            Step(pose) if image is None else Step(pose, image.name, partial(read_frame, image, force, said))
-            for pose, image in pairs
-        )
+        read = source.reader()
+        return (Step(pose) if image is None else Step(pose, image.name, partial(read, image)) for pose, image in pairs)
     return _by_time(source, poses, name)
 
 

@@ -36,6 +36,7 @@ from eagor.cli.options import Track
 from eagor.cli.poses import Pose, read_poses
 from eagor.cli.shared_options import given
 from eagor.cli.steps import LEAST_ROWS, Film, Source, Step, images, is_video, thinned, with_file, with_imu, with_sight
+from eagor.cli.stitched import film_of
 from eagor.cli.tables import table
 from eagor.drawing.words import answer_in_words
 from eagor.errors import ImageError, PoseError
@@ -64,6 +65,7 @@ def track(options: Track) -> int:
     check_not_read(options.picture, "--pictures", places)
     check_not_read(options.video, "--video", places)
     check_not_read(options.page, "--page", places)
+    check_not_read(options.rerun, "--rerun", places)
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
     if options.modes < 1:
         raise terminal.UsageError(f"--modes {options.modes}; wanted 1 or more")
@@ -112,13 +114,11 @@ def _journey(options: Track, places: Sequence[Path], perception: Perception) -> 
         return _recorded(options, places[0], poses, perception)
     if given(options, ("image_topic", "odom_topic")):
         raise terminal.UsageError(f"--image-topic and --odom-topic are for a ROS 2 bag; {places[0]} is none")
-    if is_video(places):
-        from eagor.robots.video import Video
-
+    if is_video(places, options.rig):
         looks = options.rate or RATE
         shown = looks if options.video is None else max(looks, options.fps or FPS)
         rows = max(rows_of(perception), LEAST_ROWS)
-        video = Video(places[0], rate=shown, start=options.start, end=options.end, rows=rows)
+        video = _video(options, places, shown, rows)
         say_of_video(places[0].name, video.facts, video.duration)
         source: Source = Film(video, options.force)
         motion, end = video.motion, options.end or video.duration
@@ -128,7 +128,7 @@ def _journey(options: Track, places: Sequence[Path], perception: Perception) -> 
             raise terminal.UsageError(f"--{given(options, wrong)[0]} is for a video; these are images")
         if by_file and options.rate is not None:
             raise terminal.UsageError(f"--rate {options.rate:g}: {options.poses} tells when the images were taken")
-        source, motion, looks = images(places, options.rate or 1.0, options.force), None, None
+        source, motion, looks = images(places, options.rate or 1.0, options.force, options.rig), None, None
         shown = None if by_file else options.rate or 1.0
         span = poses[-1].stamp - poses[0].stamp if poses else (source.count - 1) / (options.rate or 1.0)
     if by_file:
@@ -146,6 +146,15 @@ def _journey(options: Track, places: Sequence[Path], perception: Perception) -> 
         many = "1 image" if source.count == 1 else f"{source.count} images"
         terminal.log(f"{many}, taken at {options.rate or 1.0:g} per second (--rate), {told}")
     return _Journey(thinned(steps, looks), source.count, told, poses, shown, span)
+
+
+def _video(options: Track, places: Sequence[Path], rate: float, rows: int) -> Any:
+    """The video, stitched with ``--rig``."""
+    if options.rig is not None:
+        return film_of(places, options.rig, rate=rate, start=options.start, end=options.end, rows=rows)
+    from eagor.robots.video import Video
+
+    return Video(places[0], rate=rate, start=options.start, end=options.end, rows=rows)
 
 
 def _recorded(options: Track, place: Path, poses: Sequence[Pose], perception: Perception) -> _Journey:
@@ -261,6 +270,8 @@ def _sinks(options: Track, query: str, spec: str, journey: _Journey) -> Iterator
         yield nullcontext(_painter(options.picture, query, options.modes))
     if options.video:
         yield _filmed(options.video, query, journey)
+    if options.rerun:
+        yield _logged(options.rerun, query)
     if options.page:
         used = {"perception": spec, "poses": journey.told}
         used |= {"calibration": str(options.calibration)} if options.calibration else {}
@@ -288,6 +299,22 @@ def _filmed(path: Path, query: str, journey: _Journey) -> Iterator[Sink]:
                     query=query,
                     problem=result.problem,
                 )
+
+        yield add
+
+
+@contextmanager
+def _logged(path: Path, query: str) -> Iterator[Sink]:
+    from eagor.drawing.rerun_log import RerunLog
+
+    with RerunLog(checked_out(path, "--rerun"), f"{query}: {path.name}") as log:
+
+        def add(result: Result) -> None:
+            if result.panorama is not None or result.told:
+                log.add(
+                    result.panorama, result.estimate, stamp=result.stamp, query=query, position=result.position,
+                    others=result.others, problem=result.problem,
+                )  # fmt: skip
 
         yield add
 

@@ -39,6 +39,25 @@ class Moment:
     position: np.ndarray
     evidence: Evidence | None
     other: Evidence | None = None
+    panorama: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """One step for whoever watches a method play: the `method` after its answer, and what it was given.
+
+    `panorama` ``(H, W, 3)`` uint8, or None if the perception needs none; `position` by odometry; `truth` ``(3,)``: the
+    true direction in the body frame, None while the target is away.
+    """
+
+    stamp: float
+    method: Method | None
+    panorama: np.ndarray | None
+    position: np.ndarray
+    truth: np.ndarray | None
+
+
+Watch = Callable[[Seen], object]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +81,13 @@ class Player:
     """Plays the episodes of one run.
 
     `config`: task, perception, rules, camera, disturbances (JSON of `eagor.tasks.rules`), rows of the panorama, and
-    optionally calibrated. `perception` and `kind` (the task): the objects, if they exist already.
+    optionally calibrated. `perception` and `kind` (the task): the objects, if they exist already. `rows` of panoramas
+    for whoever watches, where the perception needs none.
     """
 
-    def __init__(self, config: dict[str, Any], perception: Any = None, kind: task.Task | None = None) -> None:
+    def __init__(
+        self, config: dict[str, Any], perception: Any = None, kind: task.Task | None = None, rows: int | None = None
+    ) -> None:
         if perception is None:
             perception = shared(config["perception"])
         self.config = config
@@ -78,7 +100,7 @@ class Player:
         if given := config.get("calibrated"):
             found = from_json(given, "the run's calibration")
             self.ours = BASE.fitted(found.calibration, found.detector, found.forgetting)
-        rows = None if is_privileged(perception) else int(config["rows"])
+        rows = rows if is_privileged(perception) else int(config["rows"])
         self.env: PlaceEnv = self.task.environment(
             rules=self.rules, camera=self.camera, disturbances=self.disturbances, panorama=rows
         )
@@ -87,19 +109,17 @@ class Player:
         """The episode of this slot."""
         return self.env.plan(slot)
 
-    def play(
-        self, slot: Slot, names: list[str], watch: Callable[[Method | None], object] | None = None
-    ) -> dict[str, Any]:
+    def play(self, slot: Slot, names: list[str], watch: Watch | None = None) -> dict[str, Any]:
         """The record of one episode: its description, the truth, and each method's metrics and trace.
 
-        `watch` is called with the method after each of its answers, if the task is walked.
+        `watch` is called after each answer of each method.
         """
         episode = self.plan(slot)
         body: dict[str, Any] = {"task": self.task.name, "episode": episode.as_json()}
         if self.task.walked:
             return body | {"methods": {name: self._walk(episode, name, watch) for name in names}}
-        recording = self.record(episode)
-        judged = {name: self.judge(recording, self.method(name, slot)) for name in names}
+        recording = self.record(episode, panoramas=watch is not None)
+        judged = {name: self.judge(recording, self.method(name, slot), watch=watch) for name in names}
         looked = {"looked": recording.looked} if recording.looked else {}
         return body | looked | {"truth": recording.truth, "methods": judged}
 
@@ -119,7 +139,7 @@ class Player:
         image = info["instances"]["ids"] if eye.privileged else observation["panorama"]
         return eye.look(image, query or info["query"], stamp, info["truth"]["world_R_body"])
 
-    def _walk(self, episode: Episode, name: str, watch: Callable[[Method | None], object] | None) -> dict[str, Any]:
+    def _walk(self, episode: Episode, name: str, watch: Watch | None) -> dict[str, Any]:
         """One method through one episode in which it steers the body."""
         observation, info, eye = self._begin(episode)
         method = None if name == ORACLE else self.method(name, episode.slot)
@@ -139,9 +159,10 @@ class Player:
             places.append(info["truth"]["position"])
             _note_truth(trace, info, "true_")
             _note_answer(trace, method, direction, directions[-1])
-            if watch is not None:
-                watch(method)
             pose = observation["pose"]
+            if watch is not None:
+                stamp = info["num_steps"] * self.camera.seconds
+                watch(Seen(stamp, method, observation.get("panorama"), pose[:3], directions[-1]))
             ahead = rotation_from_wxyz(pose[3:])[:, 0]
             azimuth, yaw = float(azimuth_elevation(direction)[0]), math.atan2(ahead[1], ahead[0])
             heading = policy.heading(azimuth, pose[:2], yaw)
@@ -155,8 +176,8 @@ class Player:
         found, looked = _rounded(self.task.measure(played)), eye.account()
         return {"metrics": found, "trace": dict(trace)} | ({"looked": looked} if looked else {})
 
-    def record(self, episode: Episode, other: str = "") -> Recording:
-        """An episode that is not walked, as every method gets it; `other`: a second query to ask."""
+    def record(self, episode: Episode, other: str = "", panoramas: bool = False) -> Recording:
+        """An episode that is not walked, as every method gets it; `other`: a second query; with `panoramas` or not."""
         observation, info, eye = self._begin(episode)
         second = open_eye(
             self.perception, info["instances"]["labels"], int(episode.slot.rng("other").integers(1 << 31))
@@ -171,7 +192,8 @@ class Player:
             true, pose = info["truth"], observation["pose"]
             stamp = info["num_steps"] * self.camera.seconds
             also = self._look(second, observation, info, other) if other else None
-            moments.append(Moment(stamp, rotation_from_wxyz(pose[3:]), pose[:3], due, also))
+            image = observation.get("panorama") if panoramas else None
+            moments.append(Moment(stamp, rotation_from_wxyz(pose[3:]), pose[:3], due, also, image))
             _note_truth(truth, info, "")
             truth["present"].append(bool(true["present"]))
             if "waypoint" in info:
@@ -188,7 +210,9 @@ class Player:
         motion = metrics.ego_motion(np.array(poses), np.array(places))
         return Recording(episode, dict(truth), tuple(moments), true_directions, *motion, eye.account() or None)
 
-    def judge(self, recording: Recording, method: Method, regions: bool = True) -> dict[str, Any]:
+    def judge(
+        self, recording: Recording, method: Method, regions: bool = True, watch: Watch | None = None
+    ) -> dict[str, Any]:
         """The metrics and trace of a method on a recorded episode.
 
         Without `regions`, coverage and distance are left out, which saves half of the time.
@@ -202,6 +226,8 @@ class Player:
             said.append(method.direction())
             true = recording.directions[index] if recording.truth["present"][index] else None
             _note_answer(trace, method if regions else None, said[-1], true)
+            if watch is not None:
+                watch(Seen(moment.stamp, method, moment.panorama, moment.position, true))
         played = Played(
             recording.truth, trace, recording.directions, np.array(said), recording.rotations, recording.translations,
             self.rules, self.camera,

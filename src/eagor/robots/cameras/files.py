@@ -22,7 +22,7 @@ from eagor.robots.said import read_said
 from eagor.robots.video import Video
 from eagor.worlds.panorama import read_panorama
 
-__all__ = ["Film", "FolderCamera", "VideoCamera", "partner_of"]
+__all__ = ["Film", "FolderCamera", "VideoCamera", "lens_videos", "partner_of"]
 
 RATE = 1.0  # pictures per second of a folder whose files do not tell times
 APART = 0.02  # seconds by which the pictures of two lenses may differ in time, beside half an interval
@@ -72,19 +72,40 @@ class Film:
         self.facts, self.motion, self.level_R_body = first.facts, first.motion, None
 
     def __iter__(self) -> Iterator[Frame]:
-        interval = 1 / (self.frame_rate or 25.0)
-        for frames in zip_longest(*self._videos):
-            if None in frames:
-                raise ImageError(
-                    f"{self.path}: the video of one lens ends before that of the other; what both have was taken"
-                )
-            stamps = [frame.stamp for frame in frames]
-            if max(stamps) - min(stamps) > interval / 2 + APART:
-                raise ImageError(
-                    f"{frames[0].name} and {frames[1].name} are {max(stamps) - min(stamps):.3f} s apart: these are not "
-                    "the two lenses of one recording. Give the two files of one moment"
-                )
-            yield Frame(stamps[0], self.panoramas.make(*(frame.panorama for frame in frames)), frames[0].name)
+        for frames in _together(self._videos):
+            pictures = (frame.panorama for frame in frames)
+            yield Frame(frames[0].stamp, self.panoramas.make(*pictures), frames[0].name)
+
+
+def lens_videos(
+    paths: Sequence[Path], count: int | None = None, *, rate: float | None = None, start: float = 0.0
+) -> Iterator[tuple[Frame, ...]]:
+    """The lenses' pictures as they are, of each moment of a video; `count`: how many there are, if known.
+
+    Unless it is, a file with several tracks has as many, and of two Insta360 recordings both are taken.
+    """
+    found = [Path(path) for path in paths]
+    if count is None and len(found) == 1 and found[0].is_file():
+        tracks = read_said(str(found[0]), lenses=True).tracks
+        count = tracks if tracks > 1 else 2 if partner_of(found[0]) else 1
+    files = _lens_files(found, len(found) if count is None else count)
+    yield from _together([Video(path, track=track, lenses=True, rate=rate, start=start) for path, track in files])
+
+
+def _together(videos: Sequence[Video]) -> Iterator[tuple[Frame, ...]]:
+    """The frames of several lenses at each moment. Raises `ImageError` where their times differ."""
+    interval = 1 / (videos[0].frame_rate or 25.0)
+    for frames in zip_longest(*videos):
+        if None in frames:
+            name = videos[0].path
+            raise ImageError(f"{name}: the video of one lens ends before that of the other; what both have was taken")
+        stamps = [frame.stamp for frame in frames]
+        if max(stamps) - min(stamps) > interval / 2 + APART:
+            raise ImageError(
+                f"{frames[0].name} and {frames[1].name} are {max(stamps) - min(stamps):.3f} s apart: these are not the "
+                "two lenses of one recording. Give the two files of one moment"
+            )
+        yield frames
 
 
 def _lens_files(paths: Sequence[Path], count: int) -> list[tuple[Path, int]]:

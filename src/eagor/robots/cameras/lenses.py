@@ -8,6 +8,7 @@ counts from that centre: add 0.5 to the centre of a calibration made with it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from eagor._checks import above, within
 from eagor.errors import GridError
 from eagor.sphere import check_rotation
 
-__all__ = ["FisheyeLens", "Lens", "PinholeLens"]
+__all__ = ["FisheyeLens", "Lens", "PinholeLens", "inverted"]
 
 WIDEST = math.radians(280)  # full field of a fisheye: beyond, there is no glass
 NEWTON = 12  # rounds; each doubles the digits, and the start is within a few degrees
@@ -109,11 +110,7 @@ class FisheyeLens:
 
     def angle_at(self, radius: np.ndarray) -> np.ndarray:
         """Angle off the axis (radians) at radii (pixels), by Newton's method; beyond the rim it goes on straight."""
-        inside = np.minimum(radius, self.radius) / self.focal
-        angle = np.minimum(inside, self.reach)
-        for _ in range(NEWTON if any(self.polynomial) else 1):
-            angle = angle - (_odd(self.polynomial, angle) - inside) / np.maximum(_slope(self.polynomial, angle), 1e-3)
-            angle = np.clip(angle, 0, self.reach * 1.001)
+        angle = inverted(self.polynomial, np.minimum(radius, self.radius) / self.focal, self.reach * 1.001)
         slope = max(float(_slope(self.polynomial, np.array(self.reach))), 1e-3)
         return angle + np.maximum(radius - self.radius, 0) / (self.focal * slope)
 
@@ -230,7 +227,16 @@ class PinholeLens:
 Lens = FisheyeLens | PinholeLens
 
 
-def _odd(polynomial: tuple[float, ...], angle: np.ndarray) -> np.ndarray:
+def inverted(polynomial: Sequence[float], values: np.ndarray, highest: float) -> np.ndarray:
+    """The angles, 0 to `highest`, at which ``angle + k1 angle^3 + ...`` has these `values`: Newton's method."""
+    angle = np.minimum(values, highest)
+    for _ in range(NEWTON if any(polynomial) else 1):
+        angle = angle - (_odd(polynomial, angle) - values) / np.maximum(_slope(polynomial, angle), 1e-3)
+        angle = np.clip(angle, 0, highest)
+    return angle
+
+
+def _odd(polynomial: Sequence[float], angle: np.ndarray) -> np.ndarray:
     """angle + k1 angle^3 + k2 angle^5 + ..."""
     squared, total = angle * angle, np.zeros_like(angle)
     for k in reversed(polynomial):
@@ -238,7 +244,7 @@ def _odd(polynomial: tuple[float, ...], angle: np.ndarray) -> np.ndarray:
     return angle * (1 + total)
 
 
-def _slope(polynomial: tuple[float, ...], angle: np.ndarray) -> np.ndarray:
+def _slope(polynomial: Sequence[float], angle: np.ndarray) -> np.ndarray:
     """The derivative of `_odd`."""
     squared, total = angle * angle, np.zeros_like(angle)
     for power in range(len(polynomial), 0, -1):

@@ -1,0 +1,246 @@
+"""``eagor camera``: fit lenses, show how they fit, estimate the latency."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eagor.cli import terminal
+from eagor.cli.camera_options import Camera, CameraCalibrate, CameraLatency, CameraView
+from eagor.cli.looking import check_not_read, checked_out, checked_picture, keep_picture
+from eagor.cli.steps import VIDEOS
+from eagor.errors import DeviceError, ImageError
+
+if TYPE_CHECKING:
+    from eagor.robots.cameras.rig import Rig
+    from eagor.robots.frames import Frame
+
+WANTED = 0.3  # degrees: a lens that is known so well everywhere needs no more pictures
+APART = 1.0  # degrees: a median gap in the overlap above it means that the rig does not fit
+IDEAL = 200.0  # degrees across the circles of a camera of which nothing is known
+LONGEST = 120.0  # seconds between two pictures of a live camera before it is given up
+
+
+def camera(options: Camera) -> int:
+    """Run the command; returns its exit code."""
+    action = options.action
+    if isinstance(action, CameraCalibrate):
+        return calibrate(action)
+    return view(action) if isinstance(action, CameraView) else latency(action)
+
+
+def calibrate(options: CameraCalibrate) -> int:
+    """``eagor camera calibrate``."""
+    from eagor.robots.cameras.calibrating import ROUNDS
+    from eagor.robots.cameras.calibrating import calibrate as fit
+    from eagor.robots.cameras.rig_files import read_rig, write_rig
+
+    if options.field is not None and not 100 <= options.field <= 280:
+        raise terminal.UsageError(f"--field {options.field:g}; wanted degrees from rim to rim, 100 to 280")
+    if options.field is not None and options.rig is not None:
+        raise terminal.UsageError("--field and --rig exclude each other: the rig has a field")
+    if not (math.isfinite(options.every) and options.every > 0):
+        raise terminal.UsageError(f"--every {options.every:g}; wanted seconds above 0")
+    out = checked_out(options.out)
+    check_not_read(out, "--out", [Path(part) for text in options.pictures for part in text.split(",")])
+    rig = None if options.rig is None else read_rig(options.rig)
+    moments = _moments(options.pictures, options.every)
+    fov = None if options.field is None else math.radians(options.field)
+    with terminal.progress("looking", ROUNDS * len(moments), shown=not options.json) as advance:
+        found = fit(moments, rig=rig, fov=fov, turned=options.turned, on_step=advance)
+    how = "a camera that turned in place" if options.turned else "the overlap of the lenses alone"
+    pairs, gap, before, worst = found.pairs, *(math.degrees(a) for a in (found.gap, found.before, found.worst))
+    notes = [
+        "The lenses of a camera, by eagor camera calibrate: pixels and degrees.",
+        f"From {found.used} pictures of {how}: {pairs[0]} + {pairs[1]} pairs, median gap {gap:.3f} degrees (before: "
+        f"{before:.3f}); known to {worst:.2f} degrees.",
+    ]
+    write_rig(found.rig, out, notes)
+    angles = [round(math.degrees(angle), 1) for angle in found.angles]
+    named = zip((lens.name for lens in found.rig.lenses), found.spreads, strict=True)
+    spreads = {name: [round(math.degrees(value), 4) for value in each] for name, each in named}
+    if options.json:
+        fitted = {"moments": found.used, "pairs": list(pairs), "gap_deg": round(gap, 5), "before_deg": round(before, 5)}
+        known = {"angles_deg": angles, "spreads_deg": spreads, "worst_deg": round(worst, 4)}
+        terminal.emit({"out": str(out), "turned": options.turned} | fitted | known)
+    else:
+        print(f"{found.used} pictures; seen twice: {pairs[0]} things by both lenses, {pairs[1]} in two pictures")
+        print(f"gap between their rays, median: {gap:.3f} deg (before the fit {before:.3f})")
+        for lens in found.rig.lenses:
+            wide = 2 * math.degrees(lens.reach)
+            print(f"  {lens.name:6s} centre {_numbers(lens.centre)}, {wide:.1f} deg from rim to rim")
+        print("how far directions may be off (standard deviation, degrees) at degrees off the axis:")
+        print("  " + f"{'':6s}" + "".join(f"{angle:8.0f}" for angle in angles))
+        for name, each in spreads.items():
+            print(f"  {name:6s}" + "".join(f"{value:8.3f}" for value in each))
+        print(f"Written to {out}; other commands take it as --rig {out}")
+    if worst > WANTED:
+        advice = (
+            "give more pictures, at more headings"
+            if options.turned
+            else "the overlap does not tell what is inside the circles, where the lenses are taken to be nearly "
+            "equidistant and alike. Pictures of a camera that turns in place do: --turned"
+        )
+        terminal.warning(f"the lenses are known to {worst:.2f} degrees only, wanted {WANTED:g}: {advice}")
+    return terminal.OK
+
+
+def view(options: CameraView) -> int:
+    """``eagor camera view``."""
+    from PIL import Image
+
+    from eagor.robots.cameras.overlap import overlap_of, with_seam
+    from eagor.robots.cameras.rig import dual_fisheye
+    from eagor.robots.cameras.rig_files import read_rig
+    from eagor.robots.cameras.stitching import Stitcher
+
+    inputs = [Path(part) for part in options.picture.split(",")]
+    for option, path in (("--out", options.out), ("--stitched", options.stitched)):
+        if path is not None:
+            check_not_read(path, option, inputs)
+            checked_picture(path)
+    if options.rows is not None and options.rows < 8:
+        raise terminal.UsageError(f"--rows {options.rows}; wanted 8 or more")
+    rig = None if options.rig is None else read_rig(options.rig)
+    pictures = list(next(_film(inputs, rig, options.stamp))) if _is_film(inputs) else _read(options.picture)
+    if rig is None:
+        if len(pictures) > 1:
+            raise terminal.UsageError("several pictures of one moment need --rig FILE.yaml, which says where they look")
+        rig = dual_fisheye(pictures[0].shape[1], pictures[0].shape[0], math.radians(IDEAL))
+        terminal.log(f"no --rig: two ideal lenses of {IDEAL:g} degrees are taken, side by side")
+    found = overlap_of(rig, pictures, options.rows)
+    if options.out is not None:
+        keep_picture(Image.fromarray(with_seam(rig, pictures, options.rows)), options.out)
+    if options.stitched is not None:
+        sizes = tuple((picture.shape[1], picture.shape[0]) for picture in pictures)
+        own = rig.scaled(rig.factor_of(sizes, options.picture))
+        keep_picture(Image.fromarray(Stitcher(own, options.rows).stitch(*pictures)), options.stitched)
+    gaps = np.degrees(found.gaps)
+    median, ninety = (None, None) if len(gaps) == 0 else (float(q) for q in np.quantile(gaps, [0.5, 0.9]))
+    if options.json:
+        fields = {"points": len(gaps), "median_deg": median, "ninety_deg": ninety, "grey_levels": found.grey}
+        told = {key: round(value, 4) if isinstance(value, float) else value for key, value in fields.items()}
+        terminal.emit({"picture": options.picture, "overlap_share": round(found.share, 5)} | told)
+        return terminal.OK
+    print(f"overlap      {100 * found.share:.1f} % of the sphere is seen by two lenses")
+    if median is None:
+        print("directions   nothing was found that both lenses see")
+    else:
+        print(f"directions   {median:.2f} deg apart (median of {len(gaps)} things; 90 % within {ninety:.2f})")
+    if found.grey is not None:
+        print(f"brightness   {found.grey:.1f} grey levels of 255 apart, on average")
+    if options.out is not None:
+        print(f"Drawn in {options.out}: the rims of the lenses, and below where they differ")
+    if median is not None and median > APART:
+        terminal.warning(
+            f"the lenses disagree by {median:.1f} degrees: this rig does not fit the camera, or things in the overlap "
+            "are nearer than a metre. Fit one: eagor camera calibrate"
+        )
+    return terminal.OK
+
+
+def latency(options: CameraLatency) -> int:
+    """``eagor camera latency``."""
+    from eagor.cli.poses import read_poses
+    from eagor.robots.cameras.latency import latency_between, steps_of
+    from eagor.robots.cameras.opening import open_camera
+    from eagor.robots.frames import Pose
+
+    for name in ("rate", "seconds", "most"):
+        if not (math.isfinite(value := getattr(options, name)) and value > 0):
+            raise terminal.UsageError(f"--{name} {value:g}; wanted a number above 0")
+    source = open_camera(options.source, rig=options.rig, rate=options.rate, rows=512)
+    try:
+        if not source.live:
+            read_poses(options.poses)  # a mistake in it is told before the work
+        else:
+            terminal.log(f"looking for {options.seconds:g} s: turn the camera left and right, briskly")
+        steps = steps_of(_for_a_while(source, options.seconds), level=options.level)
+    finally:
+        source.close()
+    poses = [Pose(each.stamp, each.world_R_body, each.position) for each in read_poses(options.poses)]
+    found = latency_between(steps, poses, most=options.most)
+    low, high = found.interval
+    if options.json:
+        told: dict[str, Any] = {
+            "latency_s": found.seconds,
+            "low_s": low,
+            "high_s": high,
+            "correlation": found.correlation,
+        }
+        terminal.emit(
+            {key: round(value, 5) for key, value in told.items()} | {"steps": found.steps, "mirrored": found.mirrored}
+        )
+    else:
+        print(f"latency      {found.seconds:.3f} s, with 95 % from {low:.3f} to {high:.3f}")
+        print(f"correlation  {found.correlation:.2f}, over {found.steps} steps from picture to picture")
+        if found.seconds >= 0:
+            print(f"Other commands take it as --latency {found.seconds:.3f}")
+    if found.mirrored:
+        terminal.warning(
+            "the pictures turn the other way than odometry: the camera is upside down, its pictures are mirrored, or "
+            "odometry's yaw is positive to the right"
+        )
+    if found.seconds < 0 and high < 0:
+        terminal.warning("pictures come before odometry: it is odometry that is late, or their clocks differ")
+    return terminal.OK
+
+
+def _for_a_while(source: Any, seconds: float) -> Iterator[Frame]:
+    """The frames; of a live source, those of so many seconds. Shows progress."""
+    begin = time.monotonic()
+    with terminal.progress("looking", None) as advance:
+        for frame in source:
+            yield frame
+            advance()
+            if source.live and time.monotonic() - begin > seconds:
+                return
+            if source.live and source.problem is not None and time.monotonic() - begin > LONGEST:
+                raise DeviceError(source.problem)
+
+
+def _moments(texts: Sequence[str], every: float) -> list[tuple[np.ndarray, ...]]:
+    """The pictures of each moment: of files, or of one video every so many seconds."""
+    first = [Path(part) for part in texts[0].split(",")]
+    if len(texts) == 1 and _is_film(first):
+        return list(_film(first, None, 0.0, 1 / every))
+    return [tuple(_read(text)) for text in texts]
+
+
+def _is_film(paths: Sequence[Path]) -> bool:
+    return all(path.suffix.lower() in VIDEOS and not path.is_dir() for path in paths)
+
+
+def _film(
+    paths: Sequence[Path], rig: Rig | None, start: float, rate: float | None = None
+) -> Iterator[tuple[np.ndarray, ...]]:
+    """The lenses' pictures of a video, from `start` on."""
+    from eagor.robots.cameras.files import lens_videos
+
+    count = 0
+    for frames in lens_videos(paths, None if rig is None else len(rig.sizes), rate=rate, start=start):
+        count += 1
+        yield tuple(frame.panorama for frame in frames)
+    if not count:
+        raise ImageError(f"{paths[0]} has no picture from {start:g} s on")
+
+
+def _read(text: str) -> list[np.ndarray]:
+    """The picture in a file, or those of FRONT,BACK."""
+    import warnings
+
+    from eagor.worlds.panorama import read_panorama
+
+    paths = [text] if Path(text).exists() else text.split(",")
+    with warnings.catch_warnings():  # of shapes: they are no panoramas
+        warnings.simplefilter("ignore")
+        return [read_panorama(path) for path in paths]
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:.1f}" for value in values)

@@ -1,0 +1,163 @@
+"""Logs for the Rerun viewer: they hold what was answered, and the viewer opens them."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from eagor import DirectionTracker, Evidence
+from eagor.cli import main
+from eagor.drawing.rerun_log import RerunLog
+from eagor.errors import EagorError, StorageError
+from eagor.sphere import azimuth_elevation, world_R_body
+from eagor.worlds.painted import painted_room
+
+VIEWER = Path(sys.executable).with_name("rerun")
+
+
+def read(path) -> dict[str, list[tuple[float, np.ndarray]]]:
+    """Each component by entity and name, with its times in seconds."""
+    from rerun.chunk import RrdReader
+
+    found: dict[str, list[tuple[float, np.ndarray]]] = {}
+    for chunk in RrdReader(path).stream():
+        batch = chunk.to_record_batch()
+        names = batch.schema.names
+        times = None
+        if "time" in names:
+            column = batch.column("time").cast("int64")
+            times = np.array(column.to_pylist(), dtype=float) / 1e9
+        for name in names:
+            if ":" not in name:
+                continue
+            for row, value in enumerate(batch.column(name).to_pylist()):
+                if value is not None:
+                    at = np.nan if times is None else times[row]
+                    found.setdefault(f"{chunk.entity_path} {name}", []).append((at, np.array(value, dtype=object)))
+    return found
+
+
+@pytest.fixture(scope="module")
+def followed(tmp_path_factory):
+    """A red ball followed through six turned pictures, with a log and the answers."""
+    folder = tmp_path_factory.mktemp("rerun")
+    room = painted_room(128, 256)
+    lines = ["stamp,yaw_deg,pitch_deg,roll_deg,x,y,z,frame"]
+    (folder / "frames").mkdir()
+    for k in range(6):
+        Image.fromarray(np.roll(room, 16 * k, axis=1)).save(folder / "frames" / f"{k}.png")
+        lines.append(f"{k / 2},{22.5 * k},0,0,{0.1 * k},0,1,{k}.png")
+    (folder / "poses.csv").write_text("\n".join(lines) + "\n")
+    words = ["track", folder / "frames", "the red ball", "--poses", folder / "poses.csv"]
+    words += ["--out", folder / "found.jsonl", "--rerun", folder / "run.rrd"]
+    assert main([str(word) for word in words]) == 0
+    return folder
+
+
+def test_the_viewers_own_check_finds_no_fault(followed):
+    run = subprocess.run([VIEWER, "rrd", "verify", followed / "run.rrd"], capture_output=True, text=True, timeout=120)
+    assert run.returncode == 0, run.stderr
+    assert "verified without error" in run.stdout + run.stderr
+
+
+def test_a_log_holds_the_answers_of_the_table(followed):
+    rows = [json.loads(line) for line in (followed / "found.jsonl").read_text().splitlines()]
+    log = read(followed / "run.rrd")
+
+    def plotted(what: str) -> list[float]:
+        (name,) = (key for key in log if key.startswith(f"/plots/{what} ") and "scalars" in key)
+        assert [at for at, _ in log[name]] == [row["stamp"] for row in rows]
+        return [float(value[0]) for _, value in log[name]]
+
+    np.testing.assert_allclose(plotted("angles/the_red_ball/azimuth"), [row["azimuth_deg"] for row in rows], atol=0.01)
+    np.testing.assert_allclose(plotted("presence/the_red_ball/presence"), [row["presence"] for row in rows], atol=1e-6)
+    (vectors,) = (
+        value for key, value in log.items() if key.startswith("/world/body/the_red_ball") and "vectors" in key
+    )
+    last = np.array(vectors[-1][1].tolist(), dtype=float)[-1]
+    azimuth, elevation = azimuth_elevation(last / np.linalg.norm(last))
+    assert abs(np.degrees(float(azimuth)) - rows[-1]["azimuth_deg"]) < 0.1
+    assert abs(np.degrees(float(elevation)) - rows[-1]["elevation_deg"]) < 0.1
+    (places,) = (value for key, value in log.items() if key.startswith("/world/body Transform3D:translation"))
+    np.testing.assert_allclose(
+        [np.array(v.tolist(), float).ravel()[0] for _, v in places], 0.1 * np.arange(6), atol=1e-6
+    )
+    assert any("TextLog:text" in key for key in log)
+
+
+def test_the_viewer_shows_it(followed):
+    """A picture of the viewer without a screen; it is not blank, and the belief glows on the panorama."""
+    if shutil.which("xvfb-run") is None:
+        pytest.skip("needs xvfb and mesa-vulkan-drivers (apt-get install): a screen and a GPU in software")
+    picture = followed / "shown.png"
+    command = ["xvfb-run", "-a", VIEWER, followed / "run.rrd", "--screenshot-to", picture, "--window-size", "1000x700"]
+    env = {**os.environ, "XDG_RUNTIME_DIR": str(followed), "HOME": str(followed), "RERUN_ANALYTICS_ENABLED": "false"}
+    run = subprocess.run(command, capture_output=True, text=True, timeout=300, env=env)
+    if not picture.exists() and "Vulkan" in run.stderr and "llvmpipe" not in run.stderr:
+        pytest.skip("no Vulkan driver (apt-get install mesa-vulkan-drivers)")
+    assert picture.exists(), run.stderr[-2000:]
+    pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)
+    height, width = pixels.shape[:2]
+    left = pixels[: height // 2, : width // 2]
+    orange = (left[..., 0] > 200) & (left[..., 1] > 90) & (left[..., 1] < 200) & (left[..., 2] < 90)
+    assert orange.sum() > 30  # the arrow and the region
+    assert len(np.unique(left.reshape(-1, 3), axis=0)) > 1000  # a panorama, not a plain ground
+
+
+def test_episodes_of_a_run_are_played_again_with_the_same_figures(tmp_path, capsys):
+    run, log = tmp_path / "run", tmp_path / "worst.rrd"
+    words = ["bench", "run", "tracking", "--perception", "truth", "--episodes", "2", "--seed", "3"]
+    assert main([*words, "--methods", "eagor", "vmf", "--out", str(run)]) == 0
+    assert main(["bench", "failures", str(run), "--episode", "3-1", "--rerun", str(log)]) == 0
+    records = [json.loads(line) for path in run.rglob("*.jsonl") for line in path.read_text().splitlines()]
+    (record,) = (each for each in records if each.get("episode", {}).get("id") == "3-1")
+    found = read(log)
+    (name,) = (key for key in found if key.startswith("/plots/angles/") and "azimuth" in key and "scalars" in key)
+    azimuths = [float(value[0]) for _, value in found[name]]
+    said = record["methods"]["eagor"]["trace"]["azimuth_deg"]
+    assert len(azimuths) == len(said)
+    off = [abs((a - b + 180) % 360 - 180) for a, b in zip(azimuths, said, strict=True) if not np.isnan(a)]
+    assert len(off) > len(said) // 2
+    assert max(off) < 0.01
+    capsys.readouterr()
+    assert main(["bench", "failures", str(run), "--episode", "9-9", "--rerun", str(log)]) == 2
+    assert "no case '9-9'; it has 3-" in capsys.readouterr().err
+    assert main(["bench", "failures", str(run), "--method", "vmf", "--rerun", str(log)]) == 2
+    assert "vmf keeps no belief" in capsys.readouterr().err
+    assert main(["bench", "failures", str(run), "--episode", "3-1"]) == 2
+    assert "give that, too" in capsys.readouterr().err
+
+
+def estimate(stamp: float):
+    tracker = DirectionTracker()
+    tracker.add_pose(stamp, world_R_body(0.3))
+    tracker.observe(Evidence.from_points(np.array([[0.0, 1.0, 0.0]]), stamp=stamp))
+    return tracker.estimate(stamp)
+
+
+def test_dates_several_queries_and_lines_of_text(tmp_path):
+    path = tmp_path / "live.rrd"
+    with RerunLog(path) as log:
+        log.add(None, estimate(1.7e9), stamp=1.7e9, query="a chair")
+        log.add(None, estimate(1.7e9), stamp=1.7e9, query="椅子")
+        log.say(1.7e9 + 1, "the camera is gone")
+    found = read(path)
+    assert {key.split()[0] for key in found if key.startswith("/world/body/")} >= {"/world/body/a_chair"}
+    assert any("椅子" in key for key in found)
+    with pytest.raises(StorageError, match="is closed"):
+        log.say(1.7e9 + 2, "more")
+
+
+def test_what_cannot_be_written_is_said(tmp_path):
+    with pytest.raises(EagorError, match=r"does not end in \.rrd"):
+        RerunLog(tmp_path / "run.mp4")
+    with pytest.raises(StorageError, match="cannot be written"):
+        RerunLog(tmp_path / "none" / "run.rrd")
