@@ -1,0 +1,581 @@
+"""Sources of pictures: files, streams, pipes; each keeps the contract, and says in words what is wrong."""
+
+import io
+import socket
+import struct
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from itertools import pairwise
+from types import SimpleNamespace
+
+import clips
+import numpy as np
+import pytest
+from PIL import Image
+
+from eagor.errors import DeviceError, FormatError, ImageError, TimeError
+from eagor.robots.cameras import Newest, check_camera, dual_fisheye, open_camera, seen_by, write_rig
+from eagor.robots.cameras.clock import PROBATION, StreamClock
+from eagor.robots.cameras.feeds import Feed
+from eagor.robots.cameras.live import LiveCamera
+from eagor.robots.cameras.pipes import raw_pipe
+from eagor.robots.cameras.streams import Stream, device
+from eagor.robots.frames import Frame
+from eagor.worlds.painted import painted_room
+
+av = pytest.importorskip("av")
+ROOM = clips.ROOM
+LENSES = dual_fisheye(256, 128)
+CIRCLES = seen_by(LENSES, painted_room(128, 256))[0]
+WAIT = 30.0  # seconds: far more than anything here takes
+
+
+def until(holds, what):
+    """Wait for an event."""
+    end = time.monotonic() + WAIT
+    while not holds():
+        assert time.monotonic() < end, f"no {what} within {WAIT:g} s"
+        time.sleep(0.01)
+
+
+def free_port(kind):
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@contextmanager
+def sending(address, *, picture=ROOM, rate=25, container="mpegts"):
+    """A thread that sends pictures to an address in real time; yields the function that stops it."""
+    stop = threading.Event()
+
+    def send():
+        with av.open(address, "w", format=container) as output:
+            stream = output.add_stream("libx264", rate=rate)
+            stream.height, stream.width = picture.shape[:2]
+            stream.pix_fmt, stream.options = "yuv420p", {"g": "5", "tune": "zerolatency", "preset": "ultrafast"}
+            begin, k = time.monotonic(), 0
+            while not stop.is_set():
+                frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+                frame.pts = k
+                output.mux(stream.encode(frame))
+                k += 1
+                stop.wait(max(0.0, begin + k / rate - time.monotonic()))
+
+    thread = threading.Thread(target=send, daemon=True)
+    thread.start()
+
+    def ended():
+        stop.set()
+        thread.join(WAIT)
+
+    try:
+        yield ended
+    finally:
+        ended()
+
+
+def raw(pictures, stamps=None):
+    """Pictures as bytes, each after its stamp if there are stamps."""
+    heads = [b""] * len(pictures) if stamps is None else [struct.pack("<d", stamp) for stamp in stamps]
+    return io.BytesIO(b"".join(head + picture.tobytes() for head, picture in zip(heads, pictures, strict=True)))
+
+
+class Slow(io.RawIOBase):
+    """A pipe that gives a picture each `pause` seconds, and then stays open until `close`."""
+
+    def __init__(self, data, size, pause=0.02):
+        self.data, self.size, self.pause, self.shut = data, size, pause, threading.Event()
+
+    def read(self, count=-1):
+        time.sleep(self.pause if self.data.tell() % self.size == 0 else 0)
+        found = self.data.read(count)
+        if not found:
+            self.shut.wait(WAIT)
+        return found
+
+    def close(self):
+        self.shut.set()
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+def folder(tmp_path, pictures, names=None):
+    place = tmp_path / "frames"
+    place.mkdir()
+    for number, picture in enumerate(pictures):
+        Image.fromarray(picture).save(place / (f"{number}.png" if names is None else names[number]))
+    return place
+
+
+def test_a_folder_keeps_the_contract(tmp_path):
+    place = folder(tmp_path, clips.rolled(12))
+    check_camera(open_camera(str(place)))
+    frames = list(open_camera(str(place), rate=4, latency=0.5, rows=32))
+    assert [frame.stamp for frame in frames] == [k / 4 - 0.5 for k in range(12)]
+    assert [frame.name for frame in frames] == [f"{k}.png" for k in range(12)], "10 comes after 9"
+    assert frames[0].panorama.shape == (32, 64, 3)
+
+
+def test_names_that_are_times_are_stamps(tmp_path):
+    place = folder(tmp_path, clips.rolled(3), ["1.250.png", "1.500.png", "10.125.png"])
+    assert [frame.stamp for frame in open_camera(str(place))] == [1.25, 1.5, 10.125]
+
+
+def test_a_picture_of_a_folder_that_cannot_be_used_is_left_out_and_counted(tmp_path):
+    place = folder(tmp_path, clips.rolled(4))
+    (place / "1.png").write_bytes(b"nothing")
+    Image.fromarray(ROOM[:, :100]).save(place / "2.png")
+    camera = open_camera(str(place))
+    with pytest.warns(UserWarning, match=r"left out: .*1\.png"):
+        assert [frame.name for frame in camera] == ["0.png", "3.png"]
+    assert camera.dropped == 2
+
+
+def test_a_video_keeps_the_contract(tmp_path):
+    path = clips.clip(tmp_path / "a.mp4")
+    check_camera(open_camera(str(path)))
+    camera = open_camera(str(path), rate=10, rows=32, latency=0.25)
+    frames = list(camera)
+    assert [frame.stamp for frame in frames] == pytest.approx([k / 10 - 0.25 for k in range(10)], abs=1e-3)
+    assert frames[0].panorama.shape == (32, 64, 3)
+    assert not camera.live
+
+
+def test_circles_without_a_rig_are_refused_with_what_they_look_like(tmp_path):
+    place = folder(tmp_path, [CIRCLES])
+    video = clips.clip(tmp_path / "a.mp4", [CIRCLES] * 3)
+    for source in (str(place), str(video)):
+        with pytest.raises(ImageError, match=r"two circles of a dual fisheye.*--rig"):
+            list(open_camera(source))
+    address = f"udp://127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
+    with sending(address, picture=CIRCLES), pytest.raises(ImageError, match=r"two circles.*--rig"):
+        open_camera(address)
+
+
+@pytest.mark.parametrize("kind", ["folder", "video", "insv"])
+def test_with_a_rig_the_circles_are_stitched(tmp_path, kind):
+    write_rig(LENSES, tmp_path / "rig.yaml")
+    if kind == "folder":
+        source = folder(tmp_path, [CIRCLES] * 3)
+    else:
+        source = clips.clip(tmp_path / "a.mp4", [CIRCLES] * 3, options={"crf": "10"})
+        source = source.rename(tmp_path / "VID_1.insv") if kind == "insv" else source
+    camera = open_camera(str(source), rig=tmp_path / "rig.yaml")
+    check_camera(camera)
+    frame = next(iter(open_camera(str(source), rig=LENSES, rows=64)))
+    wanted = np.asarray(Image.fromarray(painted_room(128, 256)).resize((128, 64), Image.Resampling.BOX))
+    assert np.abs(frame.panorama.astype(int) - wanted).mean() < 6
+
+
+def test_each_lens_may_have_its_own_file(tmp_path):
+    """Two videos with a comma between, or the two recordings that an Insta360 camera makes of one moment."""
+    halves = [np.ascontiguousarray(CIRCLES[:, :128]), np.ascontiguousarray(CIRCLES[:, 128:])]
+    text = (
+        "pictures:\n  - {width: 128, height: 128}\n  - {width: 128, height: 128}\nlenses:\n"
+        "  - {name: front, centre: [64, 64], radius: 64, field_deg: 200}\n"
+        "  - {name: back, picture: 1, centre: [64, 64], radius: 64, field_deg: 200, rotation: {yaw_deg: 180}}\n"
+    )
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(text)
+    names = ["VID_20260101_120000_00_001.insv", "VID_20260101_120000_10_001.insv"]
+    videos = [clips.clip(tmp_path / f"{k}.mp4", [half] * 5, options={"crf": "10"}) for k, half in enumerate(halves)]
+    both = f"{videos[0]},{videos[1]}"
+    wanted = next(iter(open_camera(both, rig=rig))).panorama
+    for video, name in zip(videos, names, strict=True):
+        video.rename(tmp_path / name)
+    found = next(iter(open_camera(str(tmp_path / names[1]), rig=rig))).panorama
+    assert np.array_equal(found, wanted), "the front lens comes first, whichever file is named"
+    whole = open_camera(str(folder(tmp_path, [CIRCLES])), rig=LENSES)
+    assert np.abs(next(iter(whole)).panorama.astype(int) - found).mean() < 6
+    with pytest.raises(ImageError, match="gives 1 picture at a time, and the rig is for 2"):
+        open_camera(str(tmp_path / "frames"), rig=rig)
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "says"),
+    [
+        ("/dev/video77", DeviceError, "there is no /dev/video77; this machine has"),
+        ("v4l2:78", DeviceError, "there is no /dev/video78"),
+        ("/dev/null", DeviceError, r"/dev/null cannot be opened \(Inappropriate ioctl"),
+        ("v4l2:0?size=big", DeviceError, "size=big; wanted width and height"),
+        ("v4l2:0?rate=-1", DeviceError, "rate=-1; wanted pictures per second"),
+        ("v4l2:0?format=gif", DeviceError, "format=gif; wanted one of mjpeg"),
+        ("v4l2:0?zoom=2", DeviceError, "no setting 'zoom'"),
+        ("nothing.mp4", DeviceError, "no file or folder 'nothing.mp4'; wanted a folder"),
+        ("gopher:x", DeviceError, "no source is called gopher"),
+        ("pipe:rgb24:0x10", DeviceError, "at least 1"),
+        ("pipe:rgb24", DeviceError, "wanted pipe:FORMAT:WIDTHxHEIGHT"),
+        ("pipe:jpeg:10x10", DeviceError, "Formats: rgb24"),
+        ("pipe:nv12:11x10", DeviceError, "even sides"),
+        ("rtsp://viewer:topsecret@127.0.0.1:9/live", DeviceError, r"rtsp://\*\*\*@127.0.0.1:9/live cannot be opened"),
+        ("http://127.0.0.1:9/live", DeviceError, "Connection refused"),
+    ],
+)
+def test_what_is_no_camera_is_named_with_what_was_wanted(text, kind, says):
+    with pytest.raises(kind, match=says) as caught:
+        open_camera(text)
+    assert "topsecret" not in str(caught.value)
+
+
+def test_a_file_is_no_device_and_a_rig_has_to_be_one(tmp_path):
+    video = clips.clip(tmp_path / "a.mp4")
+    with pytest.raises(DeviceError, match="is no device"):
+        device(str(video), {})
+    (tmp_path / "rig.yaml").write_text("lens: 3")
+    with pytest.raises(FormatError, match="lens is no key"):
+        open_camera(str(video), rig=tmp_path / "rig.yaml")
+    with pytest.raises(ImageError, match="128 x 64, and the rig is for pictures of 400 x 150"):
+        open_camera(str(video), rig=dual_fisheye(400, 150))
+
+
+# --- live ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_stream_over_udp_keeps_the_contract_and_tells_of_a_stall():
+    address = f"udp://127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
+    with sending(address) as stop:
+        camera = open_camera(address, latency=0.125, rows=32)
+        assert camera.live
+        frames = iter(camera)
+        for _ in range(5):
+            frame = next(frames)
+            assert 0.125 <= time.time() - frame.stamp < WAIT
+            assert frame.panorama.shape == (32, 64, 3)
+        assert camera.problem is None
+        stop()
+        until(lambda: camera.problem is not None, "word about the stall")
+        assert "no picture for" in camera.problem
+    waiting = threading.Thread(target=lambda: list(frames), daemon=True)
+    waiting.start()
+    camera.close()  # although the reader still waits for the network
+    waiting.join(WAIT)
+    assert not waiting.is_alive()
+
+
+def test_a_live_camera_keeps_the_contract():
+    address = f"udp://127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
+    with sending(address):
+        check_camera(open_camera(address))
+
+
+class Mjpeg(BaseHTTPRequestHandler):
+    """Pictures as multipart JPEG, as network cameras send them; `lives`: so many pictures for each request."""
+
+    lives = 10**9
+
+    def do_GET(self):
+        self.send_response(200)
+        self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
+        self.end_headers()
+        data = io.BytesIO()
+        Image.fromarray(ROOM).save(data, "JPEG")
+        try:
+            for _ in range(self.server.lives):
+                body = data.getvalue()
+                self.wfile.write(b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % len(body))
+                self.wfile.write(body + b"\r\n")
+                if self.server.stopped.wait(0.03):
+                    return
+        except OSError:
+            return
+
+    def log_message(self, *_):
+        pass
+
+
+@contextmanager
+def serving(lives=10**9):
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Mjpeg)
+    server.daemon_threads, server.lives, server.stopped = True, lives, threading.Event()
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_address[1]}/stream.mjpg"
+    finally:
+        server.stopped.set()
+        server.shutdown()
+        server.server_close()
+
+
+@pytest.mark.filterwarnings("ignore:http.*tells no times")
+def test_a_network_camera_over_http_and_a_stream_that_ends_is_opened_again():
+    with serving(lives=25) as address:
+        camera = open_camera(address)
+        seen, told = 0, set()
+        for _ in camera:
+            seen += 1
+            told.add(camera.problem)
+            if seen == 60:  # more than two connections give
+                break
+        until(lambda: camera.problem is not None or seen >= 60, "end of the stream")
+        camera.close()
+
+
+def test_a_stream_without_pictures_or_with_another_size_is_refused():
+    camera = Stream("sine=frequency=440", "a tone", "lavfi")
+    with pytest.raises(DeviceError, match="a tone has no pictures, but: audio"):
+        LiveCamera([camera])
+    picture = Stream("testsrc=size=64x32:rate=10", "the camera", "lavfi", size=(128, 64))
+    with pytest.raises(DeviceError, match="pictures of 64 x 32, not 128 x 64"):
+        LiveCamera([picture])
+    square = Stream("testsrc=size=64x64:rate=10", "the camera", "lavfi")
+    with pytest.raises(ImageError, match=r"the camera gives pictures of 64 x 64, not 2:1"):
+        LiveCamera([square])
+
+
+def test_a_picture_of_lenses_is_stitched_live():
+    size = CIRCLES.shape
+    file = Slow(raw([CIRCLES] * 40), CIRCLES.nbytes)
+    camera = LiveCamera([raw_pipe(f"pipe:rgb24:{size[1]}x{size[0]}", file)], rig=LENSES)
+    with pytest.warns(UserWarning, match="tells no times"):
+        frame = next(iter(camera))
+    assert np.abs(frame.panorama.astype(int) - painted_room(*camera.grid.shape)).mean() < 8
+    camera.close()
+    file.close()
+
+
+@pytest.mark.parametrize("kind", ["rgb24", "bgr24", "rgba", "gray", "yuv420p", "nv12", "yuyv422"])
+def test_raw_pictures_of_each_kind_are_read(kind):
+    data = av.VideoFrame.from_ndarray(ROOM, format="rgb24").reformat(format=kind).to_ndarray()
+    opening = raw_pipe(f"pipe:{kind}:128x64", raw([np.ascontiguousarray(data)] * 2))
+    found = [picture.to_ndarray(format="rgb24") for _, picture in opening.pictures(lambda: None)]
+    grey = kind == "gray"
+    wanted = ROOM.astype(int) @ [0.299, 0.587, 0.114] if grey else ROOM.astype(int)
+    shown = found[1].astype(int).mean(axis=2) if grey else found[1]
+    assert len(found) == 2
+    assert np.abs(shown - wanted).mean() < 6
+
+
+def test_stamps_of_a_pipe_are_kept_and_a_cut_picture_is_said():
+    stamps = [1000.5, 1000.75, 1001.0]
+    whole = raw(clips.rolled(3), stamps).getvalue()
+    lost = []
+    opening = raw_pipe("pipe:rgb24:128x64:stamped", io.BytesIO(whole + b"12345"))
+    with pytest.warns(UserWarning, match="ended in the middle of a picture, after 5 of"):
+        found = list(opening.pictures(lambda: lost.append(1)))
+    assert [told for told, _ in found] == stamps
+    assert len(lost) == 1
+    with pytest.raises(DeviceError, match="the time before a picture"):
+        list(raw_pipe("pipe:rgb24:128x64:stamped", io.BytesIO(ROOM.tobytes() * 2)).pictures(lambda: None))
+    with pytest.raises(TimeError, match="come with their times of capture"):
+        LiveCamera([opening], latency=0.1)
+
+
+def test_standard_input_is_a_camera(monkeypatch):
+    file = Slow(raw(clips.rolled(30), [2000.0 + k for k in range(30)]), ROOM.nbytes + 8)
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=file))
+    camera = open_camera("pipe:rgb24:128x64:stamped")
+    frame = next(iter(camera))
+    assert np.array_equal(frame.panorama, clips.rolled(30)[round(frame.stamp - 2000)])
+    camera.close()
+    file.close()
+
+
+def test_only_the_newest_is_kept_and_the_rest_is_counted():
+    """Nobody asks for 0.5 s: the next frame is the newest, and all others are counted."""
+    count = 40
+    opening = raw_pipe("pipe:rgb24:128x64:stamped", raw(clips.rolled(count), [100.0 + k for k in range(count)]))
+    feed = Feed(opening)
+    until(lambda: feed.dropped == count - 1, "end of the pipe")
+    assert feed.take().stamp == 100.0 + count - 1
+    assert feed.take() is None
+    assert feed.error is None
+
+
+class Breaking:
+    """Gives 3 pictures, breaks, cannot be opened twice, gives 3 more, and so on."""
+
+    name, again, stamped = "the test camera", True, False
+
+    def __init__(self):
+        self.opened = 0
+
+    def pictures(self, damaged):
+        self.opened += 1
+        if self.opened in (2, 3):
+            raise DeviceError("the test camera is unplugged")
+        for k in range(3):
+            yield k / 10, av.VideoFrame.from_ndarray(clips.rolled(3)[k], format="rgb24")
+        damaged()
+
+
+@pytest.mark.filterwarnings("ignore:the test camera tells no times")
+def test_a_camera_that_is_unplugged_comes_back():
+    opening = Breaking()
+    camera = LiveCamera([opening])
+    frames = iter(camera)
+    first = next(frames)
+    until(lambda: "unplugged; trying again" in (camera.problem or ""), "word about the camera")
+    until(lambda: opening.opened >= 4, "new try")
+    until(lambda: next(frames).stamp > first.stamp, "new frame")
+    assert camera.dropped >= 1
+    camera.close()
+
+
+def test_a_camera_that_never_was_there_is_an_error_at_once():
+    opening = Breaking()
+    opening.opened = 1
+    with pytest.raises(DeviceError, match="unplugged"):
+        LiveCamera([opening])
+
+
+def test_a_damaged_stream_goes_on(tmp_path):
+    """Bytes in the middle of a transport stream are overwritten: some pictures are lost and counted."""
+    data = bytearray(clips.clip(tmp_path / "a.ts", clips.rolled(60)).read_bytes())
+    for at in range(len(data) // 3, len(data) // 2, 700):
+        data[at : at + 60] = bytes(60)
+    (tmp_path / "b.ts").write_bytes(data)
+    lost = []
+    found = list(Stream(str(tmp_path / "b.ts"), "the stream").pictures(lambda: lost.append(1)))
+    assert 10 < len(found) < 60
+    assert lost
+
+
+# --- the newest frame ------------------------------------------------------------------------------------------------
+
+
+class Fast:
+    """A live source that queues: ten frames at once, then nothing until it is closed."""
+
+    live, dropped, latency, problem = True, 0, 0.0, None
+
+    def __init__(self, count=10, error=None):
+        self.count, self.error, self.shut = count, error, threading.Event()
+
+    def __iter__(self):
+        for k in range(self.count):
+            yield Frame(float(k), ROOM, str(k))
+        if self.error:
+            raise self.error
+        self.shut.wait(WAIT)
+
+    def close(self):
+        self.shut.set()
+
+
+def test_newest_skips_what_nobody_took_and_counts_it():
+    newest = Newest(Fast())
+    until(lambda: newest.skipped == 9, "end of the frames")
+    assert newest.take(1).stamp == 9.0
+    assert newest.take(0.01) is None
+    assert not newest.ended
+    newest.close()
+    newest.close()
+    assert newest.ended
+    assert newest.take() is None
+
+
+def test_newest_of_a_file_skips_nothing(tmp_path):
+    with Newest(open_camera(str(folder(tmp_path, clips.rolled(5))))) as newest:
+        names = []
+        while (frame := newest.take(WAIT)) is not None:
+            names.append(frame.name)
+            time.sleep(0.01)
+        assert names == [f"{k}.png" for k in range(5)]
+        assert newest.ended
+        assert newest.skipped == 0
+
+
+def test_newest_raises_the_error_of_its_source_once():
+    newest = Newest(Fast(0, ImageError("it broke")))
+    with pytest.raises(ImageError, match="it broke"):
+        newest.take(WAIT)
+    assert newest.take(WAIT) is None
+    assert newest.ended
+
+
+def test_newest_stitches_only_what_is_taken():
+    count = 50
+    opening = raw_pipe("pipe:rgb24:128x64:stamped", raw(clips.rolled(count), [100.0 + k for k in range(count)]))
+    camera = LiveCamera([opening])
+    made = []
+    make, camera._panoramas.make = camera._panoramas.make, lambda *pictures: made.append(1) or make(*pictures)
+    with Newest(camera) as newest:
+        until(lambda: camera.dropped == count - 1, "end of the pipe")
+        assert newest.take(WAIT).stamp == 100.0 + count - 1
+        assert newest.take(WAIT) is None
+    assert len(made) == 1
+    assert newest.dropped == count - 1
+
+
+# --- stamps ----------------------------------------------------------------------------------------------------------
+
+
+def stamps_of(told, arrivals, latency=0.0):
+    clock = StreamClock(latency, now=lambda: 5000.0, monotonic=lambda: 0.0)
+    return [clock.stamp(t, arrival) for t, arrival in zip(told, arrivals, strict=True)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_jitter_of_arrival_does_not_enter_the_stamps(seed):
+    """Delays of 20 ms plus exponential ones of 30 ms; a clock that is 50 ppm off."""
+    random = np.random.default_rng(seed)
+    taken = np.arange(0, 60, 1 / 30)
+    arrivals = np.maximum.accumulate(taken + 0.02 + random.exponential(0.03, len(taken)))
+    found = stamps_of(taken * (1 + 50e-6) + 777.0, arrivals, latency=0.02)
+    late = [(s - 5000.0 - t) for s, t in zip(found, taken, strict=True) if s is not None and t > 2 * PROBATION]
+    assert len(late) > 0.9 * len(taken) * (60 - 2 * PROBATION) / 60
+    assert np.std(late) < 0.002
+    assert abs(np.mean(late)) < 0.004
+    order = [s for s in found if s is not None]
+    assert all(b > a for a, b in pairwise(order))
+
+
+def test_a_wrong_pace_is_noticed_and_the_arrival_counts():
+    """A stream that claims 25 pictures per second and has 15."""
+    clock = StreamClock(now=lambda: 0.0, monotonic=lambda: 0.0)
+    for k in range(300):
+        found = clock.stamp(k / 25, k / 15)
+        assert found == pytest.approx(k / 15)
+    assert clock.timeless
+
+
+def test_a_stall_and_a_burst_keep_the_times_of_capture():
+    taken = np.arange(0, 20, 0.1)
+    arrivals = np.where((taken > 10) & (taken < 12), 12.0 + 0.001 * (taken - 10), taken + 0.0)
+    found = stamps_of(taken, arrivals)
+    assert max(abs(s - 5000.0 - t) for s, t in zip(found, taken, strict=True) if s is not None) < 0.01
+
+
+def test_a_clock_that_is_set_begins_anew():
+    told = [*np.arange(100, 110, 0.1), *np.arange(3, 13, 0.1)]
+    arrivals = np.arange(0, 20, 0.1)
+    found = stamps_of(told, arrivals)
+    assert [s - 5000.0 for s in found] == pytest.approx(list(arrivals), abs=1e-6)
+
+
+def test_a_picture_without_a_time_is_stamped_by_its_arrival():
+    clock = StreamClock(0.1, now=lambda: 10.0, monotonic=lambda: 4.0)
+    assert clock.stamp(None, 3.5) == pytest.approx(3.5 - 0.1 + 6.0)
+    assert clock.timeless
+    assert clock.stamp(None, 3.5) is None, "it is not later"
+
+
+def test_the_test_of_cameras_finds_faults():
+    class Wrong(Fast):
+        grid = SimpleNamespace()
+
+    with pytest.raises(AssertionError, match="ErpGrid"):
+        check_camera(Wrong())
+
+
+def test_a_plugin_is_opened_by_its_name(monkeypatch):
+    from eagor.robots.cameras import opening
+
+    monkeypatch.setitem(opening.BUILT_IN, "fake", f"{__name__}:fake_camera")
+    monkeypatch.setitem(sys.modules, __name__, sys.modules[fake_camera.__module__])
+    rest, settings = open_camera("fake:left/eye", latency=0.25, rows=64)
+    assert rest == "left/eye"
+    assert (settings["latency"], settings["rows"], settings["rig"]) == (0.25, 64, None)
+    monkeypatch.setitem(opening.BUILT_IN, "ros", f"{__name__}:fake_camera")
+    with pytest.raises(DeviceError, match="ROS topic has panoramas"):
+        open_camera("ros:/image", rig=LENSES)
+
+
+def fake_camera(rest, **settings):
+    return rest, settings

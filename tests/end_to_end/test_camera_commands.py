@@ -1,0 +1,182 @@
+"""eagor camera calibrate, view, latency; locate and track with --rig: as typed, on pictures made here."""
+
+import json
+import math
+
+import clips
+import numpy as np
+import pytest
+import rigs
+from moving_rooms import PatternRoom
+from PIL import Image
+
+from eagor.cli import main
+from eagor.robots.cameras import dual_fisheye, read_rig, seen_by, write_rig
+from eagor.sphere import world_R_body
+from eagor.worlds.painted import painted_room
+from eagor.worlds.panorama import turn
+
+pytest.importorskip("cv2")
+pytest.importorskip("av")
+TRUE = rigs.distorted_rig(256)
+ROOM = painted_room(256, 512)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """Pictures of a camera that turned, of one that looks at a room, a video, and the true rig."""
+    folder = tmp_path_factory.mktemp("camera")
+    patterns = PatternRoom(7, cells=12)
+    for k in range(4):
+        picture = seen_by(TRUE, patterns.panorama(world_R_body(math.pi / 2 * k + 0.2 * k), rows=384))[0]
+        Image.fromarray(picture).save(folder / f"turned{k}.png")
+    write_rig(TRUE, folder / "true.yaml")
+    circles = seen_by(TRUE, ROOM)[0]
+    Image.fromarray(circles).save(folder / "room.png")
+    (folder / "frames").mkdir()
+    pictures = [seen_by(TRUE, turn(ROOM, world_R_body(-0.2 * k)))[0] for k in range(3)]
+    for k, picture in enumerate(pictures):
+        Image.fromarray(picture).save(folder / "frames" / f"{k}.png")
+    clips.clip(folder / "room.mp4", [circles] * 6, rate=2, options={"crf": "10"})
+    return folder
+
+
+def run(capsys, *words):
+    code = main([str(word) for word in words])
+    said = capsys.readouterr()
+    return code, said.out, said.err
+
+
+def test_calibrate_writes_a_rig_that_view_finds_better(capsys, place):
+    rig = place / "fitted.yaml"
+    pictures = [place / f"turned{k}.png" for k in range(4)]
+    code, out, _ = run(capsys, "camera", "calibrate", *pictures, "--turned", "--out", rig, "--json")
+    assert code == 0
+    told = json.loads(out)
+    assert told["moments"] == 4
+    assert told["gap_deg"] < told["before_deg"]
+    assert rigs.off(read_rig(rig), TRUE).max() < 1
+    assert rig.read_text().startswith("# ")
+    gaps = []
+    for words in ((), ("--rig", rig)):
+        code, out, err = run(capsys, "camera", "view", pictures[0], *words, "--out", place / "seam.png", "--json")
+        assert code == 0
+        gaps.append(json.loads(out))
+    assert gaps[1]["median_deg"] < 0.5 < gaps[0]["median_deg"]
+    assert gaps[1]["grey_levels"] < gaps[0]["grey_levels"]
+    with Image.open(place / "seam.png") as image:
+        assert image.width == image.height
+    code, out, _ = run(
+        capsys, "camera", "view", pictures[0], "--rig", rig, "--stitched", place / "whole.png", "--rows", 64
+    )
+    assert (code, Image.open(place / "whole.png").size) == (0, (128, 64))
+    assert "deg apart (median of" in out
+
+
+def test_calibrate_says_what_the_overlap_leaves_open(capsys, place):
+    pictures = [place / f"turned{k}.png" for k in range(2)]
+    code, out, err = run(capsys, "camera", "calibrate", *pictures, "--out", place / "overlap.yaml")
+    assert code == 0
+    assert "from rim to rim" in out
+    assert "the overlap does not tell what is inside the circles" in err
+    assert "--turned" in err
+
+
+def test_a_video_of_lenses_can_be_viewed(capsys, place):
+    code, out, _ = run(capsys, "camera", "view", place / "room.mp4", "--rig", place / "true.yaml", "--stamp", 1.0)
+    assert code == 0
+    assert "% of the sphere is seen by two lenses" in out
+
+
+def test_locate_finds_the_ball_in_circles(capsys, place):
+    code, _, err = run(capsys, "locate", place / "room.png", "the red ball", "--json")
+    assert code == 2
+    assert "two circles of a dual fisheye" in err
+    assert "--rig" in err
+    wanted = place / "wanted.png"
+    Image.fromarray(ROOM).save(wanted)
+    true = json.loads(run(capsys, "locate", wanted, "the red ball", "--json")[1])
+    for picture in ("room.png", "room.mp4"):
+        code, out, err = run(capsys, "locate", place / picture, "the red ball", "--rig", place / "true.yaml", "--json")
+        assert code == 0, err
+        assert abs(json.loads(out)["azimuth_deg"] - true["azimuth_deg"]) < 2
+
+
+def test_track_follows_it_through_pictures_and_a_video_of_lenses(capsys, place):
+    rig = ("--rig", place / "true.yaml", "--json")
+    code, out, err = run(capsys, "track", place / "frames", "the red ball", *rig)
+    assert code == 0, err
+    azimuths = [frame["azimuth_deg"] for frame in json.loads(out)["frames"]]
+    assert np.diff(azimuths) == pytest.approx([-math.degrees(0.2)] * 2, abs=2)
+    code, out, err = run(capsys, "track", place / "room.mp4", "the red ball", *rig)
+    assert code == 0, err
+    assert len(json.loads(out)["frames"]) == 6
+
+
+@pytest.fixture(scope="module")
+def swinging(tmp_path_factory):
+    """A folder of panoramas of a camera that swings, whose stamps are 0.2 s late, and its odometry."""
+    folder = tmp_path_factory.mktemp("swinging")
+    room = PatternRoom(1, cells=10)
+
+    def yaw(t):
+        return 0.5 * math.sin(2 * t) + 0.2 * math.sin(4.7 * t + 1)
+
+    (folder / "frames").mkdir()
+    for k in range(40):
+        stamp = 1.2 + 0.1 * k
+        picture = room.panorama(world_R_body(yaw(stamp - 0.2)), rows=128)
+        Image.fromarray(picture).save(folder / "frames" / f"{stamp:.3f}.png")
+    rows = [f"{t:.3f},{math.degrees(yaw(t)):.5f},0,0" for t in np.arange(0, 6.5, 0.02)]
+    (folder / "odometry.csv").write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *rows]))
+    still = [f"{t:.3f},10,0,0" for t in np.arange(0, 6.5, 0.02)]
+    (folder / "still.csv").write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *still]))
+    return folder
+
+
+def test_latency_is_estimated_from_pictures_and_odometry(capsys, swinging):
+    code, out, err = run(
+        capsys, "camera", "latency", swinging / "frames", "--poses", swinging / "odometry.csv", "--json"
+    )
+    assert code == 0, err
+    told = json.loads(out)
+    assert told["latency_s"] == pytest.approx(0.2, abs=0.02)
+    assert told["low_s"] - 0.01 <= 0.2 <= told["high_s"] + 0.01
+    code, out, _ = run(capsys, "camera", "latency", swinging / "frames", "--poses", swinging / "odometry.csv")
+    assert "--latency 0." in out
+
+
+def test_latency_refuses_what_cannot_tell(capsys, swinging):
+    code, _, err = run(capsys, "camera", "latency", swinging / "frames", "--poses", swinging / "still.csv")
+    assert code == 2
+    assert "Turn the camera left and right" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["calibrate", "one.png"], "there is no file"),
+        (["calibrate", "room.png"], "wanted two or more"),
+        (["calibrate", "room.png", "room.png", "--field", "20"], "--field 20"),
+        (["calibrate", "room.png", "room.png", "--out", "room.png"], "is an input"),
+        (["view", "room.png", "--rig", "nowhere.yaml"], "cannot be read as a rig"),
+        (["view", "room.png", "--out", "x.txt"], "ends in .png"),
+        (["latency", "/dev/video99", "--poses", "poses.csv"], "there is no /dev/video99"),
+        (["latency", "frames", "--poses", "nowhere.csv"], "two circles of a dual fisheye"),
+        (["veiw", "room.png"], "did you mean view"),
+        (["latency", "frames"], "needs --poses"),
+    ],
+)
+def test_mistakes_are_named(capsys, place, monkeypatch, words, says):
+    monkeypatch.chdir(place)
+    code, out, err = run(capsys, "camera", *words)
+    assert (code, out) == (2, "")
+    assert says in err
+
+
+def test_an_ideal_rig_is_the_default(capsys, tmp_path):
+    rig = dual_fisheye(256, 128)
+    Image.fromarray(seen_by(rig, painted_room(128, 256))[0]).save(tmp_path / "a.png")
+    code, out, err = run(capsys, "camera", "view", tmp_path / "a.png")
+    assert code == 0
+    assert "two ideal lenses of 200 degrees" in err

@@ -1,0 +1,216 @@
+"""Lenses and stitching: projecting and its inverse, agreement with other code, and that nothing is lost on the way."""
+
+import math
+
+import numpy as np
+import pytest
+import rigs
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import directions, rotations
+
+from eagor.errors import GridError, ImageError
+from eagor.grids import ErpGrid, FisheyeGrid, PerspectiveGrid
+from eagor.robots.cameras import FisheyeLens, PinholeLens, Rig, Stitcher, dual_fisheye, read_rig, seen_by, write_rig
+from eagor.sphere import angular_distance, world_R_body
+from eagor.worlds.painted import painted_room
+
+cv2 = pytest.importorskip("cv2")
+
+
+@st.composite
+def fisheyes(draw):
+    """A fisheye with a curve that is not straight, at any place and pose."""
+    polynomial = [draw(st.floats(-0.03, 0.03)), draw(st.floats(-0.004, 0.004)), draw(st.floats(0.0, 0.0004))]
+    return FisheyeLens.of_field(
+        "lens",
+        (draw(st.floats(90, 110)), draw(st.floats(90, 110))),
+        draw(st.floats(60, 120)),
+        math.radians(draw(st.floats(120, 220))),
+        polynomial=tuple(polynomial),
+        body_R_lens=draw(rotations()),
+    )
+
+
+@given(fisheyes(), directions())
+def test_a_fisheye_sees_a_direction_at_the_pixel_that_looks_there(lens, direction):
+    x, y, depth = lens.project(direction)
+    if depth > 1e-6:
+        assert angular_distance(lens.unproject(x, y), direction) < 1e-6
+        assert np.hypot(x - lens.centre[0], y - lens.centre[1]) <= lens.radius + 1e-6
+    axis = angular_distance(direction, lens.body_R_lens[:, 0])
+    assert depth == pytest.approx(lens.reach - axis, abs=1e-9)
+
+
+@given(fisheyes())
+def test_the_rim_is_at_the_reach(lens):
+    rim = lens.unproject(lens.centre[0] + lens.radius, lens.centre[1])
+    assert angular_distance(rim, lens.body_R_lens[:, 0]) == pytest.approx(lens.reach, abs=2e-4)
+
+
+@given(rotations(), st.floats(1.0, 6.0))
+def test_without_a_curve_it_is_the_equidistant_grid(rotation, fov):
+    fov = min(fov, math.radians(279))
+    grid = FisheyeGrid(64, fov, rotation)
+    lens = FisheyeLens.of_field("lens", (32, 32), 32, fov, body_R_lens=rotation)
+    x, y = np.array([10.0, 40.0, 32.0]), np.array([20.5, 33.0, 32.0])
+    assert np.abs(lens.unproject(x, y) - grid.unproject(x, y)).max() < 1e-6
+
+
+@given(rotations())
+def test_a_pinhole_without_distortion_is_the_perspective_grid(rotation):
+    grid = PerspectiveGrid(48, 64, 1.2, rotation)
+    lens = PinholeLens("lens", (64, 48), (grid.focal, grid.focal), (32, 24), (), rotation)
+    x, y = np.array([3.0, 63.0, 32.0]), np.array([1.0, 47.0, 24.0])
+    assert np.abs(lens.unproject(x, y) - grid.unproject(x, y)).max() < 1e-9
+    back_x, back_y, depth = lens.project(grid.unproject(x, y))
+    assert np.allclose([back_x, back_y], [x, y], atol=1e-6)
+    assert (depth >= 0).all()
+
+
+def test_the_distortion_is_that_of_opencv():
+    coefficients = (-0.21, 0.05, 0.001, -0.002, 0.01, 0.02, -0.01, 0.003)
+    lens = PinholeLens("lens", (640, 480), (410.0, 405.0), (322.0, 238.0), coefficients)
+    plane = np.random.default_rng(3).uniform(-0.6, 0.6, (50, 2)) * (1, 0.8)  # right, down at distance 1
+    rays = np.column_stack([np.ones(50), -plane])
+    x, y, depth = lens.project(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    matrix = np.array([[410.0, 0, 322.0], [0, 405.0, 238.0], [0, 0, 1]])
+    points = np.column_stack([plane, np.ones(50)])
+    wanted, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, np.array(coefficients))
+    inside = depth > 0
+    assert inside.sum() > 20
+    assert np.abs(np.column_stack([x, y])[inside] - wanted.reshape(-1, 2)[inside]).max() < 1e-6
+    again = lens.unproject(x[inside], y[inside])
+    assert angular_distance(again, rays[inside]).max() < 1e-6
+
+
+def test_a_pinhole_sees_nothing_behind_it_or_far_outside():
+    """The polynomial of a strong distortion comes back into the picture beyond its corners."""
+    lens = PinholeLens("lens", (640, 480), (400.0, 400.0), (320.0, 240.0), (-0.35, 0.1))
+    angles = np.radians([50, 60, 75, 88, 100, 150, 180])
+    rays = np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])
+    assert (lens.project(rays)[2] < 0).all()
+    assert lens.project(np.array([1.0, 0, 0]))[2] > 0.4
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"focal": -1.0}, "above 0"),
+        ({"radius": 0.0}, "above 0"),
+        ({"polynomial": (1, 2, 3, 4, 5)}, "four numbers"),
+        ({"polynomial": (-0.5,)}, "turns back"),
+        ({"focal": 10.0}, "never reaches"),
+    ],
+)
+def test_values_that_no_lens_has_are_refused(change, says):
+    settings = {"name": "lens", "centre": (50.0, 50.0), "focal": 30.0, "radius": 50.0} | change
+    with pytest.raises(GridError, match=says):
+        FisheyeLens(**settings)
+
+
+# --- stitching -------------------------------------------------------------------------------------------------------
+
+
+def loss(found, wanted):
+    """Peak signal-to-noise ratio in dB, each pixel with its solid angle."""
+    weights = ErpGrid(*wanted.shape[:2]).weights
+    error = ((found.astype(float) - wanted) ** 2).mean(axis=2)
+    return 10 * math.log10(255**2 * weights.sum() / (error * weights).sum())
+
+
+def test_a_panorama_survives_an_ideal_dual_fisheye():
+    """The issue's bar: 50 dB. The panorama holds no detail that is finer than the lens."""
+    rig = dual_fisheye(960, 480)
+    rough = painted_room(rig.rows, 2 * rig.rows)
+    stitcher = Stitcher(rig)
+    smooth = stitcher.stitch(*seen_by(rig, cv2.GaussianBlur(rough, (0, 0), 0.8)))
+    again = stitcher.stitch(*seen_by(rig, smooth))
+    assert loss(again, smooth) > 50
+    assert 10 * math.log10(255**2 / ((again.astype(float) - smooth) ** 2).mean()) > 50
+    assert stitcher.unseen is None
+
+
+@pytest.mark.parametrize("rows", [None, 128, 300])
+def test_what_a_distorted_rig_saw_is_put_together_at_any_size(rows):
+    rig = rigs.distorted_rig(256)
+    room = cv2.GaussianBlur(painted_room(512, 1024), (0, 0), 3)
+    stitcher = Stitcher(rig, rows)
+    found = stitcher.stitch(*seen_by(rig, room))
+    wanted = cv2.resize(room, found.shape[1::-1], interpolation=cv2.INTER_AREA)
+    assert found.shape == (*stitcher.grid.shape, 3)
+    assert loss(found, wanted) > 33
+
+
+def test_pictures_of_another_size_are_scaled_and_those_of_another_shape_refused():
+    rig = dual_fisheye(512, 256)
+    pictures = seen_by(rig, painted_room(256, 512))
+    twice = cv2.resize(pictures[0], (1024, 512), interpolation=cv2.INTER_CUBIC)
+    stitcher = Stitcher(rig, 128)
+    assert loss(stitcher.stitch(twice), stitcher.stitch(*pictures)) > 30
+    with pytest.raises(ImageError, match=r"640 x 480.*512 x 256"):
+        Stitcher(rig).stitch(np.zeros((480, 640, 3), np.uint8))
+    with pytest.raises(ImageError, match="2 pictures"):
+        Stitcher(rig).stitch(*pictures, *pictures)
+
+
+def test_what_no_lens_sees_is_black_and_masked():
+    lens = FisheyeLens.of_field("only", (64, 64), 64, math.radians(180))
+    rig = Rig(((128, 128),), (lens,))
+    stitcher = Stitcher(rig, 64)
+    found = stitcher.stitch(np.full((128, 128, 3), 200, np.uint8))
+    behind = stitcher.grid.directions[..., 0] < -0.05
+    assert stitcher.unseen is not None
+    assert stitcher.unseen[behind].all()
+    assert (found[behind] == 0).all()
+    assert (found[stitcher.grid.directions[..., 0] > 0.1] == 200).all()
+
+
+def test_three_ordinary_lenses_and_a_fisheye_share_a_panorama():
+    """Lenses of different kinds, in two pictures, more than two of them in some directions."""
+    lenses = [
+        PinholeLens(f"side {k}", (160, 120), (80.0, 80.0), (80.0, 60.0), (-0.05, 0.01), world_R_body(k * 0.7))
+        for k in (-1, 0, 1)
+    ]
+    room = cv2.GaussianBlur(painted_room(256, 512), (0, 0), 2.5)
+    pictures = [seen_by(Rig(((160, 120),), (lens,)), room)[0] for lens in lenses]
+    all_sides = FisheyeLens.of_field("all", (100, 100), 100, math.radians(240), picture=3)
+    pictures.append(
+        seen_by(Rig(((200, 200),), (FisheyeLens.of_field("all", (100, 100), 100, math.radians(240)),)), room)[0]
+    )
+    own = [
+        PinholeLens(l.name, l.size, l.focal, l.centre, l.distortion, l.body_R_lens, picture=k)
+        for k, l in enumerate(lenses)
+    ]
+    rig = Rig(((160, 120),) * 3 + ((200, 200),), (*own, all_sides))
+    stitcher = Stitcher(rig, 128)
+    found = stitcher.stitch(*pictures)
+    wanted = cv2.resize(room, (256, 128), interpolation=cv2.INTER_AREA)
+    seen = stitcher.grid.directions[..., 0] > -0.3
+    assert np.abs(found[seen].astype(int) - wanted[seen]).mean() < 3
+
+
+def test_lenses_that_differ_in_brightness_leave_no_step():
+    """Across the overlap the shares go from one lens to the other, and always sum to 1."""
+    rig = dual_fisheye(512, 256)
+    picture = np.full((256, 512, 3), 100, np.uint8)
+    picture[:, 256:] = 180
+    found = Stitcher(rig, 128).stitch(picture).astype(int)[..., 0]
+    row = found[64]
+    assert row.min() >= 99
+    assert row.max() <= 181
+    assert np.abs(np.diff(row)).max() < 20
+
+
+@given(fisheyes())
+def test_a_rig_is_read_as_it_was_written(tmp_path_factory, lens):
+    side = PinholeLens('side: "b"', (64, 48), (50.0, 51.0), (32.0, 24.5), (-0.1, 0.01), world_R_body(1, 0.2, 3), 1)
+    rig = Rig(((200, 200), (64, 48)), (lens, side))
+    path = tmp_path_factory.mktemp("rig") / "rig.yaml"
+    write_rig(rig, path, ["a note: with\nlines"])
+    found = read_rig(path)
+    assert found.sizes == rig.sizes
+    for one, other in zip(found.lenses, rig.lenses, strict=True):
+        assert (one.name, one.picture) == (other.name, other.picture)
+        x, y = np.array([20.0, 30.0]), np.array([15.0, 40.0])
+        assert angular_distance(one.unproject(x, y), other.unproject(x, y)).max() < 1e-6
