@@ -8,6 +8,8 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
 from processes import alive, sessions_of, wait_for
@@ -79,6 +81,40 @@ def test_a_walk_that_is_ended_leaves_no_process(tmp_path, how):
     child.stderr.close()
     wait_for(lambda: not alive(sessions))
     assert (tmp_path / "walk" / "report.html").exists() == (how != signal.SIGKILL)
+
+
+def test_a_perception_that_hangs_stops_the_robot(tmp_path):
+    words = command("white sofa", "--sim", "--arm", "--stay", "--seconds", "120", "--report", str(tmp_path / "walk"))
+    child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    assert child.stderr is not None
+    try:
+        said = ""
+        for line in child.stderr:
+            said += line
+            if " armed, " in line:
+                break
+        # Of the processes that were spawned, the perception's is the youngest.
+        started = Path(f"/proc/{child.pid}/task/{child.pid}/children").read_text().split()
+        spawned = [int(pid) for pid in started if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+        os.kill(max(spawned), signal.SIGSTOP)
+        for line in child.stderr:
+            said += line
+            if "look of the perception is" in line:
+                break
+        else:
+            raise AssertionError(said)
+        os.kill(child.pid, signal.SIGINT)
+        child.stderr.read()
+        assert child.wait(60) == 130
+        samples = json.loads((tmp_path / "walk" / "run.json").read_text())["samples"]
+        hung = [sample for sample in samples if any("look of the perception is" in why for why in sample["reasons"])]
+        assert hung
+        assert all(sample["sent"] is None for sample in hung)
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)
+        child.wait()
+        child.stderr.close()
 
 
 @pytest.mark.parametrize(("words", "said"), [

@@ -180,6 +180,25 @@ def test_a_guard_that_is_killed_leaves_the_rest_to_the_robot_and_the_program_hea
             _ = guard.state
 
 
+def test_a_guard_that_hangs_is_said_and_does_not_hold_up_the_program():
+    domain = free_domain()
+    with Peer(domain=domain) as peer:
+        guard = Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK)
+        with guard, Driver(guard) as driver:
+            until(lambda: peer.moves)
+            begun = time.monotonic()
+            os.kill(guard.pid, signal.SIGSTOP)
+            assert measured(peer, begun).zero < 1.2  # the robot's own timer
+            for _ in range(200):  # more than a pipe holds
+                driver.say(time.monotonic())
+            time.sleep(1.0)
+            with pytest.raises(DeviceError, match="has not said a word for"):
+                _ = guard.state
+            pid = guard.pid
+            os.kill(pid, signal.SIGCONT)
+        wait_for(lambda: gone(pid))
+
+
 def test_a_dry_run_says_what_it_would_do_and_has_no_voice():
     domain, seen = free_domain(), []
     with (
