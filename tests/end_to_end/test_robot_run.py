@@ -12,6 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from ddsmaking import free_domain
 from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
@@ -83,6 +84,32 @@ def test_a_walk_that_is_ended_leaves_no_process(tmp_path, how):
     assert (tmp_path / "walk" / "report.html").exists() == (how != signal.SIGKILL)
 
 
+def test_a_robot_that_is_simulated_elsewhere_is_walked_as_a_real_one(tmp_path):
+    domain = str(free_domain())
+    simulated = [sys.executable, "-m", "eagor", "robot", "sim", "--seed", "7", "--target", "green sofa"]
+    robot = subprocess.Popen([*simulated, "--domain", domain], stdout=subprocess.PIPE, text=True)
+    assert robot.stdout is not None
+    try:
+        for line in robot.stdout:
+            if "x3/image" in line:
+                break
+        words = command(
+            "green sofa", "--source", "ros:/x3/image/compressed", "--interface", "lo", "--domain", domain, "--arm",
+            "--deadman", "none", "--perception", "scout", "--seconds", "20", "--json", "--report",
+            str(tmp_path / "walk"), "--latency", "0",
+        )  # fmt: skip
+        done = subprocess.run(words, capture_output=True, text=True, timeout=200)
+        assert done.returncode == 0, done.stderr
+        samples = json.loads((tmp_path / "walk" / "run.json").read_text())["samples"]
+        assert any(sample["sent"] and any(sample["sent"]) for sample in samples)
+        assert all(sample["true_xy"] is None for sample in samples)  # nobody tells a real robot's program the truth
+    finally:
+        robot.send_signal(signal.SIGINT)
+        robot.stdout.read()
+        robot.wait(60)
+        robot.stdout.close()
+
+
 def test_a_perception_that_hangs_stops_the_robot(tmp_path):
     words = command("white sofa", "--sim", "--arm", "--stay", "--seconds", "120", "--report", str(tmp_path / "walk"))
     child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True)
@@ -119,7 +146,7 @@ def test_a_perception_that_hangs_stops_the_robot(tmp_path):
 
 @pytest.mark.parametrize(("words", "said"), [
     (["red chair"], "a robot needs a camera"),
-    (["red chair", "--source", "x.mp4", "--arm", "--deadman", "none"], "--deadman none is only for --sim"),
+    (["red chair", "--source", "x.mp4", "--arm", "--deadman", "none"], "--deadman none is only for simulated robots"),
     (["red chair", "--sim", "--interface", "eth0"], "--sim brings its own camera and network"),
     (["red chair", "--sim", "--seconds", "-1"], "wanted seconds above 0"),
     (["red chair", "--sim", "--distance", "0"], "distance = 0.0"),

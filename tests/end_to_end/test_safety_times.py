@@ -82,6 +82,23 @@ def test_the_simulated_go2_stops_in_time_too(simulated, name):
         trial.end(driver, robot)
 
 
+def test_the_robot_may_be_told_to_walk_around_obstacles_by_itself():
+    domain = free_domain()
+    with Simulated(domain=domain) as robot:
+        server = robot._robot.server
+        guard = Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK, avoid=True)
+        with guard, Driver(guard) as driver:
+            until(lambda: robot.moves)
+            assert all(server._avoid.values())
+            walked = [service for service, api_id, _ in server.requests if api_id in (1003, 1008)]
+            assert set(walked) == {"obstacles_avoid"}
+            begun = time.monotonic()
+            driver.wrong = {"presence": 0.1}
+            until(lambda: robot.still_since(begun))
+            until(lambda: driver.guard.state.mode == "standing")
+        assert not any(server._avoid.values())  # the remote control has its robot back
+
+
 def test_a_stale_command_is_zero_within_a_quarter_of_a_second(driven):
     driver, peer = driven
     bring_to_speed(driver, peer)
