@@ -45,7 +45,7 @@ def refused(capsys):
         ("locate a b --perceptoin colour", "eagor locate has no option --perceptoin; did you mean --perception?"),
         ("bench run waypoint --retry_faild", "no option --retry-faild; did you mean --retry-failed?"),
         ("bench run waypoint --sead=3", "eagor bench run has no option --sead; did you mean --seed?"),
-        ("locate a b --drift 1", "eagor locate has no option --drift: it belongs to eagor track; eagor locate --help"),
+        ("locate a b --drift 1", "eagor locate has no option --drift: it belongs to eagor track, eagor live"),
         ("locate a b --zzz", "eagor locate has no option --zzz; eagor locate --help describes all"),
         ("locate a b -x", "eagor locate has no option -x"),
         ("locate a b --degree", "--degree needs a value: --degree N; eagor locate --help"),

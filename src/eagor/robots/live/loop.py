@@ -16,7 +16,7 @@ from eagor.evidence import BodyMask
 from eagor.perception import Perception
 from eagor.robots.frames import CameraSource, Frame, Pose, PoseSource
 from eagor.robots.live.answers import Answer, Part
-from eagor.robots.live.core import LiveCore, Settings
+from eagor.robots.live.core import LiveCore, Settings, warm
 from eagor.robots.live.events import Asked, Event, EvidenceCame, Following, FrameCame, PoseCame, Trouble
 from eagor.robots.live.fast import at_once
 from eagor.robots.live.keeper import PATIENCE, Failed, Keeper, Looked
@@ -119,7 +119,7 @@ class LiveLoop:
         self._poses: Any = (None, None) if sight is not None or poses is None else opener(poses)
         config = config or TrackerConfig()
         config = replace(config, history=max(config.history, min(patience, LONGEST_LATE)))  # evidence may come so late
-        settings = Settings(tuple(queries), config, poses is not None, self._camera.latency)
+        self._settings = settings = Settings(tuple(queries), config, poses is not None, self._camera.latency)
         self.core = LiveCore(settings)
         self._watchers = [*watchers]
         self._recorder: Recorder | None = None
@@ -224,6 +224,7 @@ class LiveLoop:
             self._ready,
             self.core.orientation,
         )
+        warm(self._settings)  # while the perception is loaded
         if self._turns is not None:
             self._seer = TurnsThread(self._turns, self._post, self.clock.now)
         if self.live:

@@ -1,0 +1,68 @@
+"""``eagor live`` on the topics of a ROS 2 system, and of a Go2, over real DDS."""
+
+import json
+import threading
+import time
+
+import numpy as np
+import pytest
+from ddsmaking import free_domain
+
+from eagor.cli import main
+from eagor.worlds.painted import painted_room
+
+pytest.importorskip("cyclonedds")
+pytest.importorskip("rosbags")
+TURN = 0.5  # radians per second
+ROBOT = -40.0  # seconds by which the robot's clock is off
+
+
+@pytest.fixture
+def robot():
+    """A robot that turns in the painted room, on a domain of its own: pictures at 10 Hz, odometry at 50 Hz."""
+    from eagor.robots.dds import Link
+    from eagor.robots.frames import Pose
+    from eagor.robots.ros import messages as m
+    from eagor.sphere import world_R_body
+
+    room, ended, domain = painted_room(64, 128), threading.Event(), free_domain()
+    with Link(domain, "lo") as link:
+        pictures, odometry = link.publish("/image", m.IMAGE), link.publish("/odom", m.ODOMETRY)
+
+        def speak():
+            number = 0
+            while not ended.wait(0.02):
+                now = time.time()
+                odometry.write(m.odometry_message(Pose(now + ROBOT, world_R_body(TURN * now, 0, 0))))
+                if number % 5 == 0:
+                    columns = round(TURN * now / (2 * np.pi) * 128)
+                    pictures.write(m.image_message(np.roll(room, columns, axis=1), now + ROBOT, "base_link"))
+                number += 1
+
+        thread = threading.Thread(target=speak)
+        thread.start()
+        try:
+            yield domain
+        finally:
+            ended.set()
+            thread.join()
+
+
+def test_a_turning_robots_topics_are_followed_although_its_clock_is_off(robot, capsys):
+    words = ["ros:/image", "red chair", "--poses", "ros:/odom", "--domain", str(robot), "--interface", "lo"]
+    assert main(["live", *words, "--json", "--seconds", "8"]) == 0
+    captured = capsys.readouterr()
+    answers = [json.loads(line) for line in captured.out.splitlines()]
+    known = [answer for answer in answers if answer["status"] == "tracking"]
+    assert len(known) > 10
+    # In the world the chair stands still, while it turns with half a radian per second in the robot's frame.
+    world = np.degrees(np.unwrap(np.radians([a["azimuth_deg"] + np.degrees(TURN * a["stamp"]) for a in known[5:]])))
+    assert np.ptp(world) < 12
+    assert np.ptp([answer["stamp"] for answer in known[5:]]) > 1
+    assert "s behind this machine's; its stamps are shifted" in captured.err
+
+
+def test_a_topic_that_is_not_there_is_an_error_that_names_those_there_are(robot, capsys):
+    words = ["ros:/nowhere", "red chair", "--poses", "still", "--domain", str(robot), "--interface", "lo"]
+    assert main(["live", *words]) == 2
+    assert "/image" in capsys.readouterr().err
