@@ -38,8 +38,10 @@ def sim(options: RobotSim) -> int:
         else:
             _tell(live, options)
         begun = time.monotonic()
-        _until(options.seconds, live)
-        _sum_up(live, time.monotonic() - begun)
+        try:
+            _until(options.seconds, live)
+        finally:
+            _sum_up(live, time.monotonic() - begun)
     return terminal.OK
 
 
