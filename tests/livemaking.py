@@ -7,6 +7,7 @@ import math
 import os
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -45,18 +46,26 @@ class Camera:
 
 
 class Unplugged(Camera):
-    """A camera that raises after `count` pictures."""
+    """A camera that raises once it is `pulled`."""
+
+    def __init__(self, **options):
+        super().__init__(**options)
+        self.pulled = threading.Event()
 
     def __iter__(self):
-        yield from super().__iter__()
+        for frame in super().__iter__():
+            if self.pulled.is_set():
+                break
+            yield frame
         raise DeviceError("/dev/video7 is gone; plug it in")
 
 
-class Stalled(Camera):
-    """A camera that gives no more pictures after `count`, but does not end."""
+class Stalled(Unplugged):
+    """A camera that gives no more pictures once it is `pulled`, but does not end."""
 
     def __iter__(self):
-        yield from super().__iter__()
+        with suppress(DeviceError):
+            yield from super().__iter__()
         self.closed.wait()
 
 
@@ -77,18 +86,18 @@ class Film:
 
 
 class Odometry:
-    """Live poses at `rate`, turning by `turn` radians per second; `count` of them, then it stops to speak."""
+    """Live poses at `rate`, turning by `turn` radians per second, until it is `pulled`: then it says nothing more."""
 
-    def __init__(self, rate=100.0, turn=0.0, count=None, stamps=lambda stamp: stamp):
-        self.rate, self.turn, self.count, self.stamps = rate, turn, count, stamps
-        self.closed = threading.Event()
+    def __init__(self, rate=100.0, turn=0.0):
+        self.rate, self.turn = rate, turn
+        self.closed, self.pulled = threading.Event(), threading.Event()
 
     def __iter__(self):
-        for _ in itertools.count() if self.count is None else range(self.count):
+        while not self.pulled.is_set():
             if self.closed.wait(1 / self.rate):
                 return
             now = time.time()
-            yield Pose(self.stamps(now), yawed(self.turn * now))
+            yield Pose(now, yawed(self.turn * now))
         self.closed.wait()
 
     def close(self):
@@ -168,6 +177,13 @@ class Dying(Once):
     """Its process dies."""
 
     def fate(self):
+        os._exit(7)
+
+
+class AlwaysDying(Seeing):
+    """Its process dies at each look."""
+
+    def work(self, query):
         os._exit(7)
 
 

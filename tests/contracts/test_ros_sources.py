@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
@@ -42,7 +42,8 @@ def speaking(domain, speak, rate=50.0):
         def run():
             number = 0
             while not ended.wait(1 / rate):
-                speak(publish, number)
+                with suppress(DeviceError):  # a reader that does not keep up
+                    speak(publish, number)
                 number += 1
 
         thread = threading.Thread(target=run)
@@ -91,11 +92,11 @@ def test_a_camera_without_times_is_stamped_by_arrival():
     with (
         speaking(domain, lambda publish, n: publish("/image", m.IMAGE, picture(n, 0.0))),
         DdsGraph(domain, "lo") as graph,
-        pytest.warns(UserWarning, match=r"/image tells no times .* its arrival less the latency \(0.5 s\)"),
     ):
         camera = RosCamera(graph=graph, latency=0.5)
         before = time.time()
-        frame = next(iter(camera))
+        with pytest.warns(UserWarning, match=r"/image tells no times .* its arrival less the latency \(0.5 s\)"):
+            frame = next(iter(camera))
         assert before - 5 < frame.stamp + 0.5 <= time.time()
         camera.close()
 
@@ -135,8 +136,13 @@ def test_pictures_that_are_no_panoramas(made, said):
 
 def test_topics_that_are_not_there_list_those_that_are():
     domain = free_domain()
+
+    def speak(publish, n):
+        publish("/odom", m.ODOMETRY, odometry(n))
+        publish("/image", m.IMAGE, picture(n))
+
     with (
-        speaking(domain, lambda publish, n: (publish("/odom", m.ODOMETRY, odometry(n)), publish("/image", m.IMAGE, picture(n)))),
+        speaking(domain, speak),
         DdsGraph(domain, "lo") as graph,
     ):  # fmt: skip
         from eagor.robots.ros import topics
@@ -144,15 +150,22 @@ def test_topics_that_are_not_there_list_those_that_are():
         pick = lambda kinds, asked: topics.find_topic(graph, kinds, asked, option="--image-topic", wait=1.0)  # noqa: E731
         with pytest.raises(DeviceError, match=r"has no topic /camera; it has /image \(sensor_msgs/msg/Image\), /odom"):
             pick(topics.PICTURES, "camera")
-        with pytest.raises(DeviceError, match="/odom is of type nav_msgs/msg/Odometry; wanted sensor_msgs/msg/Image or"):
+        with pytest.raises(
+            DeviceError, match="/odom is of type nav_msgs/msg/Odometry; wanted sensor_msgs/msg/Image or"
+        ):
             pick(topics.PICTURES, "/odom")
         assert pick(topics.PICTURES, None) == ("/image", m.IMAGE, 1)
         assert pick(topics.MOTION, "odom") == ("/odom", m.ODOMETRY, 1)
         with speaking(domain, lambda publish, n: publish("/image2", m.IMAGE, picture(n))):
             time.sleep(0.5)
-            with pytest.raises(DeviceError, match="several topics that fit: /image, /image2; say which one with --image"):
+            with pytest.raises(
+                DeviceError, match=r"several topics that fit: /image, /image2; say which one with --image"
+            ):
                 pick(topics.PICTURES, None)
-    with DdsGraph(domain, "lo") as graph, pytest.raises(DeviceError, match="has none|it has none: is the domain"):
+    with (
+        DdsGraph(domain, "lo") as graph,
+        pytest.raises(DeviceError, match=r"it has none: is the domain .ROS_DOMAIN_ID."),
+    ):
         topics.find_topic(graph, topics.PICTURES, None, option="--image-topic", wait=0.1)
 
 
@@ -160,7 +173,7 @@ def test_a_topic_on_which_nothing_comes():
     domain = free_domain()
     with Link(domain, "lo") as link, DdsGraph(domain, "lo") as graph:
         link.publish("/image", m.IMAGE)
-        with pytest.raises(DeviceError, match="no picture came on /image within 0.3 s from its 1 publishers"):
+        with pytest.raises(DeviceError, match=r"no picture came on /image within 0\.3 s from its 1 publishers"):
             RosCamera(graph=graph, wait=0.3)
 
 
@@ -212,9 +225,9 @@ def test_closing_lets_go_of_who_waits():
     with (
         speaking(domain, lambda publish, n: n or publish("/odom", m.ODOMETRY, odometry(1), transient=True), rate=20),
         DdsGraph(domain, "lo") as graph,
+        pytest.raises(DeviceError, match=r"no pose came on /odom within 0\.2 s"),
     ):
-        with pytest.raises(DeviceError, match="no pose came on /odom within 0.2 s"):
-            RosPoses(graph=graph, wait=0.2)
+        RosPoses(graph=graph, wait=0.2)
     ended = threading.Event()
     with (
         speaking(domain, lambda publish, n: publish("/odom", m.ODOMETRY, odometry(1)), rate=20),
@@ -294,7 +307,9 @@ def test_odometry_is_preferred_and_what_is_missing_is_said(bag):
         list(BagPoses(bag, "/odom", camera="nowhere", strict=True))
     poses = BagPoses(bag, "/imu/data", camera="x3_link")  # no transform leads to imu_link
     list(poses)
-    assert poses.problem == "/tf_static and /tf do not tell where x3_link is in imu_link: its axes are taken for the same"
+    assert (
+        poses.problem == "/tf_static and /tf do not tell where x3_link is in imu_link: its axes are taken for the same"
+    )
 
 
 def test_two_robots_on_one_topic_of_a_bag(tmp_path):

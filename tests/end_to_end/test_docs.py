@@ -129,6 +129,16 @@ def test_a_clip_is_followed_as_the_page_on_footage_says(tmp_path):
     assert check_commands(page, tmp_path, apart=1.0) == 1
 
 
+def test_a_film_is_followed_as_the_page_on_a_live_camera_says(tmp_path):
+    pytest.importorskip("cv2")
+    page = DOCS / "how-to" / "live.md"
+    written, followed = (text for text, _ in blocks(page, "python"))
+    run_python([written], tmp_path)
+    assert check_commands(page, tmp_path) == 1
+    (under,) = (under for kind, text, _, under in fences(page) if text == followed)
+    assert run_python([followed], tmp_path) == [under]  # by itself: the perception's process imports it
+
+
 def commands():
     """Every command of the pages' shell blocks, without its comment."""
     for page in PAGES:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from functools import lru_cache
 
 import numpy as np
 
@@ -28,14 +28,22 @@ def _neighbours(values: np.ndarray) -> list[np.ndarray]:
     return [np.roll(tall[row : row + len(values)], side, axis=1) for row, side in shifts]
 
 
+@lru_cache(maxsize=4)
+def _indices(shape: tuple[int, int]) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """The index of each cell ``(H, W)``, and those of its neighbours."""
+    index = np.arange(shape[0] * shape[1]).reshape(shape)
+    return index, tuple(_neighbours(index))
+
+
 def _climb(field: np.ndarray) -> np.ndarray:
     """For each cell, the index of the peak that steepest ascent leads to ``(H, W)``."""
-    index = np.arange(field.size).reshape(field.shape)
+    index, around = _indices(field.shape)  # type: ignore[arg-type]
     best, target = field.copy(), index.copy()
-    for value, where in zip(_neighbours(field), _neighbours(index), strict=True):
+    for value, where in zip(_neighbours(field), around, strict=True):
         # Equal values lead to the larger index, so that plateaus have one peak and no cycles.
         better = (value > best) | ((value == best) & (where > target))
-        best, target = np.where(better, value, best), np.where(better, where, target)
+        np.copyto(best, value, where=better)
+        np.copyto(target, where, where=better)
     target = target.reshape(-1)
     while True:
         further = target[target]
@@ -44,16 +52,26 @@ def _climb(field: np.ndarray) -> np.ndarray:
         target = further
 
 
-def _merge(field: np.ndarray, label: np.ndarray, prominence: float) -> np.ndarray:
-    """Labels after merging shallow basins into a higher neighbour (persistence, highest saddle first)."""
-    saddles: dict[tuple[int, int], float] = {}
+def _saddles(field: np.ndarray, label: np.ndarray) -> list[tuple[tuple[int, int], float]]:
+    """Pairs of basins that touch and the height of the saddle between them, in the order in which they are met."""
+    keys, heights = [], []
     for value, other in zip(_neighbours(field)[:4], _neighbours(label)[:4], strict=True):
         border = label != other
-        height = np.minimum(field[border], value[border])
-        for a, b, h in zip(label[border].tolist(), other[border].tolist(), height.tolist(), strict=True):
-            key = (a, b) if a < b else (b, a)
-            if h > saddles.get(key, -math.inf):
-                saddles[key] = h
+        a, b = label[border], other[border]
+        keys.append(np.minimum(a, b) * field.size + np.maximum(a, b))
+        heights.append(np.minimum(field[border], value[border]))
+    key, height = np.concatenate(keys), np.concatenate(heights)
+    if not len(key):
+        return []
+    order = np.argsort(key, kind="stable")
+    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
+    top = np.maximum.reduceat(height[order], starts)
+    found = sorted(zip(order[starts].tolist(), key[order][starts].tolist(), top.tolist(), strict=True))
+    return [(divmod(each, field.size), most) for _, each, most in found]
+
+
+def _merge(field: np.ndarray, label: np.ndarray, prominence: float) -> np.ndarray:
+    """Labels after merging shallow basins into a higher neighbour (persistence, highest saddle first)."""
     flat = field.reshape(-1)
     parent = {int(peak): int(peak) for peak in np.unique(label)}
 
@@ -62,7 +80,7 @@ def _merge(field: np.ndarray, label: np.ndarray, prominence: float) -> np.ndarra
             peak = parent[peak]
         return peak
 
-    for (a, b), height in sorted(saddles.items(), key=lambda item: -item[1]):
+    for (a, b), height in sorted(_saddles(field, label), key=lambda item: -item[1]):
         low, high = sorted((root(a), root(b)), key=lambda peak: flat[peak])
         if low != high and flat[low] - height < prominence:
             parent[low] = high

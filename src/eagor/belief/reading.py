@@ -76,9 +76,15 @@ class Reading:
     def cone(self, mass: float, about: np.ndarray) -> float:
         """Half-angle (radians) of the cone that is centred on a direction ``(3,)`` and holds `mass`."""
         cosine = self.parts[2] @ about
-        order = np.argsort(-cosine)
-        cosine, probability = cosine[order], self.mass[order]
-        reached = np.cumsum(probability) - probability / 2
+        near = cosine > math.cos(NEAR)  # mostly, what is farther away does not count, and sorting it takes long
+        for kept in (near, np.ones_like(near)):
+            probability = self.mass[kept]
+            order = np.argsort(-cosine[kept])
+            probability = probability[order]
+            reached = np.cumsum(probability) - probability / 2
+            if len(reached) and reached[-1] >= mass:
+                break
+        cosine = cosine[kept][order]
         return math.acos(max(-1.0, min(1.0, float(np.interp(mass, reached, cosine)))))
 
     def mass_above(self, direction: np.ndarray) -> float:
@@ -152,12 +158,15 @@ class Reading:
             tops[lost] = self.field(grid.directions.reshape(-1, 3)[lost])
         tops = np.maximum(tops, tops.max() - DEEP)
         label = basins(tops.reshape(grid.shape), PROMINENCE).reshape(-1)
-        _, inverse = np.unique(label, return_inverse=True)
-        of_part = inverse[home]
-        count = int(inverse.max()) + 1
-        order = np.lexsort((values, of_part))  # by basin, the highest last
-        last = np.searchsorted(of_part[order], np.arange(count), side="right") - 1
-        top = order[np.maximum(last, 0)]
+        there = np.zeros(len(label), dtype=bool)
+        there[label] = True
+        of_part = (np.cumsum(there) - 1)[label[home]]
+        count = int(np.count_nonzero(there))
+        highest = np.full(count, -np.inf)
+        np.maximum.at(highest, of_part, values)
+        tied = np.flatnonzero(values == highest[of_part])
+        top = np.zeros(count, dtype=np.intp)
+        top[of_part[tied]] = tied  # of equal ones the last
         near = np.einsum("ij,ij->i", directions, directions[top[of_part]]) > math.cos(NEAR)
         masses = np.bincount(of_part, self.mass * near, minlength=count)
         order = np.argsort(-masses, kind="stable")

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eagor.cli import terminal
-from eagor.cli.options import Bench, BenchInfo, BenchList, BenchRun, BenchScore, given, pairs_of
+from eagor.cli.options import Bench, BenchInfo, BenchList, BenchRun, BenchScore, pairs_of
 from eagor.cli.results import COMMANDS as RESULTS
+from eagor.cli.shared_options import given
 from eagor.errors import EagorError, FormatError
 
 if TYPE_CHECKING:

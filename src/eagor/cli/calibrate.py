@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from eagor.cli import terminal
 from eagor.cli.looking import check_looks, check_not_read, checked_out, checked_rows
-from eagor.cli.options import Calibrate, given
+from eagor.cli.options import Calibrate
+from eagor.cli.shared_options import given
 from eagor.errors import EagorError
 
 if TYPE_CHECKING:

@@ -25,7 +25,8 @@ from eagor.cli.looking import (
     perception_for,
     read_frame,
 )
-from eagor.cli.options import Demo, given
+from eagor.cli.options import Demo
+from eagor.cli.shared_options import given
 from eagor.drawing.words import in_words
 from eagor.perception import short_name
 from eagor.sphere import azimuth_elevation

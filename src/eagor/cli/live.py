@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +65,8 @@ def live(options: Live) -> int:
     rows = options.rows or max(LEAST_ROWS, 0 if is_model(spec) else rows_of(make_perception(spec)))
     opens = partial(open_camera, source, latency=options.latency, rows=rows, rig=options.rig)
     if source.startswith(ROS) and (options.domain is not None or options.interface is not None):
-        RosCamera: Any = import_module("eagor.robots.ros.sources").RosCamera
+        from eagor.robots.ros.sources import RosCamera
+
         topic = source.removeprefix(ROS)
         opens = partial(
             RosCamera, topic, domain=options.domain, interface=options.interface, latency=options.latency, rows=rows
@@ -171,7 +171,8 @@ def _poses(options: Live, camera: CameraSource) -> Any:
     if text.partition(":")[0] == GO2 or text.startswith(ROS):
         if not camera.live:
             raise terminal.UsageError(f"--poses {text} is live, and the pictures are a recording; wanted a CSV file")
-        return partial(open_poses, text, domain=options.domain, interface=options.interface)
+        frame = getattr(camera, "frame", None)
+        return partial(open_poses, text, domain=options.domain, interface=options.interface, camera=frame)
     if camera.live:
         raise terminal.UsageError(
             f"--poses {text}: a live camera needs live poses; wanted auto, level, still, ros:/TOPIC or go2"

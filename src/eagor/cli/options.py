@@ -14,6 +14,7 @@ from tyro.conf import Positional, arg, subcommand
 
 from eagor.cli.live_options import Live
 from eagor.cli.robot_options import Robot
+from eagor.cli.ros_options import Ros
 from eagor.cli.shared_options import (
     Common,
     DataOfRun,
@@ -89,23 +90,27 @@ class Track(Common):
     runs: ClassVar[str] = "eagor.cli.track:track"
 
     words: Annotated[tuple[str, ...], Positional, arg(metavar="FRAMES QUERY", help_behavior_hint="(required)")]
-    """A video, a folder of panoramas, or several image files (sorted by name); then what to look for."""
+    """A video, a folder of panoramas, several image files (sorted by name), or a ROS 2 bag; then what to look for."""
     poses: Annotated[str, arg(metavar="CSV|auto|level")] = "auto"
     (
-        "How the camera turned and moved. auto: from the video's IMU, or else from the pictures themselves (rotation "
-        "only). level: the same for a camera that keeps its pictures level; only the heading turns. CSV: a file with "
-        "the columns stamp,qw,qx,qy,qz (world_R_body) or stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch nose DOWN); "
-        "also x,y,z (metres) and frame (file name)."
+        "How the camera turned and moved. auto: from the bag's odometry, the video's IMU, or else from the pictures "
+        "themselves (rotation only). level: from pictures that the camera keeps level; only the heading turns. CSV: a "
+        "file with the columns stamp,qw,qx,qy,qz (world_R_body) or stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch "
+        "nose DOWN); also x,y,z (metres) and frame (file name)."
     )
     rate: Annotated[float | None, bare("HZ")] = None
     (
-        "Looks per second of a video (default: 2). For images with --poses auto or level: at how many per second they "
+        "Looks per second of a video or bag (default: 2). For images with --poses auto or level: how many per second "
         "were taken (default: 1)."
     )
     start: Annotated[float, arg(metavar="SECONDS")] = 0.0
-    """Where to begin in a video."""
+    """Where to begin in a video or bag."""
     end: Annotated[float | None, bare("SECONDS")] = None
-    """Where to stop in a video (default: at its end)."""
+    """Where to stop in a video or bag (default: at its end)."""
+    image_topic: Annotated[str | None, bare("TOPIC")] = None
+    """The pictures of a bag (default: the only topic of Images or CompressedImages)."""
+    odom_topic: Annotated[str | None, bare("TOPIC")] = None
+    """The odometry of a bag: Odometry, PoseStamped, Imu, or /tf (default: the only one of the first of these kinds)."""
     video: Annotated[Path | None, bare("FILE.mp4")] = None
     """Write a video with the answer drawn in: .mp4, .mkv, .webm, .gif or .webp."""
     fps: Annotated[float | None, bare("HZ")] = None
@@ -417,6 +422,7 @@ Command = (
     | Annotated[Track, subcommand("track")]
     | Annotated[Live, subcommand("live")]
     | Annotated[Robot, subcommand("robot")]
+    | Annotated[Ros, subcommand("ros")]
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[Calibrate, subcommand("calibrate")]

@@ -141,8 +141,8 @@ def _by_time(source: Source, poses: Sequence[Pose], name: Path) -> Iterator[Step
     for stamp, frame, read in source.frames():
         if not first - BEYOND <= stamp <= last + BEYOND:
             raise PoseError(
-                f"{frame} has no pose: {name} tells those from {first:g} to {last:g} s, and the video's clock begins "
-                "at 0. Shift the stamps of the file, or cut the video with --start and --end"
+                f"{frame} has no pose: {name} tells those from {first:.10g} to {last:.10g} s. The clock of a video "
+                "begins at 0, that of a bag is in its headers. Shift the stamps of the file, or cut with --start, --end"
             )
         while fed < len(poses) and poses[fed].stamp < stamp:
             yield Step(poses[fed])
@@ -180,13 +180,13 @@ def _same(found: PanoramaFile) -> PanoramaFile:
     return found
 
 
-def thinned(steps: Iterator[Step], rate: float | None) -> Iterator[Step]:
-    """The same steps, `rate` of their frames per second looked at (None: all)."""
+def thinned(steps: Iterator[Step], rate: float | None, begins: float = 0.0) -> Iterator[Step]:
+    """The same steps, `rate` of their frames per second from `begins` on looked at (None: all)."""
     tick = -math.inf
     for step in steps:
         if rate is None or step.frame is None or step.lost:
             yield step
             continue
-        number = math.floor(step.pose.stamp * rate + 1e-6)
+        number = math.floor((step.pose.stamp - begins) * rate + 1e-6)
         yield step if number > tick else Step(step.pose, step.frame, step.read, looked=False)
         tick = max(tick, number)

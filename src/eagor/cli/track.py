@@ -32,8 +32,9 @@ from eagor.cli.looking import (
     tracker_config,
     warn_of_detector,
 )
-from eagor.cli.options import Track, given
+from eagor.cli.options import Track
 from eagor.cli.poses import Pose, read_poses
+from eagor.cli.shared_options import given
 from eagor.cli.steps import LEAST_ROWS, Film, Source, Step, images, is_video, thinned, with_file, with_imu, with_sight
 from eagor.cli.tables import table
 from eagor.drawing.words import answer_in_words
@@ -68,9 +69,9 @@ def track(options: Track) -> int:
         raise terminal.UsageError(f"--modes {options.modes}; wanted 1 or more")
     perception = make_perception(spec)
     journey = _journey(options, places, perception)
-    floor, drift = _checked_floor(options.floor, journey.poses), _checked_drift(options.drift)
+    floor, drift = _checked_floor(options.floor, journey), _checked_drift(options.drift)
     config = replace(config, floor_height=floor, drift=drift)
-    run = _Run(options, query, spec, perception)
+    run = _Run(options, query, spec, perception, journey.begins)
     rivals = partial(make_rivals, spec) if options.compare else dict
     with ExitStack() as stack:
         keep = [stack.enter_context(sink) for sink in _sinks(options, query, spec, journey)]
@@ -94,6 +95,8 @@ class _Journey:
     poses: Sequence[Pose] = ()
     shown: float | None = None  # frames per second
     span: float | None = None  # seconds from the first frame to the last, if known
+    begins: float = 0.0  # the stamp of the first frame, where stamps are those of another clock
+    placed: bool = False  # whether positions come, though not as `poses`
 
 
 def _journey(options: Track, places: Sequence[Path], perception: Perception) -> _Journey:
@@ -103,6 +106,12 @@ def _journey(options: Track, places: Sequence[Path], perception: Perception) -> 
     for name in ("rate", "fps"):
         if (value := getattr(options, name)) is not None and not (math.isfinite(value) and value > 0):
             raise terminal.UsageError(f"--{name} {value:g}; wanted a number per second above 0")
+    from eagor.robots.ros.bags import is_bag
+
+    if len(places) == 1 and is_bag(places[0]):
+        return _recorded(options, places[0], poses, perception)
+    if given(options, ("image_topic", "odom_topic")):
+        raise terminal.UsageError(f"--image-topic and --odom-topic are for a ROS 2 bag; {places[0]} is none")
     if is_video(places):
         from eagor.robots.video import Video
 
@@ -139,6 +148,44 @@ def _journey(options: Track, places: Sequence[Path], perception: Perception) -> 
     return _Journey(thinned(steps, looks), source.count, told, poses, shown, span)
 
 
+def _recorded(options: Track, place: Path, poses: Sequence[Pose], perception: Perception) -> _Journey:
+    """The stream of a ROS 2 bag."""
+    from eagor.cli.bag_steps import BagFilm, odometry_of, with_odometry
+    from eagor.robots.ros.bags import Bag
+    from eagor.robots.ros.messages import IMU
+    from eagor.robots.ros.playing import BagCamera
+
+    bag = Bag(place)
+    looks = options.rate or RATE
+    shown = looks if options.video is None else max(looks, options.fps or FPS)
+    camera = BagCamera(bag, options.image_topic, rows=max(rows_of(perception), LEAST_ROWS))
+    source = BagFilm(camera, shown, options.start, options.end, options.force)
+    if poses and options.odom_topic:
+        raise terminal.UsageError(f"--poses {options.poses} and --odom-topic: wanted one of them")
+    odometry = None if poses or options.poses == "level" else odometry_of(bag, options.odom_topic, camera)
+    if poses:
+        steps, told = with_file(source, poses, Path(options.poses)), f"poses from {options.poses}"
+    elif odometry is not None:
+        steps, told = with_odometry(source, odometry), f"poses from {odometry.topic}"
+    else:
+        from eagor._extras import need
+
+        need("the rotation from pictures", "photos", "cv2")
+        steps, told = with_sight(source, options.poses == "level"), SEEN[options.poses]
+    terminal.log(f"{camera.count} pictures of {camera.topic}; {looks:g} looks per second (--rate), {told}")
+    terminal.log(f"the table's stamps are seconds from {camera.begins:.3f}; --out and --json have the full ones")
+    return _Journey(
+        thinned(steps, looks, camera.begins),
+        None,
+        told,
+        poses,
+        shown,
+        None,
+        camera.begins,
+        odometry is not None and odometry.kind != IMU,
+    )
+
+
 def _until_it_breaks(results: Iterator[Result], run: _Run) -> Iterator[Result]:
     """The results; where the frames end in an error after some, it is kept for the end: nothing computed is lost."""
     try:
@@ -152,8 +199,9 @@ def _until_it_breaks(results: Iterator[Result], run: _Run) -> Iterator[Result]:
 class _Run:
     """What the command says and counts on the way."""
 
-    def __init__(self, options: Track, query: str, spec: str, perception: Perception) -> None:
+    def __init__(self, options: Track, query: str, spec: str, perception: Perception, begins: float) -> None:
         self.options, self.query, self.spec, self.perception = options, query, spec, perception
+        self.begins = begins
         self.frames = self.bad = self.looked = 0
         self.entries: list[dict[str, Any]] = []
         self.broken: str | None = None
@@ -176,7 +224,7 @@ class _Run:
         if self.options.json:
             self.entries.append(result.as_json(self.options.modes))
         else:
-            print(line(result), flush=True)
+            print(line(replace(result, stamp=result.stamp - self.begins)), flush=True)
 
     def close(self, journey: _Journey) -> int:
         """Print the rest; returns the exit code."""
@@ -233,7 +281,13 @@ def _filmed(path: Path, query: str, journey: _Journey) -> Iterator[Sink]:
 
         def add(result: Result) -> None:
             if result.panorama is not None:
-                video.add(result.panorama, result.estimate, stamp=result.stamp, query=query, problem=result.problem)
+                video.add(
+                    result.panorama,
+                    result.estimate,
+                    stamp=result.stamp - journey.begins,
+                    query=query,
+                    problem=result.problem,
+                )
 
         yield add
 
@@ -249,7 +303,7 @@ def _paged(path: Path, query: str, used: dict[str, str], journey: _Journey) -> I
                 return
             if result.lost:
                 page.note(f"{result.frame} does not fit to the frames before it: the belief starts anew there.")
-            at, problem = result.stamp, result.problem
+            at, problem = result.stamp - journey.begins, result.problem
             page.add(result.panorama, result.estimate, stamp=at, name=result.frame, problem=problem)
 
         yield add
@@ -262,11 +316,13 @@ def _checked_drift(drift: float) -> float:
     return math.radians(drift)
 
 
-def _checked_floor(floor: float | None, poses: Sequence[Pose]) -> float | None:
+def _checked_floor(floor: float | None, journey: _Journey) -> float | None:
     """The floor's height, if every pose with a position is above it; else raises `UsageError`."""
-    heights = [float(pose.position[2]) for pose in poses if pose.position is not None]
-    if floor is not None and not heights:
-        raise terminal.UsageError(f"--floor {floor:g} needs positions: a file of --poses with the columns x,y,z")
+    heights = [float(pose.position[2]) for pose in journey.poses if pose.position is not None]
+    if floor is not None and not heights and not journey.placed:
+        raise terminal.UsageError(
+            f"--floor {floor:g} needs positions: a file of --poses with the columns x,y,z, or a bag's odometry"
+        )
     if floor is not None and not math.isfinite(floor):
         raise terminal.UsageError(f"--floor {floor:g}; wanted a height in metres")
     if floor is not None and heights and min(heights) <= floor:

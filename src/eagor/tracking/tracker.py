@@ -228,10 +228,11 @@ class DirectionTracker:
         track.used = self._uses
 
     def _place_again(self, track: Track) -> None:
-        """Place looks again that were newer than their pose, now that there is a newer pose."""
-        for index, moment in enumerate(track.moments):
+        """Place looks again that were newer than their pose, now that there is a newer pose: the last ones, if any."""
+        for index in reversed(range(len(track.moments))):
+            moment = track.moments[index]
             if moment.firm:
-                continue
+                break
             pose, position = self._poses.at(max(moment.stamp, self._poses.first))
             moment.world_R_body, moment.position = pose, position
             moment.firm = self._poses.reach(moment.stamp)

@@ -23,12 +23,14 @@ from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 __all__ = ["LiveCore", "Settings"]
 
 HELD = 0.05  # seconds for which the last pose may hold without a word
+STARTING = 1.0  # seconds that the first pose may take
 STALE_IMAGE = 1.0  # seconds without a picture that are worth a word
 INTERVALS = 2.5  # between pictures, if that is longer: slow cameras are not stale
 STALE_LOOK = 5.0  # seconds since the newest look that are worth a word
 REFRESHED = 0.1  # seconds for which a belief is only turned with the camera, while no evidence comes
 PICTURES = 512  # stamps of pictures that are remembered, for evidence that comes late
 SLOWEST = 1.0  # seconds: a camera's quickest picture takes no longer; a larger difference is one of clocks
+ONE_CLOCK = 0.5  # seconds: two clocks that differ by less from ours, in the same sense, are one
 TOLD = 5.0  # seconds for which an event of a moment (a clock that jumped) stays among the faults
 
 
@@ -65,7 +67,7 @@ class LiveCore:
         self._early: list[tuple[str, Evidence]] = []  # of the next moments: stamps may be a little ahead of ours
         self._full: dict[str, Estimate] = {}
         self._fresh: set[str] = set()
-        self._faults: dict[Part, Fault] = {}
+        self._faults: dict[tuple[Part, str], Fault] = {}
         self._news: list[Fault] = []
         self._asked = -math.inf
         self._begun: float | None = None
@@ -102,6 +104,7 @@ class LiveCore:
 
     def _follow(self, queries: tuple[str, ...]) -> None:
         for gone in {*self.queries} - {*queries}:
+            self._faults.pop(("perception", gone), None)
             self._full.pop(gone, None)
             self._looks.pop(gone, None)
             self._fresh.discard(gone)
@@ -114,10 +117,17 @@ class LiveCore:
         if news:
             self._say("clock", news, event.arrival)
         if stamp is not None:
+            stamp -= self._later()
             self._pictures.append((event.stamp, stamp))
             if stamp > self._image > -math.inf:
                 self._interval = stamp - self._image
             self._image = max(self._image, stamp)
+
+    def _later(self) -> float:
+        """Seconds by which even the quickest picture comes later than the quickest pose of the same robot's clock."""
+        both = self._camera.related and self._odometry.related
+        later = self._camera.shift - self._odometry.shift if both else 0.0
+        return later if 0 < later < ONE_CLOCK else 0.0
 
     def _take_pose(self, event: PoseCame) -> None:
         pose = event.pose
@@ -181,12 +191,16 @@ class LiveCore:
             return None, f"a stamp of the {clock.name} is left out: {error}"
 
     def _trouble(self, event: Trouble) -> None:
-        if not event.text:
-            self._faults.pop(event.part, None)
+        if event.part == "clock" and event.text:  # it is over when it is said
+            self._say(event.part, event.text, event.arrival)
             return
-        before = self._faults.get(event.part)
+        key = event.part, event.about
+        if not event.text:
+            self._faults.pop(key, None)
+            return
+        before = self._faults.get(key)
         since = event.arrival if before is None else before.since
-        self._faults[event.part] = Fault(event.part, event.text, since)
+        self._faults[key] = Fault(event.part, event.text, since)
 
     def _lost(self, event: PosesLost) -> None:
         self._tracker.reset()
@@ -256,7 +270,7 @@ class LiveCore:
         stale = max(STALE_IMAGE, INTERVALS * self._interval)
         if now - self._image > stale and now - begun > stale:
             found.append(_overdue("camera", "picture", now, self._image, begun))
-        if self.has_poses and now - self._pose > HELD and now - begun > HELD:
+        if self.has_poses and now - self._pose > HELD and (math.isfinite(self._pose) or now - begun > STARTING):
             fault = _overdue("poses", "pose", now, self._pose, begun)
             if not math.isinf(self._pose):
                 fault = replace(
@@ -265,7 +279,8 @@ class LiveCore:
             found.append(fault)
         if self.queries:
             looked = max((self._looks.get(query, -math.inf) for query in self.queries), default=-math.inf)
-            if now - looked > STALE_LOOK and now - begun > STALE_LOOK and "perception" not in self._faults:
+            told = any(fault.part == "perception" for fault in found)
+            if now - looked > STALE_LOOK and now - begun > STALE_LOOK and not told:
                 found.append(_overdue("perception", "look", now, looked, begun))
         self._news = [each for each in self._news if now - each.since <= TOLD]
         return sorted([*found, *self._news], key=lambda fault: fault.since)

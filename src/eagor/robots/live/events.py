@@ -60,11 +60,15 @@ class EvidenceCame:
 
 @dataclass(frozen=True)
 class Trouble:
-    """Something is wrong with a part, in words; an empty `text`: it works again."""
+    """Something is wrong with a part, in words; an empty `text`: it works again.
+
+    `about`: the query that alone is concerned; empty if all are.
+    """
 
     arrival: float
     part: Part
     text: str = ""
+    about: str = ""
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ def at_once(
 
     Each event goes to `taken`, what the perception says to `found`. Raises `EagorError` if it cannot be started.
     """
-    ahead, tick, now = _Ahead(poses), None, 0.0
+    ahead, begun, ticks, now = _Ahead(poses), None, 0, 0.0
 
     def feed(until: float) -> None:
         for pose in ahead.until(until):
@@ -42,11 +42,11 @@ def at_once(
         raise EagorError(failed.text)
     for frame in camera:
         now = frame.stamp
-        tick = now if tick is None else tick
-        while tick < now:
+        begun = now if begun is None else begun
+        while (tick := begun + ticks / rate) < now:
             feed(tick)
             yield from taken(Asked(tick))
-            tick += 1 / rate
+            ticks += 1
         feed(now)
         taken(FrameCame(now, now, frame.name, frame.panorama))
         picture = Picture(now, now, frame.panorama)
@@ -54,8 +54,8 @@ def at_once(
             taken(event)
         for said in keeper.look(frame.panorama, queries(), now, core.orientation(now)):
             found(picture, said, now)
-    if tick is not None:
-        yield from taken(Asked(max(tick, now)))
+    if begun is not None:
+        yield from taken(Asked(now))
 
 
 class _Ahead:

@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
@@ -90,7 +90,7 @@ class Keeper:
                 return
             process = context.Process(target=serve, args=(there, self.perception, self.masks, os.getpid()), daemon=True)
             try:
-                with one_thread():
+                with one_thread(), _deaf_to_ctrl_c():
                     process.start()
             except Exception as error:  # the perception cannot be pickled, or the system has no more processes
                 ours.close()
@@ -144,21 +144,22 @@ class Keeper:
         """End the process and let go of the shared memory. May be called twice."""
         self._killed.set()
         self._end()
-        if self._memory is not None:
-            self._memory.close()
-            with suppress(FileNotFoundError):
-                self._memory.unlink()
-            self._memory = None
 
     def _show(self, panorama: np.ndarray) -> str:
         """Put the picture into shared memory; its name there."""
         if self._memory is None or self._memory.size < panorama.nbytes:
-            if self._memory is not None:
-                self._memory.close()
-                self._memory.unlink()
+            self._free()
             self._memory = SharedMemory(create=True, size=panorama.nbytes)
         np.ndarray(panorama.shape, dtype=np.uint8, buffer=self._memory.buf)[...] = panorama
         return self._memory.name
+
+    def _free(self) -> None:
+        """Let go of the shared memory."""
+        memory, self._memory = self._memory, None
+        if memory is not None:
+            memory.close()
+            with suppress(FileNotFoundError):
+                memory.unlink()
 
     def _heard(self, patience: float) -> tuple[Any, ...]:
         """What it says next. Raises `_Silent` if that is nothing."""
@@ -193,6 +194,7 @@ class Keeper:
             with suppress(OSError, ValueError):
                 line.close()  # an idle one leaves
         if process is None:
+            self._free()
             return None
         process.join(0.2)
         if process.is_alive():
@@ -200,6 +202,7 @@ class Keeper:
             process.join(ENDING)
         code = process.exitcode
         process.close()
+        self._free()
         return code
 
 
@@ -209,3 +212,16 @@ class _Silent(Exception):
     def __init__(self, seconds: float) -> None:
         super().__init__(seconds)
         self.seconds = seconds
+
+
+@contextmanager
+def _deaf_to_ctrl_c() -> Iterator[None]:
+    """Processes started inside are not interrupted until they say so: Ctrl-C reaches all of a terminal's."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -36,6 +36,8 @@ def serve(line: Connection, perception: str | Perception, masks: Sequence[BodyMa
     """The life of the process; it ends when the line or its parent does. `masks`: where looks say nothing."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of the terminal; the parent decides
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # blocked until here by who started it
     _die_with(parent)
     leave_with_parent()
     memory: SharedMemory | None = None

@@ -353,12 +353,13 @@ class LiveLoop:
         if isinstance(said, Looked) and picture is not None:
             self._post(EvidenceCame(now, picture.stamp, picture.told, said.query, said.looks, said.seconds))
             self._post(Trouble(now, "perception"))
+            self._post(Trouble(now, "perception", about=said.query))
         elif isinstance(said, Failed):
             if said.refused and said.query is not None:
                 self._refused[said.query] = said.text
                 if all(query in self._refused for query in self.core.queries):
                     self._fatal = QueryError(said.text)
-            self._post(Trouble(now, "perception", said.text))
+            self._post(Trouble(now, "perception", said.text, said.query or ""))
 
     def _perception_ended(self, error: EagorError | None) -> None:
         self._fatal = self._fatal or error
@@ -371,9 +372,9 @@ class LiveLoop:
             self._worker.stop()
             self.counts.skipped = self._worker.skipped
         self._keeper.close()
-        if self._seer is not None:
-            self._seer.end()
         self._frames.close(LEAVING)
+        if self._seer is not None:
+            self._seer.close(LEAVING)
         if self._odometry is not None:
             self._odometry.close(LEAVING)
         for watcher in self._watchers:

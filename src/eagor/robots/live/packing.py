@@ -46,7 +46,7 @@ def event_in_bytes(event: Event) -> bytes:
         case Asked():
             return b"A" + struct.pack("<d", event.arrival)
         case Trouble():
-            return _text(b"T", event.arrival, event.part, event.text)
+            return _text(b"T", event.arrival, event.part, event.text, event.about)
         case PosesLost():
             return _text(b"L", event.arrival, event.text)
         case Following():

@@ -146,7 +146,7 @@ class _Anew:
             if isinstance(said, Looked):
                 yield replace(event, looks=said.looks, seconds=said.seconds)
             elif isinstance(said, Failed):
-                yield Trouble(event.arrival, "perception", said.text)
+                yield Trouble(event.arrival, "perception", said.text, said.query or "")
 
     def close(self) -> None:
         self._keeper.close()

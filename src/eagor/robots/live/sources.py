@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from importlib import import_module
 from typing import Any
 
 from eagor.errors import DeviceError
@@ -67,15 +66,18 @@ class _Go2Poses:
         self._held.close()
 
 
-def open_poses(text: str, *, domain: int | None = None, interface: str | None = None) -> PoseSource:
+def open_poses(
+    text: str, *, domain: int | None = None, interface: str | None = None, camera: str | None = None
+) -> PoseSource:
     """The live source of poses that `text` names: "ros:/odom", "go2", or "go2:lidar" (`eagor.robots.go2.state`).
 
-    `domain`, `interface`: of DDS. Raises `DeviceError` for another text, or if the network cannot be used;
-    `MissingExtraError`.
+    `domain`, `interface`: of DDS. `camera`: the frame of a ROS camera, whose poses are wanted. Raises `DeviceError` for
+    another text, or if the network cannot be used; `MissingExtraError`.
     """
     if text.startswith(ROS):
-        ros: Any = import_module("eagor.robots.ros.sources")
-        return ros.RosPoses(text.removeprefix(ROS), domain=domain, interface=interface)
+        from eagor.robots.ros.sources import RosPoses
+
+        return RosPoses(text.removeprefix(ROS) or None, domain=domain, interface=interface, camera=camera)
     if text.partition(":")[0] == GO2:
         graph: Any = import_module("eagor.robots.ros.graph")
         return _Go2Poses(text.partition(":")[2], graph.default_domain() if domain is None else domain, interface)

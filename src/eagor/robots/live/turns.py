@@ -60,6 +60,11 @@ class TurnsThread:
             self._over = True
             self._news.notify()
 
+    def close(self, patience: float) -> None:
+        """End, and wait so many seconds for the picture that is being compared."""
+        self.end()
+        self._thread.join(patience)
+
     @property
     def done(self) -> bool:
         """Whether it has ended."""

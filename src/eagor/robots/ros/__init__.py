@@ -1,6 +1,6 @@
-"""ROS 2 without ROS: messages, bags, cameras and odometry on topics, and a node that answers.
+"""ROS 2 without ROS: messages, bags, cameras and odometry on topics. The node that answers is `eagor.robots.node`.
 
 `messages`: to and from our types. `bags`: recordings. `transforms`, `odometry`: poses from what robots publish.
-`topics`: which topic is meant. `sources`: live topics. `playing`: topics of a bag. `answers`: an estimate as messages.
-`node`: all of it as a node of the graph.
+`topics`: which topic is meant. `graph`: the graph over DDS, or another. `sources`: live topics. `playing`: topics of a
+bag.
 """

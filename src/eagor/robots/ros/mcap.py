@@ -55,8 +55,11 @@ class Unfinished:
                     time, _, channel, data = heapq.heappop(waiting)
                     yield channel, time, data
                 file.seek(place)
-                kind, content = _record(file)
-                inside = _records(io.BytesIO(_unpacked(content))) if chunked else iter([(kind, content)])
+                try:
+                    kind, content = _record(file)
+                except _Cut as cut:
+                    kind, content = cut.operation, cut.body
+                inside = _records(_unpacked(content)) if chunked else iter([(kind, content)])
                 for operation, body in inside:
                     if operation == _MESSAGE and (about := struct.unpack_from("<HIQQ", body))[0] in wanted:
                         heapq.heappush(waiting, (about[2], number, about[0], body[22:]))
@@ -93,18 +96,33 @@ def scan(path: Path) -> Unfinished:
         try:
             while True:
                 place = file.tell()
-                operation, body = _record(file)
+                try:
+                    operation, body = _record(file)
+                except _Cut as cut:
+                    if (operation := cut.operation) != _CHUNK:
+                        raise
+                    body, found.broken = cut.body, str(cut)
                 if operation in (_FOOTER, _DATA_END):
                     return found
                 if operation == _CHUNK:
-                    times = [found._add(*record) for record in _records(io.BytesIO(_unpacked(body)))]
+                    times = [found._add(*record) for record in _records(_unpacked(body))]
                     if times := [time for time in times if time is not None]:
                         found._parts.append((min(times), place, True))
+                    if found.broken:
+                        return found
                 elif (time := found._add(operation, body)) is not None:
                     found._parts.append((time, place, False))
         except (EOFError, ValueError, struct.error) as error:
             found.broken = str(error) or "it ends in the middle of a record"
     return found
+
+
+class _Cut(EOFError):
+    """The file ends in the middle of a record, of which this is the beginning."""
+
+    def __init__(self, operation: int, body: bytes) -> None:
+        super().__init__("it ends in the middle of a record")
+        self.operation, self.body = operation, body
 
 
 def _record(file: IO[bytes]) -> tuple[int, bytes]:
@@ -117,24 +135,31 @@ def _record(file: IO[bytes]) -> tuple[int, bytes]:
         raise ValueError(f"a record of {length} bytes")
     body = file.read(length)
     if len(body) < length:
-        raise EOFError("it ends in the middle of a record")
+        raise _Cut(operation, body)
     return operation, body
 
 
-def _records(file: io.BytesIO) -> Iterator[tuple[int, bytes]]:
-    size = len(file.getbuffer())
-    while file.tell() < size:
-        yield _record(file)
+def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """The whole records in the content of a chunk, which may be cut off."""
+    file = io.BytesIO(data)
+    while file.tell() < len(data):
+        try:
+            yield _record(file)
+        except EOFError:
+            return
 
 
 def _unpacked(body: bytes) -> bytes:
-    """The records in a chunk."""
+    """The content of a chunk; of one that is cut off, and not compressed, its beginning."""
     _, _, size, check = struct.unpack_from("<QQQI", body)
     (long,) = struct.unpack_from("<I", body, 28)
     compression = body[32 : 32 + long].decode("ascii", "replace")
+    (packed_size,) = struct.unpack_from("<Q", body, 32 + long)
     packed = body[40 + long :]
     if size > _MOST:
         raise ValueError(f"a chunk of {size} bytes")
+    if len(packed) < packed_size and compression == "":
+        return packed
     try:
         data = _decompressed(packed, compression)
     except Exception as error:  # each library has errors of its own

@@ -10,6 +10,8 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from eagor.errors import DeviceError, EagorError, TimeError
 from eagor.robots.cameras.making import Panoramas
 from eagor.robots.cameras.rig import Rig
@@ -222,6 +224,11 @@ class RosPoses:
     def problem(self) -> str | None:
         """What is wrong now, in words, or None."""
         return self.reader.problem
+
+    def body_R_camera(self, stamp: float) -> np.ndarray:
+        """The rotation ``(3, 3)`` of the camera's axes in those of the body."""
+        with self._changed:
+            return self.reader.body_R_camera(stamp)
 
     def __iter__(self) -> Iterator[Pose]:
         while True:

@@ -1,0 +1,241 @@
+"""What the live loop costs beside the perception, and whether its memory grows: poses, evidence, answers for hours.
+
+python benchmarks/live_loop.py                    # CPU per simulated second, as fast as it goes
+python benchmarks/live_loop.py --positions        # the same with positions (distances are tracked too)
+python benchmarks/live_loop.py --real             # the whole loop with threads and a perception's process, in real time
+python benchmarks/live_loop.py --hours 8          # memory after hour 1 and at the end
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
+import argparse
+import resource
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from eagor import Evidence
+from eagor.robots.frames import Frame, Pose
+from eagor.robots.live.core import LiveCore, Settings
+from eagor.robots.live.events import Asked, EvidenceCame, FrameCame, PoseCame
+from eagor.sphere import world_R_body
+
+POSES, LOOKS, ANSWERS, TARGETS = 200, 10, 50, 3  # per second, and how many things are followed
+LATENCY = 0.4  # seconds from a picture to its evidence
+TURN, SPEED = 0.5, 0.3  # radians and metres per second
+QUERIES = tuple(f"thing {number}" for number in range(TARGETS))
+
+
+def pose(now: float, positions: bool) -> Pose:
+    """The body walks a circle and trots."""
+    tilt = 0.03 * np.sin(2 * np.pi * 3 * now)
+    angle = TURN * now
+    where = np.array([SPEED / TURN * np.sin(angle), SPEED / TURN * (1 - np.cos(angle)), 0.4]) if positions else None
+    return Pose(now, world_R_body(angle, tilt, tilt), where)
+
+
+def looks(draw: np.random.Generator, world: np.ndarray, at: Pose) -> list[Evidence]:
+    """What a detector says of each thing ``(n, 3)``, metres: sometimes missed, sometimes elsewhere too."""
+    found = []
+    for thing in world:
+        directions = []
+        if draw.random() < 0.85:
+            seen = thing - (np.zeros(3) if at.position is None else at.position)
+            directions.append(seen / np.linalg.norm(seen) + 0.03 * draw.normal(size=3))
+        directions += [draw.normal(size=3) for _ in range(draw.poisson(0.2))]
+        body = np.array(directions).reshape(-1, 3) @ at.world_R_body
+        scores = draw.uniform(0.4, 0.95, len(body))
+        found.append(Evidence.from_points(body, scores=scores, stamp=at.stamp))
+    return found
+
+
+def use(answer) -> None:
+    """What the status line and the lines of JSON take from an answer."""
+    estimate = answer.estimate
+    _ = answer.status_words, answer.direction, estimate.credible_angle, estimate.presence, estimate.modes
+
+
+class Run:
+    """Events of a simulated run, handed to a core second by second."""
+
+    def __init__(self, positions: bool, seed: int = 0) -> None:
+        self.core = LiveCore(Settings(QUERIES))
+        self.draw, self.positions, self.second = np.random.default_rng(seed), positions, 0
+        angles = 2 * np.pi * np.arange(TARGETS) / TARGETS
+        self.world = np.stack([4 * np.cos(angles), 4 * np.sin(angles), 0.2 * np.ones(TARGETS)], axis=-1)
+        self.made = 0.0  # seconds of CPU that making the events took, which is not the loop's
+        self.errors: list[float] = []
+        self.waiting: list[EvidenceCame] = []
+
+    def one_second(self) -> None:
+        """Take in a second of events."""
+        events, began = [], time.process_time()
+        for number in range(POSES):
+            now = self.second + number / POSES
+            events.append(PoseCame(now, pose(now, self.positions)))
+        for number in range(LOOKS):
+            now = self.second + number / LOOKS
+            events.append(FrameCame(now, now, ""))
+            seen = looks(self.draw, self.world, pose(now, self.positions))
+            come = zip(QUERIES, seen, strict=True)
+            self.waiting += [EvidenceCame(now + LATENCY, now, now, query, (look,)) for query, look in come]
+        events += [Asked(self.second + number / ANSWERS) for number in range(ANSWERS)]
+        end = self.second + 1
+        events += [event for event in self.waiting if event.arrival < end]
+        self.waiting = [event for event in self.waiting if event.arrival >= end]
+        events.sort(key=lambda each: each.arrival)
+        self.made += time.process_time() - began
+        answers = []
+        for event in events:
+            for answer in self.core.take(event):
+                use(answer)
+                answers.append(answer)
+        began = time.process_time()
+        for answer in answers:
+            self.judge(answer)
+        self.made += time.process_time() - began
+        self.second += 1
+
+    def judge(self, answer) -> None:
+        """Note the error of an answer."""
+        if answer.direction is not None and self.second > 2:
+            at = pose(answer.stamp, self.positions)
+            thing = self.world[QUERIES.index(answer.query)]
+            seen = (thing - (np.zeros(3) if at.position is None else at.position)) @ at.world_R_body
+            cosine = float(answer.direction @ seen / np.linalg.norm(seen))
+            self.errors.append(float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))))
+
+
+def resident() -> float:
+    """Mebibytes of this process in memory."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * resource.getpagesize() / 2**20
+
+
+def cost(positions: bool, seconds: int) -> None:
+    run = Run(positions)
+    for _ in range(3):
+        run.one_second()  # tables are made and cached
+    run.made, began = 0.0, time.process_time()
+    for _ in range(seconds):
+        run.one_second()
+    used = time.process_time() - began - run.made
+    where = "with positions" if positions else "without positions"
+    print(
+        f"{POSES} Hz poses {where}, {LOOKS} Hz evidence about each of {TARGETS} targets, {ANSWERS} Hz answers: "
+        f"{100 * used / seconds:.1f} % of one core; median error {np.median(run.errors):.2f} degrees"
+    )
+
+
+def memory(hours: float, positions: bool) -> None:
+    run, first, shown = Run(positions), None, -1
+    while run.second < hours * 3600:
+        run.one_second()
+        run.errors.clear()
+        minute = run.second // 60
+        if minute != shown and minute % 10 == 0:
+            shown = minute
+            print(f"{minute:4d} min  {resident():8.1f} MiB", flush=True)
+        if run.second == 3600:
+            first = resident()
+    last = resident()
+    if first is None:
+        print(f"{last:.1f} MiB at the end")
+    else:
+        print(f"{first:.1f} MiB after hour 1, {last:.1f} MiB after hour {hours:g}: grown by {last - first:+.1f} MiB")
+
+
+class Camera:
+    """10 pictures a second of nothing."""
+
+    def __init__(self) -> None:
+        from eagor import ErpGrid
+
+        self.grid, self.latency, self.dropped, self.live = ErpGrid(256, 512), 0.0, 0, True
+        self.over = False
+
+    def __iter__(self):
+        picture = np.full((256, 512, 3), 90, np.uint8)
+        while not self.over:
+            time.sleep(1 / LOOKS)
+            yield Frame(time.time(), picture, "")
+
+    def close(self) -> None:
+        self.over = True
+
+
+class Odometry:
+    """200 poses a second."""
+
+    def __init__(self, positions: bool) -> None:
+        self.positions, self.over = positions, False
+
+    def __iter__(self):
+        began, number = time.time(), 0
+        while not self.over:
+            number += 1
+            time.sleep(max(0.0, began + number / POSES - time.time()))
+            now = time.time()
+            yield replace(pose(now - began, self.positions), stamp=now)
+
+    def close(self) -> None:
+        self.over = True
+
+
+class Seeing:
+    """Sees each thing somewhere, at once."""
+
+    def __call__(self, panorama, query, *, stamp=None):
+        direction = np.array([[1.0, 0.3 * QUERIES.index(query), 0.0]])
+        return Evidence.from_points(direction, scores=np.array([0.9]), stamp=stamp)
+
+
+def real(positions: bool, seconds: float) -> None:
+    from eagor.robots.live.loop import LiveLoop
+
+    loop = LiveLoop(Camera(), Seeing(), QUERIES, poses=Odometry(positions), rate=ANSWERS)
+    began = cpu = None
+    gaps, last = [], None
+    for answer in loop:
+        use(answer)
+        now = time.monotonic()
+        if began is None:
+            if loop.counts.looks > 10 * TARGETS:
+                began, cpu = now, time.process_time()
+            continue
+        if answer.query == QUERIES[0]:
+            gaps += [] if last is None else [now - last]
+            last = now
+        if now - began > seconds:
+            used = time.process_time() - cpu
+            loop.stop()
+    counts = loop.counts
+    print(
+        f"in real time: {100 * used / seconds:.1f} % of one core beside the perception; "
+        f"gaps between answers: median {1e3 * np.median(gaps):.1f} ms, 99 % {1e3 * np.quantile(gaps, 0.99):.1f} ms, "
+        f"longest {1e3 * max(gaps):.1f} ms; {counts.late} of {counts.answers // TARGETS} ticks late"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=int, default=20)
+    parser.add_argument("--hours", type=float)
+    parser.add_argument("--positions", action="store_true")
+    parser.add_argument("--real", action="store_true")
+    given = parser.parse_args()
+    if given.hours:
+        memory(given.hours, given.positions)
+    elif given.real:
+        real(given.positions, given.seconds)
+    else:
+        cost(given.positions, given.seconds)
+
+
+if __name__ == "__main__":
+    main()

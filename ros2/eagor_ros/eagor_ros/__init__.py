@@ -1,0 +1,1 @@
+"""The node of eagor for ROS 2 with rclpy."""

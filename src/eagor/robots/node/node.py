@@ -1,0 +1,270 @@
+"""The node: pictures, odometry and queries of a ROS 2 graph in; directions, markers, beliefs, diagnostics out.
+
+It runs the live loop (`eagor.robots.live`), so it answers at a steady rate however slow the perception is. The graph is
+DDS without ROS (`eagor.robots.ros.graph.DdsGraph`), or `rclpy` (the package ``eagor_ros`` in ``ros2/``).
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from eagor._checks import above, require
+from eagor.errors import DeviceError, EagorError, QueryError
+from eagor.perception import Perception
+from eagor.robots.cameras.rig import Rig
+from eagor.robots.live.answers import Answer
+from eagor.robots.live.loop import RATE, LiveLoop
+from eagor.robots.node.answers import trouble
+from eagor.robots.node.outbox import Outbox
+from eagor.robots.node.queries import after
+from eagor.robots.ros.graph import Graph, GraphReader
+from eagor.robots.ros.messages import TEXT
+from eagor.robots.ros.odometry import BODY
+from eagor.robots.ros.sources import RosCamera, RosPoses
+from eagor.tracking import TrackerConfig
+
+__all__ = ["DIRECTION", "QUERY", "Node", "NodeSettings"]
+
+QUERY, DIRECTION, DIAGNOSTICS = "~/query", "~/direction", "/diagnostics"
+AGAIN = 2.0  # seconds before sources that are gone are looked for again
+IDLE = 1.0  # seconds between two words of a node that has nothing to do
+
+
+@dataclass(frozen=True)
+class NodeSettings:
+    """What a node reads, and how it answers.
+
+    `image_topic`, `odom_topic`: None is the only one. `poses`: "odom", or without odometry "auto" (rotation from the
+    pictures), "level" (the same for a camera that stays level), "still". `body`: the frame of the answers; `camera`:
+    the camera's (None: as the pictures name it); `world`: of the poses, for transforms. `rate`: answers per second;
+    `belief_rate`: pictures of the belief per second, 0 for none. Others as for `LiveLoop` and `RosCamera`.
+    """
+
+    image_topic: str | None = None
+    odom_topic: str | None = None
+    poses: Literal["odom", "auto", "level", "still"] = "odom"
+    body: str = BODY
+    camera: str | None = None
+    world: str | None = None
+    rate: float = RATE
+    belief_rate: float = 2.0
+    belief_encoding: Literal["mono8", "32FC1"] = "mono8"
+    latency: float = 0.0
+    rows: int | None = None
+    patience: float = 60.0
+    rig: Rig | None = None
+    record: Path | None = None
+    config: TrackerConfig = field(default_factory=TrackerConfig)
+
+    def __post_init__(self) -> None:
+        encodings = ("mono8", "32FC1")
+        require(
+            self,
+            {
+                "rate": (above(self.rate, 0, 1000), "answers per second, up to 1000"),
+                "belief_rate": (self.belief_rate >= 0, "pictures per second, or 0"),
+                "belief_encoding": (self.belief_encoding in encodings, f"one of {', '.join(encodings)}"),
+                "patience": (above(self.patience, 0), "seconds above 0"),
+                "poses": (self.poses in ("odom", "auto", "level", "still"), "odom, auto, level or still"),
+            },
+        )
+
+
+class Node:
+    """Answers on a `graph` until `stop` is called.
+
+    `perception`: for `LiveLoop`; or `choose`, which names one for the queries that are followed, and may raise
+    `QueryError`. `queries`: what is followed at first; others come on ``~/query`` (`eagor.robots.node.queries`).
+    `said` is told what goes wrong, in words. Topics: docs/how-to/ros2.md.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        perception: str | Perception = "colour",
+        queries: Sequence[str] = (),
+        settings: NodeSettings | None = None,
+        *,
+        choose: Callable[[Sequence[str]], str | Perception] | None = None,
+        said: Callable[[str], Any] = lambda _: None,
+    ) -> None:
+        self.graph, self.settings, self.queries = graph, settings or NodeSettings(), tuple(queries)
+        self._choose: Callable[[Sequence[str]], str | Perception] = choose or (lambda _: perception)
+        self._said = said
+        self._news = threading.Condition()
+        self._stopped = False
+        self._loop: LiveLoop | None = None
+        self._spec: str | Perception | None = None
+        self._poses: RosPoses | None = None
+        self._frame = ""
+        self._faults: set[str] = set()
+        self.answers = 0
+
+    def run(self) -> None:
+        """Follow until `stop`. Raises `EagorError` if the first camera, odometry or query cannot be used."""
+        reader: GraphReader = self.graph.subscribe(QUERY, TEXT, self._asked, reliable=True, depth=10, transient=True)
+        first, given = True, self.queries
+        try:
+            with Outbox(self.graph, self.settings) as outbox:
+                while self._wait_for_queries(outbox):
+                    try:
+                        self._follow(outbox)
+                        first = False
+                    except QueryError as error:
+                        if first and self.queries == given:
+                            raise
+                        self._tell(outbox, str(error))
+                        with self._news:
+                            self.queries = ()
+                    except (EagorError, OSError) as error:
+                        if first:
+                            raise
+                        self._tell(outbox, f"{error}; tried again")
+                        self._pause(AGAIN)
+        finally:
+            reader.close()
+
+    def stop(self) -> None:
+        """End `run`, from any thread."""
+        with self._news:
+            self._stopped = True
+            if self._loop is not None:
+                self._loop.stop()
+            self._news.notify_all()
+
+    def _asked(self, received: Any, _: float) -> None:
+        """A message on ``~/query``."""
+        with self._news:
+            queries = after(self.queries, received.data)
+            if queries == self.queries:
+                return
+            self.queries = queries
+            if self._loop is not None:
+                if queries and self._same(queries):
+                    self._loop.follow(queries)
+                else:
+                    self._loop.stop()  # another perception, or nothing to look for
+            self._news.notify_all()
+
+    def _same(self, queries: Sequence[str]) -> bool:
+        try:
+            chosen = self._choose(queries)
+            return chosen is self._spec or (isinstance(chosen, str) and chosen == self._spec)
+        except QueryError:
+            return False
+
+    def _wait_for_queries(self, outbox: Outbox) -> bool:
+        """Wait for something to look for. False once the node is stopped."""
+        while True:
+            with self._news:
+                if self._stopped:
+                    return False
+                if self.queries:
+                    return True
+            outbox.say(trouble(time.time(), "waiting for a query on ~/query (std_msgs/String)", level=0))
+            self._pause(IDLE)
+
+    def _pause(self, seconds: float) -> None:
+        with self._news:
+            if not self._stopped:
+                self._news.wait(seconds)
+
+    def _follow(self, outbox: Outbox) -> None:
+        """Run a loop until it ends, is stopped, or fails."""
+        s = self.settings
+        queries = self.queries
+        spec = self._choose(queries)
+        camera = self._camera()
+        self._frame = s.camera or camera.frame
+        try:
+            poses = self._first_poses()
+            loop = LiveLoop(
+                _Again(camera, self._camera), spec, queries, poses=poses, config=s.config, rate=s.rate,
+                patience=s.patience, record=s.record,
+            )  # fmt: skip
+        except BaseException:
+            camera.close()
+            raise
+        with self._news:
+            self._loop, self._spec = loop, spec
+            if self._stopped or self.queries != queries:
+                if not self._stopped and self.queries and self._same(self.queries):
+                    loop.follow(self.queries)
+                else:
+                    loop.stop()
+        try:
+            loop.run(lambda answer: self._answered(answer, loop, outbox))
+        finally:
+            with self._news:
+                self._loop = None
+            if self._poses is not None:
+                self._poses.close()
+                self._poses = None
+
+    def _camera(self) -> RosCamera:
+        s = self.settings
+        return RosCamera(s.image_topic, graph=self.graph, latency=s.latency, rows=s.rows, rig=s.rig)
+
+    def _odometry(self) -> RosPoses:
+        s = self.settings
+        self._poses = RosPoses(s.odom_topic, graph=self.graph, camera=self._frame or None, body=s.body, world=s.world)
+        return self._poses
+
+    def _first_poses(self) -> Any:
+        """What `LiveLoop` takes as poses."""
+        if self.settings.poses == "still":
+            return None
+        if self.settings.poses != "odom":
+            return self.settings.poses
+        try:
+            return _Again(self._odometry(), self._odometry)
+        except DeviceError as error:
+            raise DeviceError(f"{error}. Without odometry: --poses auto takes turns from the pictures") from error
+
+    def _answered(self, answer: Answer, loop: LiveLoop, outbox: Outbox) -> None:
+        queries = loop.core.queries
+        self.answers += 1
+        self._say_faults(answer)
+        number = queries.index(answer.query) if answer.query in queries else 0
+        counts = loop.counts
+        told = {
+            "pictures": str(counts.frames), "looks": str(counts.looks), "skipped": str(counts.skipped),
+            "poses": str(counts.poses), "answers": str(counts.answers), "late": str(counts.late),
+        }  # fmt: skip
+        outbox.put(answer, number, len(queries), self._mount(answer.stamp), self._frame or self.settings.body, told)
+
+    def _mount(self, stamp: float) -> np.ndarray:
+        """body_R_camera."""
+        poses = self._poses
+        return np.eye(3) if poses is None else poses.body_R_camera(stamp)
+
+    def _say_faults(self, answer: Answer) -> None:
+        """Say what is wrong once, as long as it lasts."""
+        now = {fault.text for fault in answer.faults}
+        if self._poses is not None and self._poses.problem:
+            now.add(self._poses.problem)
+        for text in sorted(now - self._faults):
+            self._said(text)
+        self._faults = now
+
+    def _tell(self, outbox: Outbox, text: str) -> None:
+        self._said(text)
+        outbox.say(trouble(time.time(), text))
+
+
+class _Again:
+    """Opens a source: the first time, the one that is open already."""
+
+    def __init__(self, source: Any, opens: Callable[[], Any]) -> None:
+        self._source, self._opens = source, opens
+
+    def __call__(self) -> Any:
+        source, self._source = self._source, None
+        return self._opens() if source is None else source

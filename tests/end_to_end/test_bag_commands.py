@@ -1,0 +1,187 @@
+"""``eagor track BAG``: directions from a recorded bag, right in the painted room; and what cannot be."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from eagor.cli import main
+from eagor.robots.frames import Pose
+from eagor.robots.ros import messages as m
+from eagor.robots.ros.bags import BagWriter
+from eagor.sphere import angular_distance, direction, world_R_body
+from eagor.worlds.painted import Room, bearing, paint
+
+START = 1_700_000_000.125
+ROOM = Room()
+MOUNT = world_R_body(math.radians(40), 0, 0), np.array([0.05, 0.0, 0.3])  # of the camera on the body
+COUNT = 12
+
+
+def body_at(t):
+    """The body's pose, `t` seconds after the start: it turns, and walks a little."""
+    return world_R_body(0.4 * t, 0, 0), np.array([-0.5 + 0.1 * t, 0.2, 1.0])
+
+
+def camera_at(t):
+    turn, place = body_at(t)
+    return turn @ MOUNT[0], place + turn @ MOUNT[1]
+
+
+def recorded(path, *, odometry=m.ODOMETRY, mounted=True, compressed=False, at_zero=False):
+    """Pictures at 4 Hz and odometry at 20 Hz for three seconds; the pictures are recorded 0.2 s after their capture."""
+    messages = []
+    for k in range(COUNT):
+        t = 0.25 * k
+        turn, place = camera_at(t)
+        panorama = paint(ROOM, tuple(place), turn, 64, 128)
+        if compressed:
+            messages.append(
+                (t + 0.2, "/x3/image/compressed", m.COMPRESSED, m.compressed_message(panorama, START + t, "x3"))
+            )
+        else:
+            stamp = 0.0 if at_zero else START + t
+            late = 0.0 if at_zero else 0.2
+            messages.append((t + late, "/x3/image", m.IMAGE, m.image_message(panorama, stamp, "x3")))
+    for k in range(-2, 62):
+        t = 0.05 * k
+        turn, place = body_at(t)
+        pose = Pose(START + t, turn, place)
+        if odometry == m.ODOMETRY:
+            messages.append((t, "/odom", m.ODOMETRY, m.odometry_message(pose)))
+        elif odometry == m.IMU:
+            messages.append((t, "/imu", m.IMU, m.imu_message(pose, "base_link")))
+        elif odometry == m.TRANSFORMS:
+            moved = m.transform_message(START + t, "odom", "base_link", turn, place)
+            messages.append((t, "/tf", m.TRANSFORMS, m.transforms_message(moved)))
+    with BagWriter(path) as bag:
+        if mounted:
+            fixed = m.transform_message(START, "base_link", "x3", *MOUNT)
+            bag.write("/tf_static", m.TRANSFORMS, m.transforms_message(fixed), START - 1)
+        for t, topic, kind, message in sorted(messages, key=lambda each: each[0]):
+            bag.write(topic, kind, message, START + t)
+    return path
+
+
+def track(capsys, *words):
+    code = main(["track", *map(str, words), "--json"])
+    out, err = capsys.readouterr()
+    return code, json.loads(out) if out else None, err
+
+
+def check_directions(frames, degrees=2.5):
+    assert len(frames) >= 5
+    for frame in frames[1:]:
+        truth, _ = bearing(ROOM.balls[0], camera_at(frame["stamp"] - START)[1], camera_at(frame["stamp"] - START)[0])
+        found = direction(math.radians(frame["azimuth_deg"]), math.radians(frame["elevation_deg"]))
+        assert math.degrees(angular_distance(truth, found)) < degrees, frame
+
+
+@pytest.mark.parametrize("kind", [m.ODOMETRY, m.TRANSFORMS, m.IMU])
+def test_directions_from_a_bag_are_right(tmp_path, capsys, kind):
+    bag = recorded(tmp_path / "bag", odometry=kind)
+    code, found, said = track(capsys, bag, "red ball", "--rate", "4")
+    assert code == 0
+    topic = {m.ODOMETRY: "/odom", m.TRANSFORMS: "/tf", m.IMU: "/imu"}[kind]
+    assert found["poses"] == f"poses from {topic}"
+    assert len(found["frames"]) == COUNT
+    assert found["frames"][3]["stamp"] == START + 0.75
+    assert "12 pictures of /x3/image" in said
+    check_directions(found["frames"])
+    with_distance = [frame["distance_m"] is not None for frame in found["frames"]]
+    assert any(with_distance) == (kind != m.IMU)
+
+
+def test_a_single_file_named_topics_and_a_cut(tmp_path, capsys):
+    bag = recorded(tmp_path / "bag", compressed=True) / "bag.mcap"
+    code, found, _ = track(
+        capsys, bag, "red ball", "--image-topic", "x3/image/compressed", "--odom-topic", "/odom", "--rate", "2",
+        "--start", "0.5", "--end", "2.6",
+    )  # fmt: skip
+    assert code == 0
+    assert [frame["stamp"] - START for frame in found["frames"]] == [0.5, 1.0, 1.5, 2.0, 2.5]
+    check_directions(found["frames"])
+
+
+def test_a_recording_that_was_killed(tmp_path, capsys):
+    file = recorded(tmp_path / "bag") / "bag.mcap"
+    file.write_bytes(file.read_bytes()[: 3 * file.stat().st_size // 4])
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    code, found, said = track(capsys, tmp_path / "bag", "red ball", "--rate", "4")
+    assert code == 0
+    assert "bag.mcap was cut off (it ends in the middle of a record); its first" in said
+    check_directions(found["frames"])
+
+
+def test_pages_and_tables_are_written(tmp_path, capsys):
+    bag = recorded(tmp_path / "bag")
+    assert (
+        main(["track", str(bag), "red ball", "--out", str(tmp_path / "o.csv"), "--page", str(tmp_path / "p.html")]) == 0
+    )
+    out, err = capsys.readouterr()
+    lines = out.splitlines()
+    assert lines[1].split()[0] == "0.000"  # seconds from the first picture
+    assert "the table's stamps are seconds from 1700000000.125" in err
+    assert (tmp_path / "o.csv").read_text().splitlines()[1].split(",")[:2] == [
+        "/x3/image at 1700000000.125 s",
+        str(START),
+    ]
+    assert "1700000000" not in lines[1]
+
+
+def test_a_bag_without_odometry_turns_by_its_pictures(tmp_path, capsys):
+    bag = recorded(tmp_path / "bag", odometry=None)
+    code, found, _ = track(capsys, bag, "red ball", "--rate", "4")
+    assert code == 0
+    assert found["poses"] == "orientations from the pictures themselves"
+
+
+def test_pictures_without_times_take_those_of_the_recording(tmp_path, capsys):
+    bag = recorded(tmp_path / "bag", at_zero=True)
+    code, found, said = track(capsys, bag, "red ball", "--rate", "4")
+    assert code == 0
+    assert "/x3/image tells no times" in said
+    check_directions(found["frames"])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--image-topic", "/camera"], "has no topic /camera; it has /odom (nav_msgs/msg/Odometry), /tf_static"),
+        (["--image-topic", "/odom"], "/odom is of type nav_msgs/msg/Odometry; wanted sensor_msgs/msg/Image or"),
+        (["--odom-topic", "/x3/image"], "/x3/image is of type sensor_msgs/msg/Image; wanted nav_msgs/msg/Odometry"),
+        (["--odom-topic", "/nothing"], "has no topic /nothing"),
+        (["--start", "100"], "there was no frame to look at"),
+    ],
+)
+def test_topics_that_are_not_there(tmp_path, capsys, words, said):
+    code, _, err = track(capsys, recorded(tmp_path / "bag"), "red ball", *words)
+    assert code == (1 if "--start" in words else 2)
+    assert said in err
+
+
+def test_what_is_no_bag(tmp_path, capsys):
+    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
+    code, _, err = track(capsys, tmp_path / "old.bag", "red ball")
+    assert code == 2
+    assert "is a bag of ROS 1; convert it: rosbags-convert" in err
+    (tmp_path / "a.png").write_bytes(b"")
+    code, _, err = track(capsys, tmp_path / "a.png", "red ball", "--odom-topic", "/odom")
+    assert code == 2
+    assert "--image-topic and --odom-topic are for a ROS 2 bag" in err
+
+
+def test_clocks_that_have_nothing_in_common(tmp_path, capsys):
+    turn, place = camera_at(0)
+    with BagWriter(tmp_path / "bag") as bag:
+        for k in range(4):
+            panorama = paint(ROOM, tuple(place), turn, 32, 64)
+            bag.write("/image", m.IMAGE, m.image_message(panorama, 50.0 + k, "x3"), START + k)
+            bag.write("/odom", m.ODOMETRY, m.odometry_message(Pose(START + k, turn, place)), START + k)
+    code, _, err = track(capsys, tmp_path / "bag", "red ball")
+    assert code == 2
+    assert "no picture of /image has a pose of /odom, which tells those from 1700000000.125 to" in err
+    assert "the pictures begin at 50.000 s. Are both stamped by one clock?" in err

@@ -1,0 +1,157 @@
+"""``eagor live`` from the shell: lines of JSON, ends as it should, errors in a sentence; and a recording again."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+from processes import alive, sessions_of, wait_for
+
+from eagor.cli import main
+from eagor.worlds.painted import painted_room
+
+pytest.importorskip("cv2")
+WIDTH, STEP = 256, 4  # pixels, and columns by which each picture of the film is turned to the left
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory):
+    """A folder of pictures of a camera that turns, 10 per second by their names."""
+    folder = tmp_path_factory.mktemp("film")
+    room = painted_room(WIDTH // 2, WIDTH)
+    for number in range(12):
+        Image.fromarray(np.roll(room, number * STEP, axis=1)).save(folder / f"{number / 10:.2f}.png")
+    return folder
+
+
+def lines(capsys):
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def begun(*words):
+    """The command in a session of its own, heeding signals whatever the shell around the tests does."""
+
+    def heed():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_DFL)
+
+    paths = os.pathsep.join(entry for entry in sys.path if entry)
+    return subprocess.Popen(
+        [sys.executable, "-m", "eagor", "live", *map(str, words)],
+        env={**os.environ, "PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        preexec_fn=heed,
+    )
+
+
+def test_a_folder_is_followed_fast_with_several_queries(film, capsys):
+    assert main(["live", str(film), "red chair", "blue ball", "--fast", "--json", "--poses", "level"]) == 0
+    found = lines(capsys)
+    assert {line["query"] for line in found} == {"red chair", "blue ball"}
+    chair = [line for line in found if line["query"] == "red chair"]
+    assert [round(line["stamp"], 2) for line in chair[:3]] == [0.0, 0.05, 0.1]
+    last = chair[-1]
+    assert last["status"] == "tracking"
+    assert last["faults"] == []
+    # Pictures are turned to the left, so the chair is ever further to the right; between pictures the last pose holds.
+    first = next(line for line in chair if line["azimuth_deg"] is not None)
+    turned = first["azimuth_deg"] - last["azimuth_deg"]
+    steps = int(last["stamp"] * 10 + 1e-6) - int(first["stamp"] * 10 + 1e-6)
+    assert turned % 360 == pytest.approx(steps * STEP * 360 / WIDTH, abs=3)
+
+
+def test_poses_of_a_file_are_those_of_its_clock(film, tmp_path, capsys):
+    poses = tmp_path / "poses.csv"
+    rows = [f"{k / 20},{k / 2 * STEP * 360 / WIDTH},0,0" for k in range(24)]
+    poses.write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *rows]))
+    assert main(["live", str(film), "red chair", "--fast", "--json", "--poses", str(poses)]) == 0
+    last = lines(capsys)[-1]
+    assert last["status"] == "tracking"
+    assert last["credible_angle_deg"] < 5
+
+
+def test_a_run_is_recorded_and_played_again(film, tmp_path, capsys):
+    pytest.importorskip("rosbags")
+    words = ["--record", str(tmp_path / "run"), "--json", "--poses", "still"]
+    assert main(["live", str(film), "red chair", *words]) == 0
+    first = lines(capsys)
+    assert first[-1]["status"] == "tracking"
+    assert main(["live", "replay", str(tmp_path / "run"), "--json"]) == 0
+    captured = capsys.readouterr()
+    assert [json.loads(line) for line in captured.out.splitlines()] == first
+    assert f"{len(first)} answers, {len(first)} of them equal to the recorded ones bit for bit" in captured.err
+    assert main(["live", "replay", str(tmp_path / "run"), "--perception", "colour", "--json"]) == 0
+    assert len(lines(capsys)) == len(first)
+
+
+def test_without_a_terminal_only_json_is_printed(film, capsys):
+    assert main(["live", str(film), "red chair", "--fast", "--poses", "still"]) == 0
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "12 pictures, 12 looks, 0 poses" in captured.err
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them")
+@pytest.mark.parametrize(
+    ("number", "code", "said"), [(signal.SIGINT, 130, b"interrupted"), (signal.SIGTERM, 143, b"terminated")]
+)
+def test_it_ends_cleanly_when_it_is_told_to(tmp_path, number, code, said):
+    """Also in the middle of a recording, which is whole then; nobody is left behind."""
+    pytest.importorskip("rosbags")
+    words = ["pipe:rgb24:64x32", "red chair", "--json", "--record", tmp_path / "run", "--poses", "still"]
+    run = begun(*words)
+    picture = bytes(64 * 32 * 3)
+    heard = []
+
+    def speaks():
+        run.stdin.write(picture)
+        run.stdin.flush()
+        return run.poll() is not None or len(heard) > 0 or (heard.append(run.stdout.readline()) or False)
+
+    wait_for(speaks)
+    assert json.loads(heard[0])["query"] == "red chair"
+    sessions = sessions_of(run.pid)
+    os.killpg(run.pid, number)  # as a terminal does
+    _, err = run.communicate(timeout=60)
+    wait_for(lambda: not alive(sessions))
+    assert run.returncode == code, err
+    assert err.splitlines()[-1] == b"eagor: " + said
+    assert b"Traceback" not in err
+    assert main(["live", "replay", str(tmp_path / "run")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["{film}"], "wanted SOURCE, then one or more QUERY"),
+        (["/nowhere", "red chair"], "there is no file or folder '/nowhere'"),
+        (["/dev/video77", "red chair"], "/dev/video77"),
+        (["{film}", "red chair", "--rate", "0"], "--rate 0"),
+        (["{film}", "red chair", "--patience", "-1"], "--patience -1"),
+        (["{film}", "red chair", "red chair"], "a query comes twice"),
+        (["{film}", "red chair", "--poses", "go2"], "wanted a CSV file"),
+        (["{film}", "red chair", "--poses", "nowhere.csv"], "nowhere.csv"),
+        (["{film}", "red chair", "--record", "{film}"], "name a new folder"),
+        (["{film}", "red chair", "--perception", "nonesuch"], "there is no perception 'nonesuch'"),
+        (["{film}", "pet snail", "--perception", "colour"], "pet snail"),
+        (["{film}", "red chair", "--mask", "nowhere.png"], "nowhere.png"),
+        (["replay"], "the folder of one recording"),
+        (["replay", "/nowhere"], "/nowhere"),
+        (["replay", "{film}"], "holds no bag"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_a_sentence_with_exit_code_2(words, says, film, capsys):
+    pytest.importorskip("rosbags")
+    assert main(["live", *(word.format(film=film) for word in words)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    errors = [line for line in captured.err.splitlines() if line.startswith("eagor: error: ")]
+    assert len(errors) == 1
+    assert says in errors[0]

@@ -1,0 +1,460 @@
+"""Promised: nothing that fails holds up the answers of the live loop; it is said in words, and mended where it can be.
+
+Waits are for events, with generous limits; no time is asserted.
+"""
+
+import math
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from livemaking import (
+    AlwaysDying,
+    Camera,
+    Dying,
+    Film,
+    Hanging,
+    Ignorant,
+    Odometry,
+    Raising,
+    Seeing,
+    Stalled,
+    Track,
+    Unplugged,
+    yawed,
+)
+from processes import alive, sessions_of, wait_for
+
+from eagor.errors import DeviceError, EagorError, QueryError, StorageError, TimeError
+from eagor.robots.frames import Pose
+from eagor.robots.live import loop as looping
+from eagor.robots.live.loop import LiveLoop
+from eagor.robots.live.replay import Replay
+from eagor.tracking import TrackerConfig
+
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them")
+CONFIG = TrackerConfig(degree=7)
+LONGEST = 60.0  # seconds that anything may take
+
+
+def followed(loop, *phases):
+    """The answers until each of the phases, a function of an answer, has been true, one after the other."""
+    answers, end, left = [], time.monotonic() + LONGEST, [*phases]
+    for answer in loop:
+        answers.append(answer)
+        while left and left[0](answer):
+            left.pop(0)
+        if not left:
+            loop.stop()
+        assert time.monotonic() < end, [*map(str, {a.status_words for a in answers})]
+    assert not left, [*{a.status_words for a in answers}]
+    return answers
+
+
+def says(*words):
+    return lambda answer: all(word in answer.status_words for word in words)
+
+
+def known(answer):
+    return answer.direction is not None and answer.look_age < 5
+
+
+def well(answer):
+    return known(answer) and not answer.faults
+
+
+def loop_of(camera, perception, queries=("red chair",), **options):
+    return LiveLoop(camera, perception, queries, **{"config": CONFIG, "rate": 50.0} | options)
+
+
+@pytest.fixture(autouse=True)
+def _nobody_is_left():
+    yield
+    import multiprocessing
+    import threading
+
+    wait_for(lambda: not multiprocessing.active_children())
+    wait_for(lambda: not [t for t in threading.enumerate() if t.name.startswith("eagor ")])
+
+
+def test_answers_do_not_wait_for_a_model_that_takes_1600_ms(tmp_path):
+    """Dozens of answers come between a picture and what the model says about it."""
+    loop = loop_of(Camera(), Seeing(1.6), poses=Odometry(turn=0.5))
+    answers = followed(
+        loop, lambda answer: not says("being loaded")(answer), known, lambda a: a.look_age < 2 and a.image_age < 1
+    )
+    loading = [answer for answer in answers if says("being loaded")(answer)]
+    before = [answer for answer in answers if not says("being loaded")(answer) and not known(answer)]
+    assert loading
+    assert len(before) >= 16  # 80 on an idle machine
+    late = next(answer for answer in answers if known(answer))
+    assert late.look_age > 1.5
+    assert late.image_age < late.look_age
+
+
+def test_the_newest_picture_is_looked_at_and_the_others_are_counted(tmp_path):
+    log = tmp_path / "log"
+    loop = loop_of(Camera(rate=100), Seeing(0.3, log=log))
+    ages = []
+    done = followed(loop, known, lambda answer: ages.append(answer.look_age) or loop.counts.looks >= 5)
+    stamps = [float(line.split()[0]) for line in log.read_text().splitlines()]
+    assert np.diff(stamps).min() > 0.25  # not the next picture, but the newest: one is skipped for each that is not
+    assert loop.counts.skipped > loop.counts.looks
+    assert done
+
+
+def pulled(camera):
+    """A phase that pulls the plug."""
+
+    def pull(_):
+        camera.pulled.set()
+        return True
+
+    return pull
+
+
+def test_a_camera_that_is_unplugged_comes_back():
+    opened, first = [], Unplugged()
+
+    def opens():
+        opened.append(1)
+        if len(opened) == 2:
+            raise DeviceError("there is no /dev/video7; plug a camera in")
+        return first if len(opened) == 1 else Camera()
+
+    loop = loop_of(opens, Seeing())
+    phases = says("/dev/video7 is gone", "opened again"), says("there is no /dev/video7"), well
+    followed(loop, well, pulled(first), *phases)
+    assert len(opened) == 3
+
+
+def test_a_source_object_that_ends_is_read_again():
+    class Passing(Unplugged):
+        def __iter__(self):
+            try:
+                yield from super().__iter__()
+            finally:
+                self.pulled.clear()
+
+    camera = Passing()
+    followed(loop_of(camera, Seeing()), well, pulled(camera), says("/dev/video7 is gone"), well)
+
+
+def test_a_stream_that_stalls_is_said_and_opened_again(monkeypatch):
+    monkeypatch.setattr(looping, "STALLED", 3.0)
+    opened, first = [], Stalled()
+
+    def opens():
+        opened.append(1)
+        return first if len(opened) == 1 else Camera()
+
+    loop = loop_of(opens, Seeing())
+    followed(loop, well, pulled(first), says("no picture for 1."), says("opened again"), well)
+    assert len(opened) == 2
+
+
+def test_a_perception_that_raises_is_said_and_goes_on():
+    loop = loop_of(Camera(), Raising(3, seconds=0.1))
+    followed(loop, says("RuntimeError: out of memory"), well)
+
+
+def test_a_perception_that_hangs_is_ended_and_started_anew(tmp_path):
+    log = tmp_path / "log"
+    loop = loop_of(Camera(), Hanging(tmp_path / "mark", log=log), patience=2.0)
+    answers = followed(loop, says("did not look within 2 s", "starts anew"), well)
+    processes = [int(line.split()[-1]) for line in log.read_text().splitlines()]
+    assert len({*processes}) == 2
+    during = [answer for answer in answers if not known(answer)]
+    assert len(during) > 20
+
+
+def test_a_perception_whose_process_dies_is_started_anew(tmp_path):
+    loop = loop_of(Camera(), Dying(tmp_path / "mark"))
+    followed(loop, says("died (exit code 7)", "after 0.5 s"), well)
+
+
+def test_a_perception_that_always_dies_is_started_ever_more_rarely():
+    loop = loop_of(Camera(), AlwaysDying())
+    followed(loop, says("after 0.5 s"), says("after 1 s"), says("after 2 s"))
+
+
+def test_a_cameras_clock_that_jumps_is_said_and_followed():
+    begun = []
+
+    def jumping(stamp):
+        begun.append(stamp)
+        return stamp + (3600.0 if len(begun) > 100 else 0.0)
+
+    loop = loop_of(Camera(stamps=jumping), Seeing())
+    answers = followed(loop, well, says("the clock of the camera jumped forward by 3600."), well)
+    assert all(answer.image_age > -0.1 for answer in answers)
+
+
+def test_this_machines_clock_that_is_set_is_said(monkeypatch):
+    shift = [0.0]
+    real = time.time
+    monkeypatch.setattr(time, "time", lambda: real() + shift[0])
+
+    def set_once(answer):
+        shift[0] = -500.0
+        return True
+
+    loop = loop_of(Camera(), Seeing(), poses=Odometry())
+    answers = followed(
+        loop, well, set_once, says("set back by 500."), says("the clock of the odometry jumped back"), well
+    )
+    assert all(b.stamp >= a.stamp for a, b in pairwise(answers))
+
+
+def test_poses_that_stop_are_said():
+    odometry = Odometry()
+    loop = loop_of(Camera(), Seeing(), poses=odometry)
+    answers = followed(loop, well, pulled(odometry), says("the last pose holds for 1."))
+    assert answers[-1].pose_age > 0.99
+
+
+def test_poses_that_end_are_asked_for_again():
+    opened = []
+
+    def opens():
+        opened.append(1)
+        return Broken() if len(opened) == 1 else Odometry()
+
+    class Broken(Odometry):
+        def __iter__(self):
+            yield Pose(time.time(), yawed(0.0))
+            raise DeviceError("the robot is gone")
+
+    loop = loop_of(Camera(), Seeing(), poses=opens)
+    followed(loop, says("the robot is gone"), well)
+
+
+def test_a_query_that_is_not_understood_is_said_and_the_other_goes_on():
+    loop = loop_of(Camera(), Ignorant(), ["red chair", "pet snail"])
+    answers = followed(loop, says("'pet snail' is not known"), lambda a: a.query == "red chair" and known(a))
+    assert all(answer.direction is None for answer in answers if answer.query == "pet snail")
+
+
+def test_queries_that_nobody_understands_end_the_loop():
+    with pytest.raises(QueryError, match="pet snail"):
+        followed(loop_of(Camera(), Ignorant(), ["pet snail"]), lambda _: False)
+
+
+@pytest.mark.parametrize("spec", ["nonesuch", "onnx:/nowhere.onnx"])
+def test_a_perception_that_cannot_be_loaded_ends_the_loop_in_words(spec):
+    with pytest.raises(EagorError, match=r"nonesuch|nowhere"):
+        followed(loop_of(Camera(), spec), lambda _: False)
+
+
+def test_a_perception_that_cannot_be_sent_to_a_process_ends_the_loop_in_words():
+    with pytest.raises(EagorError, match="cannot be started"):
+        followed(loop_of(Camera(), lambda panorama, query, stamp=None: None), lambda _: False)
+
+
+def test_a_camera_that_is_not_there_is_an_error_at_once():
+    def opens():
+        raise DeviceError("there is no /dev/video9")
+
+    with pytest.raises(DeviceError, match="video9"):
+        loop_of(opens, Seeing())
+
+
+@pytest.mark.parametrize(("name", "value"), [("rate", 0.0), ("rate", math.nan), ("patience", -1.0)])
+def test_wrong_numbers_are_refused(name, value):
+    with pytest.raises(TimeError, match=name):
+        loop_of(Camera(), Seeing(), **{name: value})
+
+
+def test_a_query_can_be_changed_while_it_runs():
+    loop = loop_of(Camera(), Seeing())
+
+    def change(answer):
+        loop.follow(["blue ball"])
+        return True
+
+    followed(loop, well, change, lambda a: a.query == "blue ball" and well(a))
+
+
+def test_a_recording_is_played_at_its_own_speed_with_its_poses():
+    """The loop waits for the perception, and ends with the film; stamps are of now."""
+    poses = [Pose(95 + k / 20, yawed(0.2 * (95 + k / 20))) for k in range(160)]
+    loop = loop_of(Film(count=20), Seeing(), poses=Track(poses))
+    began = time.time()
+    answers = list(loop)
+    assert loop.counts.frames == 20
+    assert answers[-1].stamp - answers[0].stamp > 1.8
+    assert abs(answers[0].stamp - began) < LONGEST
+    # The camera has turned since the last look, by what the poses tell.
+    assert known(answers[-1])
+
+
+def test_fast_looks_at_every_picture_and_gives_the_same_each_time(tmp_path):
+    log = tmp_path / "log"
+    poses = [Pose(99 + k / 20, yawed(0.2 * (99 + k / 20))) for k in range(100)]
+    runs = [
+        [a.as_json(exact=True) for a in loop_of(Film(count=20), Seeing(log=log), poses=Track(poses), fast=True)]
+        for _ in range(2)
+    ]
+    assert runs[0] == runs[1]
+    assert len(log.read_text().splitlines()) == 40
+    assert [round(a["stamp"], 6) for a in runs[0]][:3] == [100.0, 100.02, 100.04]
+    assert runs[0][-1]["faults"] == []
+
+
+def test_a_watcher_sees_all_that_happens():
+    seen, closed = [], []
+
+    class Watcher:
+        def take(self, event, answers):
+            seen.append((type(event).__name__, len(answers)))
+
+        def close(self):
+            closed.append(True)
+
+    loop = loop_of(Camera(), Seeing(), poses=Odometry(), watchers=[Watcher()])
+    answers = followed(loop, well)
+    assert {"FrameCame", "PoseCame", "EvidenceCame", "Trouble", "Asked"} == {name for name, _ in seen}
+    assert sum(count for _, count in seen) == len(answers)
+    assert closed == [True]
+
+
+def played_torn(record):
+    """A recording that was cut off, and its answers; it is said that it was."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        replay = Replay(record)
+        answers = list(replay)
+    assert any("cut off" in str(warning.message) for warning in said)
+    return replay, answers
+
+
+SCRIPT = """
+import sys, time
+sys.path[:0] = {paths!r}
+from pathlib import Path
+from livemaking import Camera, Odometry, Seeing
+from eagor.robots.live.loop import LiveLoop
+
+if __name__ == "__main__":
+    loop = LiveLoop(Camera(), {perception}, ["red chair"], poses=Odometry(), record=Path({record!r}), rate=20.0)
+    for answer in loop:
+        if answer.direction is not None:
+            Path({mark!r}).touch()
+"""
+
+
+@linux
+@pytest.mark.parametrize("perception", ["Seeing()", "Seeing(3600.0)"])
+def test_a_run_that_is_killed_leaves_nobody_and_its_recording_can_be_played(tmp_path, perception):
+    pytest.importorskip("rosbags")
+    record, mark = tmp_path / "run", tmp_path / "mark"
+    paths = [entry for entry in sys.path if entry]
+    hangs = "3600" in perception
+    script = tmp_path / "script.py"
+    text = SCRIPT.format(paths=paths, perception=perception, record=str(record), mark=str(mark))
+    script.write_text(text)
+    run = subprocess.Popen([sys.executable, str(script)], start_new_session=True)
+    wait_for(lambda: any("spawn_main" in each for each in alive(sessions_of(run.pid)).values()))
+    wait_for((record / "run.mcap").exists if hangs else mark.exists)
+    time.sleep(2.0)  # some of it is on the disk then
+    sessions = sessions_of(run.pid)
+    run.send_signal(signal.SIGKILL)
+    run.wait()
+    wait_for(lambda: not alive(sessions))
+    replay, answers = played_torn(record)
+    assert len(answers) > 10
+    assert replay.compared.equal == replay.compared.recorded > 0
+    assert hangs or any(answer.direction is not None for answer in answers)
+
+
+LIMITED = """
+import resource, sys
+sys.path[:0] = {paths!r}
+from pathlib import Path
+from livemaking import Camera, Odometry, Seeing
+from eagor.robots.live.loop import LiveLoop
+
+if __name__ == "__main__":
+    import signal
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, resource.RLIM_INFINITY))
+    loop = LiveLoop(Camera(), Seeing(), ["red chair"], poses=Odometry(rate=200), record=Path({record!r}), rate=50.0)
+    said = 0
+    for answer in loop:
+        said += "the recording has ended early" in answer.status_words
+        if said > 30 and answer.direction is not None:
+            loop.stop()
+    print(loop.recording_problem)
+"""
+
+
+@linux
+def test_a_full_disk_ends_the_recording_in_words_and_not_the_loop(tmp_path):
+    pytest.importorskip("rosbags")
+    script, record = tmp_path / "script.py", tmp_path / "run"
+    script.write_text(LIMITED.format(paths=[entry for entry in sys.path if entry], record=str(record)))
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert "the recording has ended early" in done.stdout
+    assert "File too large" in done.stdout
+    replay, answers = played_torn(record)
+    assert len(answers) > 10
+    assert replay.compared.equal == replay.compared.recorded
+
+
+def test_a_folder_that_is_there_already_is_not_recorded_into(tmp_path):
+    pytest.importorskip("rosbags")
+    with pytest.raises(StorageError, match="already"):
+        loop_of(Camera(), Seeing(), record=tmp_path)
+
+
+def test_a_recording_is_played_again_bit_for_bit_and_looked_at_anew(tmp_path):
+    pytest.importorskip("rosbags")
+    loop = loop_of(
+        Camera(), Seeing(0.05), ["red chair", "blue ball"], poses=Odometry(turn=0.5), record=tmp_path / "run"
+    )
+    answers = followed(loop, well, lambda _: loop.counts.looks > 10)
+    replay = Replay(tmp_path / "run")
+    again = list(replay)
+    assert [a.as_json(exact=True) for a in again] == [a.as_json(exact=True) for a in answers]
+    assert replay.compared.equal == replay.compared.recorded == len(answers)
+    anew = Replay(tmp_path / "run", Seeing(direction=(0.0, 1.0, 0.0)))
+    last = list(anew)[-1]
+    assert anew.compared.answers == len(answers)
+    apart = math.remainder(last.estimate.azimuth - answers[-1].estimate.azimuth, math.tau)
+    assert apart == pytest.approx(math.pi / 2, abs=0.05)
+
+
+def test_others_read_a_recording_as_a_ros_bag(tmp_path):
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    from eagor.robots.ros.bags import bag_topics, read_bag
+    from eagor.robots.ros.messages import panorama_of, pose_of, stamp_of
+
+    loop = loop_of(Camera(), Seeing(), poses=Odometry(turn=0.5), record=tmp_path / "run", pictures="png")
+    answers = followed(loop, well)
+    topics = bag_topics(tmp_path / "run")
+    assert topics == {
+        "/eagor/answers": "std_msgs/msg/String",
+        "/eagor/direction/red_chair": "geometry_msgs/msg/Vector3Stamped",
+        "/eagor/events": "std_msgs/msg/UInt8MultiArray",
+        "/eagor/image/compressed": "sensor_msgs/msg/CompressedImage",
+        "/eagor/odom": "nav_msgs/msg/Odometry",
+    }
+    found = {}
+    for _, topic, _, message in read_bag(tmp_path / "run"):
+        found.setdefault(topic, []).append(message)
+    assert len(found["/eagor/answers"]) == len(answers)
+    assert np.array_equal(panorama_of(found["/eagor/image/compressed"][0]), np.full((16, 32, 3), 90))
+    pose = pose_of(found["/eagor/odom"][-1])
+    assert np.allclose(pose.world_R_body, yawed(0.5 * stamp_of(found["/eagor/odom"][-1])), atol=1e-6)
+    last = found["/eagor/direction/red_chair"][-1].vector
+    assert np.allclose([last.x, last.y, last.z], answers[-1].direction)
+    with rosbag2.Reader(tmp_path / "run") as reader:
+        assert reader.message_count == sum(map(len, found.values()))
+    assert Path(tmp_path / "run" / "metadata.yaml").is_file()
