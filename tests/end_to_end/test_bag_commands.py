@@ -185,3 +185,25 @@ def test_clocks_that_have_nothing_in_common(tmp_path, capsys):
     assert code == 2
     assert "no picture of /image has a pose of /odom, which tells those from 1700000000.125 to" in err
     assert "the pictures begin at 50.000 s. Are both stamped by one clock?" in err
+
+
+@pytest.mark.parametrize(("topic", "poses"), [("", []), ("?topic=/x3/image", ["--poses", "ros:/odom"])])
+def test_a_bag_is_played_as_a_live_camera(tmp_path, capsys, topic, poses):
+    bag = recorded(tmp_path / "bag")
+    assert main(["live", f"{bag}{topic}", "red ball", "--fast", "--json", *poses]) == 0
+    out, err = capsys.readouterr()
+    answers = [json.loads(line) for line in out.splitlines()]
+    assert len(answers) > 20
+    assert "12 looks, " in err
+    last = answers[-1]
+    truth, _ = bearing(ROOM.balls[0], camera_at(0.25 * (COUNT - 1))[1], camera_at(0.25 * (COUNT - 1))[0])
+    assert math.degrees(angular_distance(truth, np.array(last["direction"]))) < 4
+
+
+def test_lenses_of_a_bag_are_refused_without_their_rig(tmp_path, capsys):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.write("/fisheye", m.IMAGE, m.image_message(np.zeros((60, 80, 3), np.uint8), START, "x3"), START)
+    code, _, err = track(capsys, tmp_path / "bag", "red ball")
+    assert code == 2
+    assert "gives pictures of 80 x 60, not 2:1" in err
+    assert "--rig FILE.yaml" in err

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from eagor.cli import terminal
+from eagor.cli.bag_steps import odometry_of
 from eagor.cli.live_options import Live
 from eagor.cli.looking import (
     check_looks,
@@ -36,6 +37,7 @@ from eagor.robots.frames import CameraSource, Pose
 from eagor.robots.live.answers import Answer, Fault
 from eagor.robots.live.loop import LiveLoop
 from eagor.robots.live.sources import GO2, ROS, GivenPoses, MotionPoses, open_poses
+from eagor.robots.ros.playing import BagCamera
 
 MOST_DRIFT = 90  # degrees
 MOST_RATE = 1000.0  # answers per second
@@ -65,11 +67,18 @@ def live(options: Live) -> int:
     rows = options.rows or max(LEAST_ROWS, 0 if is_model(spec) else rows_of(make_perception(spec)))
     opens = partial(open_camera, source, latency=options.latency, rows=rows, rig=options.rig)
     if source.startswith(ROS) and (options.domain is not None or options.interface is not None):
+        from eagor.robots.cameras import read_rig
         from eagor.robots.ros.sources import RosCamera
 
         topic = source.removeprefix(ROS)
         opens = partial(
-            RosCamera, topic, domain=options.domain, interface=options.interface, latency=options.latency, rows=rows
+            RosCamera,
+            topic,
+            domain=options.domain,
+            interface=options.interface,
+            latency=options.latency,
+            rows=rows,
+            rig=None if options.rig is None else read_rig(options.rig),
         )
     camera = opens()
     told = _Told(options, queries)
@@ -161,6 +170,9 @@ def _perception(queries: Sequence[str], given: str | None) -> str:
 def _poses(options: Live, camera: CameraSource) -> Any:
     """What `LiveLoop` takes for ``--poses``."""
     text = options.poses
+    if isinstance(camera, BagCamera) and (text == "auto" or text.startswith(ROS)):
+        topic = text.removeprefix(ROS) if text != "auto" else None
+        return odometry_of(camera.bag, topic, camera) or text
     motion = getattr(camera, "motion", None)
     if text == "auto" and motion is not None:
         return MotionPoses(motion)

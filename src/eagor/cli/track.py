@@ -167,7 +167,12 @@ def _recorded(options: Track, place: Path, poses: Sequence[Pose], perception: Pe
     bag = Bag(place)
     looks = options.rate or RATE
     shown = looks if options.video is None else max(looks, options.fps or FPS)
-    camera = BagCamera(bag, options.image_topic, rows=max(rows_of(perception), LEAST_ROWS))
+    rig = None
+    if options.rig is not None:
+        from eagor.robots.cameras import read_rig
+
+        rig = read_rig(options.rig)
+    camera = BagCamera(bag, options.image_topic, rows=max(rows_of(perception), LEAST_ROWS), rig=rig)
     source = BagFilm(camera, shown, options.start, options.end, options.force)
     if poses and options.odom_topic:
         raise terminal.UsageError(f"--poses {options.poses} and --odom-topic: wanted one of them")

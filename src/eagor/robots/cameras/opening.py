@@ -11,6 +11,7 @@ from typing import Any
 
 from eagor import plugins
 from eagor.errors import DeviceError
+from eagor.robots.bag_files import is_bag, split_bag
 from eagor.robots.cameras.files import FolderCamera, VideoCamera
 from eagor.robots.cameras.live import LiveCamera
 from eagor.robots.cameras.pipes import raw_pipe
@@ -22,11 +23,11 @@ from eagor.robots.frames import CameraSource
 __all__ = ["BUILT_IN", "GROUP", "SOURCES", "open_camera"]
 
 GROUP = "eagor.cameras"
-BUILT_IN = {"ros": "eagor.robots.ros.sources:RosCamera"}
+BUILT_IN = {"bag": "eagor.robots.ros.playing:BagCamera", "ros": "eagor.robots.ros.sources:RosCamera"}
 SOURCES = (
-    "a folder of panoramas, a video file, /dev/video0 or v4l2:0 (?size=1920x960&rate=30&format=mjpeg), rtsp://..., "
-    "rtmp://..., http://..., udp://..., ros:/image_topic, - (encoded pictures on standard input) or "
-    "pipe:rgb24:1920x960 (raw ones)"
+    "a folder of panoramas, a video file, a ROS 2 bag (BAG?topic=/image), /dev/video0 or v4l2:0 "
+    "(?size=1920x960&rate=30&format=mjpeg), rtsp://..., rtmp://..., http://..., udp://..., ros:/image_topic, - "
+    "(encoded pictures on standard input) or pipe:rgb24:1920x960 (raw ones)"
 )
 _DEVICE = re.compile(r"(?:v4l2:)?(/dev/[^?]+)|v4l2:(\d+)")
 _ADDRESS = re.compile(rf"(?:{'|'.join(SCHEMES)})://", re.IGNORECASE)
@@ -64,6 +65,8 @@ def open_camera(
         return FolderCamera([Path(part) for part in parts], **settings)
     if kinds[0] == "file":
         return VideoCamera([Path(part) for part in parts], **settings)
+    if kinds[0] == "bag":
+        return plugins.bring(plugins.known(GROUP, BUILT_IN)["bag"], "camera")(text, **settings)
     if kinds[0] == "plugin":
         return _plugin(text, settings)
     return LiveCamera([_OPENINGS[kind](part) for kind, part in zip(kinds, parts, strict=True)], **settings)
@@ -78,6 +81,8 @@ def _kind(text: str) -> str:
         return "device"
     if _ADDRESS.match(text):
         return "stream"
+    if is_bag(split_bag(text)[0]):
+        return "bag"
     if os.path.isdir(text):
         return "folder"
     if os.path.exists(text):
@@ -114,8 +119,4 @@ def _plugin(text: str, settings: dict[str, Any]) -> CameraSource:
     name, _, rest = text.partition(":")
     point = plugins.known(GROUP, BUILT_IN)[name]
     make = plugins.bring(point, "camera")
-    if name == "ros":  # its pictures are panoramas, made elsewhere
-        if settings["rig"] is not None:
-            raise DeviceError("--rig is for pictures of lenses; a ROS topic has panoramas. Leave it out")
-        return make(rest, latency=settings["latency"], rows=settings["rows"])
     return make(rest, **settings)

@@ -14,6 +14,7 @@ from typing import Any
 
 from eagor._extras import need
 from eagor.errors import EagorError, FormatError
+from eagor.robots.bag_files import SUFFIXES, is_bag
 from eagor.robots.dds.ros_types import store
 from eagor.robots.ros import mcap
 from eagor.robots.ros.messages import NANO
@@ -22,19 +23,7 @@ from eagor.robots.ros.topics import listed
 
 __all__ = ["SUFFIXES", "Bag", "BagWriter", "bag_topics", "is_bag", "read_bag"]
 
-SUFFIXES = (".mcap", ".db3")
 ROS_1 = b"#ROSBAG V"
-
-
-def is_bag(path: str | Path) -> bool:
-    """Whether `path` looks like a bag: a file by its name, a folder by what is in it."""
-    path = Path(path)
-    try:
-        if path.is_dir():
-            return (path / "metadata.yaml").is_file() or any(file.suffix in SUFFIXES for file in path.iterdir())
-        return path.suffix.lower() in (*SUFFIXES, ".bag")
-    except OSError:
-        return False
 
 
 def read_bag(path: str | Path, topics: Collection[str] | None = None) -> Iterator[tuple[float, str, str, Any]]:

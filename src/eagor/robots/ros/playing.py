@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from eagor.errors import DeviceError, EagorError, FormatError, PoseError
+from eagor.errors import DeviceError, EagorError, FormatError, PoseError, TimeError
+from eagor.robots.bag_files import split_bag
 from eagor.robots.cameras.making import Panoramas
 from eagor.robots.cameras.rig import Rig
 from eagor.robots.frames import Frame, Pose
@@ -17,14 +18,22 @@ from eagor.robots.ros.messages import TRANSFORMS, panorama_of, stamp_of
 from eagor.robots.ros.odometry import BODY, PoseReader
 from eagor.robots.ros.topics import MOTION, PICTURES, TF, TF_STATIC, pick
 
-__all__ = ["BagCamera", "BagPoses"]
+__all__ = ["BagCamera", "BagPoses", "apart"]
+
+
+def apart(rate: float | None) -> float:
+    """Seconds between two pictures of so many per second, a little less for rounding. Raises `TimeError`."""
+    if rate is not None and not (math.isfinite(rate) and rate > 0):
+        raise TimeError(f"rate = {rate!r}; wanted pictures per second, more than 0")
+    return 0.0 if rate is None else 0.99 / rate
 
 
 class BagCamera:
     """A `CameraSource` that plays the pictures of a bag; each iteration begins at its start.
 
-    `topic`: None is the only one with pictures. Stamps are those of the headers less the `latency`; where a header has
-    none, the time of recording. `count`: how many pictures there are; `frame`: the frame that they name; otherwise as
+    `topic`: None is the only one with pictures; or `bag` is the text ``BAG?topic=/image``. Stamps are those of the
+    headers less the `latency`; where a header has none, the time of recording. `rate`: the most pictures per second.
+    `count`: how many pictures there are; `frame`: the frame that they name; otherwise as
     `eagor.robots.ros.sources.RosCamera`. Raises `FormatError` for the bag or topic, `ImageError` for the pictures.
     """
 
@@ -38,7 +47,11 @@ class BagCamera:
         latency: float = 0.0,
         rows: int | None = None,
         rig: Rig | None = None,
+        rate: float | None = None,
     ) -> None:
+        self._apart = apart(rate)
+        if isinstance(bag, str) and topic is None:
+            bag, topic = split_bag(bag)
         self.bag = bag if isinstance(bag, Bag) else Bag(bag)
         self.latency, self.dropped, self.problem = latency, 0, None
         self._closed = False
@@ -82,6 +95,8 @@ class BagCamera:
                 )
             if stamp <= last:  # sent twice, or out of order
                 self.dropped += 1
+                continue
+            if stamp < last + self._apart:
                 continue
             last = stamp
             yield stamp, lambda received=received: self._panorama(received)

@@ -19,6 +19,7 @@ from eagor.robots.frames import Frame, Pose
 from eagor.robots.ros.graph import DdsGraph, Graph, GraphReader
 from eagor.robots.ros.messages import TRANSFORMS, panorama_of, stamp_of
 from eagor.robots.ros.odometry import BODY, PoseReader
+from eagor.robots.ros.playing import apart
 from eagor.robots.ros.topics import MOTION, PICTURES, TF, TF_STATIC, find_topic
 
 __all__ = ["RosCamera", "RosPoses", "address"]
@@ -47,11 +48,12 @@ class RosCamera:
 
     Stamps are those of the headers, which are times of capture, less the `latency` (for drivers that stamp later). A
     header without a time is said once; the time of arrival less the latency takes its place. Only the newest picture is
-    kept, and decoded when it is asked for; `dropped` counts the others, and those that were damaged. `rows`: the most
-    rows of a panorama; `rig`: the lenses, if the topic has their pictures. `domain`: None is that of the environment;
-    `graph`: a graph to use instead of an own one. `frame`: the frame that the pictures name. `problem`: what is wrong
-    now, or None. Raises `DeviceError` if there is no such topic or no picture comes, `ImageError` for pictures that are
-    no panoramas.
+    kept, and decoded when it is asked for; `dropped` counts the others, and those that were damaged.
+
+    `rows`: the most rows of a panorama; `rate`: the most pictures per second; `rig`: the lenses, if the topic has their
+    pictures. `domain`: None is that of the environment; `graph`: a graph to use instead of an own one. `frame`: the
+    frame that the pictures name. `problem`: what is wrong now, or None. Raises `DeviceError` if there is no such topic
+    or no picture comes, `ImageError` for pictures that are no panoramas.
     """
 
     live = True
@@ -66,6 +68,7 @@ class RosCamera:
         latency: float = 0.0,
         rows: int | None = None,
         rig: Rig | None = None,
+        rate: float | None = None,
         graph: Graph | None = None,
         wait: float = FIRST,
     ) -> None:
@@ -73,6 +76,7 @@ class RosCamera:
             raise TimeError(f"latency = {latency!r}; wanted seconds from capture to the stamp, 0 or more")
         asked, settings = address(topic or "")
         self.latency, self.problem = latency, None
+        self._apart = apart(rate)
         self._changed = threading.Condition()
         self._newest: tuple[Any, float] | None = None
         self._closed, self._dropped = False, 0
@@ -117,6 +121,8 @@ class RosCamera:
                 continue
             if stamp <= self._last:  # sent twice, or out of order
                 self._dropped += 1
+                continue
+            if stamp < self._last + self._apart:
                 continue
             self._last, self.problem = stamp, None
             yield Frame(stamp, panorama, f"{self.topic} at {stamp:.3f} s")

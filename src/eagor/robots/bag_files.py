@@ -1,0 +1,28 @@
+"""Which paths are ROS 2 bags; nothing is read of them (`eagor.robots.ros.bags`)."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+__all__ = ["SUFFIXES", "is_bag", "split_bag"]
+
+SUFFIXES = (".mcap", ".db3")
+ROS_1 = ".bag"
+
+
+def is_bag(path: str | os.PathLike[str]) -> bool:
+    """Whether `path` looks like a bag: a file by its name, a folder by what is in it."""
+    path = Path(path)
+    try:
+        if path.is_dir():
+            return (path / "metadata.yaml").is_file() or any(file.suffix in SUFFIXES for file in path.iterdir())
+        return path.suffix.lower() in (*SUFFIXES, ROS_1)
+    except OSError:
+        return False
+
+
+def split_bag(text: str) -> tuple[str, str | None]:
+    """Path and topic of ``BAG`` or ``BAG?topic=/image``."""
+    place, found, topic = text.partition("?topic=")
+    return (place, topic) if found and not os.path.exists(text) else (text, None)
