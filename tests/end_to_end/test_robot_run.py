@@ -65,8 +65,10 @@ def test_a_dry_run_moves_nothing(tmp_path):
     assert max(math.dist(place, places[0]) for place in places) < 1e-6
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_a_walk_that_is_ended_leaves_no_process(tmp_path, how):
+@pytest.mark.parametrize(("how", "everyone"), [
+    (signal.SIGINT, True), (signal.SIGINT, False), (signal.SIGTERM, False), (signal.SIGKILL, False),
+])  # fmt: skip
+def test_a_walk_that_is_ended_leaves_no_process(tmp_path, how, everyone):
     words = command("white sofa", "--sim", "--arm", "--report", str(tmp_path / "walk"))
     child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True)
     assert child.stderr is not None
@@ -75,7 +77,10 @@ def test_a_walk_that_is_ended_leaves_no_process(tmp_path, how):
             break
     sessions = sessions_of(child.pid)
     assert len(alive(sessions)) >= 4  # the command, the robot, its camera, the perception, the guard
-    os.kill(child.pid, how)
+    if everyone:  # as a terminal does at Ctrl-C
+        os.killpg(child.pid, how)
+    else:
+        os.kill(child.pid, how)
     child.stderr.read()
     code = child.wait(60)
     assert code == {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGKILL: -signal.SIGKILL}[how]

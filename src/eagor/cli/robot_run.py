@@ -6,7 +6,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -117,8 +117,9 @@ def robot_run(options: RobotRun) -> int:
         try:
             why = _walk(options, steer(loop, guard, odometer, walking), page, place)
         finally:
+            with suppress(DeviceError):  # Ctrl-C in a terminal ends the guard as well
+                guard.stop()
             loop.stop()
-            guard.stop()
             if folder is not None and page.samples:
                 _leave(folder, page, options, walking, limits, why)
     return _end(options, page, folder, why)
