@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 from eagor.robots.dds import Link
 from eagor.robots.go2 import idl
 from eagor.robots.go2.low import Remote
+from eagor.robots.go2.sim import SimSettings, SimulatedGo2
+from eagor.robots.go2.sim_live import LiveGo2
 from eagor.robots.go2.wire import LowFields, SportFields, raw
 
 GAINS, LAG, DEAD, EXPIRY = (0.80, 0.74, 0.90), 0.30, 0.15, 1.0
@@ -29,35 +31,11 @@ class Told:
 
 
 @dataclass
-class Peer:
-    """A robot on `domain` (interface lo); a context manager. Change the fields to make something wrong."""
+class Noted:
+    """What a robot was told and how its body moved, with times (monotonic)."""
 
-    domain: int
-    roll: float = 0.0
-    error_code: int = 0
-    mute: bool = False  # tells no state
-    deaf: int = 0  # so many StopMove are neither obeyed nor acknowledged
-    stuck: bool = False  # Move has no effect
-    mode: int = 1
-    pressed: frozenset[str] | None = frozenset()  # buttons of its remote control; None: it tells nothing of them
     told: list[Told] = field(default_factory=list)
-    speeds: list[tuple[float, tuple[float, ...]]] = field(default_factory=list)  # of the body, with times
-
-    def __enter__(self):
-        self._ended, self._turn = threading.Event(), threading.Lock()
-        self._link = Link(self.domain, "lo")
-        self._state = self._link.publish("rt/sportmodestate", raw(idl.SportModeState))
-        self._low = self._link.publish("rt/lf/lowstate", raw(idl.LowState))
-        self._reply = self._link.publish("rt/api/sport/response", idl.Response)
-        self._link.subscribe("rt/api/sport/request", idl.Request, self._request, reliable=True)
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_):
-        self._ended.set()
-        self._thread.join()
-        self._link.close()
+    speeds: list[tuple[float, tuple[float, ...]]] = field(default_factory=list)
 
     def commanded(self, when: float) -> tuple[float, float, float]:
         """The velocity that holds at a time, as far as requests have come."""
@@ -95,6 +73,36 @@ class Peer:
         x, y, turn = self.speeds[-1][1] if self.speeds else (0.0, 0.0, 0.0)
         return math.hypot(x, y) > 0.05 or abs(turn) > 0.05
 
+
+@dataclass
+class Peer(Noted):
+    """A robot on `domain` (interface lo); a context manager. Change the fields to make something wrong."""
+
+    domain: int = 0
+    roll: float = 0.0
+    error_code: int = 0
+    mute: bool = False  # tells no state
+    deaf: int = 0  # so many StopMove are neither obeyed nor acknowledged
+    stuck: bool = False  # Move has no effect
+    mode: int = 1
+    pressed: frozenset[str] | None = frozenset()  # buttons of its remote control; None: it tells nothing of them
+
+    def __enter__(self):
+        self._ended, self._turn = threading.Event(), threading.Lock()
+        self._link = Link(self.domain, "lo")
+        self._state = self._link.publish("rt/sportmodestate", raw(idl.SportModeState))
+        self._low = self._link.publish("rt/lf/lowstate", raw(idl.LowState))
+        self._reply = self._link.publish("rt/api/sport/response", idl.Response)
+        self._link.subscribe("rt/api/sport/request", idl.Request, self._request, reliable=True)
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._ended.set()
+        self._thread.join()
+        self._link.close()
+
     def _request(self, request, _):
         now, identity = time.monotonic(), request.header.identity
         told = Told(now, identity.api_id)
@@ -130,3 +138,46 @@ class Peer:
             if self.pressed is not None and (count := count + 1) % 10 == 0:
                 remote = Remote(self.pressed).to_bytes()
                 self._low.write(low(LowFields(wireless_remote=remote).to_bytes()))
+
+
+@dataclass
+class Simulated(Noted):
+    """The package's own simulated Go2 on `domain` (interface lo), and a reader beside it that notes what it is told."""
+
+    domain: int = 0
+
+    def __enter__(self):
+        self._link = Link(self.domain, "lo")
+        self._robot = LiveGo2(SimulatedGo2(SimSettings(None)), self.domain, "lo").__enter__()
+        self._link.subscribe("rt/api/sport/request", idl.Request, self._request, reliable=True)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._watch)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._ended.set()
+        self._thread.join()
+        self._robot.close()
+        self._link.close()
+
+    @property
+    def error_code(self) -> int:
+        return self._robot.server.error_code
+
+    @error_code.setter
+    def error_code(self, code: int) -> None:
+        self._robot.server.error_code = code
+
+    def _request(self, request, _):
+        told = Told(time.monotonic(), request.header.identity.api_id)
+        if told.api_id == 1008:
+            asked = json.loads(request.parameter)
+            told.velocity = (asked["x"], asked["y"], asked["z"])
+        self.told.append(told)
+
+    def _watch(self):
+        while not self._ended.wait(0.005):
+            motion = self._robot.server.truth
+            velocity = motion.pose.world_R_body.T @ motion.velocity
+            self.speeds.append((time.monotonic(), (float(velocity[0]), float(velocity[1]), motion.yaw_rate)))

@@ -8,8 +8,11 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
+from ddsmaking import free_domain
 from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
@@ -62,8 +65,10 @@ def test_a_dry_run_moves_nothing(tmp_path):
     assert max(math.dist(place, places[0]) for place in places) < 1e-6
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_a_walk_that_is_ended_leaves_no_process(tmp_path, how):
+@pytest.mark.parametrize(("how", "everyone"), [
+    (signal.SIGINT, True), (signal.SIGINT, False), (signal.SIGTERM, False), (signal.SIGKILL, False),
+])  # fmt: skip
+def test_a_walk_that_is_ended_leaves_no_process(tmp_path, how, everyone):
     words = command("white sofa", "--sim", "--arm", "--report", str(tmp_path / "walk"))
     child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True)
     assert child.stderr is not None
@@ -72,7 +77,10 @@ def test_a_walk_that_is_ended_leaves_no_process(tmp_path, how):
             break
     sessions = sessions_of(child.pid)
     assert len(alive(sessions)) >= 4  # the command, the robot, its camera, the perception, the guard
-    os.kill(child.pid, how)
+    if everyone:  # as a terminal does at Ctrl-C
+        os.killpg(child.pid, how)
+    else:
+        os.kill(child.pid, how)
     child.stderr.read()
     code = child.wait(60)
     assert code == {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGKILL: -signal.SIGKILL}[how]
@@ -81,9 +89,69 @@ def test_a_walk_that_is_ended_leaves_no_process(tmp_path, how):
     assert (tmp_path / "walk" / "report.html").exists() == (how != signal.SIGKILL)
 
 
+def test_a_robot_that_is_simulated_elsewhere_is_walked_as_a_real_one(tmp_path):
+    domain = str(free_domain())
+    simulated = [sys.executable, "-m", "eagor", "robot", "sim", "--seed", "7", "--target", "green sofa"]
+    robot = subprocess.Popen([*simulated, "--domain", domain], stdout=subprocess.PIPE, text=True)
+    assert robot.stdout is not None
+    try:
+        for line in robot.stdout:
+            if "x3/image" in line:
+                break
+        words = command(
+            "green sofa", "--source", "ros:/x3/image/compressed", "--interface", "lo", "--domain", domain, "--arm",
+            "--deadman", "none", "--perception", "scout", "--seconds", "20", "--json", "--report",
+            str(tmp_path / "walk"), "--latency", "0",
+        )  # fmt: skip
+        done = subprocess.run(words, capture_output=True, text=True, timeout=200)
+        assert done.returncode == 0, done.stderr
+        samples = json.loads((tmp_path / "walk" / "run.json").read_text())["samples"]
+        assert any(sample["sent"] and any(sample["sent"]) for sample in samples)
+        assert all(sample["true_xy"] is None for sample in samples)  # nobody tells a real robot's program the truth
+    finally:
+        robot.send_signal(signal.SIGINT)
+        robot.stdout.read()
+        robot.wait(60)
+        robot.stdout.close()
+
+
+def test_a_perception_that_hangs_stops_the_robot(tmp_path):
+    words = command("white sofa", "--sim", "--arm", "--stay", "--seconds", "120", "--report", str(tmp_path / "walk"))
+    child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    assert child.stderr is not None
+    try:
+        said = ""
+        for line in child.stderr:
+            said += line
+            if " armed, " in line:
+                break
+        # Of the processes that were spawned, the perception's is the youngest.
+        started = Path(f"/proc/{child.pid}/task/{child.pid}/children").read_text().split()
+        spawned = [int(pid) for pid in started if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+        os.kill(max(spawned), signal.SIGSTOP)
+        for line in child.stderr:
+            said += line
+            if "look of the perception is" in line:
+                break
+        else:
+            raise AssertionError(said)
+        os.kill(child.pid, signal.SIGINT)
+        child.stderr.read()
+        assert child.wait(60) == 130
+        samples = json.loads((tmp_path / "walk" / "run.json").read_text())["samples"]
+        hung = [sample for sample in samples if any("look of the perception is" in why for why in sample["reasons"])]
+        assert hung
+        assert all(sample["sent"] is None for sample in hung)
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)
+        child.wait()
+        child.stderr.close()
+
+
 @pytest.mark.parametrize(("words", "said"), [
     (["red chair"], "a robot needs a camera"),
-    (["red chair", "--source", "x.mp4", "--arm", "--deadman", "none"], "--deadman none is only for --sim"),
+    (["red chair", "--source", "x.mp4", "--arm", "--deadman", "none"], "--deadman none is only for simulated robots"),
     (["red chair", "--sim", "--interface", "eth0"], "--sim brings its own camera and network"),
     (["red chair", "--sim", "--seconds", "-1"], "wanted seconds above 0"),
     (["red chair", "--sim", "--distance", "0"], "distance = 0.0"),

@@ -13,7 +13,7 @@ from processes import wait_for
 
 pytest.importorskip("cyclonedds")
 
-from go2_peer import Peer
+from go2_peer import Peer, Simulated
 from guard_driving import TRIALS, Driver, bring_to_speed, measured, until
 
 from eagor.errors import DeviceError
@@ -29,7 +29,7 @@ COASTING = 1.0  # seconds that the body needs after that: 0.15 dead time, then a
 def driven():
     domain = free_domain()
     with (
-        Peer(domain) as peer,
+        Peer(domain=domain) as peer,
         Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK) as guard,
         Driver(guard) as driver,
     ):
@@ -55,6 +55,48 @@ def test_each_fault_stops_the_robot_in_time(driven, name):
     finally:
         trial.end(driver, peer)
     until(lambda: driver.guard.state.mode == "armed")  # and it goes on when all is well again
+
+
+@pytest.fixture(scope="module")
+def simulated():
+    domain = free_domain()
+    guard = Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK)
+    with Simulated(domain=domain) as robot, guard, Driver(guard) as driver:
+        yield driver, robot
+
+
+# What only the tests' own robot can do: lean, fall silent.
+@pytest.mark.parametrize("name", [name for name in TRIALS if name not in ("tilt", "robot falls silent")])
+def test_the_simulated_go2_stops_in_time_too(simulated, name):
+    driver, robot = simulated
+    trial = TRIALS[name]
+    bring_to_speed(driver, robot)
+    begun = time.monotonic()
+    trial.begin(driver, robot)
+    try:
+        took = measured(robot, begun)
+        assert took.zero <= ZERO
+        assert took.standing <= ZERO + COASTING
+        until(lambda: driver.guard.state.mode in ("standing", "latched"))
+    finally:
+        trial.end(driver, robot)
+
+
+def test_the_robot_may_be_told_to_walk_around_obstacles_by_itself():
+    domain = free_domain()
+    with Simulated(domain=domain) as robot:
+        server = robot._robot.server
+        guard = Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK, avoid=True)
+        with guard, Driver(guard) as driver:
+            until(lambda: robot.moves)
+            assert all(server._avoid.values())
+            walked = [service for service, api_id, _ in server.requests if api_id in (1003, 1008)]
+            assert set(walked) == {"obstacles_avoid"}
+            begun = time.monotonic()
+            driver.wrong = {"presence": 0.1}
+            until(lambda: robot.still_since(begun))
+            until(lambda: driver.guard.state.mode == "standing")
+        assert not any(server._avoid.values())  # the remote control has its robot back
 
 
 def test_a_stale_command_is_zero_within_a_quarter_of_a_second(driven):
@@ -115,7 +157,7 @@ def gone(pid):
 ])  # fmt: skip
 def test_a_program_or_guard_that_is_ended_leaves_a_robot_that_stands_and_no_process(whom, how):
     domain = free_domain()
-    with Peer(domain) as peer:
+    with Peer(domain=domain) as peer:
         child, guard = program(domain)
         try:
             until(lambda: peer.moves)
@@ -138,7 +180,10 @@ def test_a_program_or_guard_that_is_ended_leaves_a_robot_that_stands_and_no_proc
 
 def test_a_guard_that_is_killed_leaves_the_rest_to_the_robot_and_the_program_hears_of_it():
     domain = free_domain()
-    with Peer(domain) as peer, Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK) as guard:
+    with (
+        Peer(domain=domain) as peer,
+        Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK) as guard,
+    ):
         driver = Driver(guard)
         while not peer.moves:
             driver.say(time.monotonic())
@@ -152,10 +197,29 @@ def test_a_guard_that_is_killed_leaves_the_rest_to_the_robot_and_the_program_hea
             _ = guard.state
 
 
+def test_a_guard_that_hangs_is_said_and_does_not_hold_up_the_program():
+    domain = free_domain()
+    with Peer(domain=domain) as peer:
+        guard = Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK)
+        with guard, Driver(guard) as driver:
+            until(lambda: peer.moves)
+            begun = time.monotonic()
+            os.kill(guard.pid, signal.SIGSTOP)
+            assert measured(peer, begun).zero < 1.2  # the robot's own timer
+            for _ in range(200):  # more than a pipe holds
+                driver.say(time.monotonic())
+            time.sleep(1.0)
+            with pytest.raises(DeviceError, match="has not said a word for"):
+                _ = guard.state
+            pid = guard.pid
+            os.kill(pid, signal.SIGCONT)
+        wait_for(lambda: gone(pid))
+
+
 def test_a_dry_run_says_what_it_would_do_and_has_no_voice():
     domain, seen = free_domain(), []
     with (
-        Peer(domain) as peer,
+        Peer(domain=domain) as peer,
         Guard(deadman="none", domain=domain, interface="lo", limits=QUICK, watch=seen.append) as guard,
         Driver(guard),
     ):
@@ -168,7 +232,7 @@ def test_a_dry_run_says_what_it_would_do_and_has_no_voice():
 def test_a_robot_that_ignores_move_is_told_little():
     domain = free_domain()
     with (
-        Peer(domain, stuck=True) as peer,
+        Peer(domain=domain, stuck=True) as peer,
         Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK) as guard,
         Driver(guard),
     ):
@@ -179,7 +243,7 @@ def test_a_robot_that_ignores_move_is_told_little():
 def test_a_robot_that_lies_is_not_told_to_walk():
     domain = free_domain()
     with (
-        Peer(domain, mode=5) as peer,
+        Peer(domain=domain, mode=5) as peer,
         Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK) as guard,
         Driver(guard),
     ):

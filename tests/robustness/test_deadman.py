@@ -111,7 +111,7 @@ def test_a_robot_moves_while_the_space_bar_is_held_and_x_latches():
             os.write(terminal, key)
             time.sleep(1 / 30)
 
-    with Peer(domain) as peer:
+    with Peer(domain=domain) as peer:
         terminal, inside = pty.openpty()
         child = subprocess.Popen(
             [sys.executable, "-c", code], stdin=inside, stdout=inside, stderr=inside, start_new_session=True
@@ -156,7 +156,7 @@ def test_a_robot_moves_while_l1_of_its_remote_control_is_held():
 
     domain, quick = free_domain(), Limits(acceleration=4.0, turn_acceleration=4.0, settle=0.1)
     with (
-        Peer(domain) as peer,
+        Peer(domain=domain) as peer,
         Guard(armed=True, deadman="remote", domain=domain, interface="lo", limits=quick) as guard,
         Driver(guard),
     ):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eagor.robots.safety.lines import LONGEST, LineReader, as_line, read_now, write_now
+from eagor.robots.safety.lines import LONGEST, LineReader, as_line, cut, read_now, write_now
 
 values = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=20)
 messages = st.dictionaries(st.text(max_size=8), values | st.lists(values, max_size=3), max_size=6)
@@ -17,9 +17,9 @@ messages = st.dictionaries(st.text(max_size=8), values | st.lists(values, max_si
 def test_messages_come_whole_however_the_bytes_are_cut(sent, cuts):
     data, reader, got = b"".join(map(as_line, sent)), LineReader(), []
     while data:
-        for cut in cuts:
-            got += reader.feed(data[:cut])
-            data = data[cut:]
+        for size in cuts:
+            got += reader.feed(data[:size])
+            data = data[size:]
     assert got == sent
     assert reader.damaged == 0
 
@@ -41,6 +41,20 @@ def test_a_damaged_line_is_dropped_and_the_next_one_is_read(first, second, data)
     got = reader.feed(bytes(line) + as_line(second) + as_line({"last": 1}))
     assert got[-1] == {"last": 1}
     assert all(message in (first, second, {"last": 1}) for message in got)
+
+
+@given(st.text(max_size=400), st.integers(1, 150))
+def test_words_are_cut_to_bytes_and_ten_of_them_fit_into_a_line(text, most):
+    short = cut(text, most)
+    assert len(short.encode()) <= most
+    assert short.isprintable()
+    assert LineReader().feed(as_line({"words": [short] * 10, "numbers": [0.123456789012345] * 20}))
+
+
+def test_the_worst_words_fit():
+    worst = cut('"' * 400, 150)
+    (message,) = LineReader().feed(as_line({"faults": [("parent", worst)] * 5, "remarks": [worst] * 5}))
+    assert message["remarks"] == [worst] * 5
 
 
 def test_not_a_number_and_infinity_pass():

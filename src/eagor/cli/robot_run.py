@@ -6,7 +6,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from eagor.cli.looking import (
 from eagor.cli.robot_run_options import RobotRun
 from eagor.cli.steps import LEAST_ROWS
 from eagor.drawing.robot_page import Plan, RobotPage, Sample, summary
+from eagor.errors import DeviceError
 from eagor.perception import is_model, rows_of
 from eagor.robots.cameras import open_camera
 from eagor.robots.dds import Link
@@ -39,6 +40,7 @@ from eagor.robots.safety.limits import Limits
 from eagor.robots.safety.steering import Odometer, Step, steer
 from eagor.robots.safety.walking import WalkSettings
 
+ROS, INTERFACE = "ros:", "lo"
 RATE = 20.0  # answers, and so commands, per second
 THERE = 2.0  # seconds for which it has to have arrived
 QUIET, LOUD = 1.0, ("stopping", "latched")  # seconds between two lines; modes that are told at once
@@ -115,8 +117,9 @@ def robot_run(options: RobotRun) -> int:
         try:
             why = _walk(options, steer(loop, guard, odometer, walking), page, place)
         finally:
+            with suppress(DeviceError):  # Ctrl-C in a terminal ends the guard as well
+                guard.stop()
             loop.stop()
-            guard.stop()
             if folder is not None and page.samples:
                 _leave(folder, page, options, walking, limits, why)
     return _end(options, page, folder, why)
@@ -129,8 +132,11 @@ def _check(options: RobotRun) -> None:
             raise terminal.UsageError("--sim brings its own camera and network: leave out --source and --interface")
     elif options.source is None:
         raise terminal.UsageError("a robot needs a camera: --source /dev/video0, rtsp://..., ros:/image; or take --sim")
-    elif options.deadman == "none" and options.arm:
-        raise terminal.UsageError("--deadman none is only for --sim: a real robot moves while somebody holds a switch")
+    elif options.deadman == "none" and options.arm and options.interface != INTERFACE:
+        raise terminal.UsageError(
+            "--deadman none is only for simulated robots (--sim, --interface lo): a real one moves while somebody "
+            "holds a switch"
+        )
     if options.seconds is not None and not 0 < options.seconds < math.inf:
         raise terminal.UsageError(f"--seconds {options.seconds:g}; wanted seconds above 0")
     if not 0 <= options.latency < math.inf:
@@ -142,11 +148,22 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
     rows = options.rows or max(LEAST_ROWS, 0 if is_model(spec) else rows_of(make_perception(spec)))
     source = options.source
     assert source is not None
-    yield Place(
-        options.domain,
-        options.interface,
-        lambda: open_camera(source, latency=options.latency, rows=rows, rig=options.rig),
-    )
+
+    def camera() -> CameraSource:
+        if source.startswith(ROS):  # on the robot's network, not on that of the environment
+            from eagor.robots.cameras.rig_files import read_rig
+            from eagor.robots.ros.sources import RosCamera
+
+            rig = None if options.rig is None else read_rig(options.rig)
+            network = {"domain": options.domain, "interface": options.interface}
+            return RosCamera(source.removeprefix(ROS) or None, latency=options.latency, rows=rows, rig=rig, **network)
+        found = open_camera(source, latency=options.latency, rows=rows, rig=options.rig)
+        if not found.live:
+            found.close()
+            raise DeviceError(f"--source {source} is a recording; a robot that walks needs a live camera")
+        return found
+
+    yield Place(options.domain, options.interface, camera)
 
 
 @contextmanager
@@ -154,7 +171,7 @@ def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
     from eagor.robots.go2.sim import SimSettings, SimulatedGo2
     from eagor.robots.go2.sim_camera import CameraSettings
     from eagor.robots.ros.sources import RosCamera
-    from eagor.robots.safety.rehearsal import CAMERA, INTERFACE, Rehearsal, clear_start
+    from eagor.robots.safety.rehearsal import CAMERA, Rehearsal, clear_start
 
     rows = options.rows or max(PICTURE, 0 if is_model(spec) else rows_of(make_perception(spec)))
     camera = CameraSettings(rows=rows, rate=PICTURES, latency=options.latency, mount=options.mount)

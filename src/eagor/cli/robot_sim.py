@@ -38,8 +38,10 @@ def sim(options: RobotSim) -> int:
         else:
             _tell(live, options)
         begun = time.monotonic()
-        _until(options.seconds, live)
-        _sum_up(live, time.monotonic() - begun)
+        try:
+            _until(options.seconds, live)
+        finally:
+            _sum_up(live, time.monotonic() - begun)
     return terminal.OK
 
 
@@ -124,5 +126,6 @@ def _sum_up(live: LiveGo2, seconds: float) -> None:
         "" if pictures is None else f", {pictures.drawn} pictures ({pictures.skipped} that could not be drawn in time)"
     )
     skipped = f", {live.server.skipped} steps late" if live.server.skipped else ""
-    asked = len(live.server.requests)
-    terminal.log(f"after {seconds:.0f} s: walked {live.robot.plant.walked:.2f} m, {asked} commands{drawn}{skipped}")
+    terminal.log(
+        f"after {seconds:.0f} s: walked {live.robot.plant.walked:.2f} m, {live.server.asked} commands{drawn}{skipped}"
+    )

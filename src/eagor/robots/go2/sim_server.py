@@ -8,6 +8,7 @@ import json
 import threading
 import time
 import warnings
+from collections import deque
 from collections.abc import Callable
 from typing import Any, Self
 
@@ -27,6 +28,7 @@ TRUTH = "rt/eagor/truth"  # the true pose (nav_msgs/Odometry): no robot has this
 SLOW = 10  # steps between messages of the slow topics: 20 Hz at 200 Hz
 VERSIONS = {"sport": "1.0.0.1", "obstacles_avoid": "1.0.0.2"}
 NOT_KNOWN, NOT_UNDERSTOOD = 3203, 3204
+KEPT = 1000  # requests
 LATEST = 0.1  # seconds by which the simulation may lag behind before it skips
 
 
@@ -50,7 +52,8 @@ class Go2Server:
 
         self.plant, self.wire = plant, wire or WireSettings()
         self.remote, self.error_code = Remote(), 0
-        self.requests: list[tuple[str, int, dict[str, Any]]] = []  # (service, number, parameter): the last 1000
+        self._requests: deque[tuple[str, int, dict[str, Any]]] = deque(maxlen=KEPT)
+        self.asked = 0  # requests that came, except for the version
         self.skipped = 0  # steps that no state tells of: this machine was too slow
         self._rng = rng or np.random.default_rng()
         self._every_step = every_step
@@ -98,6 +101,12 @@ class Go2Server:
             self._thread.join()
         for reader in self._readers:
             reader.close()
+
+    @property
+    def requests(self) -> list[tuple[str, int, dict[str, Any]]]:
+        """The last requests: service, number, parameter."""
+        with self._turn:
+            return list(self._requests)
 
     @property
     def truth(self) -> Motion:
@@ -173,7 +182,8 @@ class Go2Server:
         try:
             asked = json.loads(parameter) if parameter else {}
             with self._turn:
-                self.requests = [*self.requests[-999:], (service, api_id, asked)]
+                self._requests.append((service, api_id, asked))
+                self.asked += 1
                 return (self._sport if service == "sport" else self._avoiding)(api_id, asked)
         except (ValueError, KeyError, TypeError, AttributeError):
             return NOT_UNDERSTOOD, ""

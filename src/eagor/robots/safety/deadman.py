@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Any, Literal
 
 from eagor.errors import DeviceError
 
-__all__ = ["DEADMEN", "Deadman", "HeldKey", "Keys", "checked_deadman"]
+__all__ = ["DEADMEN", "Deadman", "HeldKey", "Keys", "Terminal", "checked_deadman"]
 
 Deadman = Literal["key", "remote", "none"]
 DEADMEN: dict[str, str] = {
@@ -75,6 +76,40 @@ class Keys:
         with suppress(BlockingIOError, OSError):
             return os.read(self._fd, 1024)
         return b""
+
+
+class Terminal:
+    """How the terminal was set, to set it so again where the process that reads keys was killed."""
+
+    def __init__(self) -> None:
+        self._before: list[Any] | None = None
+        with self._open() as fd:
+            if fd is not None:
+                import termios
+
+                self._before = termios.tcgetattr(fd)
+
+    def restore(self) -> None:
+        """Set it as it was."""
+        with self._open() as fd:
+            if fd is not None and self._before is not None:
+                import termios
+
+                with suppress(termios.error):
+                    termios.tcsetattr(fd, termios.TCSANOW, self._before)
+
+    @contextmanager
+    def _open(self) -> Iterator[int | None]:
+        """The terminal; None if there is none, which the process that reads keys says."""
+        try:
+            fd = os.open("/dev/tty", os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
+        except OSError:
+            yield None
+            return
+        try:
+            yield fd
+        finally:
+            os.close(fd)
 
 
 def checked_deadman(deadman: str, armed: bool, interface: str | None) -> Deadman:

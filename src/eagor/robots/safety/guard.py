@@ -17,16 +17,17 @@ from typing import Any, Self
 
 from eagor import errors
 from eagor.errors import DeviceError, EagorError
-from eagor.robots.safety.deadman import Deadman, checked_deadman
+from eagor.robots.safety.deadman import Deadman, Terminal, checked_deadman
 from eagor.robots.safety.gate import Mode
 from eagor.robots.safety.limits import Limits, Velocity
-from eagor.robots.safety.lines import LineReader, as_line, write_now
+from eagor.robots.safety.lines import LineReader, as_line, cut, write_now
 
 __all__ = ["Guard", "GuardState"]
 
 STARTING = 20.0  # seconds beyond its patience for the process to start
 ENDING = 6.0  # seconds for it to end: it stops the robot first
-STATED, WORDS = 5, 200  # faults that are passed on, and characters of each
+HANGS = 2.0  # seconds without a word from it
+STATED, WORDS = 5, 150  # faults that are passed on, and bytes of each
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,7 @@ class Guard:
         self._heard = threading.Event()
 
     def __enter__(self) -> Self:
+        self._terminal = Terminal() if self._settings["deadman"] == "key" else None
         inlet, self._out = os.pipe()
         there, outlet = os.pipe()
         os.set_blocking(inlet, False)
@@ -143,8 +145,12 @@ class Guard:
         self._thread.start()
         self._heard.wait(self._patience + STARTING)
         if self._state is None:
+            code = self._process.poll()
+            code = "it does not answer" if code is None else f"exit code {code}"
             self.close()
-            raise self._error or DeviceError("the guard's process ended before its first step; its words are above")
+            raise self._error or DeviceError(
+                f"the guard's process ended before its first step ({code}); its words, if any, are above"
+            )
         return self
 
     def __exit__(
@@ -154,9 +160,14 @@ class Guard:
 
     @property
     def state(self) -> GuardState:
-        """What the guard did at its last step. Raises `DeviceError` if it has ended."""
+        """What the guard did at its last step. Raises `DeviceError` if it has ended, or hangs."""
         if self._state is None or self._process is None or self._process.poll() is not None:
             raise self._error or DeviceError("the guard has ended, so the robot stands; start the program again")
+        if (silent := time.monotonic() - self._state.time) > HANGS:
+            raise DeviceError(
+                f"the guard has not said a word for {silent:.1f} s, so nobody commands the robot, which stops by "
+                "itself; this machine may be too busy. Start the program again"
+            )
         return self._state
 
     @property
@@ -188,7 +199,7 @@ class Guard:
         with self._turn:
             said = self._said
             said.image, said.pose, said.belief = (_before(now, age) for age in (image_age, pose_age, belief_age))
-            said.presence, said.stated = presence, [text[:WORDS] for text in faults[:STATED]]
+            said.presence, said.stated = presence, [cut(text, WORDS) for text in faults[:STATED]]
             self._send()
 
     def pose(self, age: float) -> None:
@@ -229,6 +240,8 @@ class Guard:
             process.kill()
             process.wait()
         self._thread.join(1.0)
+        if self._terminal is not None:
+            self._terminal.restore()
 
     def _send(self) -> None:
         """Write all that is known. A guard that does not read is one that hangs: the robot's own timer stops it."""

@@ -11,7 +11,7 @@ import select
 import zlib
 from typing import Any
 
-__all__ = ["LONGEST", "LineReader", "as_line", "read_now", "write_now"]
+__all__ = ["LONGEST", "LineReader", "as_line", "cut", "read_now", "write_now"]
 
 LONGEST = select.PIPE_BUF  # bytes: a pipe takes so many as a whole, or not at all (POSIX)
 _CHUNK = 65536
@@ -19,11 +19,17 @@ _CHUNK = 65536
 
 def as_line(message: dict[str, Any]) -> bytes:
     """A message as a line. Not-a-number and infinity pass. Raises `ValueError` if it is longer than `LONGEST`."""
-    text = json.dumps(message, ensure_ascii=True, separators=(",", ":")).encode()
+    text = json.dumps(message, ensure_ascii=False, separators=(",", ":")).encode(errors="replace")
     line = b"%08x " % zlib.crc32(text) + text + b"\n"
     if len(line) > LONGEST:
         raise ValueError(f"a message of {len(line)} bytes; a pipe takes {LONGEST} at once")
     return line
+
+
+def cut(text: str, most: int) -> str:
+    """The beginning of a text, in at most `most` bytes of UTF-8 (twice that in JSON), printable."""
+    printable = "".join(character if character.isprintable() else " " for character in text[:most])
+    return printable.encode(errors="replace")[:most].decode(errors="ignore")
 
 
 class LineReader:

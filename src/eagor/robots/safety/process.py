@@ -20,14 +20,14 @@ from eagor.robots.safety.deadman import EMERGENCY, HOLD, RELEASE, Deadman, HeldK
 from eagor.robots.safety.faults import Body, Inputs
 from eagor.robots.safety.gate import Gate, Mode, Output, State, Stop
 from eagor.robots.safety.limits import Limits, Velocity
-from eagor.robots.safety.lines import LineReader, as_line, read_now, write_now
+from eagor.robots.safety.lines import LineReader, as_line, cut, read_now, write_now
 
 __all__ = ["Robot", "Settings", "Watch", "main"]
 
 ENDING = 3.0  # seconds that the last stop may take
 REMOTE_HOLD, REMOTE_EMERGENCY, REMOTE_RELEASE = "L1", "B", "start"
-WORDS = 160  # characters of a reason that are passed on
-REASONS = 6  # of them
+WORDS = 150  # bytes of a reason that are passed on
+REASONS = 5  # faults, and as many remarks, that are passed on
 
 
 @dataclass(frozen=True)
@@ -135,8 +135,8 @@ class Watch:
             "sent": None if not isinstance(output.send, Velocity) else output.send.parts,
             "would": None if not isinstance(would, Velocity) else would.parts,
             "stops": self.state.stops if self.settings.armed else 0,
-            "faults": [(fault.name, fault.words[:WORDS]) for fault in output.faults[:REASONS]],
-            "remarks": [text[:WORDS] for text in (*output.remarks, self.robot.problem or "")[:REASONS] if text],
+            "faults": [(fault.name, cut(fault.words, WORDS)) for fault in output.faults[:REASONS]],
+            "remarks": [cut(text, WORDS) for text in (*output.remarks, self.robot.problem or "")[:REASONS] if text],
             "body": None if body is None else (body.stamp, body.roll, body.pitch, body.speed, body.turn),
             "posture": self.robot.mode,
         }
@@ -186,7 +186,7 @@ def main(arguments: list[str]) -> int:
             robot.start(settings.patience)
             _watch(Watch(settings, robot, keys), inlet, outlet, told)
     except EagorError as error:
-        _tell(outlet, {"error": str(error), "kind": type(error).__name__})
+        _tell(outlet, {"error": cut(str(error), 1500), "kind": type(error).__name__})
         return 2
     return 0
 
