@@ -23,11 +23,16 @@ STRIP = 1024  # width of the tables of the overlap; OpenCV takes sides below 327
 
 @dataclass(frozen=True, eq=False)
 class _Layer:
-    """Part of a panorama: `pixels` ``(n,)`` (None: all), where to read them, and with which weights of 256 ``(n,)``."""
+    """What one lens each shows of a panorama's pixels: the `table` for OpenCV says where to read them.
 
-    pixels: np.ndarray | None
+    `pixels` ``(n,)``: those of the panorama that are blended, with `weights` ``(n, 3)`` of 256; `places`: where they
+    are among all that are blended. The first layer's table has all pixels of the panorama, those of the others theirs.
+    """
+
+    pixels: np.ndarray
     table: tuple[np.ndarray, np.ndarray]
     weights: np.ndarray
+    places: np.ndarray | slice
 
 
 class Stitcher:
@@ -81,6 +86,9 @@ class Stitcher:
         share = np.maximum(ranked, 0)
         share = share / np.maximum(share.sum(axis=0), 1e-12)
         places = np.stack([np.stack(self._positions(k)[:2]) for k in range(count)]).astype(np.float32)
+        whole = np.rint(256 * share[1:]).astype(np.uint16)
+        whole = np.concatenate([256 - whole.sum(axis=0, keepdims=True, dtype=np.uint16), whole])  # to 256 exactly
+        shared = np.flatnonzero(ranked[1] > 0) if count > 1 else np.empty(0, np.intp)
         layers = []
         for rank in range(count):
             pixels = np.arange(n) if rank == 0 else np.flatnonzero(ranked[rank] > 0)
@@ -96,8 +104,10 @@ class Stitcher:
                 x, y = (np.pad(each, (0, full), constant_values=-9) for each in (x, y))
                 shape = (-1, STRIP)
             table = cv2.convertMaps(x.reshape(shape), y.reshape(shape), cv2.CV_16SC2)
-            weights = np.rint(256 * share[rank, pixels]).astype(np.int16)
-            layers.append(_Layer(None if rank == 0 else pixels, table, weights))  # type: ignore[arg-type]
+            own = shared if rank == 0 else pixels
+            weights = np.repeat(whole[rank, own][:, None], 3, axis=1)
+            among = slice(None) if len(own) == len(shared) else np.searchsorted(shared, own)
+            layers.append(_Layer(own, table, weights, among))  # type: ignore[arg-type]
         return tuple(layers)
 
     def canvas(self, pictures: tuple[np.ndarray, ...]) -> np.ndarray:
@@ -130,15 +140,15 @@ class Stitcher:
         if not others:
             return panorama
         flat = panorama.reshape(-1, 3)
-        shared = others[0].pixels
-        assert shared is not None
-        total = flat[shared].astype(np.int32) * first.weights[shared, None]
+        # 255 * 256 and a half fit into 16 bits.
+        total = np.multiply(np.take(flat, first.pixels, axis=0), first.weights, dtype=np.uint16)
         for layer in others:
-            assert layer.pixels is not None
             read = cv2.remap(canvas, *layer.table, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT)
-            read = read.reshape(-1, 3)[: len(layer.pixels)].astype(np.int32) * layer.weights[:, None]
-            total[np.searchsorted(shared, layer.pixels)] += read
-        flat[shared] = np.clip((total + 128) >> 8, 0, 255)
+            read = read.reshape(-1, 3)[: len(layer.pixels)]
+            total[layer.places] += np.multiply(read, layer.weights, dtype=np.uint16)
+        total += 128
+        total >>= 8
+        flat[first.pixels] = total
         return panorama
 
     def alone(self, index: int, *pictures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
