@@ -79,6 +79,7 @@ def open_poses(
 
         return RosPoses(text.removeprefix(ROS) or None, domain=domain, interface=interface, camera=camera)
     if text.partition(":")[0] == GO2:
-        graph: Any = import_module("eagor.robots.ros.graph")
-        return _Go2Poses(text.partition(":")[2], graph.default_domain() if domain is None else domain, interface)
+        from eagor.robots.ros.graph import default_domain
+
+        return _Go2Poses(text.partition(":")[2], default_domain() if domain is None else domain, interface)
     raise DeviceError(f"no poses are called {text!r}; wanted ros:/TOPIC or go2")
