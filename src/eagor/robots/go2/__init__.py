@@ -2,7 +2,8 @@
 
 - `idl`: the messages as DDS types; `wire`: the same as bytes, quickly; `low`: battery and remote control.
 - `state`: where the robot is (`Go2State`); `sport`: what it is told (`SportClient`); `check`: whether all that works.
-- `plant`: how a Go2 answers commands; `sim`: a simulated Go2 in a simulated world; `sim_server`: the same over DDS.
+- `plant`: how a Go2 answers commands; `sim`: a simulated Go2 in a simulated `house`, on a clock of its own; `sim_live`:
+  the same on DDS in real time (`sim_server`: the wire; `sim_pictures`: the camera's process).
 
 Nothing here decides to move: `eagor.robots.safety` does.
 """
