@@ -9,3 +9,8 @@ Nothing here decides to move: `eagor.robots.safety` does.
 """
 
 from __future__ import annotations
+
+from eagor.robots.go2.sport import SportClient
+from eagor.robots.go2.state import BodyState, Go2State
+
+__all__ = ["BodyState", "Go2State", "SportClient"]

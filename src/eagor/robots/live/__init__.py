@@ -3,3 +3,10 @@
 `loop` has the threads and devices; `core` turns events into answers without them; `worker`, `keeper` and `looker` run
 the perception in its own process; `recorder` and `replay` keep a run and play it again.
 """
+
+from __future__ import annotations
+
+from eagor.robots.live.answers import Answer, Fault
+from eagor.robots.live.loop import LiveLoop
+
+__all__ = ["Answer", "Fault", "LiveLoop"]

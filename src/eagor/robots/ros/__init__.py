@@ -4,3 +4,11 @@
 `topics`: which topic is meant. `graph`: the graph over DDS, or another. `sources`: live topics. `playing`: topics of a
 bag.
 """
+
+from __future__ import annotations
+
+from eagor.robots.ros.bags import read_bag
+from eagor.robots.ros.recording import BagWriter
+from eagor.robots.ros.sources import RosCamera, RosPoses
+
+__all__ = ["BagWriter", "RosCamera", "RosPoses", "read_bag"]
