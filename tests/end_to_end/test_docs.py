@@ -76,16 +76,17 @@ NUMBER = re.compile(r"[-+]?\d+\.?\d*")
 
 def alike(printed, written, apart, share=0.0):
     """Whether two texts differ only in numbers, and in these by at most `apart`, and a `share` of the written one."""
-    return NUMBER.sub("#", printed).split() == NUMBER.sub("#", written).split() and all(
-        abs(float(a) - float(b)) <= apart + share * abs(float(b))
-        for a, b in zip(NUMBER.findall(printed), NUMBER.findall(written), strict=True)
-    )
+    if NUMBER.sub("#", printed).split() != NUMBER.sub("#", written).split():
+        return False
+    ours, theirs = ([float(each) for each in NUMBER.findall(text)] for text in (printed, written))
+    return all(abs(a - b) <= apart + share * abs(b) for a, b in zip(ours, theirs, strict=True))
 
 
 def check_commands(page, folder, apart=0.0, share=0.0):
     """Run each shell block of `page` that has an output under it, and compare; returns how many there were.
 
-    `apart`, `share`: by how much numbers may differ. On stderr, only facts are allowed, which begin with the program's name.
+    `apart`, `share`: by how much numbers may differ. On stderr only facts are allowed: they begin with the
+    program's name.
     """
     count = 0
     for kind, text, _, under in fences(page):
