@@ -38,9 +38,10 @@ from eagor.errors import StorageError
 from eagor.perception import is_model, rows_of
 from eagor.robots.cameras import open_camera
 from eagor.robots.frames import CameraSource, Pose
-from eagor.robots.live.answers import Answer, Fault
+from eagor.robots.live.answers import Answer
 from eagor.robots.live.events import Event, FrameCame, PoseCame
 from eagor.robots.live.loop import LiveLoop
+from eagor.robots.live.news import News
 from eagor.robots.live.sources import GO2, ROS, GivenPoses, MotionPoses, open_poses
 from eagor.robots.ros.playing import BagCamera
 
@@ -260,31 +261,25 @@ class _Told:
         self._line = not options.json and sys.stdout.isatty()
         self._newest: dict[str, Answer] = {}
         self._shown = -math.inf
-        self._faults: dict[tuple[str, str], Fault] = {}
+        self._news = News()
         self.last: str | None = None
 
     def add(self, answer: Answer) -> None:
         """One answer."""
         self._newest[answer.query] = answer
         if answer.query == self._queries[0]:
-            self._say(answer.faults)
+            self._say(answer)
         if self._json:
             print(json.dumps(answer.as_json(self._modes), allow_nan=False, ensure_ascii=False), flush=True)
         elif self._line and answer.query == self._queries[-1] and time.monotonic() - self._shown >= SHOWN:
             self._shown = time.monotonic()
             self._show(" | ".join(map(_in_line, self._newest.values())))
 
-    def _say(self, faults: Sequence[Fault]) -> None:
+    def _say(self, answer: Answer) -> None:
         """What is wrong now and was not, and the other way round."""
-        now = {(fault.part, f"{fault.since:.3f}"): fault for fault in faults}
-        for key, fault in now.items():
-            if key not in self._faults:
-                self._above(fault.text)
-                self.last = fault.text
-        for key in self._faults.keys() - now.keys():
-            if not any(part == key[0] for part, _ in now):
-                self._above(f"{key[0]}: all is well again")
-        self._faults = now
+        for text, wrong in self._news.of(answer.faults, answer.stamp):
+            self._above(text)
+            self.last = text if wrong else self.last
 
     def _above(self, text: str) -> None:
         if self._line:

@@ -11,8 +11,9 @@ import numpy as np
 
 from eagor.drawing.rerun_log import RerunLog
 from eagor.errors import EagorError
-from eagor.robots.live.answers import Answer, Fault
+from eagor.robots.live.answers import Answer
 from eagor.robots.live.events import Event, FrameCame, PoseCame
+from eagor.robots.live.news import News
 
 __all__ = ["LiveLog"]
 
@@ -36,7 +37,7 @@ class LiveLog:
         self._answers: tuple[Answer, ...] = ()
         self._taken = -math.inf
         self._ended = False
-        self._faults: set[tuple[str, str]] = set()
+        self._news = News()
         self._thread = threading.Thread(target=self._draw, name="Rerun log", daemon=True)
         self._thread.start()
 
@@ -74,17 +75,8 @@ class LiveLog:
                 return
 
     def _write(self, answers: Sequence[Answer], picture: np.ndarray | None, position: np.ndarray | None) -> None:
-        self._say(answers[0].stamp, answers[0].faults)
+        for text, wrong in self._news.of(answers[0].faults, answers[0].stamp):
+            self._log.say(answers[0].stamp, text, "WARN" if wrong else "INFO")
         for answer in answers:
             self._log.add(picture, answer.estimate, stamp=answer.stamp, query=answer.query, position=position)
             picture = None  # once, with the first query's belief on it
-
-    def _say(self, stamp: float, faults: Sequence[Fault]) -> None:
-        """What is wrong now and was not, by its part and beginning: words such as "no picture for 2.1 s" change."""
-        now = {(fault.part, f"{fault.since:.3f}"): fault.text for fault in faults}
-        for key, text in now.items():
-            if key not in self._faults:
-                self._log.say(stamp, text)
-        for part in {part for part, _ in self._faults - now.keys()} - {part for part, _ in now}:
-            self._log.say(stamp, f"{part}: all is well again", "INFO")
-        self._faults = set(now)
