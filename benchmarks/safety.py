@@ -27,10 +27,10 @@ import numpy as np
 TESTS = str(Path(__file__).parents[1] / "tests")
 sys.path.insert(0, TESTS)
 
-from ddsmaking import free_domain
 from go2_peer import Peer, Simulated
 from guard_driving import TRIALS, Driver, Time, bring_to_speed, fast_enough, measured
 
+from eagor.robots.dds.settings import free_domain
 from eagor.robots.safety.guard import Guard
 
 LIMIT, STALE = 0.5, 0.25  # seconds

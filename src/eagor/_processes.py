@@ -1,12 +1,14 @@
-"""Processes of our own: they end with their parent, and start with one thread in each matrix library."""
+"""Processes of our own: they end with their parent, leave Ctrl-C to it, and start with one BLAS thread."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 
 THREADS = (
     "OPENBLAS_NUM_THREADS",
@@ -18,18 +20,36 @@ THREADS = (
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
-    """Processes started inside have one BLAS thread each: the libraries read these once, when they are loaded."""
+def starting() -> Iterator[None]:
+    """Start processes of our own inside.
+
+    They have one BLAS thread each (the libraries read that once, when they are loaded), and are not interrupted: Ctrl-C
+    reaches every process of a terminal, and one that still imports would print a traceback. Each has to call
+    `leave_ctrl_c` first.
+    """
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))
+    blocks = hasattr(signal, "pthread_sigmask")  # not on Windows
+    if blocks:
+        resource_tracker.ensure_running()  # it starts with the first process, and clears the mask
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
+        if blocks:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+def leave_ctrl_c() -> None:
+    """Ignore Ctrl-C in this process from now on: the parent hears it, too, and decides."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # for processes that this one starts
 
 
 def leave_with_parent(first: Callable[[], object] = lambda: None) -> None:

@@ -596,9 +596,8 @@ def test_a_plugin_is_opened_by_its_name(monkeypatch):
     rest, settings = open_camera("fake:left/eye", latency=0.25, rows=64)
     assert rest == "left/eye"
     assert (settings["latency"], settings["rows"], settings["rig"]) == (0.25, 64, None)
-    monkeypatch.setitem(opening.BUILT_IN, "ros", f"{__name__}:fake_camera")
-    rest, settings = open_camera("ros:/image?domain=3", rig=LENSES, rate=5)
-    assert (rest, settings) == ("/image?domain=3", {"latency": 0.0, "rows": None, "rig": LENSES})
+    rest, settings = open_camera("fake:/image?domain=3", rig=LENSES, rate=5)
+    assert (rest, settings) == ("/image?domain=3", {"latency": 0.0, "rows": None, "rig": LENSES, "rate": 5})
 
 
 def fake_camera(rest, **settings):

@@ -9,11 +9,11 @@ import warnings
 
 import numpy as np
 import pytest
-from ddsmaking import free_domain
 
 from eagor.errors import DeviceError, FormatError
 from eagor.robots.dds import Link
 from eagor.robots.dds.ros_types import _struct, encoded_type, store, topic_name
+from eagor.robots.dds.settings import free_domain
 
 LONG = 20.0  # seconds to wait for what comes at once
 

@@ -12,7 +12,6 @@ import sys
 
 import numpy as np
 import pytest
-from ddsmaking import free_domain
 from PIL import Image
 from processes import alive, sessions_of, wait_for
 
@@ -20,6 +19,7 @@ from eagor.errors import DeviceError, QueryError, WorldError
 from eagor.grids import ErpGrid
 from eagor.metrics import angular_error_deg
 from eagor.robots.dds import Link
+from eagor.robots.dds.settings import free_domain
 from eagor.robots.frames import Frame, Pose
 from eagor.robots.go2.house import BALL_ID, load_house
 from eagor.robots.go2.plant import PlantSettings

@@ -8,11 +8,11 @@ import warnings
 
 import numpy as np
 import pytest
-from ddsmaking import free_domain
 from processes import wait_for
 
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
+from eagor.robots.dds.settings import free_domain
 from eagor.robots.frames import PoseSource
 from eagor.robots.go2 import idl, sport
 from eagor.robots.go2.low import Go2Low, Remote

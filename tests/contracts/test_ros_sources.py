@@ -10,11 +10,11 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
-from ddsmaking import free_domain
 
 from eagor.errors import DeviceError, FormatError, ImageError, PoseError
 from eagor.robots.cameras import check_camera, open_camera
 from eagor.robots.dds import Link
+from eagor.robots.dds.settings import free_domain
 from eagor.robots.frames import Pose
 from eagor.robots.ros import messages as m
 from eagor.robots.ros.bags import BagWriter

@@ -132,7 +132,7 @@ def test_it_ends_cleanly_when_it_is_told_to(tmp_path, number, code, said):
     wait_for(lambda: not alive(sessions))
     assert run.returncode == code, err
     assert err.splitlines()[-1] == b"eagor: " + said
-    assert b"Traceback" not in err
+    assert b"Traceback" not in err, err.decode()
     assert main(["live", "replay", str(tmp_path / "run")]) == 0
 
 

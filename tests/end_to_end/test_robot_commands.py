@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ddsmaking import free_domain
 from processes import alive, sessions_of, wait_for
 
 from eagor.robots.dds import Link
+from eagor.robots.dds.settings import free_domain
 from eagor.robots.go2.plant import Plant, PlantSettings
 from eagor.robots.go2.sim_server import Go2Server
 from eagor.robots.go2.wire_settings import WireSettings

@@ -12,10 +12,10 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from ddsmaking import free_domain
 from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
+from eagor.robots.dds.settings import free_domain
 
 pytest.importorskip("cyclonedds")
 pytest.importorskip("rosbags")

@@ -13,11 +13,11 @@ import time
 
 import numpy as np
 import pytest
-from ddsmaking import free_domain
 from processes import alive, sessions_of
 
 from eagor.cli import main
 from eagor.robots.dds import Link
+from eagor.robots.dds.settings import free_domain
 from eagor.robots.node import answers as made
 from eagor.robots.ros import messages as m
 from eagor.sphere import angular_distance

@@ -8,8 +8,9 @@ import time
 from pathlib import Path
 
 import pytest
-from ddsmaking import free_domain
 from processes import wait_for
+
+from eagor.robots.dds.settings import free_domain
 
 pytest.importorskip("cyclonedds")
 
@@ -170,7 +171,7 @@ def test_a_program_or_guard_that_is_ended_leaves_a_robot_that_stands_and_no_proc
             took = measured(peer, begun)
             assert took.zero <= ZERO
             assert took.standing <= ZERO + COASTING
-            assert [told for told in peer.told if told.api_id == 1003 and told.when > begun]
+            until(lambda: any(told.api_id == 1003 and told.when > begun for told in peer.told))
         finally:
             child.kill()
             child.wait()

@@ -8,11 +8,11 @@ import time
 from pathlib import Path
 
 import pytest
-from ddsmaking import free_domain
 from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.errors import DeviceError
+from eagor.robots.dds.settings import free_domain
 from eagor.robots.safety.deadman import REPEAT, HeldKey, checked_deadman
 from eagor.robots.safety.guard import Guard
 

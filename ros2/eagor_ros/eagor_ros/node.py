@@ -22,6 +22,9 @@ DEFAULTS: dict[str, Any] = {
     "patience": 60.0,
     "perception": "",
     "degree": 15,
+    "cmd_vel": "",
+    "speed": 0.3,
+    "distance": 1.0,
 }
 
 
@@ -69,6 +72,7 @@ def made(ros_node: Any) -> Any:
     from eagor.cli.looking import tracker_config
     from eagor.cli.ros import chosen
     from eagor.robots.node import Node, NodeSettings
+    from eagor.robots.safety.walking import WalkSettings
     from eagor_ros.graph import RclpyGraph
 
     for name, default in DEFAULTS.items():
@@ -79,7 +83,8 @@ def made(ros_node: Any) -> Any:
     names = ("poses", "body", "rate", "belief_rate", "belief_encoding", "latency", "patience")
     settings = NodeSettings(
         **{name: told[name] for name in names},
-        **{name: told[name] or None for name in ("image_topic", "odom_topic", "camera", "world")},
+        **{name: told[name] or None for name in ("image_topic", "odom_topic", "camera", "world", "cmd_vel")},
+        walking=WalkSettings(speed=told["speed"], distance=told["distance"]),
         config=tracker_config(told["degree"], perception or "colour"),
     )
     return Node(

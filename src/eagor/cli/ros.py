@@ -16,6 +16,7 @@ from eagor.errors import QueryError
 from eagor.perception import is_model, rows_of
 from eagor.robots.node import Node, NodeSettings
 from eagor.robots.ros.graph import DdsGraph
+from eagor.robots.safety.walking import WalkSettings
 
 NAME = re.compile(r"(/[A-Za-z]\w*)+")
 
@@ -38,6 +39,10 @@ def ros(options: Ros) -> int:
         checked_folder(options.record, "--record")
         if options.record.exists():
             raise terminal.UsageError(f"--record {options.record} is there already; name a new folder")
+    if options.cmd_vel is not None and options.poses != "odom":
+        raise terminal.UsageError(
+            f"--cmd-vel with --poses {options.poses}: a base is driven only by odometry; leave --poses out"
+        )
     rig = None
     if options.rig is not None:
         from eagor.robots.cameras import read_rig
@@ -61,6 +66,8 @@ def ros(options: Ros) -> int:
         patience=options.patience,
         rig=rig,
         record=options.record,
+        cmd_vel=options.cmd_vel,
+        walking=WalkSettings(speed=options.speed, distance=options.distance),
         config=replace(config, floor_height=options.floor),
     )
     with DdsGraph(options.domain, options.interface, name) as graph:
@@ -72,6 +79,8 @@ def ros(options: Ros) -> int:
             f"node {name} on domain {graph.link.domain}, {options.interface or 'an interface of its choice'}: "
             f"directions on {name}/direction, queries on {name}/query"
         )
+        if options.cmd_vel is not None:
+            terminal.log(f"it DRIVES: velocities on {options.cmd_vel}; be ready to stop the base")
         timer = None
         if options.seconds is not None:
             timer = threading.Timer(options.seconds, node.stop)

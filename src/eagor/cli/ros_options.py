@@ -60,6 +60,12 @@ class Ros(Common):
     """Time that one look may take; then the detector is ended and started anew."""
     record: Annotated[Path | None, bare("DIR")] = None
     """Record everything into this new folder: a ROS 2 bag (MCAP)."""
+    cmd_vel: Annotated[str | None, bare("TOPIC")] = None
+    """Drive the base to the first thing: write velocities (Twist) to this topic, such as /cmd_vel (default: never)."""
+    speed: Annotated[float, arg(metavar="M/S")] = 0.3
+    """With --cmd-vel: the fastest it walks, at most 0.5."""
+    distance: Annotated[float, arg(metavar="METRES")] = 1.0
+    """With --cmd-vel: where it stops, before the thing."""
     seconds: Annotated[float | None, bare("SECONDS")] = None
     """Stop after this time (default: at Ctrl-C)."""
     floor: Floor = None

@@ -19,7 +19,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from eagor._processes import leave_with_parent, one_thread
+from eagor._processes import leave_ctrl_c, leave_with_parent, starting
 from eagor.errors import StorageError, WorkError
 from eagor.evaluation.ledger import Ledger, records
 from eagor.evaluation.units import Book, Do, Unit, attempt_unit, load
@@ -188,7 +188,7 @@ class ProcessSeat(Seat):
         self._process = context.Process(target=_serve, args=arguments, daemon=True)
         self._path: Path | None = None
         self._busy, self._how = True, ""
-        with one_thread():
+        with starting():
             self._process.start()
         there.close()  # so that the line ends when the process does
         super().__init__()
@@ -262,7 +262,7 @@ class ProcessSeat(Seat):
 
 def _serve(line: Connection, work: str, config: dict[str, Any], folder: Path, task: str | None) -> None:
     """The life of a worker process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of the terminal; the parent decides
+    leave_ctrl_c()
     leave_with_parent()
     with (
         suppress(EOFError, BrokenPipeError, ConnectionResetError),

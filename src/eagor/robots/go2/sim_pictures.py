@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eagor._processes import leave_with_parent, one_thread
+from eagor._processes import leave_ctrl_c, leave_with_parent, starting
 from eagor.errors import DeviceError, EagorError
 from eagor.robots.frames import Pose
 from eagor.robots.go2.sim_camera import CameraSettings
@@ -45,7 +45,7 @@ class PictureProcess:
         context = multiprocessing.get_context("spawn")
         self._line, there = context.Pipe()
         self._process = context.Process(target=_draw, args=(there, world, seed, camera, domain, interface), daemon=True)
-        with one_thread():
+        with starting():
             self._process.start()
         there.close()
 
@@ -100,8 +100,8 @@ class PictureProcess:
 
 def _draw(line: Connection, world: str, seed: int, camera: CameraSettings, domain: int, interface: str | None) -> None:
     """The life of the process."""
-    for number in (signal.SIGINT, signal.SIGTERM):  # it ends with its parent, which is told as well
-        signal.signal(number, signal.SIG_IGN)
+    leave_ctrl_c()
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent, which is told as well
     leave_with_parent()
     from eagor.robots.dds import Link
     from eagor.robots.go2.sim_camera import SimulatedCamera

@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._processes import one_thread
+from eagor._processes import starting
 from eagor.errors import EagorError, ImageError
 from eagor.evidence import BodyMask, Evidence
 from eagor.perception import Perception
@@ -90,7 +90,7 @@ class Keeper:
                 return
             process = context.Process(target=serve, args=(there, self.perception, self.masks, os.getpid()), daemon=True)
             try:
-                with one_thread(), _deaf_to_ctrl_c():
+                with starting():
                     process.start()
             except Exception as error:  # the perception cannot be pickled, or the system has no more processes
                 ours.close()
@@ -212,16 +212,3 @@ class _Silent(Exception):
     def __init__(self, seconds: float) -> None:
         super().__init__(seconds)
         self.seconds = seconds
-
-
-@contextmanager
-def _deaf_to_ctrl_c() -> Iterator[None]:
-    """Processes started inside are not interrupted until they say so: Ctrl-C reaches all of a terminal's."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._processes import leave_with_parent
+from eagor._processes import leave_ctrl_c, leave_with_parent
 from eagor.errors import EagorError, FormatError, QueryError
 from eagor.evidence import BodyMask, Evidence
 from eagor.perception import Perception, load
@@ -34,10 +34,8 @@ DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux's prctl
 
 def serve(line: Connection, perception: str | Perception, masks: Sequence[BodyMask], parent: int) -> None:
     """The life of the process; it ends when the line or its parent does. `masks`: where looks say nothing."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of the terminal; the parent decides
+    leave_ctrl_c()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # blocked until here by who started it
     _die_with(parent)
     leave_with_parent()
     memory: SharedMemory | None = None

@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -22,12 +23,14 @@ from eagor.robots.cameras.rig import Rig
 from eagor.robots.live.answers import Answer
 from eagor.robots.live.loop import RATE, LiveLoop
 from eagor.robots.node.answers import trouble
+from eagor.robots.node.driving import Drive
 from eagor.robots.node.outbox import Outbox
 from eagor.robots.node.queries import after
 from eagor.robots.ros.graph import Graph, GraphReader
 from eagor.robots.ros.messages import TEXT
 from eagor.robots.ros.odometry import BODY
 from eagor.robots.ros.sources import RosCamera, RosPoses
+from eagor.robots.safety.walking import WalkSettings
 from eagor.tracking import TrackerConfig
 
 __all__ = ["DIRECTION", "QUERY", "Node", "NodeSettings"]
@@ -44,7 +47,9 @@ class NodeSettings:
     `image_topic`, `odom_topic`: None is the only one. `poses`: "odom", or without odometry "auto" (rotation from the
     pictures), "level" (the same for a camera that stays level), "still". `body`: the frame of the answers; `camera`:
     the camera's (None: as the pictures name it); `world`: of the poses, for transforms. `rate`: answers per second;
-    `belief_rate`: pictures of the belief per second, 0 for none. Others as for `LiveLoop` and `RosCamera`.
+    `belief_rate`: pictures of the belief per second, 0 for none. `cmd_vel`: a topic of velocities that walk the base to
+    the first thing, as `walking` says, by odometry with places; None: the node drives nothing. Others as for `LiveLoop`
+    and `RosCamera`.
     """
 
     image_topic: str | None = None
@@ -61,6 +66,8 @@ class NodeSettings:
     patience: float = 60.0
     rig: Rig | None = None
     record: Path | None = None
+    cmd_vel: str | None = None
+    walking: WalkSettings = field(default_factory=WalkSettings)
     config: TrackerConfig = field(default_factory=TrackerConfig)
 
     def __post_init__(self) -> None:
@@ -72,6 +79,10 @@ class NodeSettings:
                 "belief_rate": (self.belief_rate >= 0, "pictures per second, or 0"),
                 "belief_encoding": (self.belief_encoding in encodings, f"one of {', '.join(encodings)}"),
                 "patience": (above(self.patience, 0), "seconds above 0"),
+                "cmd_vel": (
+                    self.cmd_vel is None or self.poses == "odom",
+                    "None without odometry (poses = 'odom'): a base that does not know how it moves is not driven",
+                ),
                 "poses": (self.poses in ("odom", "auto", "level", "still"), "odom, auto, level or still"),
             },
         )
@@ -183,11 +194,15 @@ class Node:
         spec = self._choose(queries)
         camera = self._camera()
         self._frame = s.camera or camera.frame
+        loop: LiveLoop
+        drive = None
         try:
             poses = self._first_poses()
+            if s.cmd_vel is not None:
+                drive = Drive.on(self.graph, s.cmd_vel, self._mount, s.walking, lambda: loop.clock.now())
             loop = LiveLoop(
                 _Again(camera, self._camera), spec, queries, poses=poses, config=s.config, rate=s.rate,
-                patience=s.patience, record=s.record,
+                patience=s.patience, record=s.record, watchers=() if drive is None else (drive.odometer, drive.gate),
             )  # fmt: skip
         except BaseException:
             camera.close()
@@ -200,7 +215,8 @@ class Node:
                 else:
                     loop.stop()
         try:
-            loop.run(lambda answer: self._answered(answer, loop, outbox))
+            with nullcontext() if drive is None else drive.gate:
+                loop.run(lambda answer: self._answered(answer, loop, outbox, drive))
         finally:
             with self._news:
                 self._loop = None
@@ -228,17 +244,20 @@ class Node:
         except DeviceError as error:
             raise DeviceError(f"{error}. Without odometry: --poses auto takes turns from the pictures") from error
 
-    def _answered(self, answer: Answer, loop: LiveLoop, outbox: Outbox) -> None:
+    def _answered(self, answer: Answer, loop: LiveLoop, outbox: Outbox, drive: Drive | None) -> None:
         queries = loop.core.queries
         self.answers += 1
         self._say_faults(answer)
         number = queries.index(answer.query) if answer.query in queries else 0
-        counts = loop.counts
+        counts, mount = loop.counts, self._mount(answer.stamp)
         told = {
             "pictures": str(counts.frames), "looks": str(counts.looks), "skipped": str(counts.skipped),
             "poses": str(counts.poses), "answers": str(counts.answers), "late": str(counts.late),
         }  # fmt: skip
-        outbox.put(answer, number, len(queries), self._mount(answer.stamp), self._frame or self.settings.body, told)
+        if drive is not None and number == 0:
+            step = drive.answered(answer, mount)
+            told |= {"drive": step.wish.words, "gate": "; ".join((step.state.mode, *step.state.reasons))}
+        outbox.put(answer, number, len(queries), mount, self._frame or self.settings.body, told)
 
     def _mount(self, stamp: float) -> np.ndarray:
         """body_R_camera."""

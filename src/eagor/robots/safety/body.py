@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
-
-import numpy as np
 
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
@@ -119,10 +116,4 @@ class Go2Body:
 
     def _received(self, state: BodyState) -> None:
         self.mode = state.mode
-        self.body = Body(time.monotonic(), *_lean(state.world_R_body), state.speed, state.yaw_rate, state.error_code)
-
-
-def _lean(world_R_body: Any) -> tuple[float, float]:
-    """Roll and pitch (REP-103: nose down), radians."""
-    up = np.asarray(world_R_body)[2]
-    return float(np.arctan2(up[1], up[2])), float(np.arcsin(np.clip(-up[0], -1, 1)))
+        self.body = Body.of(time.monotonic(), state.world_R_body, state.speed, state.yaw_rate, state.error_code)

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from eagor.robots.safety.limits import STILL, Limits, Velocity
 
 __all__ = ["Body", "Fault", "Inputs", "faults_of"]
@@ -25,6 +27,12 @@ class Body:
     speed: float
     turn: float
     error_code: int = 0
+
+    @classmethod
+    def of(cls, stamp: float, world_R_body: np.ndarray, speed: float, turn: float, error_code: int = 0) -> Body:
+        """With roll and pitch (REP-103: positive with the nose down) of the attitude `world_R_body` ``(3, 3)``."""
+        x, y, z = (float(value) for value in np.asarray(world_R_body)[2])
+        return cls(stamp, math.atan2(y, z), math.asin(min(max(-x, -1.0), 1.0)), speed, turn, error_code)
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import math
 import multiprocessing
-import random
 import signal
-import socket
 from collections.abc import Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -15,10 +13,11 @@ from typing import Any, Self
 
 import numpy as np
 
-from eagor._processes import leave_with_parent, one_thread
+from eagor._processes import leave_ctrl_c, leave_with_parent, starting
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import DeviceError, EagorError
 from eagor.robots.dds import Link
+from eagor.robots.dds.settings import free_domain
 from eagor.robots.go2.house import House, Thing
 from eagor.robots.go2.sim import SimSettings
 from eagor.robots.go2.sim_live import TRUTH_THINGS
@@ -26,16 +25,14 @@ from eagor.robots.go2.sim_pictures import CAMERA_TOPIC
 from eagor.robots.go2.sim_server import TRUTH
 from eagor.robots.ros.messages import TEXT
 
-__all__ = ["CAMERA", "INTERFACE", "Rehearsal", "clear_start", "free_domain"]
+__all__ = ["CAMERA", "INTERFACE", "Rehearsal", "clear_start"]
 
 INTERFACE = "lo"
 CAMERA = "ros:" + CAMERA_TOPIC.removeprefix("rt")
 STARTING = 120.0  # seconds for the house and its light
 ENDING = 10.0
-FIRST_PORT, PORTS, PARTICIPANTS = 7400, 250, 8  # of DDS: of domain 0, per domain, participants that are looked at
 TRIES, ROOM, NEAR, FAR = 2000, 0.35, 2.5, 5.0  # draws; metres around the start; metres to the target
 BEFORE = 0.8  # metres before the target's centre at which the way may end: things fill some floor
-DOMAINS = range(1, 120)  # above, ports meet those that the system gives away
 
 
 class Rehearsal:
@@ -56,7 +53,7 @@ class Rehearsal:
         context = multiprocessing.get_context("spawn")
         self._line, there = context.Pipe()
         self._process = context.Process(target=_robot, args=(there, self.settings, self.domain), name="simulated Go2")
-        with one_thread():
+        with starting():
             self._process.start()
         there.close()
         try:
@@ -130,27 +127,10 @@ def clear_start(house: House, targets: Sequence[Thing], rng: np.random.Generator
     return None
 
 
-def free_domain() -> int:
-    """A DDS domain on which nobody of this machine listens. Raises `DeviceError` if there is none."""
-    for domain in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
-        if all(_is_free(FIRST_PORT + PORTS * domain + 10 + 2 * index) for index in range(PARTICIPANTS)):
-            return domain
-    raise DeviceError("every DDS domain of this machine is in use: end some programs that use DDS")
-
-
-def _is_free(port: int) -> bool:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError:
-            return False
-    return True
-
-
 def _robot(line: Connection, settings: SimSettings, domain: int) -> None:
     """The life of the process."""
-    for number in (signal.SIGINT, signal.SIGTERM):  # it ends with its parent, which is told as well
-        signal.signal(number, signal.SIG_IGN)
+    leave_ctrl_c()
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent, which is told as well
     leave_with_parent()
     from eagor.robots.go2.sim import SimulatedGo2
     from eagor.robots.go2.sim_live import LiveGo2

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,8 +17,9 @@ from eagor.robots.live.answers import Answer
 from eagor.robots.live.events import Event, FrameCame, PoseCame
 from eagor.robots.safety.guard import GuardState
 from eagor.robots.safety.walking import Sight, Walk, WalkSettings, Wish, walk
+from eagor.sphere import azimuth_elevation
 
-__all__ = ["Guarding", "Odometer", "Step", "steer"]
+__all__ = ["Guarding", "Odometer", "Steering", "Step", "steer"]
 
 PARTS = ("camera", "perception")  # of the loop, whose faults stop the robot; ages tell of poses and clocks
 RANGED = 0.5  # seconds for which a distance holds: reading one takes as long as an answer
@@ -86,28 +87,46 @@ class Odometer:
         """Nothing is held."""
 
 
-def steer(loop: Any, guard: Guarding, odometer: Odometer, settings: WalkSettings) -> Iterator[Step]:
-    """Walk by the answers of `loop` (`eagor.robots.live.loop.LiveLoop`, with one query) until it ends.
+class Steering:
+    """From answers about one query to what the `guard` is told, answer by answer.
 
-    `odometer` has to be one of its watchers. Raises what the loop and the guard raise.
+    `odometer` has to be a watcher of the loop that gives the answers; `now` is that loop's clock.
     """
-    state, far, read = Walk(), None, -math.inf
-    for answer in loop:
+
+    def __init__(self, guard: Guarding, odometer: Odometer, settings: WalkSettings, now: Callable[[], float]) -> None:
+        self._guard, self._odometer, self._settings, self._now = guard, odometer, settings, now
+        self._state, self._far, self._read = Walk(), UNKNOWN, -math.inf
+
+    def step(self, answer: Answer, body_R_camera: np.ndarray | None = None) -> Step:
+        """Tell the guard what this answer wants. `body_R_camera` ``(3, 3)``: None is a camera that faces forward."""
         estimate = answer.estimate
         if estimate.direction is None:
-            far = None
-        elif answer.stamp - read >= RANGED or answer.stamp < read:
-            read, far = answer.stamp, (estimate.distance, estimate.distance_spread)
-        known = None if far is None or far[0] is None or far[1] is None else (far[0], far[1])
-        sight = Sight.of(estimate, odometer.xy, known or UNKNOWN)
-        state, wish = walk(settings, state, sight)
-        late = max(0.0, loop.clock.now() - answer.stamp)
-        guard.status(
+            self._far = UNKNOWN
+        elif answer.stamp - self._read >= RANGED or answer.stamp < self._read:
+            self._read, far = answer.stamp, (estimate.distance, estimate.distance_spread)
+            self._far = UNKNOWN if far[0] is None or far[1] is None else (far[0], far[1])
+        sight = Sight.of(estimate, self._odometer.xy, self._far)
+        if body_R_camera is not None and estimate.direction is not None:
+            azimuth, elevation = azimuth_elevation(body_R_camera @ estimate.direction)
+            sight = replace(sight, azimuth=float(azimuth), elevation=float(elevation))
+        self._state, wish = walk(self._settings, self._state, sight)
+        late = max(0.0, self._now() - answer.stamp)
+        self._guard.status(
             image_age=answer.image_age + late,
             pose_age=math.inf if answer.pose_age is None else answer.pose_age + late,
             belief_age=answer.look_age + late,
             presence=estimate.presence,
             faults=[fault.text for fault in answer.faults if fault.part in PARTS],
         )
-        guard.command(*wish.velocity.parts)
-        yield Step(answer, odometer.panorama, sight, wish, guard.state)
+        self._guard.command(*wish.velocity.parts)
+        return Step(answer, self._odometer.panorama, sight, wish, self._guard.state)
+
+
+def steer(loop: Any, guard: Guarding, odometer: Odometer, settings: WalkSettings) -> Iterator[Step]:
+    """Walk by the answers of `loop` (`eagor.robots.live.loop.LiveLoop`, with one query) until it ends.
+
+    `odometer` has to be one of its watchers. Raises what the loop and the guard raise.
+    """
+    steering = Steering(guard, odometer, settings, loop.clock.now)
+    for answer in loop:
+        yield steering.step(answer)

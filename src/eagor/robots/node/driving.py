@@ -1,0 +1,188 @@
+"""``cmd_vel``: the velocity that walks a base to the thing, through the rules of the safety gate.
+
+For bases that another node of ROS drives. That node has to stop by itself when no message comes (Nav2's velocity
+smoother and diff_drive_controller do): this is a thread of the node, not a process of its own as a Go2's guard is.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+
+from eagor.errors import EagorError
+from eagor.robots.frames import Pose
+from eagor.robots.live.answers import Answer
+from eagor.robots.live.events import Event, PoseCame
+from eagor.robots.ros.graph import Graph
+from eagor.robots.ros.messages import message, vector
+from eagor.robots.safety.faults import Body, Inputs
+from eagor.robots.safety.gate import Gate, Mode, State, Stop
+from eagor.robots.safety.guard import GuardState
+from eagor.robots.safety.limits import STILL, Limits, Velocity
+from eagor.robots.safety.steering import Odometer, Steering, Step
+from eagor.robots.safety.walking import WalkSettings
+from eagor.sphere import azimuth_elevation
+
+__all__ = ["BASE", "TWIST", "Drive", "TwistGate"]
+
+TWIST = "geometry_msgs/msg/Twist"
+BASE = Limits(state_age=0.5, pose_age=0.5)  # odometry of bases comes 10 to 50 times a second, over Wi-Fi late
+SPAN = 0.2  # seconds of odometry from which the base's speed is read
+
+
+class TwistGate:
+    """The gate in front of a Twist topic: what a guard is to a Go2 (`Guarding`). A context manager.
+
+    It is a watcher of the live loop, too, whose poses tell how the base moves. `mount(stamp)` gives `body_R_camera`.
+    While the gate stands it sends nothing, so that others may drive; at a fault it sends zeros until the odometry says
+    that the base stands.
+    """
+
+    def __init__(self, graph: Graph, topic: str, mount: Callable[[float], np.ndarray], limits: Limits = BASE) -> None:
+        self.gate = Gate(limits, armed=True)
+        self._writer = graph.publish(topic, TWIST, reliable=True, depth=1)
+        self._mount = mount
+        self._turn = threading.Lock()
+        self._state, self._inputs = State(), Inputs()
+        self._poses: deque[tuple[float, Pose]] = deque()
+        self._guard = GuardState(time.monotonic(), Mode.STANDING)
+        self._over = threading.Event()
+        self.problem: str | None = None  # of the newest message that could not be sent
+        self._thread = threading.Thread(target=self._serve, name="eagor cmd_vel", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the base, and end."""
+        if self._over.is_set():
+            return
+        self._over.set()
+        self._thread.join()
+        if self._state.mode is not Mode.STANDING:
+            self._send(STILL)
+        self._writer.close()
+
+    # --- what steering tells ---
+
+    @property
+    def state(self) -> GuardState:
+        """What the gate did at its last step."""
+        return self._guard
+
+    def command(self, forward: float, left: float, turn: float) -> None:
+        """The wanted velocity from now on: m/s, m/s, rad/s (left is positive)."""
+        self._know(wanted=Velocity(forward, left, turn), command=time.monotonic())
+
+    def status(
+        self,
+        *,
+        image_age: float | None,
+        pose_age: float | None,
+        belief_age: float | None,
+        presence: float | None,
+        faults: Sequence[str] = (),
+    ) -> None:
+        """What is known now; ages in seconds since capture, None or infinite: nothing came yet."""
+        now = time.monotonic()
+        self._know(
+            image=_stamp(now, image_age), pose=_stamp(now, pose_age), belief=_stamp(now, belief_age),
+            presence=presence, heartbeat=now, stated=tuple(faults),
+        )  # fmt: skip
+
+    def pose(self, age: float) -> None:
+        """A pose came, `age` seconds ago."""
+        self._know(pose=time.monotonic() - age)
+
+    # --- what the loop tells ---
+
+    def take(self, event: Event, answers: Sequence[Answer]) -> None:
+        """An event of the loop: poses are the base's state."""
+        if isinstance(event, PoseCame) and event.pose.position is not None:
+            now = time.monotonic()
+            self._poses.append((now, event.pose))
+            while len(self._poses) > 2 and event.pose.stamp - self._poses[1][1].stamp >= SPAN:
+                self._poses.popleft()
+            self._know(body=body_of(self._poses[0][1], event.pose, self._mount(event.pose.stamp), now))
+
+    # --- the thread ---
+
+    def _know(self, **changes: Any) -> None:
+        with self._turn:
+            self._inputs = replace(self._inputs, **changes)
+
+    def _serve(self) -> None:
+        while not self._over.wait(self.gate.limits.period):
+            now = time.monotonic()
+            with self._turn:
+                inputs = self._inputs
+            # Nobody acknowledges a Twist: the odometry alone says that the base stands.
+            self._state, output = self.gate.step(self._state, now, replace(inputs, acknowledged=self._state.stops))
+            if output.send is not None:
+                self._send(STILL if isinstance(output.send, Stop) else output.send)
+            body = inputs.body
+            seen = (math.nan,) * 4 if body is None else (body.roll, body.pitch, body.speed, body.turn)
+            self._guard = GuardState(
+                now, output.mode, output.send if isinstance(output.send, Velocity) else None, None, self._state.stops,
+                tuple((fault.name, fault.words) for fault in output.faults), output.remarks, *seen,
+            )  # fmt: skip
+
+    def _send(self, velocity: Velocity) -> None:
+        twist = message(
+            TWIST, linear=vector((velocity.forward, velocity.left, 0.0)), angular=vector((0.0, 0.0, velocity.turn))
+        )
+        try:
+            self._writer.write(twist)
+        except EagorError as error:  # a reader that does not keep up: the next one comes soon
+            self.problem = str(error)
+
+
+@dataclass(eq=False)
+class Drive:
+    """A base that goes to the thing: watchers for a live loop, whose answers about one query go to `answered`."""
+
+    gate: TwistGate
+    odometer: Odometer
+    steering: Steering
+
+    @classmethod
+    def on(
+        cls, graph: Graph, topic: str, mount: Callable[[float], np.ndarray], settings: WalkSettings,
+        now: Callable[[], float],
+    ) -> Drive:  # fmt: skip
+        """A drive that writes to `topic`; `now`: the clock of the loop."""
+        gate = TwistGate(graph, topic, mount)
+        odometer = Odometer(gate, now)
+        return cls(gate, odometer, Steering(gate, odometer, settings, now))
+
+    def answered(self, answer: Answer, body_R_camera: np.ndarray) -> Step:
+        """Go by this answer."""
+        return self.steering.step(answer, body_R_camera)
+
+
+def body_of(before: Pose, pose: Pose, body_R_camera: np.ndarray, now: float) -> Body:
+    """The state of a base that got from one pose of its camera to another; NaN speeds if both are of one time."""
+    gone = pose.stamp - before.stamp
+    assert before.position is not None
+    assert pose.position is not None
+    ways = [azimuth_elevation(each.world_R_body[:, 0])[0] for each in (before, pose)]
+    speed = turn = math.nan
+    if gone > 0:
+        speed = float(np.linalg.norm((pose.position - before.position)[:2])) / gone
+        turn = math.remainder(float(ways[1] - ways[0]), 2 * math.pi) / gone
+    return Body.of(now, pose.world_R_body @ body_R_camera.T, speed, turn)
+
+
+def _stamp(now: float, age: float | None) -> float | None:
+    return None if age is None or math.isinf(age) else now - age
