@@ -154,7 +154,7 @@ def memory(hours: float, positions: bool) -> None:
 
 
 class Camera:
-    """10 pictures a second of nothing."""
+    """10 pictures a second of nothing, with the noise of a sensor."""
 
     def __init__(self) -> None:
         from eagor import ErpGrid
@@ -163,10 +163,11 @@ class Camera:
         self.over = False
 
     def __iter__(self):
-        picture = np.full((256, 512, 3), 90, np.uint8)
+        pictures = [np.full((256, 512, 3), grey, np.uint8) for grey in (90, 91)]
         while not self.over:
             time.sleep(1 / LOOKS)
-            yield Frame(time.time(), picture, "")
+            pictures.reverse()
+            yield Frame(time.time(), pictures[0], "")
 
     def close(self) -> None:
         self.over = True

@@ -27,19 +27,23 @@ def yawed(angle):
 
 
 class Camera:
-    """A live camera of `rate` pictures per second. `stamps` changes each stamp; it ends after `count` pictures."""
+    """A live camera of `rate` pictures per second. `stamps` changes each stamp; it ends after `count` pictures.
+
+    All is grey, with the noise of a sensor while it is `changing`.
+    """
 
     latency, dropped, live, grid = 0.0, 0, True, GRID
 
-    def __init__(self, rate=50.0, count=None, stamps=lambda stamp: stamp):
-        self.rate, self.count, self.stamps = rate, count, stamps
+    def __init__(self, rate=50.0, count=None, stamps=lambda stamp: stamp, changing=True):
+        self.rate, self.count, self.stamps, self.changing = rate, count, stamps, changing
         self.closed = threading.Event()
 
     def __iter__(self):
         for number in itertools.count() if self.count is None else range(self.count):
             if self.closed.wait(1 / self.rate):
                 return
-            yield Frame(self.stamps(time.time()), BLANK, f"{number}")
+            picture = BLANK + np.uint8(number % 2) if self.changing else BLANK
+            yield Frame(self.stamps(time.time()), picture, f"{number}")
 
     def close(self):
         self.closed.set()

@@ -460,3 +460,29 @@ def test_others_read_a_recording_as_a_ros_bag(tmp_path):
     with rosbag2.Reader(tmp_path / "run") as reader:
         assert reader.message_count == sum(map(len, found.values()))
     assert Path(tmp_path / "run" / "metadata.yaml").is_file()
+
+
+def test_a_camera_that_hangs_at_one_picture_while_it_turns_is_told():
+    """Stamps are fresh and pictures come; only that nothing in them changes tells. One that stands still is fine."""
+    camera = Camera(changing=True)
+
+    def hangs(_):
+        camera.changing = False
+        return True
+
+    def lives(_):
+        camera.changing = True
+        return True
+
+    answers = followed(
+        loop_of(camera, Seeing(), poses=Odometry(turn=0.5)),
+        well,
+        hangs,
+        says("the picture stays the same"),
+        lives,
+        well,
+    )
+    fault = next(fault for answer in answers for fault in answer.faults if "stays the same" in fault.text)
+    assert fault.part == "camera"
+    still = followed(loop_of(Camera(changing=False), Seeing(), poses=Odometry(turn=0.0)), well, *[well] * 100)
+    assert not any("stays the same" in answer.status_words for answer in still)

@@ -62,7 +62,7 @@ class EvidenceCame:
 class Trouble:
     """Something is wrong with a part, in words; an empty `text`: it works again.
 
-    `about`: the query that alone is concerned; empty if all are.
+    `about`: the query that alone is concerned, or which of a part's faults this is; empty for the part as a whole.
     """
 
     arrival: float

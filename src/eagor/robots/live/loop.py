@@ -19,6 +19,7 @@ from eagor.robots.live.answers import Answer, Part
 from eagor.robots.live.core import LiveCore, Settings, warm
 from eagor.robots.live.events import Asked, Event, EvidenceCame, Following, FrameCame, PoseCame, Trouble
 from eagor.robots.live.fast import at_once
+from eagor.robots.live.frozen import Frozen
 from eagor.robots.live.keeper import PATIENCE, Failed, Keeper, Looked
 from eagor.robots.live.playing import LoopClock, Pace, paced_frames, paced_poses
 from eagor.robots.live.reading import Reader, opener
@@ -163,6 +164,7 @@ class LiveLoop:
         self._over = False
         self._slip = 0.0
         self._problem: str | None = None  # what the camera says of itself
+        self._frozen, self._froze = Frozen(self.core.orientation), ""
 
     def __iter__(self) -> Iterator[Answer]:
         """The answers, until the source ends or `stop` is called: at each tick one per query, in their order."""
@@ -342,6 +344,9 @@ class LiveLoop:
         self._last_frame = self.clock.now()
         shown = frame.panorama if self._watchers else None  # who else would hold on to it?
         self._post(FrameCame(self._last_frame, frame.stamp, frame.name, shown))
+        if self.live and (froze := self._frozen.take(frame.panorama, frame.stamp)) != self._froze:
+            self._froze = froze
+            self._post(Trouble(self._last_frame, "camera", froze, "frozen"))
         picture = Picture(frame.stamp, told, frame.panorama)
         if self._seer is not None:
             self._seer.give(picture)

@@ -1,0 +1,48 @@
+"""A camera that shows one picture again and again while it turns: its driver hangs, and stamps the old picture anew."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Callable
+
+import numpy as np
+
+from eagor.sphere import azimuth_elevation
+
+__all__ = ["Frozen"]
+
+TURNED = math.radians(3.0)  # by which the camera may turn without its picture changing at all
+HANGS = "the picture stays the same although the camera turns: does it hang? Restart the camera or its driver"
+EVERY = 4  # pixels along each side, of which one is compared: noise alone changes some of the rest
+
+
+class Frozen:
+    """Compares pictures bit by bit. `orientation(stamp)`: `world_R_body` ``(3, 3)`` at a picture that came before."""
+
+    def __init__(self, orientation: Callable[[float], np.ndarray | None]) -> None:
+        self._orientation = orientation
+        self._code: int | None = None
+        self._stamp = math.nan
+        self._hangs = False
+        self._ahead: np.ndarray | None = None  # where the camera looked when this picture came first
+
+    def take(self, panorama: np.ndarray, stamp: float) -> str:
+        """What is wrong, in words, at the picture ``(H, W, 3)`` of this stamp; "" if nothing is."""
+        code, before = zlib.crc32(np.ascontiguousarray(panorama[::EVERY, ::EVERY])), self._stamp
+        same, self._code, self._stamp = code == self._code, code, stamp
+        if not same:
+            self._ahead, self._hangs = None, False
+            return ""
+        pose = self._orientation(before)  # poses of a picture that just came may be on their way
+        if pose is None:
+            return ""
+        if self._ahead is None:
+            self._ahead = pose[:, 0]
+        turned = math.remainder(_heading(pose[:, 0]) - _heading(self._ahead), 2 * math.pi)
+        self._hangs |= abs(turned) > TURNED
+        return HANGS if self._hangs else ""
+
+
+def _heading(direction: np.ndarray) -> float:
+    return float(azimuth_elevation(direction)[0])
