@@ -27,6 +27,7 @@ import argparse
 import json
 import math
 import multiprocessing
+import shutil
 import sys
 import time
 from collections import defaultdict
@@ -446,10 +447,13 @@ def main() -> None:
         for index, scene in enumerate(SCENES):
             path = options.folder / f"run-{options.seed + number}-{index}"
             if not path.exists():
+                part = path.with_name(f"part-{path.name}")  # an interrupted run is recorded again
+                shutil.rmtree(part, ignore_errors=True)
                 if options.over == "dds":
-                    over_dds(options.seed + number, scene, path, options.domain)
+                    over_dds(options.seed + number, scene, part, options.domain)
                 else:
-                    on_clock(options.seed + number, scene, path)
+                    on_clock(options.seed + number, scene, part)
+                part.rename(path)
                 print(f"{path}: {scene}", file=sys.stderr, flush=True)
 
 

@@ -29,14 +29,14 @@ def starting() -> Iterator[None]:
     """
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))
-    blocks = hasattr(signal, "pthread_sigmask")  # not on Windows
-    if blocks:
+    mask = None
+    if hasattr(signal, "pthread_sigmask"):  # not on Windows
         resource_tracker.ensure_running()  # it starts with the first process, and clears the mask
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        if blocks:
+        if mask is not None:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for name, value in before.items():
             if value is None:

@@ -131,11 +131,11 @@ class TwistGate:
             self._state, output = self.gate.step(self._state, now, replace(inputs, acknowledged=self._state.stops))
             if output.send is not None:
                 self._send(STILL if isinstance(output.send, Stop) else output.send)
-            body = inputs.body
-            seen = (math.nan,) * 4 if body is None else (body.roll, body.pitch, body.speed, body.turn)
+            seen = inputs.body or Body(now, math.nan, math.nan, math.nan, math.nan)
             self._guard = GuardState(
                 now, output.mode, output.send if isinstance(output.send, Velocity) else None, None, self._state.stops,
-                tuple((fault.name, fault.words) for fault in output.faults), output.remarks, *seen,
+                tuple((fault.name, fault.words) for fault in output.faults), output.remarks, seen.roll, seen.pitch, seen.speed,
+                seen.turn,
             )  # fmt: skip
 
     def _send(self, velocity: Velocity) -> None:
