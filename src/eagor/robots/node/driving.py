@@ -133,10 +133,17 @@ class TwistGate:
                 self._send(STILL if isinstance(output.send, Stop) else output.send)
             seen = inputs.body or Body(now, math.nan, math.nan, math.nan, math.nan)
             self._guard = GuardState(
-                now, output.mode, output.send if isinstance(output.send, Velocity) else None, None, self._state.stops,
-                tuple((fault.name, fault.words) for fault in output.faults), output.remarks, seen.roll, seen.pitch, seen.speed,
-                seen.turn,
-            )  # fmt: skip
+                now,
+                output.mode,
+                output.send if isinstance(output.send, Velocity) else None,
+                stops=self._state.stops,
+                faults=tuple((fault.name, fault.words) for fault in output.faults),
+                remarks=output.remarks,
+                roll=seen.roll,
+                pitch=seen.pitch,
+                speed=seen.speed,
+                turn=seen.turn,
+            )
 
     def _send(self, velocity: Velocity) -> None:
         twist = message(
