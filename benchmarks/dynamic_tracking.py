@@ -67,6 +67,7 @@ QUERY, SPEED = "red ball", 0.3  # m/s, of a ball that rolls
 SECONDS, SETTLE = 24.0, 1.0  # of a run; before the robot may walk
 STATES, STEERING, STEP = 50.0, 10.0, 0.1  # poses and commands per second; seconds between answers
 LATENCIES = (0.0, 0.4, 1.6)
+DOMAINS = 10
 REGIONS = 5  # answers from one check of the region to the next
 NEAR, GONE = math.radians(15), 2.0
 CAMERA = CameraSettings(rows=128, rate=5.0)
@@ -436,7 +437,7 @@ def main() -> None:
     parser.add_argument("--over", choices=("dds", "clock"), default="clock")
     parser.add_argument("--runs", type=int, default=30)
     parser.add_argument("--seed", type=int, default=8400)
-    parser.add_argument("--domain", type=int, default=77, help="of DDS; nobody else may use it")
+    parser.add_argument("--domain", type=int, default=121, help="of DDS, the first of ten; nobody else may use them")
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
     if options.command == "judge":
@@ -450,7 +451,10 @@ def main() -> None:
                 part = path.with_name(f"part-{path.name}")  # an interrupted run is recorded again
                 shutil.rmtree(part, ignore_errors=True)
                 if options.over == "dds":
-                    over_dds(options.seed + number, scene, part, options.domain)
+                    turn = (
+                        number * len(SCENES) + index
+                    ) % DOMAINS  # the robot of the last run may not be forgotten yet
+                    over_dds(options.seed + number, scene, part, options.domain + turn)
                 else:
                     on_clock(options.seed + number, scene, part)
                 part.rename(path)
