@@ -1,7 +1,7 @@
 """The paper's dynamic tracking, on a simulated Go2: every method on the same recorded runs.
 
 python benchmarks/dynamic_tracking.py record RUNS [--over dds] [--runs 30] [--seed 8400]
-python benchmarks/dynamic_tracking.py judge RUNS
+python benchmarks/dynamic_tracking.py judge RUNS [--resume]
 
 Three scenes, each with a red ball in a built-in apartment, in sight at first: the robot stands and the ball rolls; the
 robot walks and the ball lies; both move. A run is a ROS 2 bag: the camera's pictures, the robot's own odometry, and,
@@ -33,6 +33,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -77,7 +78,7 @@ EYES = PlantSettings().height + CAMERA.mount[2]  # metres
 IMAGE, ODOMETRY, TRUTH, BALL = "/image/compressed", "/odom", "/truth", "/ball"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Run:
     """A recorded run: `pictures` and `balls` by stamp, the robot's own poses and the true ones (of the body)."""
 
@@ -93,7 +94,12 @@ class Run:
         """From when on all is known."""
         return max(self.pictures[0][0], self.balls[0][0], self.odometry.first, self.truth.first)
 
-    def bearing(self, stamp: float) -> tuple[np.ndarray, np.ndarray]:
+    def __post_init__(self) -> None:
+        # All methods are asked at the same times.
+        self.bearing, self.told = lru_cache(None)(self._bearing), lru_cache(None)(self.odometry.at)
+        self.turned = lru_cache(None)(lambda stamp: self.truth.at(stamp)[0])
+
+    def _bearing(self, stamp: float) -> tuple[np.ndarray, np.ndarray]:
         """The true direction ``(3,)`` to the ball in the body frame, and the camera's place ``(3,)``."""
         turn, place = self.truth.at(stamp)
         assert place is not None
@@ -305,7 +311,7 @@ def play(run: Run, looks: Sequence[tuple[float, Evidence]], method: Method, late
         if now > end:
             break
         if kind != 1 and now > last:
-            turn, place = run.odometry.at(now)
+            turn, place = run.told(now)
             method.move(now, turn, place + turn @ np.asarray(CAMERA.mount))  # type: ignore[operator]
             last = now
         if kind == 1:
@@ -335,7 +341,7 @@ def figures(run: Run, seen: np.ndarray, played: dict[str, np.ndarray], first: fl
     stamps, said = played["stamps"][keep], played["said"][keep]
     true = np.array([run.bearing(float(now))[0] for now in stamps])
     errors = angular_distance(said, true)
-    turned = [run.truth.at(float(b))[0].T @ run.truth.at(float(a))[0] for a, b in pairwise(stamps)]
+    turned = [run.turned(float(b)).T @ run.turned(float(a)) for a, b in pairwise(stamps)]
     moved = np.array([
         _least_turn(turn @ true[k], true[k + 1]) @ turn @ said[k] for k, turn in enumerate(turned)
     ])  # fmt: skip
@@ -395,7 +401,19 @@ def judge_run(path: str) -> tuple[str, dict[tuple[str, str], dict[str, float]]]:
     return run.scene, found
 
 
-def judge(folder: Path, workers: int) -> None:
+def judged(path: str, resume: bool) -> tuple[str, dict[tuple[str, str], dict[str, float]]]:
+    """The figures of a run, which are kept beside it."""
+    kept = Path(f"{path}.json")
+    if resume and kept.exists():
+        scene, rows = json.loads(kept.read_text())
+        return scene, {(condition, name): values for condition, name, values in rows}
+    scene, found = judge_run(path)
+    rows = [[condition, name, values] for (condition, name), values in found.items()]
+    kept.write_text(json.dumps([scene, rows]))
+    return scene, found
+
+
+def judge(folder: Path, workers: int, resume: bool) -> None:
     """Print a table per scene."""
     from concurrent.futures import ProcessPoolExecutor
 
@@ -404,7 +422,7 @@ def judge(folder: Path, workers: int) -> None:
         sys.exit(f"{folder} holds no runs; record some first")
     rows: dict[tuple[str, str, str], dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     with ProcessPoolExecutor(workers) as pool:
-        for number, (scene, found) in enumerate(pool.map(judge_run, paths), start=1):
+        for number, (scene, found) in enumerate(pool.map(judged, paths, [resume] * len(paths)), start=1):
             print(f"{number} of {len(paths)} runs judged", file=sys.stderr, flush=True)
             for (condition, name), values in found.items():
                 for key, value in values.items():
@@ -439,9 +457,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=8400)
     parser.add_argument("--domain", type=int, default=121, help="of DDS, the first of ten; nobody else may use them")
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--resume", action="store_true", help="judge: take what an earlier call has judged as it is")
     options = parser.parse_args()
     if options.command == "judge":
-        judge(options.folder, options.workers)
+        judge(options.folder, options.workers, options.resume)
         return
     options.folder.mkdir(parents=True, exist_ok=True)
     for number in range(options.runs):
