@@ -119,7 +119,7 @@ class Run:
 
         used = (
             ("perception", perception.known(), self.perception.partition(":")[0]),
-            ("world", worlds.known(), self.world),
+            ("world", worlds.known(), self.world.partition(":")[0]),
             ("task", tasks.known(), self.task),
         )
         found = {f"{kind} {name}": plugins.version_of(known[name]) for kind, known, name in used if name in known}
