@@ -22,10 +22,10 @@ from eagor.sphere import azimuth_elevation, world_R_body
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.places import APARTMENT, SEEDS, Place, load_place, pixels_of
 from eagor.tasks.rules import Camera, NavigationRules
-from eagor.worlds.ground import Field
 from eagor.worlds.objectnav import Episode as FileEpisode
 from eagor.worlds.objectnav import SceneEpisodes, check_scene, read_episodes
 from eagor.worlds.scene import Scene
+from eagor.worlds.walkable import Way
 
 __all__ = ["HABITAT", "Listed", "ListedEpisode", "listed_slots", "plan", "scene_files", "slot_of", "way_to_goal"]
 
@@ -153,16 +153,16 @@ def plan(slot: Listed, file: str, camera: Camera, rules: NavigationRules) -> Lis
         )
     ends = views[:, :2] if rules.goal == "view_points" else planned.goals[:, :2]
     straight = float(np.hypot(*(ends - start).T).min())
-    eye = np.array([start[0], start[1], place.ground.floor + camera.height])
     kind = {
-        "visible": pixels_of(place.ids(eye, world_R_body(0.0)), targets) >= rules.visible_pixels,
+        "visible": pixels_of(place.ids(place.eye(start, camera.height), world_R_body(0.0)), targets)
+        >= rules.visible_pixels,
         "way": "winding" if shortest > rules.winding_above * straight else "direct",
         "category": episode.category,
     }
     return ListedEpisode(**{**vars(planned), "shortest": shortest, "stratum": kind})
 
 
-def way_to_goal(place: Place, episode: ListedEpisode) -> Field:
+def way_to_goal(place: Place, episode: ListedEpisode) -> Way:
     """Geodesic distance to the nearest view point of any goal."""
     return place.way_to_points(episode.view_points[:, :2])
 

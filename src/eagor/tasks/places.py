@@ -70,7 +70,7 @@ class Place:
         """Geodesic distance to the nearest of the targets' footprints."""
         return _way_to(self, targets)
 
-    def way_to_points(self, points: np.ndarray) -> Field:
+    def way_to_points(self, points: np.ndarray) -> Way:
         """Geodesic distance to the nearest of points ``(n, 2)``, metres; inf everywhere if none is free."""
         return _way_to_points(self, np.ascontiguousarray(points, dtype=np.float64).tobytes())
 
@@ -82,7 +82,7 @@ def _way_to(place: Place, targets: tuple[int, ...]) -> Way:
 
 
 @lru_cache(maxsize=64)
-def _way_to_points(place: Place, points: bytes) -> Field:
+def _way_to_points(place: Place, points: bytes) -> Way:
     return place.ground.field(np.frombuffer(points).reshape(-1, 2))
 
 

@@ -184,7 +184,7 @@ class Player:
 
     def _feet(self) -> list[float]:
         """Where the body stands: x, y, z."""
-        return [round(float(value), 9) for value in (*self.env.body.xy, self.env.place.ground.floor)]
+        return [round(float(value), 9) for value in (*self.env.body.xy, self.env.body.floor)]
 
     def record(self, episode: Episode, other: str = "", panoramas: bool = False) -> Recording:
         """An episode that is not walked, as every method gets it; `other`: a second query; with `panoramas` or not."""

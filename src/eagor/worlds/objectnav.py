@@ -24,7 +24,6 @@ import numpy as np
 from eagor._files import unpacked, written
 from eagor._json import parsed, shown
 from eagor.errors import EagorError, FormatError, WorldError
-from eagor.worlds.ground import Ground
 from eagor.worlds.objectnav_json import (
     Episode,
     Goal,
@@ -36,6 +35,7 @@ from eagor.worlds.objectnav_json import (
     spelt,
 )
 from eagor.worlds.scene import Scene
+from eagor.worlds.walkable import Walkable
 
 __all__ = [
     "HM3D_CATEGORIES",
@@ -62,12 +62,12 @@ class SceneEpisodes:
     goals: dict[str, tuple[Goal, ...]]
 
 
-def origin_of(scene: Scene, ground: Ground) -> Origin:
+def origin_of(scene: Scene, ground: Walkable) -> Origin:
     """The scene and body with which episodes are marked."""
     return Origin(scene.facts.get("exported hash", scene.hash), scene.source, ground.radius, ground.cell)
 
 
-def goal_of(scene: Scene, ground: Ground, index: int, spacing: float = 0.25) -> Goal:
+def goal_of(scene: Scene, ground: Walkable, index: int, spacing: float = 0.25) -> Goal:
     """An instance of the scene as a goal: its view points are free points beside it, `spacing` metres apart, facing it.
 
     `Ground.beside` finds them. `view_overlap` is not computed: it is 0.
@@ -93,7 +93,7 @@ def goal_of(scene: Scene, ground: Ground, index: int, spacing: float = 0.25) -> 
     )
 
 
-def check_scene(episodes: Iterable[Episode], scene: Scene, ground: Ground | None = None) -> None:
+def check_scene(episodes: Iterable[Episode], scene: Scene, ground: Walkable | None = None) -> None:
     """Raise `WorldError` if one of the episodes was made for another scene than this one or an import of its export.
 
     With `ground`, also if it was made for a body of another radius, which takes other paths.
@@ -166,7 +166,7 @@ def _write(path: Path, content: dict[str, Any]) -> Path:
 
 
 def read_episodes(
-    path: Path | str, scene: Scene | None = None, ground: Ground | None = None
+    path: Path | str, scene: Scene | None = None, ground: Walkable | None = None
 ) -> tuple[SceneEpisodes, ...]:
     """The episodes in `<split>.json.gz` and its content files, by scene, or in a content file alone.
 
