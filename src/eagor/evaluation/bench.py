@@ -70,6 +70,8 @@ class Run:
             able = ", ".join(name for name in tasks.known() if tasks.load(name).listed is not None)
             raise EagorError(f"{self.task} plays no episodes of a file; {able} does")
         slots = self.slots()  # complains about a file that cannot be played
+        if self.episodes_file is not None and slots[0].world not in worlds.known():
+            worlds.load(slots[0].world)  # complains about one that does not exist
         begin = task.rules() if self.episodes_file is None else task.rules.objectnav()  # type: ignore[attr-defined]
         parts = {"rules": begin, "camera": Camera(), "disturbances": self.disturbances}
         values = {name: as_dict(part) for name, part in parts.items()}
