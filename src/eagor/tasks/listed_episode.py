@@ -54,7 +54,7 @@ def plan(slot: Listed, file: str, camera: Camera, rules: NavigationRules) -> Lis
         check_scene([episode], place.scene, place.ground)
     start = _start(place, episode, name)
     things, views = _on_this_storey(found.goals[episode.category], float(episode.position[2]))
-    floor = float(getattr(getattr(place.scene, "frames", None), "floor", 0.0))  # of the file's heights, in Habitat
+    zero = float(getattr(place.scene, "zero", 0.0))  # the height of our z = 0 in the file
     targets = tuple(i for i, thing in enumerate(place.scene.instances) if thing.category == episode.category)
     if rules.goal == "view_points" and len(views) == 0:
         raise WorldError(
@@ -72,7 +72,7 @@ def plan(slot: Listed, file: str, camera: Camera, rules: NavigationRules) -> Lis
         start=(float(start[0]), float(start[1])),
         yaw=float(azimuth),
         shortest=math.inf,
-        goals=np.array([thing.position for thing in things]) - [0.0, 0.0, floor],
+        goals=np.array([thing.position for thing in things]) - [0.0, 0.0, zero],
         view_points=views,
         listed={"episode_id": episode.identifier, "geodesic_distance": episode.geodesic},
     )
