@@ -70,11 +70,20 @@ class Place:
         """Geodesic distance to the nearest of the targets' footprints."""
         return _way_to(self, targets)
 
+    def way_to_points(self, points: np.ndarray) -> Way:
+        """Geodesic distance to the nearest of points ``(n, 2)``, metres; inf everywhere if none is free."""
+        return _way_to_points(self, np.ascontiguousarray(points, dtype=np.float64).tobytes())
+
 
 @lru_cache(maxsize=256)
 def _way_to(place: Place, targets: tuple[int, ...]) -> Way:
     fields = [place.ground.footprint(place.scene.instances[target]) for target in targets]
     return fields[0].union(*fields[1:]) if len(fields) > 1 else fields[0]
+
+
+@lru_cache(maxsize=64)
+def _way_to_points(place: Place, points: bytes) -> Way:
+    return place.ground.field(np.frombuffer(points).reshape(-1, 2))
 
 
 @lru_cache(maxsize=4)
