@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["SimulatedScene", "View", "World", "WorldOf", "known", "load"]
 
 GROUP = "eagor.worlds"
-BUILT_IN = {"apartment": "eagor.worlds.apartment:generate"}
+BUILT_IN = {"apartment": "eagor.worlds.apartment:generate", "habitat": "eagor.worlds.habitat.world:WORLD"}
 FILES = (".glb", ".gltf")
 
 
