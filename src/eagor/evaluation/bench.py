@@ -18,7 +18,7 @@ from eagor.tasks import task as tasks
 from eagor.tasks.episodes import Slot, slots
 from eagor.tasks.eyes import shared
 from eagor.tasks.fitted import fitted
-from eagor.tasks.listed import listed_slots
+from eagor.tasks.listed import listed_slots, scene_files
 from eagor.tasks.methods import NAMES, ORACLE, make_method
 from eagor.tasks.places import APARTMENT, DEVELOPMENT
 from eagor.tasks.rules import Camera, Disturbances, as_dict, from_dict
@@ -70,8 +70,8 @@ class Run:
             able = ", ".join(name for name in tasks.known() if tasks.load(name).listed is not None)
             raise EagorError(f"{self.task} plays no episodes of a file; {able} does")
         slots = self.slots()  # complains about a file that cannot be played
-        if self.episodes_file is not None and slots[0].world not in worlds.known():
-            worlds.load(slots[0].world)  # complains about one that does not exist
+        if self.episodes_file is not None and self.world != APARTMENT:
+            _try_world(slots)
         begin = task.rules() if self.episodes_file is None else task.rules.objectnav()  # type: ignore[attr-defined]
         parts = {"rules": begin, "camera": Camera(), "disturbances": self.disturbances}
         values = {name: as_dict(part) for name, part in parts.items()}
@@ -154,6 +154,15 @@ def start(run: Run, folder: Path, **how: Any) -> Outcome:
 def _tuned_on(listed: Sequence[Slot]) -> bool:
     """Whether one of these is in an apartment on which parameters were chosen."""
     return any(slot.world == APARTMENT and slot.seed in DEVELOPMENT for slot in listed)
+
+
+def _try_world(listed: Sequence[Slot]) -> None:
+    """Open the first scene that is there: a missing simulator is no failure of every episode. Raises `EagorError`."""
+    there = [slot for slot in listed if (files := scene_files([slot])) and files[0].exists()]
+    if there:
+        _read_world(there[0].world)
+    else:
+        worlds.load(listed[0].world)  # complains about one that does not exist
 
 
 @lru_cache(maxsize=1)
