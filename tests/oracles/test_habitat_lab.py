@@ -55,7 +55,7 @@ def test_its_reader_finds_the_episodes_that_we_wrote(file, found):
 @pytest.mark.parametrize("method", ["oracle", "eagor"])
 def test_its_measures_of_our_paths_are_ours(file, found, tmp_path, method):
     words = ["bench", "run", "navigation", "--perception", "truth", "--methods", method, "--episodes-file", str(file),
-             "--out", str(tmp_path), "--set", "max_steps=9"]  # fmt: skip
+             "--out", str(tmp_path), "--set", "max_steps=6"]  # fmt: skip
     assert main(words) == 0
     run = studies.read(tmp_path)
     rows = habitat_lab.differences(run.settings, finished(run.records), found)
