@@ -31,6 +31,7 @@ __all__ = ["HABITAT", "Listed", "ListedEpisode", "listed_slots", "plan", "scene_
 
 HABITAT = "habitat"  # the world in which scenes of others can be played
 _APARTMENT = re.compile(r"apartment (\S+) seed (\d+)")
+STOREY = 1.5  # metres: view points higher or lower than that are on another storey
 _PREFIX = "data/scene_datasets/"  # of some scene_ids; habitat-lab takes it off, too
 
 
@@ -97,9 +98,17 @@ def listed_slots(task: str, file: Path | str, count: int | None, world: str, sce
     if count is not None:
         turns = sorted(sorted(turns, key=lambda turn: turn[0])[:count], key=lambda turn: (homes[turn[1]][1], turn[0]))
     return [
-        Listed(task, homes[scene][0], homes[scene][1], index, number, scene, index)
+        Listed(task, _storey(homes[scene][0], by_scene[scene], index), homes[scene][1], index, number, scene, index)
         for number, (index, scene) in enumerate(turns)
     ]
+
+
+def _storey(world: str, episodes: SceneEpisodes, index: int) -> str:
+    """The world, with the storey of Habitat's scene on which the episode starts (to half a metre)."""
+    if not world.startswith(f"{HABITAT}:") or "storey=" in world:
+        return world
+    height = round(2 * float(episodes.episodes[index].position[2])) / 2
+    return f"{world}{'&' if '?' in world else '?'}storey={height:g}"
 
 
 def scene_files(slots: Sequence[Slot]) -> list[Path]:
@@ -123,7 +132,12 @@ def plan(slot: Listed, file: str, camera: Camera, rules: NavigationRules) -> Lis
         check_scene([episode], place.scene, place.ground)
     start = _start(place, episode, name)
     things = found.goals[episode.category]
-    views = np.concatenate([thing.view_positions for thing in things])
+    zero = 0.0 if isinstance(place.scene, Scene) else place.scene.zero
+    views = np.concatenate([thing.view_positions for thing in things]) - np.array([0.0, 0.0, zero])
+    here = np.array([abs(point[2] - place.ground.height(point[:2])) < STOREY for point in views], dtype=bool)
+    if len(views) and not here.any():
+        raise WorldError(f"{name}: all view points are on other storeys, and the body stays on its own; leave it out")
+    views = views[here]
     targets = tuple(i for i, thing in enumerate(place.scene.instances) if thing.category == episode.category)
     if rules.goal == "view_points" and len(views) == 0:
         raise WorldError(f"{name} has no view points; --set goal=footprint measures to the thing itself")
@@ -139,7 +153,7 @@ def plan(slot: Listed, file: str, camera: Camera, rules: NavigationRules) -> Lis
         start=(float(start[0]), float(start[1])),
         yaw=float(azimuth),
         shortest=math.inf,
-        goals=np.array([thing.position for thing in things]),
+        goals=np.array([thing.position for thing in things]) - np.array([0.0, 0.0, zero]),
         view_points=views,
         listed={"episode_id": episode.identifier, "geodesic_distance": episode.geodesic},
     )
@@ -236,7 +250,7 @@ def _check_files(worlds: dict[str, str], file: Path | str) -> None:
 
 def _file(world: str) -> str:
     """The file of a world; empty for apartments."""
-    return "" if world == APARTMENT else world.removeprefix(f"{HABITAT}:")
+    return "" if world == APARTMENT else world.removeprefix(f"{HABITAT}:").partition("?")[0]
 
 
 def _stem(scene: str) -> str:

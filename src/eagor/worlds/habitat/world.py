@@ -62,6 +62,11 @@ class HabitatScene:
     def rooms(self) -> tuple[Room, ...]:
         return self.things.rooms
 
+    @property
+    def zero(self) -> float:
+        """Habitat's y of our z = 0."""
+        return self.frames.floor
+
     def view(self) -> HabitatView:
         """The renderer."""
         return self._view
