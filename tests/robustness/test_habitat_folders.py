@@ -199,6 +199,14 @@ def test_options_that_do_not_go_with_a_file_are_refused(refused, file, tmp_path,
     assert says in refused(*bench(file, tmp_path / "run", *words))
 
 
+def test_a_world_that_does_not_exist_is_refused(refused, tmp_path):
+    file = exported(tmp_path)
+    assert "there is no world 'moon'" in refused(*bench(file, tmp_path / "run", "--world", "moon"))
+    assert "the world 'apartment' takes no argument" in refused(
+        *bench(file, tmp_path / "run", "--world", "apartment:1")
+    )
+
+
 def test_options_that_need_a_file_and_tasks_that_take_none_say_so(refused, file, tmp_path):
     words = ["bench", "run", "navigation", "--perception", "truth", "--out", tmp_path / "run"]
     assert "--scenes is the folder of the scenes of --episodes-file" in refused(*words, "--scenes", tmp_path)

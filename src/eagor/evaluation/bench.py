@@ -18,7 +18,7 @@ from eagor.tasks import task as tasks
 from eagor.tasks.episodes import Slot, slots
 from eagor.tasks.eyes import shared
 from eagor.tasks.fitted import fitted
-from eagor.tasks.listed import listed_slots
+from eagor.tasks.listed import listed_slots, scene_files
 from eagor.tasks.methods import NAMES, ORACLE, make_method
 from eagor.tasks.places import APARTMENT, DEVELOPMENT
 from eagor.tasks.rules import Camera, Disturbances, as_dict, from_dict
@@ -64,12 +64,17 @@ class Run:
                 make_method(name, np.random.default_rng(0))  # complains about unknown ones
         if len(set(self.methods)) != len(self.methods) or not self.methods:
             raise EagorError(f"methods {list(self.methods)}; wanted at least one, each once")
-        if self.episodes_file is None and self.world not in worlds.known():
+        if self.episodes_file is None and self.world != APARTMENT:
             _read_world(self.world)  # complains about one that cannot be read
         if self.episodes_file is not None and task.listed is None:
             able = ", ".join(name for name in tasks.known() if tasks.load(name).listed is not None)
             raise EagorError(f"{self.task} plays no episodes of a file; {able} does")
         slots = self.slots()  # complains about a file that cannot be played
+        if self.episodes_file is not None and slots[0].world not in worlds.known():
+            worlds.load(slots[0].world)  # complains about one that does not exist
+            there = (slot.world for slot in slots if any(file.exists() for file in scene_files([slot])))
+            if first := next(there, None):
+                _read_world(first)  # complains, too, about a simulator that does not run here
         begin = task.rules() if self.episodes_file is None else task.rules.objectnav()  # type: ignore[attr-defined]
         parts = {"rules": begin, "camera": Camera(), "disturbances": self.disturbances}
         values = {name: as_dict(part) for name, part in parts.items()}
@@ -156,8 +161,15 @@ def _tuned_on(listed: Sequence[Slot]) -> bool:
 
 @lru_cache(maxsize=1)
 def _read_world(world: str) -> None:
-    """Read a GLB file once, so that one that cannot be read is no failure of every episode. Raises `WorldError`."""
-    worlds.load(world)(0)
+    """Read a GLB file or a simulator's scene once, so that one that cannot be read is no failure of every episode.
+
+    Raises `WorldError`, `MissingExtraError`.
+    """
+    made = worlds.load(world)
+    if world not in worlds.known():  # worlds of other packages need not have a scene of seed 0
+        scene = made(0)
+        if isinstance(scene, worlds.SimulatedScene):
+            scene.close()  # the processes that play open their own
 
 
 def variants(task: str) -> tuple[str, ...]:

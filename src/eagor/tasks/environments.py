@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from eagor.tasks import listed, navigation, tracking, waypoint
+from eagor.tasks import listed_episode, navigation, tracking, waypoint
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.place_env import Actions, AnsweringEnv, PlaceEnv, as_walk, spaces, walking_space
 from eagor.tasks.rules import NavigationRules, TrackingRules, WaypointRules
@@ -48,11 +48,11 @@ class MapFreeNavigationEnv(PlaceEnv):
         # habitat-lab's DistanceToGoal measures anew only where the body has moved.
         if self._measured is None or not np.allclose(self._measured, self.body.xy, atol=MOVED):
             self._measured = self.body.xy
-            return float(listed.way_to_goal(self.place, self.episode).distance(self.body.xy))
+            return float(listed_episode.way_to_goal(self.place, self.episode).distance(self.body.xy))
         return self._left
 
     def _target(self) -> np.ndarray | None:
-        if not isinstance(self.episode, listed.ListedEpisode):
+        if not isinstance(self.episode, listed_episode.ListedEpisode):
             return super()._target()
         return min(self.episode.goals, key=lambda centre: float(np.linalg.norm(centre - self.body.pose.position)))
 

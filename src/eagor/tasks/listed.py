@@ -6,11 +6,10 @@ own world only episodes of ours can be played: they say which apartment or expor
 
 from __future__ import annotations
 
-import math
 import re
 import zlib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -18,20 +17,16 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import WorldError
-from eagor.sphere import azimuth_elevation, world_R_body
-from eagor.tasks.episodes import Episode, Slot
-from eagor.tasks.places import APARTMENT, SEEDS, Place, load_place, pixels_of
-from eagor.tasks.rules import Camera, NavigationRules
-from eagor.worlds.objectnav import Episode as FileEpisode
-from eagor.worlds.objectnav import SceneEpisodes, check_scene, read_episodes
-from eagor.worlds.scene import Scene
-from eagor.worlds.walkable import Way
+from eagor.tasks.episodes import Slot
+from eagor.tasks.places import APARTMENT, SEEDS
+from eagor.worlds import FILES
+from eagor.worlds.objectnav import SceneEpisodes, read_episodes
 
-__all__ = ["HABITAT", "Listed", "ListedEpisode", "listed_slots", "plan", "scene_files", "slot_of", "way_to_goal"]
+__all__ = ["HABITAT", "STOREY", "Listed", "listed_slots", "read_file", "scene_files", "slot_of"]
 
 HABITAT = "habitat"  # the world in which scenes of others can be played
 _APARTMENT = re.compile(r"apartment (\S+) seed (\d+)")
-STOREY = 1.5  # metres: view points higher or lower than that are on another storey
+STOREY = 1.2  # metres: heights that differ by less belong to one storey; half a flight of stairs
 _PREFIX = "data/scene_datasets/"  # of some scene_ids; habitat-lab takes it off, too
 
 
@@ -53,21 +48,6 @@ class Listed(Slot):
         return np.random.default_rng([zlib.crc32(name.encode()), self.episode])
 
 
-@dataclass(frozen=True, eq=False)
-class ListedEpisode(Episode):
-    """An episode of a file: centres of its goals ``(k, 3)`` and their view points ``(n, 3)``, metres, world frame.
-
-    `listed`: how long the shortest way is according to the file, and its number there.
-    """
-
-    goals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    view_points: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    listed: dict[str, Any] = field(default_factory=dict)
-
-    def as_json(self) -> dict[str, Any]:
-        return super().as_json() | {"slot": asdict(self.slot)}
-
-
 def slot_of(values: dict[str, Any]) -> Slot:
     """The slot of a unit of work, from JSON."""
     return Listed(**values) if "scene" in values else Slot(**values)
@@ -83,32 +63,25 @@ def listed_slots(task: str, file: Path | str, count: int | None, world: str, sce
     """
     if count is not None and count < 1:
         raise WorldError(f"{count} episodes; wanted 1 or more")
-    by_scene = {each.episodes[0].scene: each for each in _read(str(file))}
+    by_scene = {each.episodes[0].scene: each for each in read_file(file)}
     if world not in (APARTMENT, HABITAT) and len(by_scene) > 1:
+        whole = HABITAT if world.partition(":")[0] == HABITAT else APARTMENT
         raise WorldError(
             f"{file} has episodes in {len(by_scene)} scenes, but --world {world} is one of them; name the world "
-            f"{HABITAT if world.startswith(f'{HABITAT}:') else APARTMENT} alone, and their folder with --scenes"
+            f"{whole} alone, and their folder with --scenes"
         )
-    homes = {scene: _home(scene, each, world, number, Path(file), scenes)
-             for number, (scene, each) in enumerate(by_scene.items())}  # fmt: skip
-    _check_files({scene: home[0] for scene, home in homes.items()}, file)
-    turns = [
-        (index, scene) for scene, each in by_scene.items() for index in range(len(each.episodes))
-    ]  # (0, a), (1, a), (0, b), ...
+    homes = {
+        scene: _homes(scene, each, world, number, Path(file), scenes)
+        for number, (scene, each) in enumerate(by_scene.items())
+    }
+    _check_files({scene: home[0][0] for scene, home in homes.items()}, file)
+    turns = [(index, scene) for scene, each in by_scene.items() for index in range(len(each.episodes))]
     if count is not None:
-        turns = sorted(sorted(turns, key=lambda turn: turn[0])[:count], key=lambda turn: (homes[turn[1]][1], turn[0]))
+        places = {scene: number for number, scene in enumerate(by_scene)}
+        turns = sorted(sorted(turns, key=lambda turn: turn[0])[:count], key=lambda turn: (places[turn[1]], turn[0]))
     return [
-        Listed(task, _storey(homes[scene][0], by_scene[scene], index), homes[scene][1], index, number, scene, index)
-        for number, (index, scene) in enumerate(turns)
+        Listed(task, *homes[scene][index], index, number, scene, index) for number, (index, scene) in enumerate(turns)
     ]
-
-
-def _storey(world: str, episodes: SceneEpisodes, index: int) -> str:
-    """The world, with the storey of Habitat's scene on which the episode starts (to half a metre)."""
-    if not world.startswith(f"{HABITAT}:") or "storey=" in world:
-        return world
-    height = round(2 * float(episodes.episodes[index].position[2])) / 2
-    return f"{world}{'&' if '?' in world else '?'}storey={height:g}"
 
 
 def scene_files(slots: Sequence[Slot]) -> list[Path]:
@@ -116,102 +89,22 @@ def scene_files(slots: Sequence[Slot]) -> list[Path]:
     return [Path(path) for path in dict.fromkeys(_file(slot.world) for slot in slots) if path]
 
 
-def plan(slot: Listed, file: str, camera: Camera, rules: NavigationRules) -> ListedEpisode:
-    """The episode of this slot, ready to be played.
-
-    Raises `WorldError` if the scene is another one than the episode was made for, the start is not on free ground, or
-    no way leads from there to a goal.
-    """
-    found = next((each for each in _read(file) if each.episodes[0].scene == slot.scene), None)
-    if found is None or slot.episode >= len(found.episodes):
-        raise WorldError(f"{file} has no episode {slot.episode} in {slot.scene}; it has changed: start the run anew")
-    episode = found.episodes[slot.episode]
-    name = f"episode {slot.episode} of {slot.scene}"
-    place = load_place(slot.world, slot.seed, camera.radius)
-    if isinstance(place.scene, Scene):
-        check_scene([episode], place.scene, place.ground)
-    start = _start(place, episode, name)
-    things = found.goals[episode.category]
-    zero = 0.0 if isinstance(place.scene, Scene) else place.scene.zero
-    views = np.concatenate([thing.view_positions for thing in things]) - np.array([0.0, 0.0, zero])
-    here = np.array([abs(point[2] - place.ground.height(point[:2])) < STOREY for point in views], dtype=bool)
-    if len(views) and not here.any():
-        raise WorldError(f"{name}: all view points are on other storeys, and the body stays on its own; leave it out")
-    views = views[here]
-    targets = tuple(i for i, thing in enumerate(place.scene.instances) if thing.category == episode.category)
-    if rules.goal == "view_points" and len(views) == 0:
-        raise WorldError(f"{name} has no view points; --set goal=footprint measures to the thing itself")
-    if rules.goal == "footprint" and not targets:
-        raise WorldError(f"{name}: {place.scene.source} names no {episode.category}; leave goal at view_points")
-    azimuth, _ = azimuth_elevation(episode.world_R_body[:, 0])
-    planned = ListedEpisode(
-        slot=slot,
-        scene=place.scene.source,
-        scene_hash=place.scene.hash,
-        query=episode.category,
-        targets=targets,
-        start=(float(start[0]), float(start[1])),
-        yaw=float(azimuth),
-        shortest=math.inf,
-        goals=np.array([thing.position for thing in things]) - np.array([0.0, 0.0, zero]),
-        view_points=views,
-        listed={"episode_id": episode.identifier, "geodesic_distance": episode.geodesic},
-    )
-    way = way_to_goal(place, planned) if rules.goal == "view_points" else place.way_to(targets)
-    shortest = float(way.distance(start))
-    if not math.isfinite(shortest):
-        raise WorldError(
-            f"{name}: no way leads from ({start[0]:.2f}, {start[1]:.2f}) to "
-            f"{'a view point of ' * (rules.goal == 'view_points')}any {episode.category}; leave it out, or use the "
-            "body that it was made for"
-        )
-    ends = views[:, :2] if rules.goal == "view_points" else planned.goals[:, :2]
-    straight = float(np.hypot(*(ends - start).T).min())
-    kind = {
-        "visible": pixels_of(place.ids(place.eye(start, camera.height), world_R_body(0.0)), targets)
-        >= rules.visible_pixels,
-        "way": "winding" if shortest > rules.winding_above * straight else "direct",
-        "category": episode.category,
-    }
-    return ListedEpisode(**{**vars(planned), "shortest": shortest, "stratum": kind})
-
-
-def way_to_goal(place: Place, episode: ListedEpisode) -> Way:
-    """Geodesic distance to the nearest view point of any goal."""
-    return place.way_to_points(episode.view_points[:, :2])
-
-
-def _start(place: Place, episode: FileEpisode, name: str) -> np.ndarray:
-    """The start ``(2,)`` on free ground, which may be a cell away: files of others hold rounded numbers."""
-    xy = episode.position[:2]
-    found = place.ground.snap(xy, within=place.ground.cell)
-    if found is None:
-        near = place.ground.snap(xy)
-        away = (
-            "nothing is free there" if near is None else f"the nearest free place is {np.hypot(*(near - xy)):.2f} m off"
-        )
-        raise WorldError(
-            f"{name} starts at ({xy[0]:.2f}, {xy[1]:.2f}), which is not on free ground for a body of radius "
-            f"{place.ground.radius:g} m in {place.scene.source}: {away}. Use the scene and the radius it was made for"
-        )
-    return found
-
-
-def _home(
+def _homes(
     scene: str, episodes: SceneEpisodes, world: str, number: int, file: Path, scenes: Path | None
-) -> tuple[str, int]:
-    """World and seed in which the episodes of this scene are played; seeds of what is no apartment begin at 10 000."""
+) -> list[tuple[str, int]]:
+    """World and seed of each episode of this scene; seeds of what is no apartment begin at 10 000."""
+    seed, count = SEEDS + number, len(episodes.episodes)
     if world == HABITAT:
-        return f"{HABITAT}:{_below(scene, file, scenes)}", SEEDS + number
+        return [(place, seed) for place in _storeys(_in_habitat(scene, episodes, file, scenes), episodes)]
     if world != APARTMENT:
-        return world, SEEDS + number
-    origins = {episode.origin.version for episode in episodes.episodes if episode.origin is not None}
-    if len(origins) != 1 or any(episode.origin is None for episode in episodes.episodes):
+        return [(world, seed)] * count
+    origins = {episode.origin.version if episode.origin is not None else None for episode in episodes.episodes}
+    (version,) = origins if len(origins) == 1 else (None,)
+    if version is None:
         raise WorldError(
             f"{file}: the episodes in {scene} do not say which of our scenes they were made for, so they can only be "
             f"played in Habitat: --world {HABITAT} --scenes DIR"
         )
-    (version,) = origins
     if match := _APARTMENT.fullmatch(version):
         from eagor.worlds.apartment import VERSION
 
@@ -220,8 +113,29 @@ def _home(
                 f"{file}: the episodes in {scene} were made for {version}; this version makes apartments {VERSION} "
                 f"with seeds below {SEEDS}. Export them anew"
             )
-        return APARTMENT, int(match[2])
-    return str(_below(scene, file, scenes)), SEEDS + number
+        return [(APARTMENT, int(match[2]))] * count
+    return [(str(_below(scene, file, scenes)), seed)] * count
+
+
+def _in_habitat(scene: str, episodes: SceneEpisodes, file: Path, scenes: Path | None) -> str:
+    """``habitat:FILE``, with the scene dataset's configuration that the episodes name, if it is there."""
+    path = _below(scene, file, scenes)
+    _, found, rest = episodes.episodes[0].dataset_config.rpartition("scene_datasets/")
+    config = _below(rest, file, scenes) if found else None
+    return f"{HABITAT}:{path}" + (f"?dataset={config}" if config is not None and config.is_file() else "")
+
+
+def _storeys(world: str, episodes: SceneEpisodes) -> list[str]:
+    """The world of each episode: a storey is chosen by the height of the starts, if these differ by a storey."""
+    heights = np.array([episode.position[2] for episode in episodes.episodes])
+    order = np.argsort(heights, kind="stable")
+    storey = np.zeros(len(heights), dtype=int)
+    storey[order] = np.concatenate([[0], np.cumsum(np.diff(heights[order]) > STOREY)])
+    if storey.max() == 0:
+        return [world] * len(heights)
+    levels = [float(np.median(heights[storey == each])) for each in range(storey.max() + 1)]
+    mark = "&" if "?" in world else "?"
+    return [f"{world}{mark}storey={levels[each]:.2f}" for each in storey]
 
 
 def _below(scene: str, file: Path, scenes: Path | None) -> Path:
@@ -249,14 +163,30 @@ def _check_files(worlds: dict[str, str], file: Path | str) -> None:
 
 
 def _file(world: str) -> str:
-    """The file of a world; empty for apartments."""
-    return "" if world == APARTMENT else world.removeprefix(f"{HABITAT}:").partition("?")[0]
+    """The file of a world that is a scene in a file; empty for others."""
+    name = world.removeprefix(f"{HABITAT}:").partition("?")[0]
+    return name if name != world or Path(name).suffix.lower() in FILES else ""
 
 
 def _stem(scene: str) -> str:
     return PurePosixPath(scene).name.partition(".")[0]
 
 
+def read_file(file: Path | str) -> tuple[SceneEpisodes, ...]:
+    """The episodes of a file by scene, kept as long as it does not change. Raises `WorldError`."""
+    path = Path(file)
+    return _read(path, tuple(_mark(each) for each in (path, *sorted((path.parent / "content").glob("*.json.gz")))))
+
+
 @lru_cache(maxsize=2)
-def _read(file: str) -> tuple[SceneEpisodes, ...]:
-    return read_episodes(Path(file))
+def _read(file: Path, _: tuple[tuple[str, int, int], ...]) -> tuple[SceneEpisodes, ...]:
+    return read_episodes(file)
+
+
+def _mark(path: Path) -> tuple[str, int, int]:
+    """Changes with the file."""
+    try:
+        found = path.stat()
+    except OSError:
+        return str(path), 0, 0
+    return str(path), found.st_mtime_ns, found.st_size

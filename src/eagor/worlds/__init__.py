@@ -102,6 +102,10 @@ class SimulatedScene(Protocol):
         """The renderer."""
         ...
 
+    def close(self) -> None:
+        """Free what the simulator holds; it opens again when it is needed."""
+        ...
+
 
 def known() -> dict[str, EntryPoint]:
     """The worlds that `load` can make, by name. Imports none of them."""

@@ -26,7 +26,7 @@ from eagor.conventions import to_gltf
 from eagor.worlds.glb_reader import import_glb
 from eagor.worlds.gltf import FORMAT, material_name, node_name, split_at_seams, to_pbr, write_exactly
 from eagor.worlds.scene import Scene
-from eagor.worlds.semantic_glb import semantic_glb, semantic_text
+from eagor.worlds.semantic_glb import FIRST_ID, semantic_glb, semantic_text
 
 __all__ = ["export_glb", "import_glb"]
 
@@ -96,6 +96,7 @@ def export_glb(
             {
                 "id": index, "category": thing.category, "colour": thing.colour, "room": thing.room,
                 "low": _numbers(thing.low), "high": _numbers(thing.high), "nodes": nodes[index],
+                **({"semantic_id": index + FIRST_ID} if annotated else {}),
             }
             for index, thing in enumerate(scene.instances)
         ],

@@ -75,6 +75,10 @@ class HabitatScene:
     def _view(self) -> HabitatView:
         return HabitatView(self.session, self.frames, self.things.labels)
 
+    def close(self) -> None:
+        """Close the simulator; the next look opens it again."""
+        self.session.close()
+
     def ground(self, radius: float) -> NavMesh:
         """The navigation mesh of the storey for a body of this radius, metres. Raises `WorldError` without room."""
         return _ground(self, radius)
