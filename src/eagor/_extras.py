@@ -29,7 +29,6 @@ EXTRAS = {
         "pyyaml": "6.0",
         "rosbags": "0.11",
     },
-    "habitat": {"gymnasium": "1.0", "jinja2": "3.1", "onnxruntime": "1.20", "trimesh": "4.6"},
     "rerun": {"rerun-sdk": "0.41"},
     "vlm": {"torch": "2.6", "transformers": "5.23", "accelerate": "1.10"},
     "endpoint": {"openai": "1.98", "tenacity": "9"},

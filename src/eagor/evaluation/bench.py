@@ -64,7 +64,7 @@ class Run:
                 make_method(name, np.random.default_rng(0))  # complains about unknown ones
         if len(set(self.methods)) != len(self.methods) or not self.methods:
             raise EagorError(f"methods {list(self.methods)}; wanted at least one, each once")
-        if self.episodes_file is None and self.world not in worlds.known():
+        if self.episodes_file is None and self.world != APARTMENT:
             _read_world(self.world)  # complains about one that cannot be read
         if self.episodes_file is not None and task.listed is None:
             able = ", ".join(name for name in tasks.known() if tasks.load(name).listed is not None)
@@ -167,8 +167,15 @@ def _try_world(listed: Sequence[Slot]) -> None:
 
 @lru_cache(maxsize=1)
 def _read_world(world: str) -> None:
-    """Read a GLB file once, so that one that cannot be read is no failure of every episode. Raises `WorldError`."""
-    worlds.load(world)(0)
+    """Read a GLB file or a simulator's scene once, so that one that cannot be read is no failure of every episode.
+
+    Raises `WorldError`, `MissingExtraError`.
+    """
+    made = worlds.load(world)
+    if world not in worlds.known():  # worlds of other packages need not have a scene of seed 0
+        scene = made(0)
+        if isinstance(scene, worlds.SimulatedScene):
+            scene.close()  # the processes that play open their own
 
 
 def variants(task: str) -> tuple[str, ...]:

@@ -89,12 +89,21 @@ class SimulatedScene(Protocol):
         """What else is worth to be recorded."""
         ...
 
+    @property
+    def zero(self) -> float:
+        """The height of our z = 0 in the scene's own files, and in episodes made for it, metres."""
+        ...
+
     def ground(self, radius: float, /) -> Walkable:
         """The ground for a body of this radius, metres. Raises `WorldError` if there is no room for it."""
         ...
 
     def view(self) -> View:
         """The renderer."""
+        ...
+
+    def close(self) -> None:
+        """Free what the simulator holds; it opens again when it is needed."""
         ...
 
 

@@ -138,7 +138,9 @@ def read_boxes(file: Path, frames: Frames) -> tuple[tuple[Instance, ...], tuple[
             low, high = (np.array([number(value) for value in entry[end]]) for end in ("low", "high"))
             if low.shape != (3,) or high.shape != (3,) or bool(np.any(low > high)):
                 raise ValueError(f"a box from {low.tolist()} to {high.tolist()}")
-            if not ours:
+            if ours:  # z up, but heights as in the file
+                low[2], high[2] = low[2] - frames.floor, high[2] - frames.floor
+            else:
                 low, high = frames.box_from_habitat(low, high)
             colour = entry.get("colour")
             if colour is not None and colour not in COLOURS:

@@ -59,7 +59,7 @@ def main_storey(
         if not near:
             known = ", ".join(sorted({f"{level:.1f}" for area, _, level in levels if area >= SMALLEST}))
             raise WorldError(f"{source} has no storey at the height {height:g} m; it has some at {known} m")
-        _, island, level = max(near)
+        _, island, level = max(near, key=lambda each: (each[0] >= SMALLEST, -round(abs(each[2] - height)), each[0]))
         return Storey(island, level)
     ranked = sorted(levels, reverse=True)
     for _, island, level in ranked:

@@ -62,6 +62,11 @@ class HabitatScene:
     def rooms(self) -> tuple[Room, ...]:
         return self.things.rooms
 
+    @property
+    def zero(self) -> float:
+        """Habitat's y of our z = 0."""
+        return self.frames.floor
+
     def view(self) -> HabitatView:
         """The renderer."""
         return self._view
@@ -69,6 +74,10 @@ class HabitatScene:
     @lazy
     def _view(self) -> HabitatView:
         return HabitatView(self.session, self.frames, self.things.labels)
+
+    def close(self) -> None:
+        """Close the simulator; the next look opens it again."""
+        self.session.close()
 
     def ground(self, radius: float) -> NavMesh:
         """The navigation mesh of the storey for a body of this radius, metres. Raises `WorldError` without room."""
