@@ -41,6 +41,8 @@ def habitat(options: ExportHabitat) -> int:
         )  # fmt: skip
     total = sum(each.episodes for each in found)
     config = options.out / "scene_datasets" / options.name / f"{options.name}.scene_dataset_config.json"
+    if mesh is None:
+        terminal.log(WITHOUT)
     if options.json:
         scenes = [vars(each) | {"scene": str(each.scene)} for each in found]
         meshes = mesh is not None
@@ -48,8 +50,6 @@ def habitat(options: ExportHabitat) -> int:
         return terminal.OK
     print(f"{len(found)} scenes, {total} episodes in {options.out}")
     terminal.facts({"episodes": str(path), "scenes": str(config)}, indent=2)
-    if mesh is None:
-        print(WITHOUT)
     return terminal.OK
 
 
