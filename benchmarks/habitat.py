@@ -45,9 +45,10 @@ from eagor.tasks.rules import Camera, Disturbances, as_dict
 from eagor.worlds.apartment import generate
 from eagor.worlds.glb import export_glb
 from eagor.worlds.ground import Ground
+from eagor.worlds.opened import ground_of, view_of
 from eagor.worlds.render import Renderer
 from eagor.worlds.scene import STRUCTURE
-from eagor.worlds.walkable import Walkable, ground_of, view_of
+from eagor.worlds.walkable import Walkable
 
 RADIUS, EYE = 0.18, 1.25  # metres: of the body, and of the camera's height
 FINE = 1024  # rows of the pictures in which corners are looked for

@@ -121,7 +121,7 @@ class Simulator:
         asked = configuration.sim_cfg
         assert not asked.allow_sliding
         assert asked.gpu_device_id == -1
-        self.scene = _scene(Path(asked.scene_id))
+        self.scene = _scene(Path(asked.scene_id), getattr(asked, "scene_dataset_config_file", "default"))
         self.renderer = Renderer(self.scene)
         self.pathfinder, self.semantic_scene = PathFinder(), None
         self.agents = [SimpleNamespace(scene_node=SimpleNamespace(translation=Vector3(0, 0, 0), rotation=None))]
@@ -178,9 +178,13 @@ def _rotated(quaternion, vectors):
     return vectors + 2 * (quaternion.w * once + np.cross(axis, once))
 
 
-def _scene(file):
+def _scene(file, dataset):
     """The scene of a file in our axes, laid on its side where Habitat takes z for up."""
     up = [0, 0, 1]
+    if dataset != "default":  # its default attributes are for all scenes that it lists
+        stages = json.loads(Path(dataset).read_text())["stages"]
+        assert file in [Path(dataset).parent / each for each in stages["paths"][".glb"]]
+        up = stages["default_attributes"]["up"]
     if file.name.endswith(".stage_config.json"):
         stage = json.loads(file.read_text())
         file, up = file.parent / stage["render_asset"], stage["up"]

@@ -70,11 +70,8 @@ class Run:
             able = ", ".join(name for name in tasks.known() if tasks.load(name).listed is not None)
             raise EagorError(f"{self.task} plays no episodes of a file; {able} does")
         slots = self.slots()  # complains about a file that cannot be played
-        if self.episodes_file is not None and slots[0].world not in worlds.known():
-            worlds.load(slots[0].world)  # complains about one that does not exist
-            there = (slot.world for slot in slots if any(file.exists() for file in scene_files([slot])))
-            if first := next(there, None):
-                _read_world(first)  # complains, too, about a simulator that does not run here
+        if self.episodes_file is not None and self.world != APARTMENT:
+            _try_world(slots)
         begin = task.rules() if self.episodes_file is None else task.rules.objectnav()  # type: ignore[attr-defined]
         parts = {"rules": begin, "camera": Camera(), "disturbances": self.disturbances}
         values = {name: as_dict(part) for name, part in parts.items()}
@@ -157,6 +154,15 @@ def start(run: Run, folder: Path, **how: Any) -> Outcome:
 def _tuned_on(listed: Sequence[Slot]) -> bool:
     """Whether one of these is in an apartment on which parameters were chosen."""
     return any(slot.world == APARTMENT and slot.seed in DEVELOPMENT for slot in listed)
+
+
+def _try_world(listed: Sequence[Slot]) -> None:
+    """Open the first scene that is there: a missing simulator is no failure of every episode. Raises `EagorError`."""
+    there = [slot for slot in listed if (files := scene_files([slot])) and files[0].exists()]
+    if there:
+        _read_world(there[0].world)
+    else:
+        worlds.load(listed[0].world)  # complains about one that does not exist
 
 
 @lru_cache(maxsize=1)

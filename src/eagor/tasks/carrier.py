@@ -69,8 +69,8 @@ class Carrier:
             [c * step[0] - s * step[1], s * step[0] + c * step[1]]
         )
         self._believed_yaw += turned + slip
+        self.walked += math.hypot(length, floor - self.floor)
         self.xy, self.yaw, self.floor = np.asarray(xy, dtype=np.float64), yaw, floor
-        self.walked += length
         self.steps += 1
 
     @property

@@ -10,8 +10,9 @@ import numpy as np
 
 from eagor import worlds
 from eagor.queries import COLOURS, Query
+from eagor.worlds.opened import ground_of, view_of
 from eagor.worlds.scene import STRUCTURE, Scene
-from eagor.worlds.walkable import Walkable, Way, ground_of, view_of
+from eagor.worlds.walkable import Walkable, Way
 
 APARTMENT = "apartment"
 SEEDS = 10_000  # number of apartments

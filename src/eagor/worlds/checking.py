@@ -18,10 +18,11 @@ from eagor.queries import COLOURS
 from eagor.sphere import direction
 from eagor.sphere import world_R_body as pose_of
 from eagor.worlds import SimulatedScene, View, World
+from eagor.worlds.opened import ground_of, view_of
 from eagor.worlds.panorama import turn
 from eagor.worlds.render import Frame
 from eagor.worlds.scene import STRUCTURE, Scene
-from eagor.worlds.walkable import Walkable, ground_of, view_of
+from eagor.worlds.walkable import Walkable
 
 EYE = 1.25  # metres above the floor: height of the camera
 FREE = 1.0  # square metres on which a body has to be able to stand

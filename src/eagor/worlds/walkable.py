@@ -1,7 +1,6 @@
 """The ground that tasks walk on, whoever holds it: our own plan of a scene, or another simulator's navigation mesh.
 
-`Walkable` is the part of `eagor.worlds.ground.Ground` that tasks and reports use. `ground_of` and `view_of` give the
-ground and the renderer of what a world made.
+`Walkable` is the part of `eagor.worlds.ground.Ground` that tasks and reports use.
 """
 
 from __future__ import annotations
@@ -11,10 +10,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 if TYPE_CHECKING:
-    from eagor.worlds import SimulatedScene, View
-    from eagor.worlds.scene import Instance, Scene
+    from eagor.worlds.scene import Instance
 
-__all__ = ["Walkable", "Way", "ground_of", "view_of"]
+__all__ = ["Walkable", "Way"]
 
 
 class Way(Protocol):
@@ -102,19 +100,3 @@ class Walkable(Protocol):
     def move(self, xy: np.ndarray, step: np.ndarray, slide: bool = ...) -> tuple[np.ndarray, bool]:
         """The end of a step ``(2,)`` from a free point, which is free, too, and whether it collided."""
         ...
-
-
-def ground_of(scene: Scene | SimulatedScene, radius: float) -> Walkable:
-    """The ground of what a world made, for a body of this radius. Raises `WorldError` if there is no room to stand."""
-    from eagor.worlds.ground import Ground
-    from eagor.worlds.scene import Scene
-
-    return Ground.from_scene(scene, radius=radius) if isinstance(scene, Scene) else scene.ground(radius)
-
-
-def view_of(scene: Scene | SimulatedScene) -> View:
-    """The renderer of what a world made."""
-    from eagor.worlds.render import Renderer
-    from eagor.worlds.scene import Scene
-
-    return Renderer(scene) if isinstance(scene, Scene) else scene.view()
