@@ -20,6 +20,7 @@ from rooms import two_rooms
 
 import eagor.tasks
 from eagor import worlds
+from eagor.conventions import from_gltf
 from eagor.errors import WorldError
 from eagor.sphere import world_R_body
 from eagor.tasks.checking import check_task
@@ -196,6 +197,22 @@ def test_the_floor_of_the_storey_is_at_z_0(tmp_path):
     check_world(world, 1)
     assert world(0).zero == pytest.approx(2.8, abs=0.02)
     assert world(0).instances[-1].low[2] == pytest.approx(0.0, abs=0.02)
+
+
+def test_files_as_of_hm3d_need_nothing_else(tmp_path):
+    """z up, ids beside under HM3D's names, no configuration."""
+    scene = two_rooms()
+    vertices = from_gltf(scene.vertices)  # so that the file holds our own coordinates: z up
+    file = export_glb(replace(scene, vertices=vertices), tmp_path / "flat.glb", annotated=True)
+    for kind in ("stage_config", "semantic", "navmesh"):
+        file.with_suffix(f".{kind}.json").unlink()
+    file = file.rename(tmp_path / "flat.basis.glb")
+    world = worlds.load(f"habitat:{file}")
+    check_world(world, 1)
+    assert world(0).facts["things"] == "Habitat's semantic scene"
+    found = {thing.category: thing for thing in world(0).instances}
+    sofa = next(thing for thing in scene.instances if thing.category == "sofa")
+    np.testing.assert_allclose([found["sofa"].low, found["sofa"].high], [sofa.low, sofa.high], atol=0.03)
 
 
 def test_a_mesh_of_another_scene_is_told(flat, tmp_path):

@@ -5,7 +5,8 @@
 - `sessions`: the simulators that are open in this process;
 - `frames`: the one place in which coordinates change;
 - `view`: panoramas with Euclidean ranges and instance ids;
-- `navmesh`: where a body can walk; `storeys`: the storey that it walks on; `floors`: meshes and true floors;
+- `navmesh`: where a body can walk; `raster`: its plan; `storeys`: the storey that it walks on; `floors`: meshes, and
+  the true floors below them;
 - `semantics`: the named things of the scene.
 
 Habitat-Sim (0.3.3 and later) is imported only when a scene is opened.

@@ -42,9 +42,9 @@ def mesh_for(options: Options, file: Path | None, sim: Any, radius: float) -> tu
         if not found.load_nav_mesh(str(given)) or not found.is_loaded:
             raise WorldError(f"{given} is no navigation mesh that Habitat-Sim reads; wanted what save_nav_mesh writes")
         return found, given.name
-    own = sim.pathfinder
-    if own is not None and own.is_loaded and abs(own.nav_mesh_settings.agent_radius - radius) < 1e-3:
-        return own, "the scene's"
+    for own in (sim.pathfinder, _beside(habitat_sim, file)):
+        if own is not None and own.is_loaded and abs(own.nav_mesh_settings.agent_radius - radius) < 1e-3:
+            return own, "the scene's"
     settings = habitat_sim.NavMeshSettings()
     settings.set_defaults()
     settings.cell_size, settings.cell_height = CELL, CELL_HEIGHT
@@ -63,6 +63,15 @@ def mesh_for(options: Options, file: Path | None, sim: Any, radius: float) -> tu
             "(habitat:SCENE?up=y or ?up=z), in metres, and complete?"
         )
     return found, "computed"
+
+
+def _beside(habitat_sim: Any, file: Path | None) -> Any:
+    """The mesh in ``<scene>.navmesh``, None if there is none that can be read."""
+    place = None if file is None else file.with_suffix(".navmesh")
+    if place is None or not place.is_file():
+        return None
+    found = habitat_sim.PathFinder()
+    return found if found.load_nav_mesh(str(place)) else None
 
 
 def _looks(view: HabitatView, feet: np.ndarray, row: int) -> np.ndarray:
@@ -112,7 +121,7 @@ def true_floor(view: HabitatView, pathfinder: Any, storey: Storey, name: str, op
             f"under most of the navigation mesh of {name} there is no floor within {SUNK:g} m: mesh and scene do not "
             "have the same way up, or belong to different scenes; try habitat:SCENE?up=y or ?up=z, or leave out navmesh"
         )
-    if options.up is None and is_bare(options):
+    if is_bare(options):
         _check_upright(name, float(np.median(above)) + EYE, _extent(view.session.sim))
     floor = float(np.median(feet[:, 1] - gap))
     return 0.0 if abs(floor) < FLAT else floor

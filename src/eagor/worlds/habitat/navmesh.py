@@ -21,12 +21,12 @@ from eagor.worlds.geodesics import Field
 from eagor.worlds.ground import BESIDE, Ground
 from eagor.worlds.habitat.frames import Frames
 from eagor.worlds.habitat.probe import import_habitat
+from eagor.worlds.habitat.raster import CELL, rasterised
 from eagor.worlds.habitat.storeys import BAND, Storey, triangles_of
 from eagor.worlds.scene import Instance, Room
 
 __all__ = ["NavMesh", "NavWay"]
 
-CELL = 0.05  # metres: of the plan
 LEVEL = 0.15  # metres: heights within it are the floor itself (rugs, sills, the steps of the mesh)
 BLOCK = 0.25  # metres: of the places beside a thing, one is kept in each square of this size
 PLACES = 48  # places beside a thing that are looked at
@@ -98,7 +98,7 @@ class NavMesh:
         self.pathfinder, self.storey, self.frames, self.radius = pathfinder, storey, frames, radius
         self.rooms, self.sees, self.source = rooms, sees, source
         self._ways: dict[int, tuple[Instance, NavWay]] = {}
-        origin, heights = _rasterised(triangles_of(pathfinder, storey.island), storey, frames)
+        origin, heights = rasterised(triangles_of(pathfinder, storey.island), storey, frames)
         covered = np.isfinite(heights)
         if not covered.any():
             raise WorldError(f"nowhere in {source} can a body of radius {radius:g} m stand on this storey")
@@ -297,32 +297,3 @@ class NavMesh:
                 f"({point[0]:.3f}, {point[1]:.3f}) is not on the navigation mesh of this storey of {self.source}; "
                 "start from a free point, such as snap() gives"
             )
-
-
-def _rasterised(triangles: np.ndarray, storey: Storey, frames: Frames) -> tuple[np.ndarray, np.ndarray]:
-    """Habitat's y of the mesh at the middle of each cell ``(rows, cols)``, NaN off the storey, and the plan's origin.
-
-    Where two levels of the storey lie over each other, the one nearer to its floor counts.
-    """
-    ours = frames.from_habitat(triangles)
-    low, high = ours[..., :2].min(axis=(0, 1)), ours[..., :2].max(axis=(0, 1))
-    origin = np.floor(low / CELL) * CELL - 2 * CELL  # aligned with our own plans
-    cols, rows = (int(n) for n in np.ceil((high - origin) / CELL) + 2)
-    heights = np.full((rows, cols), np.nan)
-    for corners, ys in zip((ours[..., :2] - origin) / CELL, triangles[..., 1], strict=True):
-        first = np.floor(corners.min(axis=0) - 0.5).astype(int)
-        last = np.ceil(corners.max(axis=0) - 0.5).astype(int) + 1
-        x, y = np.meshgrid(np.arange(first[0], last[0]) + 0.5, np.arange(first[1], last[1]) + 0.5)
-        a, b, c = corners
-        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        if abs(area) < 1e-12:
-            continue
-        u = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
-        v = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
-        inside = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9)
-        height = ys[0] + u * (ys[1] - ys[0]) + v * (ys[2] - ys[0])
-        inside &= np.abs(height - storey.level) <= BAND
-        part = heights[first[1] : last[1], first[0] : last[0]]
-        better = inside & ~(np.abs(part - storey.level) <= np.abs(height - storey.level))
-        part[better] = height[better]
-    return origin, heights

@@ -78,30 +78,46 @@ def existing(name: str | None, what: str) -> Path | None:
 
 
 def scene_id_of(options: Options, file: Path | None) -> str:
-    """What Habitat is asked for: the stage configuration beside a GLB file, if there is one, or the file, or a name."""
+    """What Habitat is asked for: a name, the file, or a stage configuration for it.
+
+    Habitat takes axes and ids of a bare GLB file from a stage configuration alone. One beside the file is used as it
+    is. One is written, for this process, if the axes are given, or for HM3D's files without their dataset:
+    ``NAME.basis.glb`` with ``NAME.semantic.glb`` and ``NAME.semantic.txt`` beside.
+    """
     if file is None:
         return options.scene
-    if file.suffix.lower() not in (".glb", ".gltf"):
+    if file.suffix.lower() not in (".glb", ".gltf") or (options.dataset is not None and options.up is None):
         return str(file)
-    beside_it = file.with_suffix(".stage_config.json")
-    if options.up is None:
-        return str(beside_it if beside_it.is_file() and options.dataset is None else file)
-    # Habitat takes the axes from a stage configuration alone.
+    stage = stage_beside(file)
+    if options.up is None and stage.is_file():
+        return str(stage)
+    stem = file.name.split(".")[0]
+    painted, named = (file.with_name(f"{stem}.semantic.{kind}") for kind in ("glb", "txt"))
+    annotated = painted.is_file() and named.is_file()
+    if options.up is None and not annotated:
+        return str(file)
+    known: dict[str, Any] = {"shader_type": "flat"}
+    if stage.is_file():
+        known = json.loads(stage.read_text(encoding="utf-8"))
     up, front = ([0, 1, 0], [0, 0, -1]) if options.up == "y" else ([0, 0, 1], [0, 1, 0])
-    known: dict[str, Any] = {}
-    if beside_it.is_file():
-        known = json.loads(beside_it.read_text(encoding="utf-8"))
+    known |= {"render_asset": str(file), "collision_asset": str(file), "up": up, "front": front}
+    if annotated:
+        known |= {"semantic_asset": str(painted), "semantic_descriptor_filename": str(named)}
+        known |= {"has_semantic_textures": True, "semantic_up": up, "semantic_front": front}
     folder = Path(tempfile.mkdtemp(prefix="eagor-habitat-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    stage = folder / beside_it.name
-    stage.write_text(
-        json.dumps(known | {"render_asset": str(file), "collision_asset": str(file), "up": up, "front": front})
-    )
-    return str(stage)
+    made = folder / stage.name
+    made.write_text(json.dumps(known), encoding="utf-8")
+    return str(made)
+
+
+def stage_beside(file: Path) -> Path:
+    """Where the stage configuration of a GLB file would lie."""
+    return file.with_suffix(".stage_config.json")
 
 
 def is_bare(options: Options) -> bool:
     """Whether nothing but Habitat's default says which way is up."""
-    file = Path(options.scene)
+    file = Path(options.scene).expanduser()
     glb = file.suffix.lower() in (".glb", ".gltf")
-    return glb and options.dataset is None and not file.with_suffix(".stage_config.json").is_file()
+    return glb and options.up is None and options.dataset is None and not stage_beside(file).is_file()

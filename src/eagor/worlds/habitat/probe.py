@@ -43,20 +43,21 @@ def import_habitat() -> Any:
     return habitat_sim
 
 
-def device_for(scene_id: str, dataset: str, gpu: int | None = None) -> int:
+def device_for(scene_id: str, dataset: str, gpu: int | None = None, name: str = "") -> int:
     """The device with which this scene opens: `gpu`, $EAGOR_HABITAT_GPU, an NVIDIA card if there is one, or the CPU.
 
-    Raises `MissingExtraError` without Habitat-Sim, and `WorldError` if no simulator can be made, or not of this scene.
+    `name`: of the scene, if its id differs from process to process. Raises `MissingExtraError` without Habitat-Sim, and
+    `WorldError` if no simulator can be made, or not of this scene.
     """
     _need()
     if gpu is None:
         gpu = _from_environment()
-    key = json.dumps([scene_id, dataset, gpu])
+    key = json.dumps([name or scene_id, dataset, gpu])
     _found.update(json.loads(os.environ.get(PROBED, "{}")))
     if key not in _found:
         chosen, why = [gpu] if gpu is not None else [0, CPU] if _has_nvidia() else [CPU], None
         for device in chosen:
-            why = _try(scene_id, dataset, device)
+            why = _try(scene_id, dataset, device, name)
             if why is None:
                 _found[key] = device
                 break
@@ -91,7 +92,7 @@ def _quieten() -> None:
         os.environ.setdefault(name, level)
 
 
-def _try(scene_id: str, dataset: str, device: int) -> str | None:
+def _try(scene_id: str, dataset: str, device: int, name: str) -> str | None:
     """Why the scene cannot be opened on this device, as a sentence; None if it can."""
     there, here = os.pipe()  # its end tells the other process that this one is gone
     code = f"from eagor.worlds.habitat.probe import main; main({[scene_id, dataset, device]!r}, {there})"
@@ -126,7 +127,7 @@ def _try(scene_id: str, dataset: str, device: int) -> str | None:
         return None
     words = [line.strip() for line in err.splitlines() if line.strip()]
     last = f"it took longer than {PATIENCE:.0f} s" if late else words[-1][:300] if words else "it ended without a word"
-    return _sentence(stage, scene_id, device, last)
+    return _sentence(stage, name or scene_id, device, last)
 
 
 def _sentence(stage: str, scene_id: str, device: int, last: str) -> str:

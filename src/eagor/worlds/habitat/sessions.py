@@ -27,11 +27,15 @@ _open: list[Session] = []  # least recently used first
 
 @dataclass(frozen=True)
 class Source:
-    """What Habitat-Sim opens: `scene_id`, the scene dataset's configuration, and the GPU (None: found by the probe)."""
+    """What Habitat-Sim opens: `scene_id`, the scene dataset's configuration, and the GPU (None: found by the probe).
+
+    `name`: the same in every process, unlike the path of a written stage configuration.
+    """
 
     scene_id: str
     dataset: str = "default"
     gpu: int | None = None
+    name: str = ""
 
 
 class Session:
@@ -48,7 +52,8 @@ class Session:
         if self._sim is None:
             while len(_open) >= MOST:
                 _open[0].close()
-            self._sim = _made(self.source, device_for(self.source.scene_id, self.source.dataset, self.source.gpu))
+            asked = self.source
+            self._sim = _made(asked, device_for(asked.scene_id, asked.dataset, asked.gpu, asked.name))
             self._sensors = {(kind, FIRST_ROWS): f"{kind} {FIRST_ROWS}" for kind in KINDS}
         else:
             _open.remove(self)
@@ -128,6 +133,6 @@ def _made(source: Source, gpu: int) -> Any:
         return habitat_sim.Simulator(configured(habitat_sim, source, gpu))
     except Exception as error:  # C++ errors come as RuntimeError, among others
         raise WorldError(
-            f"Habitat-Sim cannot open {source.scene_id!r} on device {gpu} ({type(error).__name__}: "
+            f"Habitat-Sim cannot open {source.name or source.scene_id!r} on device {gpu} ({type(error).__name__}: "
             f"{str(error).strip()[:300]}); is the scene complete?"
         ) from error

@@ -98,7 +98,7 @@ def open_scene(text: str) -> HabitatScene:
     boxes = existing(options.boxes, "the file of boxes")
     scene_id = scene_id_of(options, file)
     dataset = existing(options.dataset, "the scene dataset's configuration")
-    session = Session(Source(scene_id, str(dataset) if dataset else "default", options.gpu))
+    session = Session(Source(scene_id, str(dataset) if dataset else "default", options.gpu, str(file or options.scene)))
     sim = session.sim
     name = file.name if file else options.scene
     pathfinder, _ = mesh_for(options, file, sim, 0.18)
