@@ -48,7 +48,7 @@ def habitat(options: ExportHabitat) -> int:
         meshes = mesh is not None
         terminal.emit({"episodes_file": str(path), "config": str(config), "meshes": meshes, "scenes": scenes})
         return terminal.OK
-    print(f"{len(found)} scenes, {total} episodes in {options.out}")
+    print(f"{len(found)} scene{'s' * (len(found) != 1)}, {total} episodes in {options.out}")
     terminal.facts({"episodes": str(path), "scenes": str(config)}, indent=2)
     return terminal.OK
 
