@@ -98,6 +98,14 @@ def test_a_unit_played_again_is_the_same(run):
     assert again["methods"]["eagor"]["metrics"] == record["methods"]["eagor"]["metrics"]
 
 
+def test_an_episode_is_played_again_for_the_viewer(run, tmp_path, capsys):
+    pytest.importorskip("rerun")
+    out, _ = run
+    words = ["bench", "failures", str(out), "--method", "eagor", "--episode", "room-1"]
+    assert main([*words, "--rerun", str(tmp_path / "log.rrd")]) == 0
+    assert (tmp_path / "log.rrd").stat().st_size > 1000
+
+
 def test_other_rules_of_success_are_taken_and_said(file, tmp_path, capsys):
     words = ["bench", "run", "navigation", "--perception", "truth", "--methods", "oracle", "--out", str(tmp_path),
              "--episodes-file", str(file), "--episodes", "2", "--set", "success_distance=1.5", "goal=footprint",
