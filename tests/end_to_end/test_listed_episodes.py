@@ -242,12 +242,13 @@ def test_starts_on_two_storeys_are_played_on_their_own(tmp_path):
     file = exported(tmp_path)
 
     def upstairs(found):
-        for episode in found["episodes"][2:]:
+        for episode in found["episodes"][::2]:
             episode["start_position"][1] += 2.9
 
     rewrite(file, upstairs)
-    worlds = [each.world for each in listed_slots("navigation", file, None, "habitat", None)]
-    assert [world.partition("&")[2] for world in worlds] == ["storey=0.00"] * 2 + ["storey=2.90"] * 2
+    slots = listed_slots("navigation", file, None, "habitat", None)
+    assert [each.world.partition("&")[2] for each in slots] == ["storey=0.00"] * 2 + ["storey=2.90"] * 2
+    assert [each.episode for each in slots] == [1, 3, 0, 2]
 
 
 def test_one_file_may_hold_several_scenes_and_goals_in_each_episode(tmp_path):
