@@ -172,6 +172,8 @@ def _facts(run: Told, task: Task) -> list[tuple[str, str]]:
         kinds = {True: "development seeds, not results", False: "not development seeds"}
         kind = kinds.get(config.get("development", ""), "run.json does not say whether they are development seeds")
         pairs.append(("Seeds", f"{spread}; {kind}"))
+    if summary.get("judged"):
+        pairs.append(("Success", summary["judged"].removeprefix("success: ")))
     asked = words(config.get("episodes", "unknown"))
     pairs.append(("Episodes", f"{summary['episodes']} with results of {asked} asked"))
     pairs.append(("Units of work", f"{len(records)} recorded, {summary['failed']} of them failed"))
