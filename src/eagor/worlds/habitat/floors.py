@@ -74,14 +74,14 @@ def _beside(habitat_sim: Any, file: Path | None) -> Any:
     return found if found.load_nav_mesh(str(place)) else None
 
 
-def _looks(view: HabitatView, feet: np.ndarray, row: int) -> np.ndarray:
-    """Metres ``(n,)`` up (`row` 0) or down (-1) from the eye above points ``(n, 3)`` of Habitat's world."""
+def _looks(view: HabitatView, feet: np.ndarray) -> np.ndarray:
+    """Metres ``(n, 2)`` up and down from the eye above points ``(n, 3)`` of Habitat's world."""
     found = []
     for point in view.frames.from_habitat(feet):
         metres = view.panorama(point + np.array([0.0, 0.0, EYE]), np.eye(3), ROWS, rgb=False, ids=False).range
         assert metres is not None
-        found.append(float(np.median(metres[row])) * math.cos(math.pi / (2 * ROWS)))
-    return np.array(found)
+        found.append(np.median(metres[[0, -1]], axis=1) * math.cos(math.pi / (2 * ROWS)))
+    return np.array(found).reshape(-1, 2)
 
 
 def _extent(sim: Any) -> np.ndarray:
@@ -102,7 +102,7 @@ def _check_upright(name: str, height: float, extent: np.ndarray) -> None:
 
 def roofed(view: HabitatView, feet: np.ndarray) -> float:
     """The share of points of the mesh with something above them."""
-    return float(np.isfinite(_looks(view, feet, 0)).mean()) if len(feet) else 0.0
+    return float(np.isfinite(_looks(view, feet)[:, 0]).mean()) if len(feet) else 0.0
 
 
 def true_floor(view: HabitatView, pathfinder: Any, storey: Storey, name: str, options: Options) -> float:
@@ -114,7 +114,7 @@ def true_floor(view: HabitatView, pathfinder: Any, storey: Storey, name: str, op
     level = np.abs(mesh.heights[mesh.free] - storey.level) <= 0.1
     spots = mesh.points[level][:: max(1, int(level.sum()) // 25)]
     feet = np.array([mesh.feet(xy) for xy in spots]).reshape(-1, 3)
-    below, above = (_looks(view, feet, row) for row in (-1, 0))
+    above, below = _looks(view, feet).T
     gap = below - EYE  # the mesh floats above the floor
     if not (np.abs(gap) < SUNK).mean() > 0.5:
         raise WorldError(

@@ -169,11 +169,9 @@ def main(asked: list[Any], line: int) -> None:
     from eagor.worlds.habitat.sessions import Source, configured
 
     _say("context")
-    habitat_sim.Simulator(configured(habitat_sim, Source("NONE"), device, rows=8)).close()
-    _say("scene")
-    simulator = habitat_sim.Simulator(configured(habitat_sim, Source(scene_id, dataset), device, rows=8))
-    simulator.close()
-    _say("done")
+    for stage, source in (("scene", Source("NONE")), ("done", Source(scene_id, dataset))):
+        habitat_sim.Simulator(configured(habitat_sim, source, device, 8, ("depth",))).close()
+        _say(stage)
     sys.stdout.flush()
     os._exit(0)  # libraries may fail while they are unloaded
 

@@ -17,7 +17,7 @@ in Habitat's world: metres, Y up, as in the GLB file. Colour and "room" may be l
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from eagor.queries import COLOURS, SYNONYMS
 from eagor.worlds.gltf import FORMAT
 from eagor.worlds.habitat.frames import Frames
 from eagor.worlds.scene import Instance, Room
+from eagor.worlds.semantic_glb import FIRST_ID
 
 __all__ = ["BOXES", "BoxLabels", "IdLabels", "Things", "beside", "things_of"]
 
@@ -210,13 +211,15 @@ def _rooms(semantic: Any, frames: Frames) -> tuple[Room, ...]:
     return tuple(found)
 
 
-def _same_things(found: Iterable[_Object], instances: Sequence[Instance]) -> np.ndarray | None:
+def _same_things(found: Sequence[_Object], instances: Sequence[Instance]) -> np.ndarray | None:
     """The index among `instances` of each semantic id; None unless each of Habitat's objects is one of them.
 
-    An object is the thing of the same category whose box is nearest, at most 0.25 m off at any corner.
+    Ids are those that we export, if the categories agree. Otherwise an object is the thing of the same category whose
+    box is nearest, at most 0.25 m off at any corner.
     """
-    place: dict[int, int] = {}
-    for each in found:
+    exported = {each.semantic_id: each.semantic_id - FIRST_ID for each in found}
+    place = exported if all(_is(one, instances, exported[one.semantic_id]) for one in found) else {}
+    for each in () if place else found:
         off = {
             index: float(
                 max(np.abs(thing.low - each.instance.low).max(), np.abs(thing.high - each.instance.high).max())
@@ -233,6 +236,10 @@ def _same_things(found: Iterable[_Object], instances: Sequence[Instance]) -> np.
     table = np.full(max(place) + 1, -1)
     table[list(place)] = list(place.values())
     return table
+
+
+def _is(one: _Object, instances: Sequence[Instance], index: int) -> bool:
+    return 0 <= index < len(instances) and instances[index].category == one.instance.category
 
 
 def _nodes(file: Path, frames: Frames) -> tuple[Instance, ...]:

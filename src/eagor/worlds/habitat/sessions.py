@@ -102,8 +102,11 @@ def close_all() -> None:
 atexit.register(close_all)
 
 
-def configured(habitat_sim: Any, source: Source, gpu: int, rows: int = FIRST_ROWS) -> Any:
-    """The configuration of a simulator with three equirectangular sensors at the agent's origin, without sliding."""
+def configured(habitat_sim: Any, source: Source, gpu: int, rows: int = FIRST_ROWS, kinds: Sequence[str] = KINDS) -> Any:
+    """The configuration of a simulator with equirectangular sensors at the agent's origin, without sliding.
+
+    With a sensor of colour, each simulator prepares lights: on the CPU, that takes most of the time that it starts.
+    """
     settings = habitat_sim.SimulatorConfiguration()
     settings.scene_id = source.scene_id
     settings.scene_dataset_config_file = source.dataset
@@ -112,7 +115,7 @@ def configured(habitat_sim: Any, source: Source, gpu: int, rows: int = FIRST_ROW
     settings.enable_physics = False
     settings.random_seed = 0
     agent = habitat_sim.agent.AgentConfiguration()
-    agent.sensor_specifications = [_sensor(habitat_sim, kind, rows) for kind in KINDS]
+    agent.sensor_specifications = [_sensor(habitat_sim, kind, rows) for kind in kinds]
     return habitat_sim.Configuration(settings, [agent])
 
 
