@@ -31,6 +31,7 @@ LEVEL = 0.15  # metres: heights within it are the floor itself (rugs, sills, the
 BLOCK = 0.25  # metres: of the places beside a thing, one is kept in each square of this size
 PLACES = 48  # places beside a thing that are looked at
 HELD = 1e-4  # metres by which a step falls short that has collided: the mesh is in single precision
+SHORT = 1e-3  # metres before the edge at which a step without sliding ends: no step leads away from the edge itself
 TRIES = 20  # random points until one is on the mesh
 
 Sees = Callable[[np.ndarray, Instance], bool]  # whether a body that stands at a point (2,) sees an instance
@@ -272,7 +273,8 @@ class NavMesh:
     def move(self, xy: np.ndarray, step: np.ndarray, slide: bool = True) -> tuple[np.ndarray, bool]:
         """The end of a step ``(2,)`` from a free point ``(2,)``, and whether it collided: Habitat's ``try_step``.
 
-        A blocked step slides along the edge of the mesh (`slide`), or the body stops there. It never leaves the storey.
+        A blocked step slides along the edge of the mesh (`slide`), or the body stops there, a millimetre short of it:
+        for Habitat-Sim 0.3.4 every step of a body that stands on the edge crosses it. It never leaves the storey.
         Raises `WorldError` if the start is not free or the step not finite.
         """
         start, way = np.asarray(xy, dtype=np.float64), np.asarray(step, dtype=np.float64)
@@ -289,7 +291,12 @@ class NavMesh:
         if not np.isfinite(end).all() or np.hypot(*moved) > np.hypot(*way) + HELD or not bool(self.is_free(end)):
             return start.copy(), True
         # Freely moved, the body is where the step led, not where single precision has put it.
-        return (start + way, False) if np.hypot(*(moved - way)) <= HELD else (end, True)
+        if np.hypot(*(moved - way)) <= HELD:
+            return start + way, False
+        if not slide:
+            length = float(np.hypot(*moved))
+            end = start + moved * max(0.0, 1 - SHORT / max(length, SHORT))
+        return end, True
 
     def _check_free(self, point: np.ndarray) -> None:
         if not bool(self.is_free(point)):
