@@ -41,15 +41,15 @@ def habitat(options: ExportHabitat) -> int:
         )  # fmt: skip
     total = sum(each.episodes for each in found)
     config = options.out / "scene_datasets" / options.name / f"{options.name}.scene_dataset_config.json"
+    if mesh is None:
+        terminal.log(WITHOUT)
     if options.json:
         scenes = [vars(each) | {"scene": str(each.scene)} for each in found]
         meshes = mesh is not None
         terminal.emit({"episodes_file": str(path), "config": str(config), "meshes": meshes, "scenes": scenes})
         return terminal.OK
-    print(f"{len(found)} scenes, {total} episodes in {options.out}")
+    print(f"{len(found)} scene{'s' * (len(found) != 1)}, {total} episodes in {options.out}")
     terminal.facts({"episodes": str(path), "scenes": str(config)}, indent=2)
-    if mesh is None:
-        print(WITHOUT)
     return terminal.OK
 
 

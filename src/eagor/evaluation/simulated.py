@@ -166,12 +166,14 @@ def _facts(run: Told, task: Task) -> list[tuple[str, str]]:
     pairs = [("Task", task.title)]
     pairs += [(name.capitalize(), words(config[name])) for name in ("perception", "world", "rows") if name in config]
     if "episodes_file" in config:
-        pairs.append(("Scenes", str(len({record["episode"]["scene"] for record in finished(records)}))))
+        pairs.append(("Scenes played", str(len({record["episode"]["scene"] for record in finished(records)}))))
     elif seeds:
         spread = f"{seeds[0]} to {seeds[-1]} ({len(seeds)} of them)" if len(seeds) > 1 else str(seeds[0])
         kinds = {True: "development seeds, not results", False: "not development seeds"}
         kind = kinds.get(config.get("development", ""), "run.json does not say whether they are development seeds")
         pairs.append(("Seeds", f"{spread}; {kind}"))
+    if summary.get("judged"):
+        pairs.append(("Success", summary["judged"].removeprefix("success: ")))
     asked = words(config.get("episodes", "unknown"))
     pairs.append(("Episodes", f"{summary['episodes']} with results of {asked} asked"))
     pairs.append(("Units of work", f"{len(records)} recorded, {summary['failed']} of them failed"))

@@ -80,6 +80,7 @@ def export_glb(
         written(listed, semantic_text(scene))
         stage |= {
             "semantic_asset": painted.name, "semantic_descriptor_filename": listed.name, "has_semantic_textures": True,
+            "nav_asset": target.with_suffix(".navmesh").name,
         }  # fmt: skip
     navmesh = {
         "cell_size": cell, "cell_height": 0.05, "agent_height": height, "agent_radius": radius,

@@ -138,10 +138,10 @@ def _config(files: Iterable[str]) -> dict:
                 "semantic_asset": f"{_TAG}.semantic.glb",
                 "semantic_descriptor_filename": f"{_TAG}.semantic.txt",
                 "has_semantic_textures": True,
+                "nav_asset": f"{_TAG}.navmesh",
             },
             "paths": {".glb": list(files)},
         },
-        "scene_instances": {"default_attributes": {"default_lighting": "no_lights"}},
     }
 
 

@@ -5,6 +5,7 @@ A wrong setting ends the process in which Habitat-Sim runs. No picture is drawn,
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -16,14 +17,15 @@ from eagor.errors import WorldError
 __all__ = ["WITHOUT", "mesh_writer"]
 
 WITHOUT = (
-    "  habitat_sim is not installed here, so there are no .navmesh files. habitat-lab makes meshes itself; in "
-    "Habitat-Sim, call\n  recompute_navmesh with the settings in <scene>.navmesh.json"
+    "habitat_sim is not installed here, so there are no .navmesh files: habitat-lab and eagor make them when they open "
+    "a scene; in Habitat-Sim, call recompute_navmesh with the settings in <scene>.navmesh.json"
 )
 PATIENCE = 300.0  # seconds for one mesh; an apartment takes less than one
 _PROGRAM = """
-import json, sys
+import json, os, sys, threading
+stage, target, settings, line = sys.argv[1:]
+threading.Thread(target=lambda: (os.read(int(line), 1), os._exit(1)), daemon=True).start()  # ends with its parent
 import habitat_sim
-stage, target, settings = sys.argv[1:]
 simulator = habitat_sim.SimulatorConfiguration()
 simulator.scene_id, simulator.create_renderer, simulator.load_semantic_mesh = stage, False, False
 simulator.gpu_device_id = -1
@@ -48,11 +50,18 @@ def _write(stage: Path) -> None:
     """Write the mesh with the settings beside the stage. Raises `WorldError` if Habitat-Sim makes none."""
     base = stage.with_name(stage.name.removesuffix(".stage_config.json"))
     target, settings = base.with_name(f"{base.name}.navmesh"), base.with_name(f"{base.name}.navmesh.json")
-    command = [sys.executable, "-c", _PROGRAM, str(stage), str(target), str(settings)]
+    there, here = os.pipe()  # its end tells the other process that this one is gone
+    command = [sys.executable, "-c", _PROGRAM, str(stage), str(target), str(settings), str(there)]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", timeout=PATIENCE,
+            pass_fds=(there,),
+        )  # fmt: skip
     except subprocess.TimeoutExpired:
         raise WorldError(f"Habitat-Sim took longer than {PATIENCE:.0f} s for the mesh of {base.name}") from None
+    finally:
+        os.close(there)
+        os.close(here)
     if done.returncode or not target.is_file():
         last = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
         raise WorldError(f"Habitat-Sim made no navigation mesh of {base.name} (exit code {done.returncode}): {last}")
