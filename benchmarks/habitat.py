@@ -100,7 +100,7 @@ def pictures(both: Both, count: int, corners: int, rng: np.random.Generator) -> 
             view.panorama(position, pose, 256, rgb=False) for view in (both.ours.renderer, both.theirs.renderer)
         )
         hit = np.isfinite(mine.range) & np.isfinite(other.range)
-        ranges.append((np.abs(mine.range - other.range) / mine.range)[hit])
+        ranges.append(np.abs(mine.range[hit] - other.range[hit]) / mine.range[hit])
         alike.append(float((mine.ids == other.ids).mean()))
         wanted = math.ceil(corners * (number + 1) / count) - len(angles)
         angles += corner_errors(both, position, pose, wanted, rng)
@@ -138,12 +138,11 @@ def corner_errors(
             if np.abs(vertices - corner).max(axis=1).min() > 0.005:  # the box has it, the thing does not
                 continue
             way = pose.T @ (corner - position)
-            if not 0.8 < np.linalg.norm(way) < 6.0:
+            if not 0.6 < np.linalg.norm(way) < 8.0:
                 continue
             places = [tip(ids == thing, grid, unit(way)) for ids in (mine, other)]
             if places[0] is not None and places[1] is not None:
-                found.append(math.degrees(math.acos(min(1.0, float(places[0] @ places[1])))))
-                break
+                found.append(math.degrees(2 * math.asin(min(1.0, float(np.linalg.norm(places[0] - places[1])) / 2))))
     return found
 
 

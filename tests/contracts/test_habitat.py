@@ -100,18 +100,19 @@ def test_its_ground_agrees_with_our_plan(flat):
         one, other = mesh.sample(rng, 0.3), mesh.sample(rng, 0.3)
         assert mesh.is_free(one)
         assert mesh.height(one) == 0.0
-        ours, way = plan.snap(one, 0.1), float(mesh.field(one).distance(other))
-        if ours is not None and plan.is_free(other):
-            gaps.append(float(plan.field(ours).distance(other)) - way)
+        near, way = plan.snap(one, 0.1), float(mesh.field(one).distance(other))
+        if near is not None and plan.is_free(other):
+            gaps.append(float(plan.field(near).distance(other)) - way)
         path = mesh.path(one, other)
         np.testing.assert_array_equal([path[0], path[-1]], [one, other])
         assert float(np.hypot(*np.diff(path, axis=0).T).sum()) == pytest.approx(way, abs=0.02)
-    assert np.abs(gaps).mean() < 0.15
+    assert np.abs(gaps).mean() < 0.05
     assert mesh.is_free(np.array([[np.nan, 0.0], [-5.0, 2.0], [4.0, 1.0]])).tolist() == [False] * 3
     assert float(mesh.field([2.0, 2.9]).distance([-5.0, 2.0])) == math.inf
     assert mesh.snap(np.array([np.nan, 0.0])) is None
     area = float(mesh.free.sum()) * mesh.cell**2
-    assert area == pytest.approx(float(plan.free.sum()) * plan.cell**2, rel=0.1), "not the roof, which is larger"
+    ours = float(plan.free.sum()) * plan.cell**2
+    assert 0.8 * ours < area < ours, "not the roof, which is larger; radii are rounded up to voxels"
 
 
 def test_steps_stop_at_walls_or_slide(flat):
@@ -119,13 +120,12 @@ def test_steps_stop_at_walls_or_slide(flat):
     free, stopped = ground.move(np.array([2.0, 2.9]), np.array([0.2, 0.1]), slide=False)
     assert not stopped
     np.testing.assert_array_equal(free, [2.2, 3.0])
-    xy = np.array([3.5, 2.0])
     for slide in (False, True):
-        end, stopped = ground.move(xy, np.array([0.5, 0.3]), slide=slide)
+        end, stopped = ground.move(np.array([2.5, 0.5]), np.array([0.3, -0.5]), slide=slide)
         assert stopped
         assert ground.is_free(end)
-        assert end[0] < 3.9, "the wall between the rooms"
-        assert (end[1] > 2.2) == slide
+        assert 0.1 < end[1] < 0.3, "the outer wall"
+        assert (end[0] > 2.75) == slide
     with pytest.raises(WorldError, match="not on the navigation mesh"):
         ground.move(np.array([-5.0, 2.0]), np.array([0.1, 0.0]))
     with pytest.raises(WorldError, match="no path from"):
@@ -216,7 +216,7 @@ def test_files_as_of_hm3d_need_nothing_else(tmp_path):
 
 
 def test_a_mesh_of_another_scene_is_told(flat, tmp_path):
-    upstairs = load_place(f"habitat:{export_glb(lifted(2.8), tmp_path / 'upstairs.glb')}", 0, 0.18)
+    upstairs = load_place(f"habitat:{export_glb(lifted(1.5), tmp_path / 'upstairs.glb')}", 0, 0.18)
     upstairs.ground.pathfinder.save_nav_mesh(str(tmp_path / "upstairs.navmesh"))
     with pytest.raises(WorldError, match="no floor within"):
         worlds.load(f"habitat:{flat}?navmesh={tmp_path / 'upstairs.navmesh'}")(0)

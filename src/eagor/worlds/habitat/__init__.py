@@ -7,7 +7,7 @@
 - `view`: panoramas with Euclidean ranges and instance ids;
 - `navmesh`: where a body can walk; `raster`: its plan; `storeys`: the storey that it walks on; `floors`: meshes, and
   the true floors below them;
-- `semantics`: the named things of the scene.
+- `semantics`: the named things of the scene; `extents`: repairs their boxes.
 
 Habitat-Sim (0.3.3 and later) is imported only when a scene is opened.
 """

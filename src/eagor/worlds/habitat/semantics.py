@@ -17,8 +17,8 @@ in Habitat's world: metres, Y up, as in the GLB file. Colour and "room" may be l
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from eagor._json import number, parsed, shown
 from eagor.errors import WorldError
 from eagor.queries import COLOURS, SYNONYMS
 from eagor.worlds.gltf import FORMAT
+from eagor.worlds.habitat.extents import Box, from_the_origin, repaired
 from eagor.worlds.habitat.frames import Frames
 from eagor.worlds.scene import Instance, Room
 from eagor.worlds.semantic_glb import FIRST_ID
@@ -36,6 +37,7 @@ __all__ = ["BOXES", "BoxLabels", "IdLabels", "Things", "beside", "things_of"]
 
 BOXES = "eagor boxes 1"
 UNNAMED = {"", "unknown", "unlabeled", "unlabelled", "void", "misc", "undefined", "object", "objects", "other"}
+Look = Callable[[], Mapping[int, Box]]  # what is seen of each semantic id, Habitat's world
 LOOSE = 0.03  # metres by which a box is widened: depth is exact to a centimetre
 _CHUNK = 1 << 22  # comparisons of a point with a box at a time
 
@@ -91,8 +93,11 @@ class BoxLabels:
         return found.reshape(points.shape[:-1])
 
 
-def things_of(sim: Any, scene_file: Path | None, boxes: Path | None, frames: Frames) -> Things:
-    """The things of the scene that `sim` has opened. Raises `WorldError` if it has none, or for a malformed file."""
+def things_of(sim: Any, scene_file: Path | None, boxes: Path | None, frames: Frames, look: Look) -> Things:
+    """The things of the scene that `sim` has opened; `look` finds extents where Habitat's are wrong.
+
+    Raises `WorldError` if it has none, or for a malformed file.
+    """
     found = _objects(getattr(sim, "semantic_scene", None), frames)
     rooms: tuple[Room, ...] = ()
     file = boxes or beside(scene_file)
@@ -104,6 +109,9 @@ def things_of(sim: Any, scene_file: Path | None, boxes: Path | None, frames: Fra
         if boxes is not None or not found:
             return Things(instances, rooms, BoxLabels(instances), f"boxes of {file.name}")
     if found:
+        if from_the_origin([each.box for each in found]):
+            seen = look()
+            found = [each.repaired(seen[each.semantic_id], frames) for each in found if each.semantic_id in seen]
         place = np.full(max(each.semantic_id for each in found) + 1, -1)
         place[[each.semantic_id for each in found]] = np.arange(len(found))
         instances = tuple(each.instance for each in found)
@@ -173,6 +181,12 @@ class _Object:
 
     semantic_id: int
     instance: Instance
+    box: Box  # in Habitat's world
+
+    def repaired(self, seen: Box, frames: Frames) -> _Object:
+        """The same with a box whose wrong sides are those of what was seen."""
+        low, high = frames.box_from_habitat(*repaired(self.box, seen))
+        return replace(self, instance=replace(self.instance, low=low, high=high))
 
 
 def _objects(semantic: Any, frames: Frames) -> list[_Object]:
@@ -187,9 +201,8 @@ def _objects(semantic: Any, frames: Frames) -> list[_Object]:
             continue
         region = thing.region
         room = None if region is None or _box(region) is None else str(region.id)
-        found.append(
-            _Object(int(thing.semantic_id), Instance(category, None, room, *frames.box_from_habitat(low, high)))
-        )
+        instance = Instance(category, None, room, *frames.box_from_habitat(low, high))
+        found.append(_Object(int(thing.semantic_id), instance, (low, high)))
     return found
 
 

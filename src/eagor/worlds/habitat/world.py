@@ -16,7 +16,7 @@ A scene is the same for every seed.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -26,6 +26,7 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.worlds import World, WorldOf
+from eagor.worlds.habitat.extents import Box, seen_boxes
 from eagor.worlds.habitat.floors import EYE, ROWS, mesh_for, roofed, true_floor
 from eagor.worlds.habitat.frames import Frames
 from eagor.worlds.habitat.navmesh import NavMesh
@@ -33,11 +34,14 @@ from eagor.worlds.habitat.options import Options, existing, file_of, parse, scen
 from eagor.worlds.habitat.probe import import_habitat
 from eagor.worlds.habitat.semantics import Things, beside, things_of
 from eagor.worlds.habitat.sessions import Session, Source
-from eagor.worlds.habitat.storeys import main_storey
+from eagor.worlds.habitat.storeys import Storey, main_storey
 from eagor.worlds.habitat.view import HabitatView
 from eagor.worlds.scene import Instance, Room
 
 __all__ = ["WORLD", "HabitatScene", "open_scene"]
+
+RADIUS = 0.18  # metres: of the body for whose ground the floor is found
+SPOTS = 40  # places from which the things of a scene are looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +105,11 @@ def open_scene(text: str) -> HabitatScene:
     session = Session(Source(scene_id, str(dataset) if dataset else "default", options.gpu, str(file or options.scene)))
     sim = session.sim
     name = file.name if file else options.scene
-    pathfinder, _ = mesh_for(options, file, sim, 0.18)
+    pathfinder, _ = mesh_for(options, file, sim, RADIUS)
     raw = HabitatView(session, Frames(), None)
     storey = main_storey(pathfinder, lambda feet: roofed(raw, feet), options.storey, name)
     frames = Frames(true_floor(raw, pathfinder, storey, name, options))
-    things = things_of(sim, file, boxes, frames)
+    things = things_of(sim, file, boxes, frames, lambda: _seen(session, pathfinder, storey))
     files = [path for path in (file, dataset, boxes, beside(file), _stage_file(sim)) if path is not None]
     facts = {
         "simulator": f"Habitat-Sim {getattr(import_habitat(), '__version__', '')}".strip(),
@@ -117,6 +121,13 @@ def open_scene(text: str) -> HabitatScene:
         options, session, file, frames, things, storey.level, f"habitat {name}", _digest(files, options, things), facts
     )
     return made
+
+
+def _seen(session: Session, pathfinder: Any, storey: Storey) -> Mapping[int, Box]:
+    """What is seen of each semantic id from places all over the storey, Habitat's world."""
+    mesh = NavMesh(pathfinder, storey, Frames(), RADIUS)
+    spots = mesh.points[:: max(1, len(mesh.points) // SPOTS)]
+    return seen_boxes(session, np.array([mesh.feet(xy) for xy in spots], dtype=np.float64) + np.array([0.0, EYE, 0.0]))
 
 
 @lru_cache(maxsize=16)
