@@ -2,7 +2,7 @@
 
 - `world`: the world itself, and the scene that it gives to tasks; `options`: what follows its name;
 - `probe`: finds out, in another process, whether a simulator can be made here, and on which device;
-- `sessions`: the simulators that are open in this process;
+- `configuring`: what a simulator is made of; `sessions`: those that are open in this process;
 - `frames`: the one place in which coordinates change;
 - `view`: panoramas with Euclidean ranges and instance ids;
 - `navmesh`: where a body can walk; `raster`: its plan; `storeys`: the storey that it walks on; `floors`: meshes, and

@@ -166,7 +166,7 @@ def main(asked: list[Any], line: int) -> None:
     _quieten()
     import habitat_sim  # pyright: ignore[reportMissingImports]
 
-    from eagor.worlds.habitat.sessions import Source, configured
+    from eagor.worlds.habitat.configuring import Source, configured
 
     _say("context")
     for stage, source in (("scene", Source("NONE")), ("done", Source(scene_id, dataset))):

@@ -8,34 +8,19 @@ from __future__ import annotations
 
 import atexit
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from eagor.errors import WorldError
+from eagor.worlds.habitat.configuring import FIRST_ROWS, KINDS, Source, configured, sensor_of
 from eagor.worlds.habitat.probe import device_for, import_habitat
 
-__all__ = ["Session", "Source", "close_all", "configured"]
+__all__ = ["Session", "close_all"]
 
 MOST = 2  # simulators open at a time: each holds the textures of a whole building
-FIRST_ROWS = 64  # of the sensors with which a simulator is made; others are added when they are asked for
-KINDS = ("color", "depth", "semantic")
 
 _open: list[Session] = []  # least recently used first
-
-
-@dataclass(frozen=True)
-class Source:
-    """What Habitat-Sim opens: `scene_id`, the scene dataset's configuration, and the GPU (None: found by the probe).
-
-    `name`: the same in every process, unlike the path of a written stage configuration.
-    """
-
-    scene_id: str
-    dataset: str = "default"
-    gpu: int | None = None
-    name: str = ""
 
 
 class Session:
@@ -73,7 +58,7 @@ class Session:
         for kind in kinds:
             if (kind, rows) not in self._sensors:
                 habitat_sim = import_habitat()
-                sim.add_sensor(_sensor(habitat_sim, kind, rows))
+                sim.add_sensor(sensor_of(habitat_sim, kind, rows))
                 self._sensors[kind, rows] = f"{kind} {rows}"
         body = sim.agents[0].scene_node
         w, x, y, z = (float(value) for value in quaternion)
@@ -100,34 +85,6 @@ def close_all() -> None:
 
 
 atexit.register(close_all)
-
-
-def configured(habitat_sim: Any, source: Source, gpu: int, rows: int = FIRST_ROWS, kinds: Sequence[str] = KINDS) -> Any:
-    """The configuration of a simulator with equirectangular sensors at the agent's origin, without sliding.
-
-    With a sensor of colour, each simulator prepares lights: on the CPU, that takes most of the time that it starts.
-    """
-    settings = habitat_sim.SimulatorConfiguration()
-    settings.scene_id = source.scene_id
-    settings.scene_dataset_config_file = source.dataset
-    settings.gpu_device_id = gpu
-    settings.allow_sliding = False
-    settings.enable_physics = False
-    settings.random_seed = 0
-    agent = habitat_sim.agent.AgentConfiguration()
-    agent.sensor_specifications = [_sensor(habitat_sim, kind, rows) for kind in kinds]
-    return habitat_sim.Configuration(settings, [agent])
-
-
-def _sensor(habitat_sim: Any, kind: str, rows: int) -> Any:
-    spec = habitat_sim.EquirectangularSensorSpec()
-    spec.uuid = f"{kind} {rows}"
-    spec.sensor_type = getattr(habitat_sim.SensorType, kind.upper())
-    spec.sensor_subtype = habitat_sim.SensorSubType.EQUIRECTANGULAR
-    spec.resolution = [rows, 2 * rows]
-    spec.position = [0.0, 0.0, 0.0]  # floats: whole numbers are refused
-    spec.channels = 4 if kind == "color" else 1
-    return spec
 
 
 def _made(source: Source, gpu: int) -> Any:
