@@ -123,6 +123,10 @@ def test_a_robots_log_and_its_detections_fit_each_other(tmp_path):
     assert check_commands(detector, tmp_path) == 1
 
 
+def test_apartments_are_exported_and_their_episodes_played_as_the_page_on_habitat_says(tmp_path):
+    assert check_commands(DOCS / "how-to" / "habitat.md", tmp_path, apart=0.1) == 2
+
+
 def test_a_clip_is_followed_as_the_page_on_footage_says(tmp_path):
     """The encoder of this machine may write other bytes than that of the page: numbers may differ by a degree."""
     pytest.importorskip("av")

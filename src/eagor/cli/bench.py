@@ -19,7 +19,9 @@ SEED = 2000
 PERCEPTION = "scout"
 # Options that only benchmarks with published data have, and those that only simulated tasks have.
 PUBLISHED_ONLY = ("data", "agent", "model", "scoring", "labels", "limit", "shard")
-SIMULATED_ONLY = ("methods", "episodes", "ablations", "walking", "latency", "world", "rows", "detector")
+SIMULATED_ONLY = (
+    "methods", "episodes", "episodes_file", "scenes", "ablations", "walking", "latency", "world", "rows", "detector",
+)  # fmt: skip
 FLAGS = ("scoring", "labels")  # options of benchmarks that have a flag of their own
 
 
@@ -136,7 +138,8 @@ def _folder(config: dict[str, Any]) -> str:
     from eagor.perception import short_name
 
     who = config.get("perception") or (config.get("model") or "").partition("@")[0]
-    parts = config["task"], config.get("agent"), short_name(who) if who else "", str(config["seed"])
+    listed = Path(config["episodes_file"]).name.partition(".")[0] if "episodes_file" in config else ""
+    parts = config["task"], config.get("agent"), short_name(who) if who else "", listed or str(config["seed"])
     return "-".join(part for part in parts if part)
 
 
@@ -164,6 +167,10 @@ def _simulated(options: BenchRun) -> Planned:
     from eagor.tasks.rules import Disturbances
 
     checked_rows(options.rows)
+    if options.scenes is not None and options.episodes_file is None:
+        raise terminal.UsageError("--scenes is the folder of the scenes of --episodes-file, which is not given")
+    if options.seed is not None and options.episodes_file is not None:
+        raise terminal.UsageError("--seed chooses apartments, and --episodes-file says which are played; leave one out")
     if options.engine == "threads":
         raise terminal.UsageError("--engine threads is for models on servers; use processes or ray for simulated tasks")
     perception = options.perception or PERCEPTION
@@ -182,6 +189,8 @@ def _simulated(options: BenchRun) -> Planned:
         disturbances=(Disturbances.walking if options.walking else Disturbances)(latency=options.latency),
         calibrated=calibrated(perception, options.calibration, options.detector, options.force),
         settings=pairs_of(options.set),
+        episodes_file=options.episodes_file,
+        scenes=options.scenes,
     )
 
 

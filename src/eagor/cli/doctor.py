@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 from importlib.metadata import EntryPoint
+from importlib.util import find_spec
 from typing import Any
 
 from eagor import perception, plugins, worlds
@@ -51,6 +52,8 @@ def doctor(options: Doctor) -> int:
     for name, extra in WANTS.items():
         if known["perceptions"][name] == READY and (short := machine.lacking(extra)):
             known["perceptions"][name] = f"wants {', '.join(short)} (the extra '{extra}')"
+    if known["worlds"]["habitat"] == READY and find_spec("habitat_sim") is None:
+        known["worlds"]["habitat"] = "wants Habitat-Sim (docs/how-to/habitat.md)"
     left_out = [
         text for kind, each in points.items() for at in each.values() for text in plugins.left_out(at, kind[:-1])
     ] + plugins.unreadable()

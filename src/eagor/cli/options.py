@@ -13,6 +13,7 @@ from typing import Annotated, ClassVar, Literal
 from tyro.conf import Positional, arg, subcommand
 
 from eagor.cli.camera_options import Camera
+from eagor.cli.export_options import Export
 from eagor.cli.live_options import Live
 from eagor.cli.robot_options import Robot
 from eagor.cli.ros_options import Ros
@@ -209,8 +210,15 @@ class BenchRun(Common):
         "The methods (default: all eight, and for a vision-language model plain, its own answer); variants such as "
         "eagor:degree=7,decode=mean; in navigation also oracle."
     )
-    episodes: Whole = 20
-    """Number of episodes; five in each apartment."""
+    episodes: Annotated[int | None, bare("N")] = None
+    """Number of episodes; five in each apartment (default: 20, or all of --episodes-file)."""
+    episodes_file: Annotated[Path | None, bare("FILE.json.gz")] = None
+    (
+        "navigation: play the ObjectNav episodes of this file (HM3D, MP3D, `eagor export habitat`), judged as Habitat "
+        "does. Ours are played in our own world too, others need --world habitat."
+    )
+    scenes: Annotated[Path | None, bare("DIR")] = None
+    """With --episodes-file: the folder of its scenes (default: the nearest scene_datasets above the file)."""
     seed: Annotated[int | None, bare("N")] = None
     (
         "The first apartment (default 2000). 0 to 1999 are for development, 2000 to 9999 for results. Benchmarks: seed "
@@ -435,6 +443,7 @@ Command = (
     | Annotated[Robot, subcommand("robot")]
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]
+    | Annotated[Export, subcommand("export")]
     | Annotated[Calibrate, subcommand("calibrate")]
     | Annotated[Camera, subcommand("camera")]
     | Annotated[Models, subcommand("models")]

@@ -15,14 +15,16 @@ from eagor.evaluation.workers import Outcome, Unit, carry_out
 from eagor.perception import rows_of
 from eagor.perception.calibrated import Calibrated
 from eagor.tasks import task as tasks
-from eagor.tasks.episodes import slots
+from eagor.tasks.episodes import Slot, slots
 from eagor.tasks.eyes import shared
 from eagor.tasks.fitted import fitted
+from eagor.tasks.listed import listed_slots, scene_files
 from eagor.tasks.methods import NAMES, ORACLE, make_method
 from eagor.tasks.places import APARTMENT, DEVELOPMENT
 from eagor.tasks.rules import Camera, Disturbances, as_dict, from_dict
 
 WORK = "eagor.tasks.play:work"
+PER_RUN = 20  # episodes of a run that names no number and no file
 
 
 @dataclass(frozen=True)
@@ -30,12 +32,13 @@ class Run:
     """What is run. `settings` override single rules, of the task, the camera or the disturbances, by name.
 
     `rows` of the panoramas; None: what the perception works at. `calibrated`: how our tracker reads and forgets; None:
-    as the perception and the tracker have it.
+    as the perception and the tracker have it. `episodes_file`: play what this file lists (`eagor.tasks.listed`), in
+    scenes below the folder `scenes`; then `episodes` None means all of them, and `seed` nothing.
     """
 
     task: str
     perception: str
-    episodes: int
+    episodes: int | None
     seed: int
     methods: tuple[str, ...] = NAMES
     world: str = APARTMENT
@@ -43,6 +46,8 @@ class Run:
     disturbances: Disturbances = field(default_factory=Disturbances)
     calibrated: Calibrated | None = None
     settings: dict[str, Any] = field(default_factory=dict)
+    episodes_file: Path | None = None
+    scenes: Path | None = None
 
     def config(self) -> dict[str, Any]:
         """Everything that decides the results, as the JSON of run.json.
@@ -59,9 +64,16 @@ class Run:
                 make_method(name, np.random.default_rng(0))  # complains about unknown ones
         if len(set(self.methods)) != len(self.methods) or not self.methods:
             raise EagorError(f"methods {list(self.methods)}; wanted at least one, each once")
-        if self.world not in worlds.known():
+        if self.episodes_file is None and self.world != APARTMENT:
             _read_world(self.world)  # complains about one that cannot be read
-        parts = {"rules": task.rules(), "camera": Camera(), "disturbances": self.disturbances}
+        if self.episodes_file is not None and task.listed is None:
+            able = ", ".join(name for name in tasks.known() if tasks.load(name).listed is not None)
+            raise EagorError(f"{self.task} plays no episodes of a file; {able} does")
+        slots = self.slots()  # complains about a file that cannot be played
+        if self.episodes_file is not None and self.world != APARTMENT:
+            _try_world(slots)
+        begin = task.rules() if self.episodes_file is None else task.rules.objectnav()  # type: ignore[attr-defined]
+        parts = {"rules": begin, "camera": Camera(), "disturbances": self.disturbances}
         values = {name: as_dict(part) for name, part in parts.items()}
         for key, value in self.settings.items():
             homes = [name for name in values if key in values[name]]
@@ -71,12 +83,15 @@ class Run:
             values[homes[0]][key] = _like(values[homes[0]][key], value, key)
         for name, part in parts.items():
             from_dict(type(part), values[name])  # complains about rules that nothing can be played under
+        if self.episodes_file is None and values["rules"].get("goal") == "view_points":
+            raise EagorError("goal=view_points needs episodes that have view points: --episodes-file")
         return {
             "task": self.task,
             "perception": self.perception,
-            "episodes": self.episodes,
+            "episodes": len(slots),
             "seed": self.seed,
-            "development": self.seed in DEVELOPMENT,
+            "development": self.seed in DEVELOPMENT if self.episodes_file is None else _tuned_on(slots),
+            **self._listed(),
             "methods": list(self.methods),
             "fitted": {
                 name: text for name in self.methods if (text := fitted(self.perception, name.partition(":")[0]))
@@ -88,13 +103,25 @@ class Run:
             "versions": {"eagor": __version__, "apartment": VERSION, **self._plugins()},
         }
 
+    def slots(self) -> list[Slot]:
+        """The slots of the episodes. Raises `WorldError`."""
+        if self.episodes_file is not None:
+            return [*listed_slots(self.task, self.episodes_file, self.episodes, self.world, self.scenes)]
+        return list(slots(self.task, PER_RUN if self.episodes is None else self.episodes, self.seed, self.world))
+
+    def _listed(self) -> dict[str, Any]:
+        """The settings of episodes from a file."""
+        if self.episodes_file is None:
+            return {}
+        return {"episodes_file": str(self.episodes_file), **({"scenes": str(self.scenes)} if self.scenes else {})}
+
     def _plugins(self) -> dict[str, str]:
         """The versions of what other packages bring to this run, by kind and name."""
         from eagor import perception
 
         used = (
             ("perception", perception.known(), self.perception.partition(":")[0]),
-            ("world", worlds.known(), self.world),
+            ("world", worlds.known(), self.world.partition(":")[0]),
             ("task", tasks.known(), self.task),
         )
         found = {f"{kind} {name}": plugins.version_of(known[name]) for kind, known, name in used if name in known}
@@ -103,7 +130,7 @@ class Run:
     def units(self, config: object = None) -> list[Unit]:
         """One unit per episode; where the task is walked, one per episode and method: each goes its own way there."""
         found, walked = [], tasks.load(self.task).walked
-        for slot in slots(self.task, self.episodes, self.seed, self.world):
+        for slot in self.slots():
             name = f"{self.task}/{slot.id}"
             if walked:
                 keys = [(f"{name}/{method}", [method]) for method in self.methods]
@@ -124,10 +151,31 @@ def start(run: Run, folder: Path, **how: Any) -> Outcome:
     return carry_out(run.units(), WORK, config, folder, **how)
 
 
+def _tuned_on(listed: Sequence[Slot]) -> bool:
+    """Whether one of these is in an apartment on which parameters were chosen."""
+    return any(slot.world == APARTMENT and slot.seed in DEVELOPMENT for slot in listed)
+
+
+def _try_world(listed: Sequence[Slot]) -> None:
+    """Open the first scene that is there: a missing simulator is no failure of every episode. Raises `EagorError`."""
+    there = [slot for slot in listed if (files := scene_files([slot])) and files[0].exists()]
+    if there:
+        _read_world(there[0].world)
+    else:
+        worlds.load(listed[0].world)  # complains about one that does not exist
+
+
 @lru_cache(maxsize=1)
 def _read_world(world: str) -> None:
-    """Read a GLB file once, so that one that cannot be read is no failure of every episode. Raises `WorldError`."""
-    worlds.load(world)(0)
+    """Read a GLB file or a simulator's scene once, so that one that cannot be read is no failure of every episode.
+
+    Raises `WorldError`, `MissingExtraError`.
+    """
+    made = worlds.load(world)
+    if world not in worlds.known():  # worlds of other packages need not have a scene of seed 0
+        scene = made(0)
+        if isinstance(scene, worlds.SimulatedScene):
+            scene.close()  # the processes that play open their own
 
 
 def variants(task: str) -> tuple[str, ...]:

@@ -32,8 +32,24 @@ def inputs_of(settings: Mapping[str, Any]) -> dict[str, Any]:
         for name in ("perception", "model", "world"):
             if places := list(_places(str(settings.get(name) or ""))):
                 found[name] = " ".join(_contents(place) if place.is_dir() else _digest([place]) for place in places)
+        if settings.get("episodes_file"):
+            found |= _episodes(Path(settings["episodes_file"]), settings)
     except OSError as error:
         raise FormatError(f"{error.filename} cannot be read ({error.strerror}); a run goes by what it holds") from error
+    return found
+
+
+def _episodes(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:
+    """Of the files that list episodes their content, of the scenes (gigabytes) names and sizes."""
+    from eagor.tasks.listed import listed_slots, scene_files
+
+    scenes = Path(settings["scenes"]) if settings.get("scenes") else None
+    slots = listed_slots(settings["task"], file, None, settings["world"], scenes)
+    parts = [file, *sorted((file.parent / "content").glob("*.json.gz"))]
+    there = [path for path in scene_files(slots) if path.is_file()]
+    found = {"episodes_file": _digest(part for path in parts for part in (path.name.encode(), path))}
+    if there:
+        found["scenes"] = _digest(part for path in there for part in (path.name.encode(), *_sizes(path)))
     return found
 
 

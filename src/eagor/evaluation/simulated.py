@@ -17,7 +17,7 @@ from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, computing_time, f
 from eagor.evaluation.study import Report, Settings, Summary, Told, Worst
 from eagor.evaluation.tables import shown
 from eagor.tasks.episodes import PER_PLACE
-from eagor.tasks.rules import Camera
+from eagor.tasks.rules import Camera, from_dict
 from eagor.tasks.task import Task
 
 EXPORTS = {
@@ -42,13 +42,14 @@ class Simulated:
         return {"title": self.task.title, "what": self.task.what, **known}
 
     def told(self, settings: Settings, records: Sequence[Record]) -> Told:
-        return Told(self, settings, records, tables.summarise(records))
+        judged = _judged(self.task, settings)
+        return Told(self, settings, records, tables.summarise(records) | ({"judged": judged} if judged else {}))
 
     def as_text(self, summary: Summary) -> list[str]:
         return tables.as_text(summary)
 
     def as_json(self, summary: Summary) -> dict[str, Any]:
-        return {key: summary[key] for key in ("task", "episodes", "failed", "methods")}
+        return {key: summary[key] for key in ("task", "episodes", "failed", "methods", "judged") if key in summary}
 
     def report(self, runs: Sequence[Told], open_place: Any = None) -> Report:
         (run,) = runs
@@ -111,12 +112,23 @@ class Simulated:
 def _unit(run: Told, record: Record, method: str) -> dict[str, Any] | None:
     """What `eagor.tasks.play.work` is given to play an episode again; None where the record does not say."""
     episode, first = record["episode"], run.settings.get("seed")
+    if "slot" in episode:  # of an episode that a file lists
+        return {"slot": episode["slot"], "methods": [method]}
     world, seed, index = (episode.get(key) for key in ("world", "seed", "index"))
     if world is None or not all(isinstance(value, int) for value in (first, seed, index)):
         return None
     number = (seed - first) * PER_PLACE + index  # by which some tasks deal their scenarios
     slot = {"task": run.study.name, "world": world, "seed": seed, "index": index, "number": number}
     return {"slot": slot, "methods": [method]}
+
+
+def _judged(task: Task, settings: Settings) -> str:
+    """What success means in this run; empty where its task has no such thing, or its rules are not known."""
+    rules = settings.get("rules")
+    try:
+        return str(getattr(from_dict(task.rules, dict(rules)), "judged", "")) if rules else ""
+    except EagorError:  # of another version
+        return ""
 
 
 def _there(sheet: Sheet | None) -> list[Sheet]:
@@ -140,6 +152,8 @@ def _lead(run: Told, task: Task) -> list[Part]:
     if run.settings.get("development"):
         text = "These are development seeds: parameters were chosen on them. The figures are no results."
         lead.append(Text(text, "warn"))
+    if summary.get("judged"):
+        lead.append(Text(f"{summary['judged'].capitalize()}.", "note"))
     if summary["failed"]:
         lead.append(Text(f"{summary['failed']} units could not be run and are in no figure.", "warn"))
     return lead
@@ -151,11 +165,15 @@ def _facts(run: Told, task: Task) -> list[tuple[str, str]]:
     seeds = sorted({record["episode"]["seed"] for record in finished(records) if "seed" in record["episode"]})
     pairs = [("Task", task.title)]
     pairs += [(name.capitalize(), words(config[name])) for name in ("perception", "world", "rows") if name in config]
-    if seeds:
+    if "episodes_file" in config:
+        pairs.append(("Scenes played", str(len({record["episode"]["scene"] for record in finished(records)}))))
+    elif seeds:
         spread = f"{seeds[0]} to {seeds[-1]} ({len(seeds)} of them)" if len(seeds) > 1 else str(seeds[0])
         kinds = {True: "development seeds, not results", False: "not development seeds"}
         kind = kinds.get(config.get("development", ""), "run.json does not say whether they are development seeds")
         pairs.append(("Seeds", f"{spread}; {kind}"))
+    if summary.get("judged"):
+        pairs.append(("Success", summary["judged"].removeprefix("success: ")))
     asked = words(config.get("episodes", "unknown"))
     pairs.append(("Episodes", f"{summary['episodes']} with results of {asked} asked"))
     pairs.append(("Units of work", f"{len(records)} recorded, {summary['failed']} of them failed"))

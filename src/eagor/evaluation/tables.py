@@ -98,8 +98,9 @@ def as_text(summary: dict[str, Any]) -> list[str]:
         head += f"; {summary['failed']} could not be run"
     notes = [text for sign, text in (("-", "- worse"), ("+", "+ better")) if sign in marks]
     other = f"{summary['reference']} (a variant: than what it varies)"
+    judged = [summary["judged"]] if summary.get("judged") else []
     tail = [f"{', '.join(notes)} than {other}: p < {SIGNIFICANT}, corrected for the number of tests"] if notes else []
-    return [head, *in_columns(rows), *tail]
+    return [head, *in_columns(rows), *judged, *tail]
 
 
 def mark(summary: dict[str, Any], name: str, column: Column) -> str:

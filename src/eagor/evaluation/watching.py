@@ -9,7 +9,7 @@ from typing import Any
 from eagor.drawing.rerun_log import RerunLog
 from eagor.errors import EagorError
 from eagor.evaluation.study import Told, Worst
-from eagor.tasks.episodes import Slot
+from eagor.tasks.listed import slot_of
 from eagor.tasks.methods import TrackerMethod
 from eagor.tasks.play import Player, Seen
 
@@ -30,7 +30,7 @@ def log_case(run: Told, worst: Worst, name: str | None, path: str | Path) -> str
     unit = case.get("unit")
     if unit is None:
         raise EagorError(f"only episodes of simulated tasks can be played again, and {run.study.name} has none")
-    slot, (method,) = Slot(**unit["slot"]), unit["methods"]
+    slot, (method,) = slot_of(unit["slot"]), unit["methods"]
     player = Player(dict(run.settings), rows=ROWS)
     if not isinstance(player.method(method, slot), TrackerMethod):
         raise EagorError(f"{method} keeps no belief that could be logged; give --method eagor, or a variant of it")

@@ -29,13 +29,17 @@ class Pose:
 
 @dataclass
 class Carrier:
-    """Moves on the floor along its heading, with bobbing and swaying; `rng` draws the odometry's drift."""
+    """Moves on the floor along its heading, with bobbing and swaying; `rng` draws the odometry's drift.
+
+    `floor`: the height of the ground under it, metres, which the odometry measures.
+    """
 
     camera: Camera
     disturbances: Disturbances
     rng: np.random.Generator
     xy: np.ndarray
     yaw: float
+    floor: float = 0.0
     steps: int = 0
     walked: float = 0.0
     _believed_xy: np.ndarray = field(init=False)
@@ -53,8 +57,8 @@ class Carrier:
         """Seconds since the start."""
         return self.steps * self.camera.seconds
 
-    def move(self, xy: np.ndarray, yaw: float) -> None:
-        """One step, to the given place and heading."""
+    def move(self, xy: np.ndarray, yaw: float, floor: float = 0.0) -> None:
+        """One step, to the given place and heading; `floor`: the height of the ground there."""
         step, turned = xy - self.xy, math.remainder(yaw - self.yaw, 2 * math.pi)
         length = float(np.hypot(*step))
         slip = math.radians(self.disturbances.yaw_drift) * math.sqrt(length) * float(self.rng.standard_normal())
@@ -65,8 +69,8 @@ class Carrier:
             [c * step[0] - s * step[1], s * step[0] + c * step[1]]
         )
         self._believed_yaw += turned + slip
-        self.xy, self.yaw = np.asarray(xy, dtype=np.float64), yaw
-        self.walked += length
+        self.walked += math.hypot(length, floor - self.floor)
+        self.xy, self.yaw, self.floor = np.asarray(xy, dtype=np.float64), yaw, floor
         self.steps += 1
 
     @property
@@ -81,7 +85,7 @@ class Carrier:
 
     def _pose(self, xy: np.ndarray, yaw: float) -> Pose:
         phase = self._phase + 2 * math.pi * BOBS_PER_SECOND * self.stamp * 0.93  # 0.93: not in step with panoramas
-        height = self.camera.height + self.disturbances.bob * math.sin(phase)
+        height = self.floor + self.camera.height + self.disturbances.bob * math.sin(phase)
         sway = math.radians(self.disturbances.sway)
         turned = world_R_body(yaw, sway * math.sin(phase / 2 + 1.0), sway * math.sin(phase / 2))
         return Pose(np.array([xy[0], xy[1], height]), turned)

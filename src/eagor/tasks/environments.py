@@ -11,11 +11,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from eagor.tasks import navigation, tracking, waypoint
+from eagor.tasks import listed_episode, navigation, tracking, waypoint
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.place_env import Actions, AnsweringEnv, PlaceEnv, as_walk, spaces, walking_space
 from eagor.tasks.rules import NavigationRules, TrackingRules, WaypointRules
 from eagor.worlds.ball import Ball
+
+MOVED = 1e-4  # metres (and 1e-5 of the coordinates): less is no move in habitat-lab's distance to the goal
 
 
 class MapFreeNavigationEnv(PlaceEnv):
@@ -37,10 +39,22 @@ class MapFreeNavigationEnv(PlaceEnv):
 
     def _start(self) -> None:
         self._stopped = False
+        self._measured: np.ndarray | None = None
         self._left = self._distance_to_goal()
 
     def _distance_to_goal(self) -> float:
-        return float(self.place.way_to(self.episode.targets).distance(self.body.xy))
+        if self.rules.goal == "footprint":
+            return float(self.place.way_to(self.episode.targets).distance(self.body.xy))
+        # habitat-lab's DistanceToGoal measures anew only where the body has moved.
+        if self._measured is None or not np.allclose(self._measured, self.body.xy, atol=MOVED):
+            self._measured = self.body.xy
+            return float(listed_episode.way_to_goal(self.place, self.episode).distance(self.body.xy))
+        return self._left
+
+    def _target(self) -> np.ndarray | None:
+        if not isinstance(self.episode, listed_episode.ListedEpisode):
+            return super()._target()
+        return min(self.episode.goals, key=lambda centre: float(np.linalg.norm(centre - self.body.pose.position)))
 
     def _measures(self) -> dict[str, Any]:
         scores = navigation.score(self.rules, self.episode.shortest, self._left, self.body.walked, self._stopped)

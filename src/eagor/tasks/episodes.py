@@ -18,6 +18,7 @@ from eagor.errors import WorldError
 from eagor.tasks.places import APARTMENT, SEEDS, Place
 
 PER_PLACE = 5
+UNRECORDED = ("slot", "route", "view_points", "goals")  # long parts of an episode, which its slot brings back
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Episode:
     def as_json(self) -> dict[str, Any]:
         """For records and reports."""
         known = {"id": self.slot.id, "seed": self.slot.seed, "world": self.slot.world, "index": self.slot.index}
-        rest = {key: value for key, value in asdict(self).items() if key not in ("slot", "route")}
+        rest = {key: value for key, value in asdict(self).items() if key not in UNRECORDED}
         return known | rest | {"shortest": self.shortest if math.isfinite(self.shortest) else None}
 
 

@@ -71,16 +71,15 @@ def _start(
 ) -> tuple[np.ndarray, float, float] | None:
     """A start of the wanted kind for this target: its point, geodesic distance, and ratio to the straight line."""
     thing, visible, winding = place.scene.instances[target], *wanted
-    rows, cols = np.nonzero(place.ground.free)
-    points = place.ground.origin + (np.stack([cols, rows], axis=-1) + 0.5) * place.ground.cell
-    geodesic = place.way_to((target,)).metres[rows, cols]
+    points, way = place.ground.points, place.way_to((target,))
+    geodesic = place.ground.at_points(way)
     straight = distance_to_box(points, thing.low[:2], thing.high[:2])
     ratio = geodesic / np.maximum(straight, 1e-6)
     fits = (geodesic >= rules.nearest) & (geodesic <= rules.farthest) & (ratio <= rules.ratio)
     fits &= (ratio > rules.winding_above) if winding else (ratio <= rules.winding_above)
     candidates = np.flatnonzero(fits)
     for choice in rng.permutation(candidates)[:TRIES]:
-        position = np.array([*points[choice], camera.height])
+        position = place.eye(points[choice], camera.height)
         seen = pixels_of(place.ids(position, world_R_body(0.0)), (target,)) >= rules.visible_pixels
         if seen == visible:
             return points[choice], float(geodesic[choice]), float(ratio[choice])

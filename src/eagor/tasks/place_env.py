@@ -122,7 +122,9 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
                 f"{self.place.scene.hash} of {chosen.scene}; plan the episode again"
             )
         rng = chosen.slot.rng("odometry")
-        self.body = Carrier(self.camera, self.disturbances, rng, np.array(chosen.start), chosen.yaw)
+        start = np.array(chosen.start)
+        floor = self.place.ground.height(start)
+        self.body = Carrier(self.camera, self.disturbances, rng, start, chosen.yaw, floor)
         self._start()
         self._before: Pose | None = None
         self._collisions, self._collided = 0, False
@@ -202,7 +204,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
     def _moved(self, xy: np.ndarray, yaw: float, collided: bool = False) -> None:
         """Move the body to a new place and look again."""
         self._before = self.body.odometry
-        self.body.move(xy, yaw)
+        self.body.move(xy, yaw, self.place.ground.height(xy))
         self._collided = collided
         self._collisions += collided
         self._frame()

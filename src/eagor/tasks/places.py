@@ -10,9 +10,9 @@ import numpy as np
 
 from eagor import worlds
 from eagor.queries import COLOURS, Query
-from eagor.worlds.ground import Field, Ground
-from eagor.worlds.render import Renderer
+from eagor.worlds.opened import ground_of, view_of
 from eagor.worlds.scene import STRUCTURE, Scene
+from eagor.worlds.walkable import Walkable, Way
 
 APARTMENT = "apartment"
 SEEDS = 10_000  # number of apartments
@@ -26,9 +26,13 @@ UNTARGETED = (*STRUCTURE, "ceiling lamp", "rug", "painting", "vase", "book", "bo
 class Place:
     """Somewhere to walk and look."""
 
-    scene: Scene
-    ground: Ground
-    renderer: Renderer
+    scene: Scene | worlds.SimulatedScene
+    ground: Walkable
+    renderer: worlds.View
+
+    def eye(self, xy: np.ndarray, height: float) -> np.ndarray:
+        """The camera ``(3,)`` at this height (metres) above the ground under a point ``(2,)``."""
+        return np.array([xy[0], xy[1], height + self.ground.height(xy)])
 
     def ids(self, position: np.ndarray, world_R_body: np.ndarray, rows: int = LOOK_ROWS) -> np.ndarray:
         """The instance in each direction: an equirectangular image ``(rows, 2 rows)``, -1 for none."""
@@ -63,25 +67,34 @@ class Place:
         taken = {thing.colour for thing in self.scene.instances if thing.category == category}
         return Query(category, str(rng.choice([colour for colour in COLOURS if colour not in taken])))
 
-    def way_to(self, targets: tuple[int, ...]) -> Field:
+    def way_to(self, targets: tuple[int, ...]) -> Way:
         """Geodesic distance to the nearest of the targets' footprints."""
         return _way_to(self, targets)
 
+    def way_to_points(self, points: np.ndarray) -> Way:
+        """Geodesic distance to the nearest of points ``(n, 2)``, metres; inf everywhere if none is free."""
+        return _way_to_points(self, np.ascontiguousarray(points, dtype=np.float64).tobytes())
+
 
 @lru_cache(maxsize=256)
-def _way_to(place: Place, targets: tuple[int, ...]) -> Field:
+def _way_to(place: Place, targets: tuple[int, ...]) -> Way:
     fields = [place.ground.footprint(place.scene.instances[target]) for target in targets]
     return fields[0].union(*fields[1:]) if len(fields) > 1 else fields[0]
 
 
+@lru_cache(maxsize=64)
+def _way_to_points(place: Place, points: bytes) -> Way:
+    return place.ground.field(np.frombuffer(points).reshape(-1, 2))
+
+
 @lru_cache(maxsize=4)
 def load_place(world: str, seed: int, radius: float) -> Place:
-    """The scene of this seed in the world that `eagor.worlds.load` finds, with a ground plan for a body of this radius.
+    """The scene of this seed in the world that `eagor.worlds.load` finds, with the ground for a body of this radius.
 
     Raises `WorldError` if there is no such world, or no room to stand in it.
     """
     scene = worlds.load(world)(seed)
-    return Place(scene, Ground.from_scene(scene, radius=radius), Renderer(scene))
+    return Place(scene, ground_of(scene, radius), view_of(scene))
 
 
 def pixels_of(ids: np.ndarray, targets: tuple[int, ...]) -> int:

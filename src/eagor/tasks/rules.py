@@ -16,6 +16,7 @@ from eagor._checks import above, require, stretch, whole, within
 from eagor.errors import WorldError
 
 Stop = Literal["reach", "call"]
+Goal = Literal["footprint", "view_points"]
 LEGS = ("L1", "L2", "L3", "L4")  # of a route
 
 Fits = Callable[[Any], bool]
@@ -44,6 +45,7 @@ _STEPS = _count(1, "a whole number of steps, from 1 on")
 _PIXELS = _count(1, "a whole number of pixels, from 1 on")  # no pixel means not in sight
 _SHARES = (lambda value: stretch(value, 0, 1)), "two shares (from, to), from 0 to 1, the second not below the first"
 _STOP = get_args(Stop).__contains__, " or ".join(get_args(Stop))
+_GOAL = get_args(Goal).__contains__, " or ".join(get_args(Goal))
 _BOOL = (lambda value: isinstance(value, bool)), "true or false"
 
 
@@ -104,7 +106,8 @@ class NavigationRules(_Rules):
     """Map-Free Navigation: start facing away, walk a fixed step along the estimate until the target is reached.
 
     - `max_steps`: the episode then ends as a failure (Habitat's limit).
-    - `success_distance`: geodesic metres to the target's footprint, strict as in Habitat.
+    - `success_distance`: geodesic metres to the goal, strict as in Habitat.
+    - `goal`: the target's "footprint", or the nearest of the "view_points" that the episodes of a file have.
     - `stop`: "reach": the episode ends as soon as that distance is reached (the paper names no stop action);
       "call": the agent has to call stop there (Habitat's rule).
     - `sliding`: along walls (Habitat's default); otherwise a step ends at the contact.
@@ -119,6 +122,7 @@ class NavigationRules(_Rules):
 
     max_steps: int = _rule(500, _STEPS)
     success_distance: float = _rule(1.0, _METRES)
+    goal: Goal = _rule("footprint", _GOAL)  # noqa: RUF009 (it is a field)
     stop: Stop = _rule("reach", _STOP)  # noqa: RUF009 (it is a field)
     sliding: bool = _rule(True, _BOOL)
     detour: bool = _rule(True, _BOOL)
@@ -133,6 +137,22 @@ class NavigationRules(_Rules):
         super().__post_init__()
         order = (self.farthest >= self.nearest, f"no less than nearest = {self.nearest!r}")
         require(self, {"farthest": order}, WorldError)
+
+    @classmethod
+    def objectnav(cls) -> NavigationRules:
+        """The rules of Habitat's ObjectNav challenges: within 0.1 m of a view point, without sliding."""
+        return cls(success_distance=0.1, goal="view_points", sliding=False)
+
+    @property
+    def judged(self) -> str:
+        """What success means, in words."""
+        where = "a view point of the goal" if self.goal == "view_points" else "the target's footprint"
+        ended = "on arrival, without a call" if self.stop == "reach" else "when the agent calls stop"
+        slide = "with" if self.sliding else "without"
+        return (
+            f"success: less than {self.success_distance:g} m along the floor from {where}; the episode ends {ended}; "
+            f"at most {self.max_steps} steps, {slide} sliding along walls"
+        )
 
 
 @dataclass(frozen=True)

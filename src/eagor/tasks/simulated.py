@@ -6,7 +6,7 @@ The columns are those of the paper's tables where it has them. Their meaning is 
 
 from __future__ import annotations
 
-from eagor.tasks import navigation, tracking, waypoint
+from eagor.tasks import listed_episode, navigation, tracking, waypoint
 from eagor.tasks.environments import MapFreeNavigationEnv, TargetTrackingEnv, WaypointFollowingEnv
 from eagor.tasks.rules import NavigationRules, TrackingRules, WaypointRules
 from eagor.tasks.task import Column, Task
@@ -71,6 +71,7 @@ NAVIGATION = Task(
     headline="sr",
     strata={"visible": "Target in sight at the start", "way": "Way to the target"},
     walked=True,
+    listed=listed_episode.plan,
 )  # fmt: skip
 
 TRACKING = Task(

@@ -17,6 +17,7 @@ from eagor import metrics, plugins
 from eagor.errors import EagorError
 
 if TYPE_CHECKING:
+    from eagor.tasks.episodes import Episode
     from eagor.tasks.place_env import PlaceEnv
     from eagor.tasks.rules import Camera
 
@@ -101,6 +102,8 @@ class Task:
     - `measure`: the figures of one method in one episode; None where one does not apply. `columns`: of the table;
       `headline`: the key of the most important one; `strata`: keys of `Episode.stratum` to report separately, and
       their titles.
+    - `listed`: makes the episode of a file (`eagor.tasks.listed_episode`) of the slot, the file, the camera and the
+      rules; None where the task takes no such files. `rules` then has ``objectnav()``: Habitat's.
     - `walked`: the estimate steers the body, so each method plays alone: `step` takes (heading, distance), and
       success, spl and mae are among its figures. Otherwise all methods get the same evidence.
     """
@@ -115,6 +118,7 @@ class Task:
     headline: str
     strata: Mapping[str, str] = field(default_factory=dict)
     walked: bool = False
+    listed: Callable[..., Episode] | None = None
 
 
 def known() -> dict[str, EntryPoint]:

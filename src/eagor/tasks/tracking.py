@@ -63,7 +63,7 @@ def plan(slot: Slot, camera: Camera, rules: TrackingRules) -> TrackingEpisode:
         balls: list[np.ndarray | None] = [first] * rules.steps
         route: np.ndarray | None = still
         if scenario == "moving target":
-            balls = _stroll(place, first, rules.speed * camera.seconds, rules.steps, rng)
+            balls = _stroll(place, first, radius, rules.speed * camera.seconds, rules.steps, rng)
         elif scenario == "moving camera":
             route = _walk(place, xy, yaw, camera, rules.steps, rng)
         else:
@@ -109,7 +109,7 @@ def _share_in_view(
     shown = []
     for (x, y, _), ball in list(zip(route, balls, strict=True))[::EVERY]:
         if ball is not None:
-            position = np.array([x, y, camera.height])
+            position = place.eye(np.array([x, y]), camera.height)
             frame = place.renderer.panorama(position, world_R_body(0.0), LOOK_ROWS, rgb=False)
             shown.append(_pixels(frame, position, ball, radius) >= rules.visible_pixels)
     return float(np.mean(shown))
@@ -117,10 +117,10 @@ def _share_in_view(
 
 def _spot(place: Place, xy: np.ndarray, radius: float, camera: Camera, rng: np.random.Generator) -> np.ndarray | None:
     """A point ``(3,)`` on the floor, 1 to 5 m from `xy`, where the ball is in plain view."""
-    position = np.array([*xy, camera.height])
+    position = place.eye(xy, camera.height)
     frame = place.renderer.panorama(position, world_R_body(0.0), LOOK_ROWS, rgb=False)
     for _ in range(10):
-        spot = np.array([*place.ground.sample(rng), radius])
+        spot = _on_the_ground(place, place.ground.sample(rng), radius)
         near = 1.0 <= np.linalg.norm(spot[:2] - xy) <= 5.0
         if near and _pixels(frame, position, spot, radius) >= SEEN_PIXELS:
             return spot
@@ -133,10 +133,15 @@ def _pixels(frame: Frame, position: np.ndarray, ball: np.ndarray, radius: float)
     return int(np.count_nonzero(shown.ids == _BALL))
 
 
-def _stroll(place: Place, start: np.ndarray, step: float, steps: int, rng: np.random.Generator) -> list:
+def _on_the_ground(place: Place, xy: np.ndarray, radius: float) -> np.ndarray:
+    """The centre ``(3,)`` of a ball that lies on the ground at a point ``(2,)``."""
+    return np.array([xy[0], xy[1], radius + place.ground.height(xy)])
+
+
+def _stroll(place: Place, start: np.ndarray, radius: float, step: float, steps: int, rng: np.random.Generator) -> list:
     """One centre ``(3,)`` per step of a ball that rolls along paths to one random goal after another."""
     points = islice(stroll(place.ground, start[:2], step, rng), steps)
-    return [np.array([x, y, start[2]]) for x, y in points]
+    return [_on_the_ground(place, xy, radius) for xy in points]
 
 
 def _walk(

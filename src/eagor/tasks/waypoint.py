@@ -115,7 +115,7 @@ def _route(place: Place, camera: Camera, rules: WaypointRules, slack: float, rng
     poses = np.concatenate(rows)
     seen = np.zeros((len(poses), len(place.scene.instances)), dtype=bool)
     for row, (x, y, turned) in zip(seen, poses, strict=True):
-        ids = place.ids(np.array([x, y, camera.height]), world_R_body(turned))
+        ids = place.ids(place.eye(np.array([x, y]), camera.height), world_R_body(turned))
         row[:] = np.bincount(ids[ids >= 0], minlength=len(row)) >= rules.visible_pixels
     return _Route(poses, legs, seen)
 
@@ -132,21 +132,22 @@ def _leg_path(
     """A path ``(n, 2)`` from here that begins with a turn in the range (any, if `yaw` is None); None if none does."""
     ground = place.ground
     field = ground.field(xy)
-    fits = ground.free & (field.metres >= shortest) & (field.metres <= shortest + LONGER)
+    away = ground.at_points(field)
+    fits = (away >= shortest) & (away <= shortest + LONGER)
     if yaw is not None:
-        # Paths that begin with such a turn lead through these cells, half a metre from here.
-        rows, cols = np.nonzero(ground.free & (np.abs(field.metres - AHEAD) < ground.cell))
-        ring = ground.centres(np.stack([rows, cols], axis=-1))
+        # Paths that begin with such a turn lead through these points, half a metre from here.
+        around = np.flatnonzero(np.abs(away - AHEAD) < ground.cell)
+        ring = ground.points[around]
         headings = np.arctan2(ring[:, 1] - xy[1], ring[:, 0] - xy[0])
         turns = np.abs((headings - yaw + math.pi) % (2 * math.pi) - math.pi)
         gates = (turns >= least) & (turns <= most)
         if not gates.any():
             return None
-        through = ground.field(ring[gates], field.metres[rows[gates], cols[gates]])
-        fits &= through.metres <= field.metres + ground.cell / 2
-    rows, cols = np.nonzero(fits)
-    for choice in rng.permutation(len(rows))[:GOALS]:
-        goal = ground.centres(np.array([rows[choice], cols[choice]]))
+        through = ground.at_points(ground.field(ring[gates], away[around[gates]]))
+        fits &= through <= away + ground.cell / 2
+    ends = ground.points[fits]
+    for choice in rng.permutation(len(ends))[:GOALS]:
+        goal = ends[choice]
         path = np.concatenate([xy[None], ground.path(goal, field)[-2::-1]])
         if yaw is None or least <= abs(math.remainder(initial_heading(path) - yaw, 2 * math.pi)) <= most:
             return path

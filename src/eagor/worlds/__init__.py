@@ -1,12 +1,15 @@
 """Simulated worlds: furnished apartments, GLB scenes, painted rooms, photographs.
 
-A world is a function from a seed to a `Scene`. `load` finds one by its name. Packages add their own under the
-entry-point group ``eagor.worlds`` (a name, and the function); ``eagor bench run TASK --world NAME`` uses it. Every
-world has to pass `eagor.worlds.checking.check_world`.
+A world is a function from a seed to a `Scene`, or to a `SimulatedScene`, which another simulator holds. `load` finds
+one by its name. Packages add their own under the entry-point group ``eagor.worlds`` (a name, and the function, or a
+`WorldOf` if it needs to be told more); ``eagor bench run TASK --world NAME`` uses it. Every world has to pass
+`eagor.worlds.checking.check_world`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -18,19 +21,20 @@ if TYPE_CHECKING:
     import numpy as np
 
     from eagor.worlds.render import Frame
-    from eagor.worlds.scene import Scene
+    from eagor.worlds.scene import Instance, Room, Scene
+    from eagor.worlds.walkable import Walkable
 
-__all__ = ["View", "World", "known", "load"]
+__all__ = ["SimulatedScene", "View", "World", "WorldOf", "known", "load"]
 
 GROUP = "eagor.worlds"
-BUILT_IN = {"apartment": "eagor.worlds.apartment:generate"}
+BUILT_IN = {"apartment": "eagor.worlds.apartment:generate", "habitat": "eagor.worlds.habitat.world:WORLD"}
 FILES = (".glb", ".gltf")
 
 
 class World(Protocol):
     """Makes a scene from a seed."""
 
-    def __call__(self, seed: int, /) -> Scene:
+    def __call__(self, seed: int, /) -> Scene | SimulatedScene:
         """The scene of this seed: always the same one for the same version of the world.
 
         Metres, z up, the floor at z = 0. Its `source` names the world, its version and the seed. Instances have
@@ -56,16 +60,85 @@ class View(Protocol):
         ...
 
 
+@runtime_checkable
+class SimulatedScene(Protocol):
+    """A scene that another simulator holds: no triangles, but its things, its ground and its pictures.
+
+    Frames and names are those of a `Scene`: metres, z up, the floor at z = 0.
+    """
+
+    @property
+    def instances(self) -> tuple[Instance, ...]:
+        """The named things; their indices are the ids in pictures."""
+        ...
+
+    @property
+    def rooms(self) -> tuple[Room, ...]: ...
+    @property
+    def source(self) -> str:
+        """The simulator and the scene, in words."""
+        ...
+
+    @property
+    def hash(self) -> str:
+        """Hexadecimal digits that change with the scene, as episodes are made for one scene alone."""
+        ...
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What else is worth to be recorded."""
+        ...
+
+    @property
+    def zero(self) -> float:
+        """The height of our z = 0 in the scene's own files, and in episodes made for it, metres."""
+        ...
+
+    def ground(self, radius: float, /) -> Walkable:
+        """The ground for a body of this radius, metres. Raises `WorldError` if there is no room for it."""
+        ...
+
+    def view(self) -> View:
+        """The renderer."""
+        ...
+
+    def close(self) -> None:
+        """Free what the simulator holds; it opens again when it is needed."""
+        ...
+
+
 def known() -> dict[str, EntryPoint]:
     """The worlds that `load` can make, by name. Imports none of them."""
     return plugins.known(GROUP, BUILT_IN)
 
 
+@dataclass(frozen=True)
+class WorldOf:
+    """Worlds that need to be told more than their name: ``name:argument`` is the world `make(argument)`.
+
+    `wanted`: the argument in words ("SCENE, the path of ..."), for the error if it is missing.
+    """
+
+    make: Callable[[str], World]
+    wanted: str
+
+
 def load(name: str) -> World:
-    """The world ``"apartment"``, an installed one, or a GLB file. Raises `WorldError`, or `EagorError` on import."""
+    """The world ``"apartment"``, an installed one (``name`` or ``name:argument``), or a GLB file.
+
+    Raises `WorldError`, or `EagorError` on import.
+    """
     choices = known()
-    if name in choices:
-        return plugins.bring(choices[name], "world")
+    short, colon, argument = name.partition(":")
+    if short in choices:
+        found = plugins.bring(choices[short], "world")
+        if isinstance(found, WorldOf):
+            if not argument:
+                raise WorldError(f"the world {short!r} wants {short}:{found.wanted}")
+            return found.make(argument)
+        if colon:
+            raise WorldError(f"the world {short!r} takes no argument, but {argument!r} follows its name; leave it out")
+        return found
     if Path(name).suffix.lower() in FILES:
         from eagor.worlds.glb import import_glb
 

@@ -17,15 +17,20 @@ from eagor.grids import ErpGrid
 from eagor.queries import COLOURS
 from eagor.sphere import direction
 from eagor.sphere import world_R_body as pose_of
-from eagor.worlds import View, World
-from eagor.worlds.ground import Ground
+from eagor.worlds import SimulatedScene, View, World
+from eagor.worlds.opened import ground_of, view_of
 from eagor.worlds.panorama import turn
-from eagor.worlds.render import Frame, Renderer
+from eagor.worlds.render import Frame
 from eagor.worlds.scene import STRUCTURE, Scene
+from eagor.worlds.walkable import Walkable
 
 EYE = 1.25  # metres above the floor: height of the camera
 FREE = 1.0  # square metres on which a body has to be able to stand
 NEAR = 0.05  # metres: tolerance of the floor at z = 0, and of an instance's bounds
+RADIUS = 0.18  # metres: of the body for which there has to be room
+LOOSE = 0.1  # metres, and this share of the range: tolerance of points in a picture
+INSIDE = 0.95  # share of the pixels of an instance that have to show points within its bounds
+SPOTS = 9  # places from which the floor is looked at
 ALIKE = 0.02  # share of pixels that may differ between two pictures that should be the same
 STEP = 0.25  # share of the range by which the camera moves to check ranges
 AZIMUTHS = np.radians([-135.0, -75.0, -45.0, 45.0, 105.0, 135.0])  # directions of these moves, mostly off the axes
@@ -36,8 +41,9 @@ def check_world(
 ) -> None:
     """Raise `AssertionError` unless `world` keeps the contract for this `seed`.
 
-    A world that makes a `Scene` must make the same one again. It must have a floor at z = 0 to stand on, names that can
-    be asked for, at least one thing with a unique name, and bounds that fit the triangles. Panoramas of `rows` rows (an
+    A world that makes a `Scene` or a `SimulatedScene` must make the same one again. It must have a floor at z = 0 to
+    stand on, names that can be asked for, at least one thing with a unique name, and bounds that fit the triangles or,
+    without triangles, what is seen. Panoramas of `rows` rows (an
     even number) from a free place, or of a `View` (a photograph, another renderer) from `position`, metres, must have
     the right shapes and types, be reproducible, turn and tilt with the camera, and have ranges that shrink by the
     distance that the camera moves.
@@ -47,7 +53,8 @@ def check_world(
         return
     scene = cast(World, world)(seed)
     _require(
-        isinstance(scene, Scene), f"made a {type(scene).__name__} of seed {seed}; wanted a Scene (eagor.worlds.scene)"
+        isinstance(scene, Scene | SimulatedScene),
+        f"made a {type(scene).__name__} of seed {seed}; wanted a Scene (eagor.worlds.scene)",
     )
     again = cast(World, world)(seed)
     _require(
@@ -56,13 +63,19 @@ def check_world(
         "np.random.default_rng(seed), and nothing from what was made before",
     )
     _check_names(scene)
-    _check_bounds(scene)
-    ground = _check_floor(scene)
-    xy = ground.sample(np.random.default_rng(seed), float(ground.clearance[ground.free].max()) / 2)
-    _check_view(Renderer(scene), (float(xy[0]), float(xy[1]), ground.floor + EYE), rows)
+    if isinstance(scene, Scene):
+        _check_bounds(scene)
+    ground, view = _check_floor(scene), view_of(scene)
+    rng, roomy = np.random.default_rng(seed), float(ground.clearance[ground.free].max()) / 2
+    x, y = ground.sample(rng, roomy).tolist()
+    position = (x, y, ground.height(np.array([x, y])) + EYE)
+    _check_view(view, position, rows)
+    if not isinstance(scene, Scene):
+        spots = [ground.sample(rng, roomy) for _ in range(SPOTS)]
+        _check_seen(scene, view, [(*xy.tolist(), ground.height(xy) + EYE) for xy in spots], rows)
 
 
-def _check_names(scene: Scene) -> None:
+def _check_names(scene: Scene | SimulatedScene) -> None:
     """Check that categories and colours are words of queries, and that something can be asked for."""
     for index, thing in enumerate(scene.instances):
         _require(
@@ -101,10 +114,47 @@ def _check_bounds(scene: Scene) -> None:
         )
 
 
-def _check_floor(scene: Scene) -> Ground:
+def _check_seen(scene: SimulatedScene, view: View, positions: list[tuple[float, float, float]], rows: int) -> None:
+    """Check, in panoramas from these places, that the floor is below, and things within their bounds."""
+    directions = ErpGrid(rows, 2 * rows).directions
+    below, inside = [], np.zeros((2, len(scene.instances)))  # pixels of each instance: all, and those within its bounds
+    for position in positions:
+        frame = view.panorama(position, np.eye(3), rows, rgb=False)
+        if frame.range is None:
+            return
+        below.append(float(np.median(frame.range[-1])) * abs(float(directions[-1, 0, 2])) - EYE)
+        if frame.ids is None:
+            continue
+        hit = np.isfinite(frame.range) & (frame.ids >= 0)
+        ids, metres = frame.ids[hit], frame.range[hit][:, None].astype(np.float64)
+        _require(
+            not len(ids) or int(ids.max()) < len(scene.instances),
+            f"shows the id {ids.max(initial=0)}, but has {len(scene.instances)} instances; wanted their indices",
+        )
+        points, loose = np.array(position) + metres * directions[hit], LOOSE + 0.02 * metres
+        low, high = (np.array([getattr(thing, end) for thing in scene.instances])[ids] for end in ("low", "high"))
+        fits = ((points >= low - loose) & (points <= high + loose)).all(axis=1)
+        inside += [np.bincount(ids, minlength=inside.shape[1]), np.bincount(ids[fits], minlength=inside.shape[1])]
+    off = float(np.median(below))
+    _require(
+        abs(off) <= NEAR,
+        f"shows the floor {EYE + off:.2f} m below the camera (median), which stands {EYE:g} m above the ground; wanted "
+        "the same: z = 0 is the floor, and the ground's height is that of the surface",
+    )
+    for index, thing in enumerate(scene.instances):
+        seen, fits = inside[:, index]
+        _require(
+            fits >= INSIDE * seen,
+            f"bounds instance {index} ({thing.name}) by {_point(thing.low)} and {_point(thing.high)}, but shows "
+            f"{100 * (1 - fits / max(seen, 1)):.0f} % of its pixels outside; wanted at most {100 * (1 - INSIDE):.0f} "
+            "%: bounds are metres of the world frame, and ids are indices of the list of instances",
+        )
+
+
+def _check_floor(scene: Scene | SimulatedScene) -> Walkable:
     """Check that there is a floor at z = 0, and room to stand on it."""
     try:
-        ground = Ground.from_scene(scene)
+        ground = ground_of(scene, RADIUS)
     except WorldError as error:
         raise AssertionError(
             f"the world has no ground: {error}. Wanted level triangles at z = 0, metres, z up (not Y up)"

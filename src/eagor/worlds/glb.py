@@ -4,7 +4,8 @@ glTF has Y up: our (x, y, z) is its (x, z, -y), see `eagor.conventions.to_gltf`.
 
 - `<name>.semantic.json`: the instances of the triangles, and everything else that does not fit into GLB;
 - `<name>.stage_config.json`: for Habitat, which assumes Z up for any bare GLB;
-- `<name>.navmesh.json`: Habitat's NavMeshSettings for the same body as `eagor.worlds.ground`.
+- `<name>.navmesh.json`: Habitat's NavMeshSettings for the same body as `eagor.worlds.ground`;
+- if `annotated`, the ids of all instances for Habitat, as in HM3D: see `eagor.worlds.semantic_glb`.
 
 Textures in KTX2 and geometry in Draco are not supported: they are imported as plain colour, or not at all.
 """
@@ -20,10 +21,12 @@ from pathlib import Path
 import numpy as np
 
 from eagor._extras import need
+from eagor._files import written
 from eagor.conventions import to_gltf
 from eagor.worlds.glb_reader import import_glb
 from eagor.worlds.gltf import FORMAT, material_name, node_name, split_at_seams, to_pbr, write_exactly
 from eagor.worlds.scene import Scene
+from eagor.worlds.semantic_glb import FIRST_ID, semantic_glb, semantic_text
 
 __all__ = ["export_glb", "import_glb"]
 
@@ -35,14 +38,14 @@ FRAME = (
 
 def export_glb(
     scene: Scene, target: Path | str, *,
-    cell: float = 0.05, radius: float = 0.18, height: float = 1.5, climb: float = 0.12,
+    cell: float = 0.05, radius: float = 0.18, height: float = 1.5, climb: float = 0.12, annotated: bool = False,
 ) -> Path:  # fmt: skip
-    """Write a scene and its three companions; returns the path of the GLB.
+    """Write a scene and its companions; returns the path of the GLB.
 
     `target`: a file name that ends in .glb, or a folder, in which the file is named after `scene.source`. Each material
     of each instance is a node, `<category>_<id>`, or `<category>_<id>_m<material>` if the instance has several.
     `cell`, `radius`, `height` and `climb` (metres, as in `Ground.from_scene`) go into `<name>.navmesh.json`. Existing
-    files are overwritten.
+    files are overwritten. Raises `StorageError` if a file cannot be written.
     """
     need("a GLB file", "sim", "trimesh")
     import trimesh
@@ -52,7 +55,6 @@ def export_glb(
     target = Path(target)
     if target.suffix.lower() != ".glb":
         target = target / (re.sub(r"\W+", "_", scene.source).strip("_").lower() + ".glb")
-    target.parent.mkdir(parents=True, exist_ok=True)
     looks = [to_pbr(index, material) for index, material in enumerate(scene.materials)]
     parts = np.unique(np.stack([scene.instance, scene.material], axis=1), axis=0)
     several = np.bincount(parts[:, 0], minlength=len(scene.instances)) > 1
@@ -67,11 +69,19 @@ def export_glb(
         nodes[owner].append(name)
         model.add_geometry(mesh, node_name=name, geom_name=name)
     blob = to_bytes(model, include_normals=False, tree_postprocessor=lambda tree: write_exactly(tree, scene.materials))
-    target.write_bytes(blob)
+    written(target, blob)
     stage = {
         "render_asset": target.name, "collision_asset": target.name, "up": [0, 1, 0], "front": [0, 0, -1],
         "units_to_meters": 1.0, "is_collidable": True, "shader_type": "flat",
     }  # fmt: skip
+    if annotated:
+        painted, listed = target.with_suffix(".semantic.glb"), target.with_suffix(".semantic.txt")
+        written(painted, semantic_glb(scene))
+        written(listed, semantic_text(scene))
+        stage |= {
+            "semantic_asset": painted.name, "semantic_descriptor_filename": listed.name, "has_semantic_textures": True,
+            "nav_asset": target.with_suffix(".navmesh").name,
+        }  # fmt: skip
     navmesh = {
         "cell_size": cell, "cell_height": 0.05, "agent_height": height, "agent_radius": radius,
         "agent_max_climb": climb, "agent_max_slope": 45.0,
@@ -87,6 +97,7 @@ def export_glb(
             {
                 "id": index, "category": thing.category, "colour": thing.colour, "room": thing.room,
                 "low": _numbers(thing.low), "high": _numbers(thing.high), "nodes": nodes[index],
+                **({"semantic_id": index + FIRST_ID} if annotated else {}),
             }
             for index, thing in enumerate(scene.instances)
         ],
@@ -103,7 +114,7 @@ def export_glb(
         "facts": scene.facts,
     }  # fmt: skip
     for kind, content in (("semantic", semantic), ("stage_config", stage), ("navmesh", navmesh)):
-        target.with_suffix(f".{kind}.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        written(target.with_suffix(f".{kind}.json"), json.dumps(content, indent=1) + "\n")
     return target
 
 

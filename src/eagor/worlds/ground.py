@@ -99,6 +99,15 @@ class Ground:
 
     # --- points ---
 
+    @property
+    def points(self) -> np.ndarray:
+        """The centres ``(n, 2)`` of the free cells, in reading order."""
+        return self._centres
+
+    def height(self, xy: np.ndarray) -> float:
+        """Height of the ground under a point: that of the floor, which is level."""
+        return self.floor
+
     def is_free(self, xy: np.ndarray) -> np.ndarray:
         """Whether the body can stand at points ``(..., 2)``; False off the plan and for NaN."""
         _, (row, col), known = cells_of(xy, self.origin, self.cell, self.free.shape)
@@ -156,6 +165,10 @@ class Ground:
         for corner, (one, other) in _BESIDE_CORNER.items():
             usable[:, corner] &= usable[:, one] & usable[:, other]
         return self._spread(index[usable], away[usable])
+
+    def at_points(self, way: Field) -> np.ndarray:
+        """Metres ``(n,)`` of a field of this ground at all `points`."""
+        return way.metres[self.free]
 
     def footprint(self, instance: Instance) -> Field:
         """Distances to the footprint of an instance, metres, via points `beside` it; inf everywhere without any."""

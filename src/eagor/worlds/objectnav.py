@@ -21,10 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from eagor._files import unpacked
+from eagor._files import unpacked, written
 from eagor._json import parsed, shown
 from eagor.errors import EagorError, FormatError, WorldError
-from eagor.worlds.ground import Ground
 from eagor.worlds.objectnav_json import (
     Episode,
     Goal,
@@ -36,8 +35,10 @@ from eagor.worlds.objectnav_json import (
     spelt,
 )
 from eagor.worlds.scene import Scene
+from eagor.worlds.walkable import Walkable
 
 __all__ = [
+    "HM3D_CATEGORIES",
     "Episode",
     "Goal",
     "Origin",
@@ -46,6 +47,7 @@ __all__ = [
     "goal_of",
     "origin_of",
     "read_episodes",
+    "spelt",
     "write_episodes",
 ]
 
@@ -60,12 +62,12 @@ class SceneEpisodes:
     goals: dict[str, tuple[Goal, ...]]
 
 
-def origin_of(scene: Scene, ground: Ground) -> Origin:
+def origin_of(scene: Scene, ground: Walkable) -> Origin:
     """The scene and body with which episodes are marked."""
     return Origin(scene.facts.get("exported hash", scene.hash), scene.source, ground.radius, ground.cell)
 
 
-def goal_of(scene: Scene, ground: Ground, index: int, spacing: float = 0.25) -> Goal:
+def goal_of(scene: Scene, ground: Walkable, index: int, spacing: float = 0.25) -> Goal:
     """An instance of the scene as a goal: its view points are free points beside it, `spacing` metres apart, facing it.
 
     `Ground.beside` finds them. `view_overlap` is not computed: it is 0.
@@ -91,7 +93,7 @@ def goal_of(scene: Scene, ground: Ground, index: int, spacing: float = 0.25) -> 
     )
 
 
-def check_scene(episodes: Iterable[Episode], scene: Scene, ground: Ground | None = None) -> None:
+def check_scene(episodes: Iterable[Episode], scene: Scene, ground: Walkable | None = None) -> None:
     """Raise `WorldError` if one of the episodes was made for another scene than this one or an import of its export.
 
     With `ground`, also if it was made for a body of another radius, which takes other paths.
@@ -118,7 +120,7 @@ def write_episodes(folder: Path | str, split: str, scenes: Sequence[SceneEpisode
     """Write the files of a split; returns the path of `<split>.json.gz`. The same episodes give the same bytes.
 
     Raises `WorldError` for a scene without episodes, two scenes with files of one name, an episode whose category has
-    no goal, or numbers that are not finite.
+    no goal, or numbers that are not finite; `StorageError` if a file cannot be written.
     """
     folder = Path(folder) / split
     categories = sorted({spelt(category) for scene in scenes for category in scene.goals})
@@ -140,12 +142,11 @@ def write_episodes(folder: Path | str, split: str, scenes: Sequence[SceneEpisode
         contents[stem] = {
             "episodes": [episode_to_json(episode, scene.goals) for episode in scene.episodes],
             "goals_by_category": {
-                f"{PurePosixPath(file).name}_{spelt(category)}": [goal_to_json(goal) for goal in goals]
+                _key(file, spelt(category)): [goal_to_json(goal) for goal in goals]
                 for category, goals in scene.goals.items()
             },
             **head,
         }
-    (folder / "content").mkdir(parents=True, exist_ok=True)
     for stem, content in contents.items():
         _write(folder / "content" / f"{stem}.json.gz", content)
     return _write(folder / f"{split}.json.gz", {"episodes": [], **head})
@@ -158,15 +159,14 @@ def _write(path: Path, content: dict[str, Any]) -> Path:
         raise WorldError(
             f"{path.name} would hold numbers that are not finite (no way to the goal?): {error}"
         ) from error
-    path.write_bytes(gzip.compress(text.encode(), mtime=0))
-    return path
+    return written(path, gzip.compress(text.encode(), mtime=0))
 
 
 # --- reading ---
 
 
 def read_episodes(
-    path: Path | str, scene: Scene | None = None, ground: Ground | None = None
+    path: Path | str, scene: Scene | None = None, ground: Walkable | None = None
 ) -> tuple[SceneEpisodes, ...]:
     """The episodes in `<split>.json.gz` and its content files, by scene, or in a content file alone.
 
@@ -175,10 +175,9 @@ def read_episodes(
     """
     path = Path(path)
     files = sorted((path.parent / "content").glob("*.json.gz"))
-    found = [_scene_from_json(path, _read(path))]
-    if not found[0].episodes:
-        found = [_scene_from_json(file, _read(file)) for file in files]
-    found = [each for each in found if each.episodes]
+    found = _scenes_from_json(path, _read(path))
+    if not found:
+        found = [each for file in files for each in _scenes_from_json(file, _read(file))]
     if not found:
         raise WorldError(f"{path} has no episodes, nor has any file in {path.parent / 'content'}; wanted at least one")
     if scene is not None:
@@ -203,25 +202,52 @@ def _read(path: Path) -> dict[str, Any]:
     return content
 
 
-def _scene_from_json(path: Path, content: dict[str, Any]) -> SceneEpisodes:
+def _scenes_from_json(path: Path, content: dict[str, Any]) -> list[SceneEpisodes]:
+    """The episodes of a file by scene. Files that are older have the goals in each episode."""
     where = str(path)
     try:
+        listed = content.get("goals_by_category")
+        if listed is None:
+            listed = {}
+            for index, entry in enumerate(content["episodes"]):
+                where = f"{path}, episode {index}"
+                if not entry["goals"]:
+                    raise WorldError("its category has no goals")
+                entry.setdefault("object_category", entry["goals"][0]["object_category"])
+                listed.setdefault(_key(str(entry["scene_id"]), entry["object_category"]), entry["goals"])
         goals: dict[str, tuple[Goal, ...]] = {}
-        by_key: dict[str, str] = {}
-        for key, entries in content.get("goals_by_category", {}).items():
+        for key, entries in listed.items():
             where = f"{path}, goals {shown(key)}"
-            read = tuple(goal_from_json(entry) for entry in entries)
-            if read:
-                goals[read[0].category] = goals.get(read[0].category, ()) + read
-                by_key[key] = read[0].category
-        episodes = []
+            goals[key] = tuple(goal_from_json(entry) for entry in entries)
+        by_scene: dict[str, list[Episode]] = {}
         for index, entry in enumerate(content["episodes"]):
             where = f"{path}, episode {index}"
-            episodes.append(episode_from_json(entry, index))
-            if episodes[-1].category not in goals:
-                raise WorldError("its category has no goals")
+            episode = episode_from_json(entry, index)
+            by_scene.setdefault(episode.scene, []).append(episode)
+        found = []
+        for scene, episodes in by_scene.items():
+            own = _of_scene(goals, scene, alone=len(by_scene) == 1)
+            for index, episode in enumerate(episodes):
+                where = f"{path}, episode {index} of {scene}"
+                if episode.category not in own:
+                    raise WorldError("its category has no goals")
+            found.append(SceneEpisodes(tuple(episodes), own))
     except KeyError as error:
         raise WorldError(f"{where} lacks the key {error}; wanted the layout of HM3D ObjectNav v1 or v2") from error
     except (EagorError, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise WorldError(f"{where}: {str(error)[:300]}; wanted the layout of HM3D ObjectNav v1 or v2") from error
-    return SceneEpisodes(tuple(episodes), goals)
+    return found
+
+
+def _key(scene: str, category: str) -> str:
+    """The key of the goals of a category in a scene, as habitat-lab makes it."""
+    return f"{PurePosixPath(scene).name}_{category}"
+
+
+def _of_scene(goals: dict[str, tuple[Goal, ...]], scene: str, alone: bool) -> dict[str, tuple[Goal, ...]]:
+    """The goals of one scene by category; those of a file with one scene all belong to it."""
+    own: dict[str, tuple[Goal, ...]] = {}
+    for key, things in goals.items():
+        if things and (alone or key.startswith(_key(scene, ""))):
+            own[things[0].category] = own.get(things[0].category, ()) + things
+    return own

@@ -127,7 +127,8 @@ def episode_to_json(episode: Episode, goals: dict[str, tuple[Goal, ...]]) -> dic
     }
 
 
-def _words(category: str) -> str:
+def read_category(category: str) -> str:
+    """A category of the files in our words."""
     words = category.replace("_", " ")
     return SYNONYMS.get(words, words)
 
@@ -139,13 +140,24 @@ def _numbers(values: Any, count: int) -> np.ndarray:
     return found
 
 
+def _table(rows: list[Any], count: int) -> np.ndarray:
+    """Rows ``(n, count)``, all at once, as files may have a million."""
+    try:
+        found = np.asarray(rows, dtype=np.float64).reshape(len(rows), -1)
+    except (TypeError, ValueError):
+        found = None
+    if found is None or (len(rows) and (found.shape[1] != count or not np.isfinite(found).all())):
+        found = np.array([_numbers(row, count) for row in rows])  # names the row
+    return found.reshape(-1, count)
+
+
 def goal_from_json(entry: dict[str, Any]) -> Goal:
     """The goal in an entry; a malformed entry may raise anything."""
     views = entry["view_points"]
-    places = np.array([_numbers(view["agent_state"]["position"], 3) for view in views]).reshape(-1, 3)
-    turns = np.array([_numbers(view["agent_state"]["rotation"], 4) for view in views]).reshape(-1, 4)
+    places = _table([view["agent_state"]["position"] for view in views], 3)
+    turns = _table([view["agent_state"]["rotation"] for view in views], 4)
     return Goal(
-        _words(entry["object_category"]),
+        read_category(entry["object_category"]),
         int(entry["object_id"]),
         from_gltf(_numbers(entry["position"], 3)),
         str(entry.get("object_name") or ""),
@@ -168,7 +180,7 @@ def episode_from_json(entry: dict[str, Any], index: int) -> Episode:
             raise ValueError(f"a distance of {value}")
     return Episode(
         str(entry["scene_id"]),
-        _words(entry["object_category"]),
+        read_category(entry["object_category"]),
         from_gltf(_numbers(entry["start_position"], 3)),
         pose_from_habitat(rotation_from_xyzw(_numbers(entry["start_rotation"], 4))),
         str(entry.get("episode_id", index)),

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from eagor.worlds.ground import Ground
+from eagor.worlds.walkable import Walkable
 
 __all__ = ["along", "follow_path", "initial_heading", "length_of", "stroll"]
 
@@ -49,7 +49,7 @@ def follow_path(path: np.ndarray, yaw: float, step: float, turn: float) -> np.nd
     return np.array(rows)
 
 
-def stroll(ground: Ground, start: np.ndarray, step: float, rng: np.random.Generator) -> Iterator[np.ndarray]:
+def stroll(ground: Walkable, start: np.ndarray, step: float, rng: np.random.Generator) -> Iterator[np.ndarray]:
     """Points ``(2,)`` without end, `step` metres apart: along paths from `start` to one random goal after another."""
     last = np.asarray(start, dtype=np.float64)
     yield last

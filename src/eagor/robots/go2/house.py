@@ -136,6 +136,11 @@ def load_house(
     if seed < 0:
         raise WorldError(f"seed = {seed}; wanted 0 or a positive whole number")
     scene = worlds.load(world)(seed)
+    if not isinstance(scene, Scene):
+        raise WorldError(
+            f"a simulated Go2 walks among triangles, but {scene.source} is held by another simulator; give it an "
+            "apartment or a GLB file"
+        )
     ground = Ground.from_scene(scene, radius=RADIUS, height=TALL)
     rolling = None
     if ball is not None:

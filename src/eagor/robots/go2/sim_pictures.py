@@ -108,9 +108,12 @@ def _draw(line: Connection, world: str, seed: int, camera: CameraSettings, domai
     from eagor.robots.ros.messages import COMPRESSED, compressed_message
     from eagor.sphere import world_R_body
     from eagor.worlds import load
+    from eagor.worlds.scene import Scene
 
     try:
-        drawer = SimulatedCamera(load(world)(seed), camera)
+        scene = load(world)(seed)
+        assert isinstance(scene, Scene)  # `load_house` takes no other
+        drawer = SimulatedCamera(scene, camera)
         drawer.picture(Pose(0.0, world_R_body(0.0), np.zeros(3)))  # the light, and what else comes first
         with Link(domain, interface) as link:
             writer = link.publish(CAMERA_TOPIC, COMPRESSED, reliable=False, depth=5)

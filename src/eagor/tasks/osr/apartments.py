@@ -26,6 +26,7 @@ from eagor.tasks.places import APARTMENT, Place, load_place
 from eagor.tasks.published import any_yaw, save_panorama
 from eagor.tasks.rules import Camera
 from eagor.worlds.raycast import Raycaster, make_raycaster
+from eagor.worlds.scene import Scene
 
 # Walls, floor and ceiling are the room itself; a ceiling lamp touches neither floor nor wall.
 UNNAMED = ("wall", "floor", "ceiling", "ceiling lamp")
@@ -168,11 +169,11 @@ def mapping(names: Sequence[str]) -> str:
 def _spot(place: Place, room: str, rng: np.random.Generator) -> np.ndarray | None:
     """A free place ``(2,)`` in the room, away from things; None if there is none."""
     ground, inside = place.ground, next(each for each in place.scene.rooms if each.name == room)
-    free = np.argwhere(ground.free & (ground.clearance >= CLEARANCE))
-    x, y = ground.centres(free).T[..., None]
+    free = ground.points[ground.clearance[ground.free] >= CLEARANCE]
+    x, y = free.T[..., None]
     x0, y0, x1, y1 = inside.rectangles.T
     within = np.flatnonzero(((x0 <= x) & (x <= x1) & (y0 <= y) & (y <= y1)).any(axis=1))
-    return ground.centres(free[rng.choice(within)]) if len(within) else None
+    return free[rng.choice(within)] if len(within) else None
 
 
 def _view(place: Place, room: str, spot: np.ndarray, height: float, yaw: float, identity: str) -> View:
@@ -205,5 +206,6 @@ def _walls(place: Place, position: np.ndarray, turn: np.ndarray) -> FloorLine:
 @lru_cache(maxsize=2)
 def _bare_walls(place: Place) -> Raycaster:
     scene = place.scene
+    assert isinstance(scene, Scene)  # an apartment
     bare = np.array([thing.category in ("wall", "window") for thing in scene.instances])[scene.instance]
     return make_raycaster(scene.vertices, scene.triangles[bare])

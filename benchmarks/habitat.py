@@ -1,0 +1,422 @@
+"""Our world against Habitat-Sim, in the same apartments: pictures, distances, steps, speed, and the three tasks.
+
+    python benchmarks/habitat.py [--parts pictures ground speed tasks] [--seeds 3 17] [--json FILE]
+
+Needs Habitat-Sim. Each apartment is exported to GLB with `export_glb(annotated=True)` and opened as ``habitat:FILE``.
+
+- pictures: panoramas of both from 20 poses, half of them tilted. Range: the relative difference of each pixel. Corners:
+  where a corner of a thing's box is in sight on the outline of the thing, its direction in both pictures of ids.
+- ground: geodesic distances between random pairs of points that are free in both; and two greedy followers, Habitat's
+  and ours, with Habitat's actions (0.25 m, 10 degrees) from point to point.
+- speed: RGB, range and ids at 256 x 512, CPU seconds per frame of one process each, which take turns.
+- tasks: episodes planned in our world, with the same random numbers, played in both.
+"""
+
+from __future__ import annotations
+
+import os
+
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import argparse
+import json
+import math
+import multiprocessing
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor import worlds
+from eagor.grids import ErpGrid
+from eagor.sphere import unit, world_R_body
+from eagor.tasks import place_env
+from eagor.tasks import task as tasks
+from eagor.tasks.episodes import Slot
+from eagor.tasks.places import APARTMENT, Place
+from eagor.tasks.play import Player
+from eagor.tasks.rules import Camera, Disturbances, as_dict
+from eagor.worlds.apartment import generate
+from eagor.worlds.glb import export_glb
+from eagor.worlds.ground import Ground
+from eagor.worlds.opened import ground_of, view_of
+from eagor.worlds.render import Renderer
+from eagor.worlds.scene import STRUCTURE
+from eagor.worlds.walkable import Walkable
+
+RADIUS, EYE = 0.18, 1.25  # metres: of the body, and of the camera's height
+FINE = 1024  # rows of the pictures in which corners are looked for
+WINDOW = math.radians(3.0)  # about a corner
+PARTS = ("pictures", "ground", "speed", "tasks")
+TASKS = {"waypoint": {}, "navigation": {}, "tracking": {}}
+METHODS = ("eagor", "eagor_paper", "vmf")
+
+
+@dataclass(frozen=True, eq=False)
+class Both:
+    """An apartment in both worlds. `world`: the name of the second."""
+
+    seed: int
+    ours: Place
+    theirs: Place
+    world: str
+
+
+def opened(seed: int, folder: Path) -> Both:
+    """The apartment of this seed, ours and in Habitat-Sim."""
+    scene = generate(seed)
+    file = export_glb(scene, folder / f"apartment{seed:04d}.glb", radius=RADIUS, annotated=True)
+    name = f"habitat:{file}"
+    held = worlds.load(name)(seed)
+    theirs = Place(held, ground_of(held, RADIUS), view_of(held))
+    return Both(seed, Place(scene, Ground.from_scene(scene, radius=RADIUS), Renderer(scene)), theirs, name)
+
+
+def free_in_both(both: Both, rng: np.random.Generator, clearance: float = 0.1) -> np.ndarray:
+    """A random point ``(2,)`` on which a body can stand in both."""
+    while True:
+        point = both.ours.ground.sample(rng, RADIUS + clearance)
+        if bool(both.theirs.ground.is_free(point)):
+            return point
+
+
+# --- pictures ---
+
+
+def pictures(both: Both, count: int, corners: int, rng: np.random.Generator) -> dict[str, Any]:
+    """Differences of ranges (relative) and of the directions of corners (degrees)."""
+    ranges, alike, angles = [], [], []
+    for number in range(count):
+        position = np.array([*free_in_both(both, rng), EYE])
+        tilt = rng.uniform(-0.4, 0.4, 2) * (number % 2)
+        pose = world_R_body(float(rng.uniform(-math.pi, math.pi)), *tilt.tolist())
+        mine, other = (
+            view.panorama(position, pose, 256, rgb=False) for view in (both.ours.renderer, both.theirs.renderer)
+        )
+        hit = np.isfinite(mine.range) & np.isfinite(other.range)
+        ranges.append(np.abs(mine.range[hit] - other.range[hit]) / mine.range[hit])
+        alike.append(float((mine.ids == other.ids).mean()))
+        wanted = math.ceil(corners * (number + 1) / count) - len(angles)
+        angles += corner_errors(both, position, pose, wanted, rng)
+    ranges = np.concatenate(ranges)
+    return {
+        "poses": count,
+        "range_median_percent": 100 * float(np.median(ranges)),
+        "range_p95_percent": 100 * float(np.quantile(ranges, 0.95)),
+        "ids_alike_percent": 100 * float(np.mean(alike)),
+        "corners": len(angles),
+        "corner_median_deg": float(np.median(angles)),
+        "corner_p95_deg": float(np.quantile(angles, 0.95)),
+        "corner_max_deg": float(np.max(angles)),
+    }
+
+
+def corner_errors(
+    both: Both, position: np.ndarray, pose: np.ndarray, count: int, rng: np.random.Generator
+) -> list[float]:
+    """The angles (degrees) between both pictures of up to `count` corners in sight from this pose."""
+    scene, grid = both.ours.scene, ErpGrid(FINE, 2 * FINE)
+    mine, other = (
+        view.panorama(position, pose, FINE, rgb=False, range=False).ids
+        for view in (both.ours.renderer, both.theirs.renderer)
+    )
+    found: list[float] = []
+    things = [k for k, thing in enumerate(scene.instances) if thing.category not in STRUCTURE]
+    for thing in rng.permutation(things).tolist():
+        box = scene.instances[thing]
+        vertices = scene.vertices[np.unique(scene.triangles[scene.instance == thing])]
+        for choice in rng.permutation(8).tolist():
+            if len(found) >= count:
+                return found
+            corner = np.where([choice & 1, choice & 2, choice & 4], box.high, box.low)
+            if np.abs(vertices - corner).max(axis=1).min() > 0.005:  # the box has it, the thing does not
+                continue
+            way = pose.T @ (corner - position)
+            if not 0.6 < np.linalg.norm(way) < 8.0:
+                continue
+            places = [tip(ids == thing, grid, unit(way)) for ids in (mine, other)]
+            if places[0] is not None and places[1] is not None:
+                found.append(math.degrees(2 * math.asin(min(1.0, float(np.linalg.norm(places[0] - places[1])) / 2))))
+    return found
+
+
+def tip(mask: np.ndarray, grid: ErpGrid, corner: np.ndarray) -> np.ndarray | None:
+    """The direction ``(3,)`` of a corner in a mask ``(H, W)``: the outermost pixels close to where it should be.
+
+    None if the corner is hidden, or not on the outline.
+    """
+    x, y, _ = grid.project(corner)
+    half = math.ceil(WINDOW / math.pi * FINE)
+    if not half < y < FINE - half:
+        return None
+    rows = np.arange(int(y) - half, int(y) + half + 1)
+    cols = np.arange(int(x) - half, int(x) + half + 1) % (2 * FINE)
+    part, directions = mask[np.ix_(rows, cols)], grid.directions[np.ix_(rows, cols)]
+    near = directions @ corner > math.cos(WINDOW)
+    inside = part & near
+    share = inside.sum() / near.sum()
+    if not 0.02 < share < 0.4:  # of the disc: hidden, or no corner
+        return None
+    outwards = corner - directions[inside].mean(axis=0)
+    along = directions[inside] @ outwards
+    best = directions[inside][np.argsort(-along)[:3]].mean(axis=0)
+    off = math.acos(min(1.0, float(unit(best) @ corner)))
+    return unit(best) if off < WINDOW / 3 else None  # else something hides it
+
+
+# --- ground ---
+
+
+def ground(both: Both, pairs: int, followed: int, rng: np.random.Generator) -> dict[str, Any]:
+    """Geodesic distances and path lengths of followers in both."""
+    metres, mine, theirs = [], both.ours.ground, both.theirs.ground
+    while len(metres) < pairs:
+        one, other = free_in_both(both, rng), free_in_both(both, rng)
+        if np.hypot(*(one - other)) < 1.0:
+            continue
+        metres.append([float(mine.field(one).distance(other)), float(theirs.field(one).distance(other))])
+    ours, habitat = np.array(metres).T
+    gaps = 100 * np.abs(ours - habitat) / habitat
+    lengths = []
+    while len(lengths) < followed:
+        one, other, yaw = free_in_both(both, rng), free_in_both(both, rng), float(rng.uniform(-math.pi, math.pi))
+        if np.hypot(*(one - other)) < 2.0:
+            continue
+        both_ways = (
+            follow(mine, one, yaw, other),
+            habitat_follower(both, one, yaw, other),
+            follow(theirs, one, yaw, other),
+        )
+        if None not in both_ways:
+            lengths.append(both_ways)
+    our_way, their_way, our_way_there = np.array(lengths).sum(axis=0)
+    return {
+        "pairs": pairs,
+        "geodesic_median_percent": float(np.median(gaps)),
+        "geodesic_p95_percent": float(np.quantile(gaps, 0.95)),
+        "geodesic_max_percent": float(gaps.max()),
+        "geodesic_bias_percent": 100 * float(ours.sum() / habitat.sum() - 1),
+        "followed": len(lengths),
+        "follower_ours_m": float(our_way),
+        "follower_habitat_m": float(their_way),
+        "follower_ours_on_their_mesh_m": float(our_way_there),
+        "follower_difference_percent": 100 * float(our_way / their_way - 1),
+    }
+
+
+GOAL = 0.25  # metres from the goal at which followers stop
+STEP, TURN = 0.25, math.radians(10.0)
+
+
+def follow(ground: Walkable, start: np.ndarray, yaw: float, goal: np.ndarray) -> float | None:
+    """Metres that a greedy follower walks: turn towards the path until half a turn is left, step, and so on."""
+    xy, walked, way = start, 0.0, ground.field(goal)
+    for _ in range(2000):
+        if float(way.distance(xy)) < GOAL:
+            return walked
+        path = ground.path(xy, goal)
+        ahead = path[1] if np.hypot(*(path[1] - xy)) > 1e-3 or len(path) == 2 else path[2]
+        left = math.remainder(math.atan2(*(ahead - xy)[::-1]) - yaw, 2 * math.pi)
+        if abs(left) > TURN / 2:
+            yaw += math.copysign(TURN, left)
+            continue
+        there, _ = ground.move(xy, STEP * np.array([math.cos(yaw), math.sin(yaw)]), slide=True)
+        walked += float(np.hypot(*(there - xy)))
+        xy = there
+    return None
+
+
+def habitat_follower(both: Both, start: np.ndarray, yaw: float, goal: np.ndarray) -> float | None:
+    """Metres that Habitat's own greedy follower walks over its mesh."""
+    import habitat_sim
+
+    scene: Any = both.theirs.scene
+    mesh: Any = both.theirs.ground
+    sim = scene.session.sim
+    if sim.config.sim_cfg.scene_id not in _MESHED:
+        sim.recompute_navmesh(sim.pathfinder, mesh.pathfinder.nav_mesh_settings)
+        _MESHED.add(sim.config.sim_cfg.scene_id)
+    agent = sim.agents[0]
+    w, x, y, z = scene.frames.quaternion(world_R_body(yaw))
+    agent.set_state(habitat_sim.AgentState(position=mesh.feet(start), rotation=[x, y, z, w]))
+    follower = habitat_sim.GreedyGeodesicFollower(sim.pathfinder, agent, goal_radius=GOAL)
+    walked, target = 0.0, mesh.feet(goal)
+    for _ in range(2000):
+        try:
+            action = follower.next_action_along(target)
+        except habitat_sim.errors.GreedyFollowerError:
+            return None
+        if action is None:
+            return walked
+        before = agent.get_state().position
+        agent.act(action)
+        walked += float(np.linalg.norm((agent.get_state().position - before)[[0, 2]]))
+    return None
+
+
+_MESHED: set[str] = set()
+
+# --- speed ---
+
+
+def speed(both: Both, rounds: int, frames: int, rng: np.random.Generator) -> dict[str, Any]:
+    """CPU milliseconds per frame in both, in processes that take turns."""
+    poses = [
+        (np.array([*free_in_both(both, rng), EYE]), world_R_body(float(yaw))) for yaw in rng.uniform(-3, 3, frames)
+    ]
+    context = multiprocessing.get_context("spawn")
+    seats = []
+    for world, seed in ((APARTMENT, both.seed), (both.world, 0)):
+        here, there = context.Pipe()
+        process = context.Process(target=_render, args=(there, world, seed, poses), daemon=True)
+        process.start()
+        seats.append((here, process))
+    spent: list[list[tuple[float, float]]] = [[], []]
+    try:
+        for line, _ in seats:
+            line.recv()
+        for _ in range(rounds):
+            for index, (line, _) in enumerate(seats):
+                line.send(True)
+                spent[index].append(line.recv())
+    finally:
+        for line, process in seats:
+            line.close()
+            process.join(20)
+            process.kill()
+    (ours, habitat) = (1000 * np.array(each) / frames for each in spent)
+    ratios = habitat[:, 0] / ours[:, 0]
+    return {
+        "rounds": rounds,
+        "frames": frames,
+        "ours_cpu_ms": float(np.median(ours[:, 0])),
+        "habitat_cpu_ms": float(np.median(habitat[:, 0])),
+        "ratio": float(np.median(ratios)),
+        "ratio_range": [float(ratios.min()), float(ratios.max())],
+        "ours_wall_ms": float(np.median(ours[:, 1])),
+        "habitat_wall_ms": float(np.median(habitat[:, 1])),
+    }
+
+
+def _render(line: Any, world: str, seed: int, poses: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    """Render all poses whenever the line asks for it; answer with CPU and wall-clock seconds."""
+    view = view_of(worlds.load(world)(seed))
+    for position, pose in poses[:2]:
+        view.panorama(position, pose, 256)
+    line.send(None)
+    while True:
+        try:
+            line.recv()
+        except EOFError:
+            return
+        cpu, wall = time.process_time(), time.perf_counter()
+        for position, pose in poses:
+            view.panorama(position, pose, 256)
+        line.send((time.process_time() - cpu, time.perf_counter() - wall))
+
+
+# --- tasks ---
+
+
+def side_by_side(name: str, both: list[Both], episodes: int, perception: str, rows: int) -> dict[str, Any]:
+    """The figures of all methods in both worlds: the same episodes, the same random numbers."""
+    task = tasks.load(name)
+    config = {"task": name, "perception": perception, "camera": as_dict(Camera()), "rows": rows}
+    config |= {"rules": as_dict(task.rules()), "disturbances": as_dict(Disturbances())}
+    player = Player(config)
+    found: dict[str, dict[str, list[dict[str, Any]]]] = {
+        world: {m: [] for m in METHODS} for world in ("ours", "habitat")
+    }
+    number = 0
+    for index in range(episodes):
+        for each in both:
+            slot = Slot(name, APARTMENT, each.seed, index, number)
+            number += 1
+            place_env.load_place = lambda *_, place=each.ours: place
+            episode = player.plan(slot)
+            for world, place in (("ours", each.ours), ("habitat", each.theirs)):
+                place_env.load_place = lambda *_, place=place: place
+                here = replace(episode, scene_hash=place.scene.hash)
+                if task.walked:
+                    start = place.ground.snap(np.array(episode.start), within=0.2)
+                    if start is None:
+                        break
+                    way = float(place.way_to(episode.targets).distance(start))
+                    here = replace(here, start=(float(start[0]), float(start[1])), shortest=way)
+                    for method in METHODS:
+                        found[world][method].append(player._walk(here, method, None)["metrics"])
+                else:
+                    recording = player.record(here)
+                    for method in METHODS:
+                        found[world][method].append(player.judge(recording, player.method(method, slot))["metrics"])
+            print(f"  {name} {slot.id}", file=sys.stderr, flush=True)
+    columns = [column for column in task.columns if column.only_if is None]
+    table = {
+        world: {
+            method: {
+                column.key: _mean([column.scale * r[column.metric] for r in records if r[column.metric] is not None])
+                for column in columns
+            }
+            for method, records in by_method.items()
+        }
+        for world, by_method in found.items()
+    }
+    return {"episodes": number, "perception": perception, "figures": table}
+
+
+def _mean(values: list[float]) -> float | None:
+    return round(float(np.mean(values)), 2) if values else None
+
+
+def main() -> int:
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
+    options.add_argument("--seeds", nargs="+", type=int, default=[3, 17])
+    options.add_argument("--poses", type=int, default=20, help="of each apartment")
+    options.add_argument("--pairs", type=int, default=200)
+    options.add_argument("--episodes", type=int, default=5, help="of each task, in each apartment")
+    options.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS))
+    options.add_argument("--perceptions", nargs="+", default=["truth:moderate", "colour"])
+    options.add_argument("--rounds", type=int, default=10)
+    options.add_argument("--json", type=Path)
+    given = options.parse_args()
+    if find_spec("habitat_sim") is None:
+        print("this compares with Habitat-Sim, which is not installed here (docs/how-to/habitat.md says how to get it)")
+        return 0
+    report: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        both = [opened(seed, Path(folder)) for seed in given.seeds]
+        for part in given.parts:
+            if part == "tasks":
+                report[part] = {
+                    f"{name}, {perception}": side_by_side(name, both, given.episodes, perception, 256)
+                    for name in given.tasks
+                    for perception in given.perceptions
+                }
+                continue
+            report[part] = {}
+            for each in both:
+                rng = np.random.default_rng(each.seed)
+                report[part][each.seed] = (
+                    pictures(each, given.poses, 200, rng)
+                    if part == "pictures"
+                    else ground(each, given.pairs, 20, rng)
+                    if part == "ground"
+                    else speed(each, given.rounds, 8, rng)
+                )
+            print(json.dumps({part: report[part]}, indent=1), flush=True)
+        if "tasks" in report:
+            print(json.dumps({"tasks": report["tasks"]}, indent=1), flush=True)
+    if given.json:
+        given.json.write_text(json.dumps(report, indent=1) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,193 @@
+"""Episodes that a file lists: ObjectNav of HM3D or MP3D, or what ``eagor export habitat`` writes.
+
+They are played in Habitat (``--world habitat``), in the scene that the file names below the folder of scenes. In our
+own world only episodes of ours can be played: they say which apartment or exported GLB they were made for.
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from eagor.errors import WorldError
+from eagor.tasks.episodes import Slot
+from eagor.tasks.places import APARTMENT, SEEDS
+from eagor.worlds import FILES
+from eagor.worlds.objectnav import SceneEpisodes, read_episodes
+
+__all__ = ["HABITAT", "STOREY", "Listed", "listed_slots", "read_file", "scene_files", "slot_of"]
+
+HABITAT = "habitat"  # the world in which scenes of others can be played
+_APARTMENT = re.compile(r"apartment (\S+) seed (\d+)")
+STOREY = 1.2  # metres: heights that differ by less belong to one storey; half a flight of stairs
+_PREFIX = "data/scene_datasets/"  # of some scene_ids; habitat-lab takes it off, too
+
+
+@dataclass(frozen=True)
+class Listed(Slot):
+    """An episode of a file: the `episode`-th of its `scene` (the scene_id there)."""
+
+    scene: str = ""
+    episode: int = 0
+
+    @property
+    def id(self) -> str:
+        """Stable name: the scene's, and the index of the episode among those of the scene."""
+        return f"{_stem(self.scene)}-{self.episode}"
+
+    def rng(self, purpose: str) -> np.random.Generator:
+        """An independent generator for each purpose, wherever the folder of scenes is."""
+        name = f"{self.task}/{self.scene}/{self.episode}/{purpose}"
+        return np.random.default_rng([zlib.crc32(name.encode()), self.episode])
+
+
+def slot_of(values: dict[str, Any]) -> Slot:
+    """The slot of a unit of work, from JSON."""
+    return Listed(**values) if "scene" in values else Slot(**values)
+
+
+def listed_slots(task: str, file: Path | str, count: int | None, world: str, scenes: Path | None) -> list[Listed]:
+    """The slots of a file's episodes; of `count` (None: all) scene after scene gets one until there are enough.
+
+    `world`: "apartment" (ours), "habitat", or one scene of either (a GLB file, ``habitat:SCENE``). `scenes`: the folder
+    that the scene_ids are relative to; None: the nearest ``scene_datasets`` above the file.
+
+    Raises `WorldError` if the file cannot be read, or its scenes cannot be played in that world.
+    """
+    if count is not None and count < 1:
+        raise WorldError(f"{count} episodes; wanted 1 or more")
+    by_scene = {each.episodes[0].scene: each for each in read_file(file)}
+    if world not in (APARTMENT, HABITAT) and len(by_scene) > 1:
+        whole = HABITAT if world.partition(":")[0] == HABITAT else APARTMENT
+        raise WorldError(
+            f"{file} has episodes in {len(by_scene)} scenes, but --world {world} is one of them; name the world "
+            f"{whole} alone, and their folder with --scenes"
+        )
+    homes = {
+        scene: _homes(scene, each, world, number, Path(file), scenes)
+        for number, (scene, each) in enumerate(by_scene.items())
+    }
+    _check_files({scene: home[0][0] for scene, home in homes.items()}, file)
+    turns = [(index, scene) for scene, each in by_scene.items() for index in range(len(each.episodes))]
+    places = {scene: number for number, scene in enumerate(by_scene)}
+    chosen = sorted(turns, key=lambda turn: turn[0])[:count]
+    # One scene after the other, and of a scene one storey after the other: opening one takes seconds.
+    chosen.sort(key=lambda turn: (places[turn[1]], homes[turn[1]][turn[0]][0], turn[0]))
+    return [
+        Listed(task, *homes[scene][index], index, number, scene, index) for number, (index, scene) in enumerate(chosen)
+    ]
+
+
+def scene_files(slots: Sequence[Slot]) -> list[Path]:
+    """The files of the scenes in which these are played; none of apartments."""
+    return [Path(path) for path in dict.fromkeys(_file(slot.world) for slot in slots) if path]
+
+
+def _homes(
+    scene: str, episodes: SceneEpisodes, world: str, number: int, file: Path, scenes: Path | None
+) -> list[tuple[str, int]]:
+    """World and seed of each episode of this scene; seeds of what is no apartment begin at 10 000."""
+    seed, count = SEEDS + number, len(episodes.episodes)
+    if world == HABITAT:
+        return [(place, seed) for place in _storeys(_in_habitat(scene, episodes, file, scenes), episodes)]
+    if world != APARTMENT:
+        return [(world, seed)] * count
+    origins = {episode.origin.version if episode.origin is not None else None for episode in episodes.episodes}
+    (version,) = origins if len(origins) == 1 else (None,)
+    if version is None:
+        raise WorldError(
+            f"{file}: the episodes in {scene} do not say which of our scenes they were made for, so they can only be "
+            f"played in Habitat: --world {HABITAT} --scenes DIR"
+        )
+    if match := _APARTMENT.fullmatch(version):
+        from eagor.worlds.apartment import VERSION
+
+        if match[1] != VERSION or int(match[2]) >= SEEDS:
+            raise WorldError(
+                f"{file}: the episodes in {scene} were made for {version}; this version makes apartments {VERSION} "
+                f"with seeds below {SEEDS}. Export them anew"
+            )
+        return [(APARTMENT, int(match[2]))] * count
+    return [(str(_below(scene, file, scenes)), seed)] * count
+
+
+def _in_habitat(scene: str, episodes: SceneEpisodes, file: Path, scenes: Path | None) -> str:
+    """``habitat:FILE``, with the scene dataset's configuration that the episodes name, if it is there."""
+    path = _below(scene, file, scenes)
+    _, found, rest = episodes.episodes[0].dataset_config.rpartition("scene_datasets/")
+    config = _below(rest, file, scenes) if found else None
+    return f"{HABITAT}:{path}" + (f"?dataset={config}" if config is not None and config.is_file() else "")
+
+
+def _storeys(world: str, episodes: SceneEpisodes) -> list[str]:
+    """The world of each episode: a storey is chosen by the height of the starts, if these differ by a storey."""
+    heights = np.array([episode.position[2] for episode in episodes.episodes])
+    order = np.argsort(heights, kind="stable")
+    storey = np.zeros(len(heights), dtype=int)
+    storey[order] = np.concatenate([[0], np.cumsum(np.diff(heights[order]) > STOREY)])
+    if storey.max() == 0:
+        return [world] * len(heights)
+    levels = [float(np.median(heights[storey == each])) for each in range(storey.max() + 1)]
+    mark = "&" if "?" in world else "?"
+    return [f"{world}{mark}storey={levels[each]:.2f}" for each in storey]
+
+
+def _below(scene: str, file: Path, scenes: Path | None) -> Path:
+    """The file of a scene below the folder of scenes."""
+    if scenes is None:
+        above = [parent / "scene_datasets" for parent in file.absolute().parents]
+        scenes = next((folder for folder in above if folder.is_dir()), None)
+    if scenes is None:
+        raise WorldError(
+            f"no folder scene_datasets is above {file}; say where the scenes are with --scenes DIR, the folder that "
+            f"holds {scene.removeprefix(_PREFIX)}"
+        )
+    return Path(scenes) / scene.removeprefix(_PREFIX)
+
+
+def _check_files(worlds: dict[str, str], file: Path | str) -> None:
+    """Raise `WorldError` if not one of the scenes is there; a part of them is what many people have."""
+    paths = {scene: Path(path) for scene, world in worlds.items() if (path := _file(world))}
+    if paths and len(paths) == len(worlds) and not any(path.exists() for path in paths.values()):
+        scene, path = next(iter(paths.items()))
+        raise WorldError(
+            f"none of the {len(paths)} scenes of {file} is there, such as {path}; --scenes names the folder that holds "
+            f"{scene.removeprefix(_PREFIX)}"
+        )
+
+
+def _file(world: str) -> str:
+    """The file of a world that is a scene in a file; empty for others."""
+    name = world.removeprefix(f"{HABITAT}:").partition("?")[0]
+    return name if name != world or Path(name).suffix.lower() in FILES else ""
+
+
+def _stem(scene: str) -> str:
+    return PurePosixPath(scene).name.partition(".")[0]
+
+
+def read_file(file: Path | str) -> tuple[SceneEpisodes, ...]:
+    """The episodes of a file by scene, kept as long as it does not change. Raises `WorldError`."""
+    path = Path(file)
+    return _read(path, tuple(_mark(each) for each in (path, *sorted((path.parent / "content").glob("*.json.gz")))))
+
+
+@lru_cache(maxsize=2)
+def _read(file: Path, _: tuple[tuple[str, int, int], ...]) -> tuple[SceneEpisodes, ...]:
+    return read_episodes(file)
+
+
+def _mark(path: Path) -> tuple[str, int, int]:
+    """Changes with the file."""
+    try:
+        found = path.stat()
+    except OSError:
+        return str(path), 0, 0
+    return str(path), found.st_mtime_ns, found.st_size

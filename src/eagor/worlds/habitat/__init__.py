@@ -1,0 +1,13 @@
+"""Scenes of Habitat-Sim as worlds: ``--world habitat:SCENE``.
+
+- `world`: the world itself, and the scene that it gives to tasks; `options`: what follows its name;
+- `probe`: finds out, in another process, whether a simulator can be made here, and on which device;
+- `configuring`: what a simulator is made of; `sessions`: those that are open in this process;
+- `frames`: the one place in which coordinates change;
+- `view`: panoramas with Euclidean ranges and instance ids;
+- `navmesh`: where a body can walk; `raster`: its plan; `storeys`: the storey that it walks on; `floors`: meshes, and
+  the true floors below them;
+- `semantics`: the named things of the scene; `extents`: repairs their boxes.
+
+Habitat-Sim (0.3.3 and later) is imported only when a scene is opened.
+"""

@@ -1,0 +1,267 @@
+"""The named things of a scene in Habitat, and how to tell which one a pixel shows.
+
+In this order, the things are those of
+
+1. a file of boxes: one that is given (``boxes=FILE``), or ``<scene>.semantic.json`` or ``<scene>.boxes.json`` beside
+   the scene's file;
+2. Habitat's own semantic scene (HM3D, MP3D, Gibson, Replica);
+3. the nodes of the GLB file: category and colour are words of a node's name, as in `eagor.worlds.glb`.
+
+Where Habitat draws semantic ids, they decide which thing a pixel shows; a file of boxes then only adds names, colours
+and rooms. Otherwise it is the smallest box that contains the point.
+
+A file of boxes is what `export_glb` writes (``"format": "eagor semantic 1"``, our frame), or
+``{"format": "eagor boxes 1", "boxes": [{"category": "chair", "colour": "red", "low": [x, y, z], "high": [x, y, z]}]}``
+in Habitat's world: metres, Y up, as in the GLB file. Colour and "room" may be left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor._json import number, parsed, shown
+from eagor.errors import WorldError
+from eagor.queries import COLOURS, SYNONYMS
+from eagor.worlds.gltf import FORMAT
+from eagor.worlds.habitat.extents import Box, from_the_origin, repaired
+from eagor.worlds.habitat.frames import Frames
+from eagor.worlds.scene import Instance, Room
+from eagor.worlds.semantic_glb import FIRST_ID
+
+__all__ = ["BOXES", "BoxLabels", "IdLabels", "Things", "beside", "things_of"]
+
+BOXES = "eagor boxes 1"
+UNNAMED = {"", "unknown", "unlabeled", "unlabelled", "void", "misc", "undefined", "object", "objects", "other"}
+Look = Callable[[], Mapping[int, Box]]  # what is seen of each semantic id, Habitat's world
+LOOSE = 0.03  # metres by which a box is widened: depth is exact to a centimetre
+_CHUNK = 1 << 22  # comparisons of a point with a box at a time
+
+
+@dataclass(frozen=True, eq=False)
+class Things:
+    """The instances and rooms of a scene, in our frame, and how pixels are labelled. `told`: where they come from."""
+
+    instances: tuple[Instance, ...]
+    rooms: tuple[Room, ...]
+    labels: IdLabels | BoxLabels
+    told: str
+
+
+class IdLabels:
+    """Labels by Habitat's semantic ids: `place` ``(n,)``, our index (or -1) of each id."""
+
+    raw = True
+
+    def __init__(self, place: np.ndarray) -> None:
+        self._place = np.append(place, -1).astype(np.int32)  # the last for ids beyond the table
+
+    def ids(self, semantic: np.ndarray | None, points: np.ndarray | None) -> np.ndarray:
+        """The ids ``(H, W)`` int32 of Habitat's `semantic` ``(H, W)``."""
+        assert semantic is not None
+        return self._place[np.minimum(semantic, len(self._place) - 1).astype(np.intp)]
+
+
+class BoxLabels:
+    """Labels by points: the smallest box that contains a point, -1 if none does."""
+
+    raw = False
+
+    def __init__(self, instances: Sequence[Instance]) -> None:
+        size = [float(np.prod(np.maximum(thing.high - thing.low, LOOSE))) for thing in instances]
+        self._order = np.argsort(size, kind="stable")
+        self._low = np.array([instances[k].low for k in self._order]).reshape(-1, 3) - LOOSE
+        self._high = np.array([instances[k].high for k in self._order]).reshape(-1, 3) + LOOSE
+
+    def ids(self, semantic: np.ndarray | None, points: np.ndarray | None) -> np.ndarray:
+        """The ids ``(H, W)`` int32 at `points` ``(H, W, 3)``, our world, NaN for no hit."""
+        assert points is not None
+        flat = points.reshape(-1, 3)
+        found = np.full(len(flat), -1, dtype=np.int32)
+        if len(self._order) == 0:
+            return found.reshape(points.shape[:-1])
+        for start in range(0, len(flat), step := max(1, _CHUNK // len(self._order))):
+            part = flat[start : start + step, None]
+            inside = np.all((part >= self._low) & (part <= self._high), axis=-1)
+            first = inside.argmax(axis=1)
+            hit = inside[np.arange(len(first)), first]
+            found[start : start + step] = np.where(hit, self._order[first], -1)
+        return found.reshape(points.shape[:-1])
+
+
+def things_of(sim: Any, scene_file: Path | None, boxes: Path | None, frames: Frames, look: Look) -> Things:
+    """The things of the scene that `sim` has opened; `look` finds extents where Habitat's are wrong.
+
+    Raises `WorldError` if it has none, or for a malformed file.
+    """
+    found = _objects(getattr(sim, "semantic_scene", None), frames)
+    rooms: tuple[Room, ...] = ()
+    file = boxes or beside(scene_file)
+    if file is not None:
+        instances, rooms = read_boxes(file, frames)
+        place = _same_things(found, instances)
+        if place is not None:
+            return Things(instances, rooms, IdLabels(place), f"ids of Habitat, names of {file.name}")
+        if boxes is not None or not found:
+            return Things(instances, rooms, BoxLabels(instances), f"boxes of {file.name}")
+    if found:
+        if from_the_origin([each.box for each in found]):
+            seen = look()
+            found = [each.repaired(seen[each.semantic_id], frames) for each in found if each.semantic_id in seen]
+        place = np.full(max(each.semantic_id for each in found) + 1, -1)
+        place[[each.semantic_id for each in found]] = np.arange(len(found))
+        instances = tuple(each.instance for each in found)
+        return Things(instances, _rooms(sim.semantic_scene, frames), IdLabels(place), "Habitat's semantic scene")
+    if scene_file is not None and scene_file.suffix.lower() in (".glb", ".gltf"):
+        instances = _nodes(scene_file, frames)
+        if instances:
+            return Things(instances, (), BoxLabels(instances), f"nodes of {scene_file.name}")
+    raise WorldError(
+        f"{scene_file or 'the scene'} names no things: it has no semantic annotations, its nodes have no names, and no "
+        "file of boxes lies beside it; give one: habitat:SCENE?boxes=FILE.json"
+    )
+
+
+def beside(scene_file: Path | None) -> Path | None:
+    """The file of boxes beside a scene's file, if there is one."""
+    if scene_file is None:
+        return None
+    stem = scene_file.name.split(".")[0]
+    places = (scene_file.with_name(f"{stem}.{kind}.json") for kind in ("boxes", "semantic"))
+    return next((place for place in places if place.is_file()), None)
+
+
+def read_boxes(file: Path, frames: Frames) -> tuple[tuple[Instance, ...], tuple[Room, ...]]:
+    """The instances and rooms in a file of boxes. Raises `WorldError` if it is missing or malformed."""
+    try:
+        known = parsed(file.read_bytes())
+        if known["format"] not in (FORMAT, BOXES):
+            raise ValueError(f"its format is {shown(known['format'])}")
+        ours = known["format"] == FORMAT
+        instances = []
+        for entry in known["instances" if ours else "boxes"]:
+            low, high = (np.array([number(value) for value in entry[end]]) for end in ("low", "high"))
+            if low.shape != (3,) or high.shape != (3,) or bool(np.any(low > high)):
+                raise ValueError(f"a box from {low.tolist()} to {high.tolist()}")
+            if ours:  # z up, but heights as in the file
+                low[2], high[2] = low[2] - frames.floor, high[2] - frames.floor
+            else:
+                low, high = frames.box_from_habitat(low, high)
+            colour = entry.get("colour")
+            if colour is not None and colour not in COLOURS:
+                raise ValueError(f"the colour {shown(colour)}, which is none of {', '.join(COLOURS)}")
+            instances.append(Instance(words_of(str(entry["category"])), colour, entry.get("room"), low, high))
+        rooms = tuple(
+            Room(str(room["name"]), str(room["kind"]), np.array(room["rectangles"], dtype=np.float64).reshape(-1, 4))
+            for room in (known.get("rooms", []) if ours else [])
+        )
+    except OSError as error:
+        raise WorldError(f"{file} cannot be read ({error.strerror}); wanted a file of boxes") from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise WorldError(
+            f"{file} cannot be used ({type(error).__name__}: {str(error)[:200]}); wanted what export_glb writes, or "
+            f'{{"format": "{BOXES}", "boxes": [{{"category", "low", "high"}}, ...]}}'
+        ) from error
+    return tuple(instances), rooms
+
+
+def words_of(category: str) -> str:
+    """A category in lower-case words, in our spelling."""
+    words = " ".join(category.replace("_", " ").replace("/", " ").lower().split())
+    return SYNONYMS.get(words, words)
+
+
+@dataclass(frozen=True, eq=False)
+class _Object:
+    """An object of Habitat's semantic scene."""
+
+    semantic_id: int
+    instance: Instance
+    box: Box  # in Habitat's world
+
+    def repaired(self, seen: Box, frames: Frames) -> _Object:
+        """The same with a box whose wrong sides are those of what was seen."""
+        low, high = frames.box_from_habitat(*repaired(self.box, seen))
+        return replace(self, instance=replace(self.instance, low=low, high=high))
+
+
+def _objects(semantic: Any, frames: Frames) -> list[_Object]:
+    """The named objects of a semantic scene that have an extent."""
+    found = []
+    for thing in getattr(semantic, "objects", None) or []:
+        if thing is None or thing.category is None:
+            continue
+        category, box = words_of(str(thing.category.name())), thing.aabb
+        low, high = np.array(box.min, dtype=np.float64), np.array(box.max, dtype=np.float64)
+        if category in UNNAMED or not np.isfinite([low, high]).all() or not (high > low).any():
+            continue
+        region = thing.region
+        room = None if region is None or _box(region) is None else str(region.id)
+        instance = Instance(category, None, room, *frames.box_from_habitat(low, high))
+        found.append(_Object(int(thing.semantic_id), instance, (low, high)))
+    return found
+
+
+def _box(region: Any) -> tuple[np.ndarray, np.ndarray] | None:
+    """The bounds of a region, None if it has none (in HM3D no region has)."""
+    low, high = np.array(region.aabb.min, dtype=np.float64), np.array(region.aabb.max, dtype=np.float64)
+    return (low, high) if np.isfinite([low, high]).all() and (high > low).all() else None
+
+
+def _rooms(semantic: Any, frames: Frames) -> tuple[Room, ...]:
+    """The regions that have bounds, as rooms of one rectangle each."""
+    found = []
+    for region in getattr(semantic, "regions", None) or []:
+        box = _box(region)
+        if box is not None:
+            low, high = frames.box_from_habitat(*box)
+            kind = words_of(str(region.category.name())) if region.category is not None else "room"
+            found.append(Room(str(region.id), kind, np.array([[*low[:2], *high[:2]]])))
+    return tuple(found)
+
+
+def _same_things(found: Sequence[_Object], instances: Sequence[Instance]) -> np.ndarray | None:
+    """The index among `instances` of each semantic id; None unless each of Habitat's objects is one of them.
+
+    Ids are those that we export, if the categories agree. Otherwise an object is the thing of the same category whose
+    box is nearest, at most 0.25 m off at any corner.
+    """
+    exported = {each.semantic_id: each.semantic_id - FIRST_ID for each in found}
+    place = exported if all(_is(one, instances, exported[one.semantic_id]) for one in found) else {}
+    for each in () if place else found:
+        off = {
+            index: float(
+                max(np.abs(thing.low - each.instance.low).max(), np.abs(thing.high - each.instance.high).max())
+            )
+            for index, thing in enumerate(instances)
+            if thing.category == each.instance.category
+        }
+        nearest = min(off, key=lambda index: off[index], default=None)
+        if nearest is None or off[nearest] > 0.25:
+            return None
+        place[each.semantic_id] = nearest
+    if not place:
+        return None
+    table = np.full(max(place) + 1, -1)
+    table[list(place)] = list(place.values())
+    return table
+
+
+def _is(one: _Object, instances: Sequence[Instance], index: int) -> bool:
+    return 0 <= index < len(instances) and instances[index].category == one.instance.category
+
+
+def _nodes(file: Path, frames: Frames) -> tuple[Instance, ...]:
+    """The nodes of a GLB file with a name that says something. Its coordinates are Habitat's if it has Y up."""
+    from eagor.worlds.glb import import_glb
+
+    lift = np.array([0.0, 0.0, frames.floor])
+    return tuple(
+        Instance(thing.category, thing.colour, None, thing.low - lift, thing.high - lift)
+        for thing in import_glb(file).instances
+        if thing.category not in UNNAMED
+    )

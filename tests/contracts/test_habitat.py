@@ -1,0 +1,276 @@
+"""The Habitat world with Habitat-Sim itself. Skipped where it is not installed: it is on no registry."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from rooms import two_rooms
+
+import eagor.tasks
+from eagor import worlds
+from eagor.conventions import from_gltf
+from eagor.errors import WorldError
+from eagor.sphere import world_R_body
+from eagor.tasks.checking import check_task
+from eagor.tasks.places import load_place
+from eagor.tasks.rules import WaypointRules
+from eagor.tasks.task import load as load_task
+from eagor.worlds.checking import check_world
+from eagor.worlds.glb import export_glb
+from eagor.worlds.ground import Ground
+from eagor.worlds.habitat import probe
+from eagor.worlds.habitat.sessions import close_all
+from eagor.worlds.render import Renderer
+
+pytestmark = [
+    pytest.mark.habitat,
+    pytest.mark.skipif(find_spec("habitat_sim") is None, reason=f"Habitat-Sim is not installed; {probe.HOW_TO_GET}"),
+    pytest.mark.filterwarnings("default::DeprecationWarning"),  # its own, and those of its bindings
+]
+HERE = (2.0, 2.9, 1.25)
+SHORT = {"navigation": (), "waypoint": ("--set", "leg_steps=6"), "tracking": ("--set", "steps=12")}
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory):
+    """The little flat of boxes as a GLB file with ids, as Habitat reads them from HM3D."""
+    yield export_glb(two_rooms(), tmp_path_factory.mktemp("flat") / "flat.glb", annotated=True)
+    close_all()
+
+
+@pytest.fixture(scope="module")
+def bare(flat, tmp_path_factory):
+    """The same without anything but its axes: names come from nodes, ids from boxes."""
+    file = tmp_path_factory.mktemp("bare") / "flat.glb"
+    file.write_bytes(flat.read_bytes())
+    stage = {"render_asset": file.name, "up": [0, 1, 0], "front": [0, 0, -1], "shader_type": "flat"}
+    file.with_suffix(".stage_config.json").write_text(json.dumps(stage))
+    return file
+
+
+@pytest.mark.parametrize("which", ["flat", "bare"])
+def test_the_world_keeps_the_contract_of_worlds(which, request):
+    check_world(worlds.load(f"habitat:{request.getfixturevalue(which)}"), 1)
+
+
+@pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (0.7, 0.0, 0.0), (-2.0, 0.4, 0.3)])
+def test_an_exported_flat_is_seen_as_ours(flat, pose):
+    scene, ours = worlds.load(f"habitat:{flat}")(0), two_rooms()
+    assert scene.facts["things"].startswith("ids of Habitat")
+    assert scene.frames.floor == 0.0
+    for mine, thing in zip(scene.instances, ours.instances, strict=True):
+        assert (mine.category, mine.colour, mine.room) == (thing.category, thing.colour, thing.room)
+        np.testing.assert_allclose([mine.low, mine.high], [thing.low, thing.high], atol=1e-5)
+    pose = world_R_body(*pose)
+    mine, truth = (view.panorama(HERE, pose, 128) for view in (scene.view(), Renderer(ours)))
+    assert mine.rgb.shape == (128, 256, 3)
+    gap = np.abs(mine.range - truth.range) / truth.range
+    assert np.median(gap) < 0.01
+    assert (mine.ids == truth.ids).mean() > 0.98
+    red = [k for k, thing in enumerate(ours.instances) if thing.name == "red chair"]
+    shown = mine.rgb[np.isin(mine.ids, red)].mean(axis=0)
+    assert shown[0] > 2 * shown[1], "the red chair is red"
+
+
+def test_boxes_tell_the_things_apart_where_there_are_no_ids(flat, bare):
+    ours, ids = two_rooms(), worlds.load(f"habitat:{bare}")(0)
+    assert ids.facts["things"] == "nodes of flat.glb"
+    mine, truth = (view.panorama(HERE, np.eye(3), 128) for view in (ids.view(), Renderer(ours)))
+    names = np.array([*(thing.category for thing in ids.instances), "nothing"])
+    true = np.array([*(thing.category for thing in ours.instances), "nothing"])
+    assert (names[mine.ids] == true[truth.ids]).mean() > 0.95
+
+
+def test_its_ground_agrees_with_our_plan(flat):
+    mesh, plan = load_place(f"habitat:{flat}", 0, 0.18).ground, Ground.from_scene(two_rooms(), radius=0.18)
+    rng, gaps = np.random.default_rng(4), []
+    for _ in range(40):
+        one, other = mesh.sample(rng, 0.3), mesh.sample(rng, 0.3)
+        assert mesh.is_free(one)
+        assert mesh.height(one) == 0.0
+        near, way = plan.snap(one, 0.1), float(mesh.field(one).distance(other))
+        if near is not None and plan.is_free(other):
+            gaps.append(float(plan.field(near).distance(other)) - way)
+        path = mesh.path(one, other)
+        np.testing.assert_array_equal([path[0], path[-1]], [one, other])
+        assert float(np.hypot(*np.diff(path, axis=0).T).sum()) == pytest.approx(way, abs=0.02)
+    assert np.abs(gaps).mean() < 0.05
+    assert mesh.is_free(np.array([[np.nan, 0.0], [-5.0, 2.0], [4.0, 1.0]])).tolist() == [False] * 3
+    assert float(mesh.field([2.0, 2.9]).distance([-5.0, 2.0])) == math.inf
+    assert mesh.snap(np.array([np.nan, 0.0])) is None
+    area = float(mesh.free.sum()) * mesh.cell**2
+    ours = float(plan.free.sum()) * plan.cell**2
+    assert 0.8 * ours < area < ours, "not the roof, which is larger; radii are rounded up to voxels"
+
+
+def test_steps_stop_at_walls_or_slide(flat):
+    ground = load_place(f"habitat:{flat}", 0, 0.18).ground
+    free, stopped = ground.move(np.array([2.0, 2.9]), np.array([0.2, 0.1]), slide=False)
+    assert not stopped
+    np.testing.assert_array_equal(free, [2.2, 3.0])
+    for slide in (False, True):
+        end, stopped = ground.move(np.array([2.5, 0.5]), np.array([0.3, -0.5]), slide=slide)
+        assert stopped
+        assert ground.is_free(end)
+        assert 0.1 < end[1] < 0.3, "the outer wall"
+        assert (end[0] > 2.75) == slide
+    with pytest.raises(WorldError, match="not on the navigation mesh"):
+        ground.move(np.array([-5.0, 2.0]), np.array([0.1, 0.0]))
+    with pytest.raises(WorldError, match="no path from"):
+        ground.path(np.array([2.0, 2.9]), np.array([-5.0, 2.0]))
+
+
+def test_an_island_out_of_reach_has_no_path(tmp_path):
+    """The doorway is bricked up: the larger room is the ground, and nothing leads to the other."""
+    scene = two_rooms()
+    vertices = scene.vertices.copy()
+    lintel = (vertices[:, 0] > 3.9) & (vertices[:, 0] < 4.1) & (np.abs(vertices[:, 2] - 2.1) < 0.01)
+    vertices[lintel, 2] = 0.0
+    file = export_glb(replace(scene, vertices=vertices), tmp_path / "shut.glb")
+    ground = load_place(f"habitat:{file}", 0, 0.18).ground
+    inside, outside = (np.array([x, 2.9]) for x in ((2.0, 6.0) if ground.is_free([2.0, 2.9]) else (6.0, 2.0)))
+    assert ground.is_free(inside)
+    assert not ground.is_free(outside)
+    assert float(ground.field(inside).distance(outside)) == math.inf
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"), [("waypoint", {"leg_steps": 5}), ("navigation", {}), ("tracking", {"steps": 12})]
+)
+def test_our_tasks_keep_their_contract_in_it(flat, name, settings):
+    found = check_task(load_task(name), f"habitat:{flat}", seed=2, settings=settings)
+    assert found["success" if name == "navigation" else load_task(name).headline] == (
+        1.0 if name == "navigation" else 0
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("MapFreeNavigation", {"with_range": True}),
+        ("WaypointFollowing", {"rules": WaypointRules(leg_steps=6)}),
+        ("TargetTracking", {}),
+    ],
+)
+def test_gymnasiums_checker_passes(flat, name, settings):
+    eagor.tasks.register()
+    env = gymnasium.make(
+        f"Eagor/{name}-v0", disable_env_checker=True, world=f"habitat:{flat}", panorama=16, render_mode="rgb_array",
+        **settings,
+    )  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*(minimum|maximum) value is .*infinity.*")
+        warnings.filterwarnings("ignore", message=".*symmetric and normalized space.*")
+        check_env(env.unwrapped, skip_render_check=False)
+
+
+def test_a_bare_glb_on_its_side_is_told_and_put_upright(flat, tmp_path):
+    bare = tmp_path / "flat.glb"
+    bare.write_bytes(flat.read_bytes())
+    with pytest.raises(WorldError, match=r"lie on its side|right way up"):
+        worlds.load(f"habitat:{bare}")(0)
+    check_world(worlds.load(f"habitat:{bare}?up=y"), 0)
+
+
+def lifted(metres):
+    """The flat, this much higher."""
+    scene, up = two_rooms(), np.array([0.0, 0.0, metres])
+    instances = tuple(replace(thing, low=thing.low + up, high=thing.high + up) for thing in scene.instances)
+    return replace(scene, vertices=scene.vertices + up.astype(np.float32), instances=instances)
+
+
+def test_the_floor_of_the_storey_is_at_z_0(tmp_path):
+    file = export_glb(lifted(2.8), tmp_path / "upstairs.glb", annotated=True)
+    world = worlds.load(f"habitat:{file}")
+    check_world(world, 1)
+    assert world(0).zero == pytest.approx(2.8, abs=0.02)
+    assert world(0).instances[-1].low[2] == pytest.approx(0.0, abs=0.02)
+
+
+def test_files_as_of_hm3d_need_nothing_else(tmp_path):
+    """z up, ids beside under HM3D's names, no configuration."""
+    scene = two_rooms()
+    vertices = from_gltf(scene.vertices)  # so that the file holds our own coordinates: z up
+    file = export_glb(replace(scene, vertices=vertices), tmp_path / "flat.glb", annotated=True)
+    for kind in ("stage_config", "semantic", "navmesh"):
+        file.with_suffix(f".{kind}.json").unlink()
+    file = file.rename(tmp_path / "flat.basis.glb")
+    world = worlds.load(f"habitat:{file}")
+    check_world(world, 1)
+    assert world(0).facts["things"] == "Habitat's semantic scene"
+    found = {thing.category: thing for thing in world(0).instances}
+    sofa = next(thing for thing in scene.instances if thing.category == "sofa")
+    np.testing.assert_allclose([found["sofa"].low, found["sofa"].high], [sofa.low, sofa.high], atol=0.03)
+
+
+def test_a_mesh_of_another_scene_is_told(flat, tmp_path):
+    upstairs = load_place(f"habitat:{export_glb(lifted(1.5), tmp_path / 'upstairs.glb')}", 0, 0.18)
+    upstairs.ground.pathfinder.save_nav_mesh(str(tmp_path / "upstairs.navmesh"))
+    with pytest.raises(WorldError, match="no floor within"):
+        worlds.load(f"habitat:{flat}?navmesh={tmp_path / 'upstairs.navmesh'}")(0)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"), [(b"glTF" + bytes(40), "cannot open the scene"), (b"no scene", "cannot open the scene")]
+)
+def test_a_damaged_scene_is_told_in_one_sentence(tmp_path, content, says):
+    file = tmp_path / "broken.glb"
+    file.write_bytes(content)
+    with pytest.raises(WorldError, match=says) as raised:
+        worlds.load(f"habitat:{file}")(0)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_damaged_navigation_mesh_is_told(flat, tmp_path):
+    (tmp_path / "broken.navmesh").write_bytes(b"nothing")
+    with pytest.raises(WorldError, match=r"broken\.navmesh is no navigation mesh"):
+        worlds.load(f"habitat:{flat}?navmesh={tmp_path / 'broken.navmesh'}")(0)
+
+
+@pytest.mark.skipif(Path("/dev/nvidia0").exists(), reason="there is such a card here")
+def test_a_cuda_device_that_is_not_there_does_not_end_the_process(flat):
+    with pytest.raises(WorldError, match=r"cannot draw on GPU 0 .*gpu=-1") as raised:
+        worlds.load(f"habitat:{flat}?gpu=0")(0)
+    assert "\n" not in str(raised.value)
+
+
+def run(*arguments, cwd):
+    return subprocess.run(
+        [sys.executable, "-m", "eagor", *arguments], cwd=cwd, capture_output=True, text=True, timeout=600,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "NO_COLOR": "1"},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("task", SHORT)
+def test_a_run_in_it_ends_with_records_and_a_report(flat, tmp_path, task):
+    done = run(
+        "bench", "run", task, "--world", f"habitat:{flat}", "--perception", "truth", "--methods", "eagor",
+        "--episodes", "2", "--seed", "0", "--workers", "2", "--out", "there", *SHORT[task], cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "Renderer" not in done.stdout, "stdout is for results"
+    config = json.loads((tmp_path / "there" / "run.json").read_text())
+    assert config["world"] == f"habitat:{flat}"
+
+
+def test_what_cannot_be_opened_ends_a_run_before_it_begins(flat, tmp_path):
+    for world, says in (
+        ("habitat:nowhere.glb", "is missing"),
+        (f"habitat:{flat}?storey=9", "no storey at the height 9 m"),
+        (f"habitat:{flat}?gpu=7", "cannot draw on GPU 7"),
+    ):
+        done = run("bench", "run", "navigation", "--world", world, "--perception", "truth", "--out", "no", cwd=tmp_path)
+        assert (done.returncode, says in done.stderr) == (2, True), done.stderr
+        assert not (tmp_path / "no").exists()

@@ -1,0 +1,228 @@
+"""The Habitat world against a stand-in for Habitat-Sim: frames, depth, names, errors. It runs everywhere."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+
+import numpy as np
+import pytest
+from habitat_stand_in import Simulator, magnum, stand_in
+from rooms import two_rooms
+
+from eagor import worlds
+from eagor.errors import EagorError, MissingExtraError, WorldError
+from eagor.grids import ErpGrid
+from eagor.sphere import world_R_body
+from eagor.tasks.checking import check_task
+from eagor.tasks.places import load_place
+from eagor.tasks.task import load as load_task
+from eagor.worlds.checking import check_world
+from eagor.worlds.glb import export_glb
+from eagor.worlds.ground import Ground
+from eagor.worlds.habitat import probe, sessions, world
+from eagor.worlds.habitat.frames import Frames
+from eagor.worlds.habitat.options import parse
+from eagor.worlds.habitat.view import euclidean
+from eagor.worlds.render import Renderer
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory):
+    """The little flat of boxes as a GLB file with its companions."""
+    return export_glb(two_rooms(), tmp_path_factory.mktemp("flat") / "flat.glb")
+
+
+@pytest.fixture(autouse=True)
+def habitat(monkeypatch):
+    monkeypatch.setitem(sys.modules, "habitat_sim", stand_in())
+    monkeypatch.setitem(sys.modules, "magnum", magnum())
+    monkeypatch.delenv("EAGOR_HABITAT_GPU", raising=False)
+    monkeypatch.setattr(sessions, "device_for", lambda scene, dataset, gpu, name: -1)
+    yield
+    sessions.close_all()
+    world.open_scene.cache_clear()
+    world._ground.cache_clear()
+    load_place.cache_clear()
+    assert Simulator.opened == 0
+
+
+def test_an_exported_flat_comes_back_in_its_own_coordinates(flat):
+    scene, ours = worlds.load(f"habitat:{flat}")(0), two_rooms()
+    assert isinstance(scene, worlds.SimulatedScene)
+    assert scene.frames.floor == 0.0
+    for mine, thing in zip(scene.instances, ours.instances, strict=True):
+        assert (mine.category, mine.colour, mine.room) == (thing.category, thing.colour, thing.room)
+        np.testing.assert_allclose([mine.low, mine.high], [thing.low, thing.high], atol=1e-5)
+    view, renderer = scene.view(), Renderer(ours)
+    for pose in (world_R_body(0.0), world_R_body(0.7), world_R_body(-2.0, 0.4, 0.3)):
+        mine, truth = (each.panorama((2.0, 2.9, 1.25), pose, 32, rgb=False) for each in (view, renderer))
+        assert np.median(np.abs(mine.range - truth.range)) < 1e-4
+        assert (mine.ids == truth.ids).mean() > 0.97, "boxes touch each other, and edges differ by rounding"
+
+
+def test_the_world_keeps_the_contract_of_worlds(flat):
+    check_world(worlds.load(f"habitat:{flat}"), 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"), [("waypoint", {"leg_steps": 5}), ("navigation", {}), ("tracking", {"steps": 12})]
+)
+def test_our_tasks_keep_their_contract_in_it(flat, name, settings):
+    found = check_task(load_task(name), f"habitat:{flat}", seed=2, settings=settings)
+    assert found["success" if name == "navigation" else load_task(name).headline] == (
+        1.0 if name == "navigation" else 0
+    )
+
+
+def test_its_ground_is_that_of_the_navigation_mesh(flat):
+    mesh, plan = load_place(f"habitat:{flat}", 0, 0.18).ground, Ground.from_scene(two_rooms(), radius=0.18)
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        one, other = mesh.sample(rng), mesh.sample(rng)
+        assert mesh.is_free(one)
+        way = float(mesh.field(one).distance(other))
+        assert way == pytest.approx(float(plan.field(one).distance(other)), rel=0.03, abs=0.03)
+        path = mesh.path(one, other)
+        np.testing.assert_array_equal([path[0], path[-1]], [one, other])
+    assert mesh.is_free(np.array([[np.nan, 0.0], [-5.0, 2.0], [4.0, 1.0]])).tolist() == [False] * 3
+    assert float(mesh.field([2.0, 2.9]).distance([-5.0, 2.0])) == math.inf
+    assert mesh.snap(np.array([np.nan, 0.0])) is None
+    assert mesh.is_free(mesh.snap(np.array([-1.0, 2.0])))
+    with pytest.raises(WorldError, match="not on the navigation mesh"):
+        mesh.move(np.array([-5.0, 2.0]), np.array([0.1, 0.0]))
+    with pytest.raises(WorldError, match="no path from"):
+        mesh.path(np.array([2.0, 2.9]), np.array([-5.0, 2.0]))
+    near, stopped = mesh.move(np.array([3.0, 2.9]), np.array([0.25, 0.0]), slide=False)
+    assert not stopped
+    np.testing.assert_array_equal(near, [3.25, 2.9])
+    assert mesh.move(np.array([0.3, 2.9]), np.array([-0.25, 0.0]), slide=False)[1]
+
+
+def test_depth_along_the_axes_of_a_cube_becomes_range():
+    # A cube of side 4 around the camera: its depth along the axis of the face is 2 everywhere.
+    found = euclidean(np.full((64, 128), 2.0, dtype=np.float32))
+    points = ErpGrid(64, 128).directions * found[..., None]
+    np.testing.assert_allclose(np.abs(points).max(axis=-1), 2.0, rtol=1e-6)
+    assert found.max() > 3.3, "the corners are sqrt(3) times as far away"
+    assert np.isinf(euclidean(np.zeros((4, 8), dtype=np.float32))).all(), "0 is no hit"
+
+
+def test_frames_are_those_of_exported_files():
+    frames = Frames(2.8)
+    np.testing.assert_allclose(frames.to_habitat(np.array([1.0, 2.0, 3.0])), [1.0, 5.8, -2.0])
+    np.testing.assert_allclose(frames.from_habitat(np.array([1.0, 5.8, -2.0])), [1.0, 2.0, 3.0])
+    low, high = frames.box_from_habitat(np.array([0.0, 3.0, -4.0]), np.array([1.0, 4.0, -2.0]))
+    np.testing.assert_allclose([low, high], [[0, 2, 0.2], [1, 4, 1.2]])
+    # Habitat's identity looks along -z, which is our +y; a turn to the left is one about its y, too.
+    np.testing.assert_allclose(frames.quaternion(world_R_body(math.pi / 2)), [1, 0, 0, 0], atol=1e-12)
+    w, x, y, z = frames.quaternion(world_R_body(math.pi / 2 + 0.2))
+    assert (w, y) == (pytest.approx(math.cos(0.1)), pytest.approx(math.sin(0.1)))
+    assert x == pytest.approx(0, abs=1e-12)
+    assert z == pytest.approx(0, abs=1e-12)
+
+
+def test_things_are_named_by_a_file_of_boxes_or_by_nodes(flat, tmp_path):
+    bare = tmp_path / "flat.glb"
+    bare.write_bytes(flat.read_bytes())
+    stage = json.loads(flat.with_suffix(".stage_config.json").read_text())
+    bare.with_suffix(".stage_config.json").write_text(json.dumps(stage))
+    named = worlds.load(f"habitat:{bare}")(0)
+    assert named.facts["things"] == "nodes of flat.glb"
+    assert "chair" in {thing.category for thing in named.instances}
+    boxes = tmp_path / "mine.json"
+    box = {"category": "Red_Chair", "low": [1.2, 0.0, -4.35], "high": [1.65, 0.9, -3.9]}
+    boxes.write_text(json.dumps({"format": "eagor boxes 1", "boxes": [box | {"colour": "red"}]}))
+    (thing,) = worlds.load(f"habitat:{bare}?boxes={boxes}")(0).instances
+    assert (thing.category, thing.colour) == ("red chair", "red")
+    np.testing.assert_allclose([thing.low, thing.high], [[1.2, 3.9, 0], [1.65, 4.35, 0.9]])
+    boxes.write_text(json.dumps({"format": "eagor boxes 1", "boxes": [box | {"high": [0, 0, 0]}]}))
+    world.open_scene.cache_clear()
+    with pytest.raises(WorldError, match="cannot be used"):
+        worlds.load(f"habitat:{bare}?boxes={boxes}")(0)
+
+
+def test_a_scene_on_its_side_is_found_and_put_upright(flat, tmp_path):
+    bare = tmp_path / "flat.glb"
+    bare.write_bytes(flat.read_bytes())
+    bare.with_suffix(".semantic.json").write_bytes(flat.with_suffix(".semantic.json").read_bytes())
+    with pytest.raises(WorldError, match=r"lie on its side|right way up"):
+        worlds.load(f"habitat:{bare}")(0)
+    check_world(worlds.load(f"habitat:{bare}?up=y"), 0)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "wants habitat:SCENE"),
+        ("nowhere.glb", "the scene 'nowhere.glb' is missing"),
+        ("nowhere.glb?dataset=none.json", "configuration 'none.json' is missing"),
+        ("x.glb?colour=red", r"has the option 'colour=red'; wanted dataset=\.\.\., storey"),
+        ("x.glb?storey=high", "storey = 'high'; wanted a number"),
+        ("x.glb?storey=inf", "wanted finite metres"),
+        ("x.glb?up=x", "wanted y or z"),
+    ],
+)
+def test_what_cannot_be_opened_is_said_in_one_sentence(text, says):
+    with pytest.raises(WorldError, match=says) as raised:
+        worlds.load(f"habitat:{text}")(0)
+    assert "\n" not in str(raised.value)
+
+
+def test_options_are_read_from_the_name():
+    found = parse("/data/a b.glb?storey=2.9&gpu=-1&up=z")
+    assert (found.scene, found.storey, found.gpu, found.up) == ("/data/a b.glb", 2.9, -1, "z")
+
+
+def test_a_storey_that_is_not_there_is_named(flat):
+    with pytest.raises(WorldError, match=r"no storey at the height 9 m; it has some at 0\.\d m"):
+        worlds.load(f"habitat:{flat}?storey=9")(0)
+
+
+def test_other_worlds_take_no_argument():
+    with pytest.raises(WorldError, match="takes no argument"):
+        worlds.load("apartment:17")
+
+
+def test_a_closed_simulator_opens_again(flat):
+    scene = worlds.load(f"habitat:{flat}")(0)
+    before = scene.view().panorama((2.0, 2.9, 1.25), np.eye(3), 16).range
+    scene.session.close()
+    assert Simulator.opened == 0
+    np.testing.assert_array_equal(scene.view().panorama((2.0, 2.9, 1.25), np.eye(3), 16).range, before)
+
+
+# --- the probe ---
+
+
+def test_without_habitat_sim_the_error_says_how_to_get_it(monkeypatch):
+    monkeypatch.delitem(sys.modules, "habitat_sim")
+    monkeypatch.setattr(probe, "find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match=r"needs Habitat-Sim .* aihabitat .* from the sources"):
+        probe.device_for("scene.glb", "default")
+
+
+@pytest.mark.parametrize(
+    ("module", "device", "says"),
+    [
+        ("raise ImportError('numpy is too old')", -1, r"cannot be imported \(ImportError: numpy is too old\)"),
+        ("import os, sys; print('no EGL devices', file=sys.stderr)\ndef __getattr__(name): os._exit(1)", -1,
+         r"cannot draw on the CPU \(no EGL devices\): it needs EGL"),
+        ("import os, sys; print('unable to find CUDA device', file=sys.stderr)\ndef __getattr__(name): os._exit(1)", 3,
+         r"cannot draw on GPU 3 \(unable to find CUDA device\)"),
+    ],
+)  # fmt: skip
+def test_the_probe_tells_why_a_process_ended(monkeypatch, tmp_path, module, device, says):
+    (tmp_path / "habitat_sim.py").write_text(module)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delenv(probe.PROBED, raising=False)
+    with pytest.raises(EagorError, match=says) as raised:
+        probe.device_for("scene.glb", "default", device)
+    assert "\n" not in str(raised.value)
+
+
+def test_the_device_comes_from_the_environment(monkeypatch):
+    monkeypatch.setenv("EAGOR_HABITAT_GPU", "first")
+    with pytest.raises(WorldError, match="wanted the number of a GPU"):
+        probe.device_for("scene.glb", "default")

@@ -1,0 +1,72 @@
+"""`eagor export`: what the commands print, and that what they write is what was named."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from listed_rooms import room
+
+from eagor.cli import main
+from eagor.cli.export import sources_of
+from eagor.tasks.carrier import Carrier
+from eagor.tasks.rules import Camera, Disturbances
+from eagor.worlds.glb import export_glb, import_glb
+from eagor.worlds.objectnav import read_episodes
+
+
+def test_a_dataset_is_announced_as_it_is(tmp_path, capsys):
+    path = export_glb(room(), tmp_path / "my kitchen (2).glb")
+    words = ["export", "habitat", str(path), "--out", str(tmp_path / "data"), "--episodes", "2", "--json"]
+    assert main([*words, "--categories", "bed", "--name", "hm3d"]) == 0
+    out, err = capsys.readouterr()
+    said = json.loads(out)
+    assert "eagor: glb my kitchen (2).glb: 8 instances, 1 goals with" in err
+    assert "habitat_sim is not installed here" in err or said["meshes"]
+    (scene,) = said["scenes"]
+    assert scene["scene"] == str(tmp_path / "data/scene_datasets/hm3d/val/10000-my_kitchen_2_/my_kitchen_2_.glb")
+    assert (scene["instances"], scene["goals"], scene["episodes"]) == (8, 1, 2)
+    (read,) = read_episodes(said["episodes_file"])
+    assert [each.category for each in read.episodes] == ["bed", "bed"]
+    assert json.loads(Path(said["config"]).read_text())["stages"]["paths"][".glb"] == [
+        "val/10000-my_kitchen_2_/my_kitchen_2_.glb"
+    ]
+
+
+def test_a_radius_is_that_of_starts_and_of_the_mesh(tmp_path):
+    path = export_glb(room(), tmp_path / "room.glb")
+    words = ["export", "habitat", str(path), "--out", str(tmp_path / "data"), "--episodes", "1", "--radius", "0.3"]
+    assert main(words) == 0
+    (read,) = read_episodes(tmp_path / "data/datasets/objectnav/eagor/v1/val/val.json.gz")
+    assert read.episodes[0].origin.radius == 0.3
+    (settings,) = (tmp_path / "data").rglob("*.navmesh.json")
+    assert json.loads(settings.read_text())["agent_radius"] == 0.3
+
+
+def test_glb_files_come_back_as_they_were(tmp_path, capsys):
+    scene = room()
+    path = export_glb(scene, tmp_path / "room.glb")
+    assert main(["export", "glb", str(path), "--out", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'out' / 'room.glb'}: glb room.glb, 8 instances\n"
+    back = import_glb(tmp_path / "out" / "room.glb")
+    assert [thing.name for thing in back.instances] == [thing.name for thing in scene.instances]
+    assert np.allclose(back.bounds, scene.bounds)
+    assert main(["export", "glb", str(path), "--out", str(tmp_path / "more"), "--json"]) == 0
+    (said,) = json.loads(capsys.readouterr().out)["scenes"]
+    assert said["instances"] == 8
+    assert (tmp_path / "more/room.glb").read_bytes() == (tmp_path / "out/room.glb").read_bytes()
+
+
+def test_seeds_are_written_as_ranges_and_counted_once():
+    found = sources_of(("0-2,7", "5", "2-3", "7"))
+    assert [(each.number, each.name) for each in found] == [
+        (seed, f"apartment{seed:04d}") for seed in (0, 1, 2, 7, 5, 3)
+    ]
+
+
+def test_a_path_over_steps_is_as_long_as_in_space():
+    """habitat-lab sums the moves of the feet in three dimensions."""
+    body = Carrier(Camera(), Disturbances(), np.random.default_rng(0), np.zeros(2), 0.0)
+    body.move(np.array([3.0, 0.0]), 0.0, 4.0)
+    assert body.walked == 5.0
+    body.move(np.array([3.0, 0.0]), 1.0, 4.0)
+    assert body.walked == 5.0

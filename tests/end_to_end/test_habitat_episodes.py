@@ -1,0 +1,103 @@
+"""The whole command on an exported folder, in Habitat: with a stand-in for Habitat-Sim, which runs everywhere."""
+
+import sys
+
+import numpy as np
+import pytest
+from habitat_stand_in import Simulator, magnum, stand_in
+from listed_rooms import exported, rewrite
+
+from eagor.cli import main
+from eagor.evaluation import ledger
+from eagor.tasks.listed import listed_slots
+from eagor.tasks.places import load_place
+from eagor.worlds.habitat import sessions, world
+
+
+@pytest.fixture(autouse=True)
+def habitat(monkeypatch):
+    monkeypatch.setitem(sys.modules, "habitat_sim", stand_in())
+    monkeypatch.setitem(sys.modules, "magnum", magnum())
+    monkeypatch.delenv("EAGOR_HABITAT_GPU", raising=False)
+    monkeypatch.setattr(sessions, "device_for", lambda scene, dataset, gpu: -1)
+    yield
+    sessions.close_all()
+    world.open_scene.cache_clear()
+    world._ground.cache_clear()
+    load_place.cache_clear()
+    assert Simulator.opened == 0
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    """Exported where there is no Habitat-Sim: no meshes."""
+    return exported(tmp_path_factory.mktemp("data"), episodes=2, names=("room", "other"))
+
+
+def bench(file, out, *more):
+    words = ["bench", "run", "navigation", "--perception", "truth", "--methods", "oracle", "--set", "max_steps=80"]
+    return [str(word) for word in (*words, "--episodes-file", file, "--out", out, *more)]
+
+
+def test_the_same_episodes_are_played_in_both_worlds(file, tmp_path, capsys):
+    assert main(bench(file, tmp_path / "ours")) == 0
+    assert main(bench(file, tmp_path / "there", "--world", "habitat")) == 0
+    assert "4 episodes" in capsys.readouterr().out
+    ours, there = (ledger.read(tmp_path / name) for name in ("ours", "there"))
+    assert [record["key"] for record in ours] == [record["key"] for record in there]
+    for mine, theirs in zip(ours, there, strict=True):
+        assert theirs["episode"]["scene"].startswith("habitat ")
+        assert mine["episode"]["query"] == theirs["episode"]["query"] == "chair"
+        for key in ("start", "yaw", "shortest"):
+            assert theirs["episode"][key] == pytest.approx(mine["episode"][key], abs=0.05), key
+        found, wanted = (record["methods"]["oracle"] for record in (theirs, mine))
+        assert found["metrics"]["success"] == wanted["metrics"]["success"]
+        assert found["trace"]["true_azimuth_deg"][0] == pytest.approx(wanted["trace"]["true_azimuth_deg"][0], abs=0.1)
+        assert found["trace"]["true_range_m"][0] == pytest.approx(wanted["trace"]["true_range_m"][0], abs=0.01)
+        assert np.allclose(found["path"][0], wanted["path"][0], atol=1e-6)
+
+
+def test_one_scene_may_be_named(file, tmp_path, capsys):
+    (_, second) = dict.fromkeys(slot.world for slot in listed_slots("navigation", file, None, "habitat", None))
+    assert main(bench(file, tmp_path / "run", "--world", second)) == 2
+    assert "has episodes in 2 scenes, but --world habitat:" in capsys.readouterr().err
+    one = file.parent / "content" / "room.json.gz"
+    assert main(bench(one, tmp_path / "run", "--world", second)) == 0
+    assert main(bench(one, tmp_path / "all", "--world", "habitat", "--scenes", file.parents[5] / "scene_datasets")) == 0
+    for mine, theirs in zip(ledger.read(tmp_path / "run"), ledger.read(tmp_path / "all"), strict=True):
+        assert mine["methods"]["oracle"]["path"] == theirs["methods"]["oracle"]["path"]
+
+
+def test_episodes_of_others_are_played_there(tmp_path, capsys):
+    """Without our own entry in `info`, as in HM3D."""
+    file = exported(tmp_path, episodes=2)
+
+    def strange(found):
+        for episode in found["episodes"]:
+            del episode["info"]["eagor"]
+
+    rewrite(file, strange)
+    assert main(bench(file, tmp_path / "run", "--world", "habitat")) == 0
+    assert "2 episodes" in capsys.readouterr().out
+
+
+def test_a_start_off_the_mesh_costs_its_episode_alone(tmp_path, capsys):
+    file = exported(tmp_path, episodes=2)
+    rewrite(file, lambda found: found["episodes"][0].update(start_position=[4.0, 0.0, -3.0]))
+    assert main(bench(file, tmp_path / "run", "--world", "habitat")) == 3
+    assert "not on free ground" in capsys.readouterr().err
+
+
+def test_a_scene_that_is_incomplete_costs_its_episodes_alone(tmp_path, capsys):
+    file = exported(tmp_path, episodes=2, names=("room", "other"))
+    (tmp_path / "data/scene_datasets/eagor/val/00000-room/room.glb").unlink()
+    assert main(bench(file, tmp_path / "run", "--world", "habitat")) == 3
+    assert "2 episodes; 2 could not be run" in capsys.readouterr().out
+
+
+def test_without_the_simulator_nothing_is_begun(file, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "habitat_sim", None)
+    world.open_scene.cache_clear()
+    assert main(bench(file, tmp_path / "run", "--world", "habitat")) == 2
+    assert "Habitat-Sim" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()

@@ -1,0 +1,293 @@
+"""Navigation over the episodes of a file, in our own world: what is played, how it is judged, what is said about it."""
+
+import gzip
+import json
+
+import numpy as np
+import pytest
+from listed_rooms import content, exported, rewrite
+
+from eagor import metrics
+from eagor.cli import main
+from eagor.conventions import from_gltf
+from eagor.errors import WorldError
+from eagor.evaluation import ledger, studies
+from eagor.tasks.listed import Listed, listed_slots, slot_of
+from eagor.tasks.listed_episode import plan, way_to_goal
+from eagor.tasks.places import load_place
+from eagor.tasks.play import Player
+from eagor.tasks.rules import Camera, NavigationRules
+from eagor.worlds.objectnav import read_episodes
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    return exported(tmp_path_factory.mktemp("listed"), episodes=5, names=("room", "other"))
+
+
+@pytest.fixture(scope="module")
+def run(file, tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "run"
+    words = ["bench", "run", "navigation", "--perception", "truth", "--methods", "oracle", "eagor", "--out", str(out),
+             "--episodes-file", str(file), "--episodes", "6", "--set", "max_steps=60"]  # fmt: skip
+    assert main(words) == 0
+    return out, words
+
+
+def test_a_run_plays_some_episodes_of_each_scene_and_says_how_they_were_judged(run, capsys):
+    out, words = run
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "Map-Free Navigation: 6 episodes" in said
+    assert "success: less than 0.1 m along the floor from a view point of the goal" in said
+    assert "without sliding" in said
+    records = ledger.read(out)
+    assert [record["key"] for record in records if record["key"].endswith("oracle")] == [
+        f"navigation/{name}-{index}/oracle" for name in ("other", "room") for index in range(3)
+    ]
+    settings = ledger.description(out)
+    assert settings["episodes"] == 6
+    assert settings["development"] is False  # no apartment's seed
+    assert (settings["rules"]["success_distance"], settings["rules"]["goal"]) == (0.1, "view_points")
+    assert settings["rules"]["sliding"] is False
+    assert main(["bench", "report", str(out)]) == 0
+    for name in ("report.html", "tables.md"):
+        text = (out / name).read_text(encoding="utf-8")
+        assert "less than 0.1 m along the floor from a view point of the goal" in text
+    assert main(["bench", "failures", str(out), "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert isinstance(slot_of(shown["cases"][0]["unit"]["slot"]), Listed)
+
+
+def test_each_measure_is_that_of_the_recorded_path(run, file):
+    """Made again from the path, the file and the floor, by the formulas of habitat-lab's measures."""
+    out, _ = run
+    by_scene = {each.episodes[0].scene: each for each in read_episodes(file)}
+    for record in ledger.read(out):
+        slot = slot_of(record["episode"]["slot"])
+        assert isinstance(slot, Listed)
+        listed = by_scene[slot.scene].episodes[slot.episode]
+        ground = load_place(slot.world, slot.seed, 0.18).ground
+        views = [goal.view_positions[:, :2] for goal in by_scene[slot.scene].goals[listed.category]]
+        way = ground.field(np.concatenate(views))
+        ((method, entry),) = record["methods"].items()
+        path, found = np.array(entry["path"]), entry["metrics"]
+        assert path[0] == pytest.approx([*listed.position], abs=1e-9)
+        assert len(path) == found["steps"] + 1 == len(entry["trace"]["pose"]) + 1
+        steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+        assert steps.max() <= 0.25 + 1e-9
+        length, left, shortest = steps.sum(), float(way.distance(path[-1, :2])), float(way.distance(path[0, :2]))
+        won = float(left < 0.1)
+        efficiency = shortest / max(shortest, length)
+        assert shortest == pytest.approx(listed.geodesic, abs=1e-6)
+        assert found["distance_to_goal"] == pytest.approx(left, abs=2e-4)
+        assert found["success"] == won, method
+        assert found["spl"] == pytest.approx(won * efficiency, abs=1e-6)
+        assert found["soft_spl"] == pytest.approx(max(0, 1 - left / shortest) * efficiency, abs=1e-4)
+        # It ends at the first step that is near enough, and not before.
+        assert (way.distance(path[1:-1, :2]) >= 0.1).all()
+
+
+def test_a_unit_played_again_is_the_same(run):
+    out, _ = run
+    told = studies.read(out)
+    record = next(each for each in told.records if each["key"].endswith("eagor"))
+    again = Player(dict(told.settings)).play(slot_of(record["episode"]["slot"]), ["eagor"])
+    assert again["methods"]["eagor"]["path"] == record["methods"]["eagor"]["path"]
+    assert again["methods"]["eagor"]["metrics"] == record["methods"]["eagor"]["metrics"]
+
+
+def test_an_episode_is_played_again_for_the_viewer(run, tmp_path, capsys):
+    pytest.importorskip("rerun")
+    out, _ = run
+    words = ["bench", "failures", str(out), "--method", "eagor", "--episode", "room-1"]
+    assert main([*words, "--rerun", str(tmp_path / "log.rrd")]) == 0
+    assert (tmp_path / "log.rrd").stat().st_size > 1000
+
+
+def test_other_rules_of_success_are_taken_and_said(file, tmp_path, capsys):
+    words = ["bench", "run", "navigation", "--perception", "truth", "--methods", "oracle", "--out", str(tmp_path),
+             "--episodes-file", str(file), "--episodes", "2", "--set", "success_distance=1.5", "goal=footprint",
+             "sliding=true"]  # fmt: skip
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "success: less than 1.5 m along the floor from the target's footprint" in said
+    assert "with sliding" in said
+    for record in ledger.read(tmp_path):
+        ((_, entry),) = record["methods"].items()
+        assert entry["metrics"]["success"] == 1
+        assert entry["metrics"]["distance_to_goal"] < 1.5
+
+
+# --- one episode ---
+
+
+def planned(file, change=None, number=0):
+    if change is not None:
+        rewrite(file, change)
+    slot = listed_slots("navigation", file, None, "apartment", None)[number]
+    return slot, plan(slot, str(file), Camera(), NavigationRules.objectnav())
+
+
+def test_an_episode_looks_for_all_things_of_its_category_and_starts_as_the_file_says(file):
+    slot, episode = planned(file)
+    place = load_place(slot.world, slot.seed, 0.18)
+    assert episode.query == "chair"
+    assert [place.scene.instances[index].category for index in episode.targets] == ["chair", "chair"]
+    (mine,) = (each for each in read_episodes(file) if each.episodes[0].scene == slot.scene)
+    listed = mine.episodes[0]
+    assert np.allclose(episode.start, listed.position[:2])
+    assert np.cos(episode.yaw) == pytest.approx(listed.world_R_body[0, 0])
+    assert np.sin(episode.yaw) == pytest.approx(listed.world_R_body[1, 0])
+    assert float(way_to_goal(place, episode).distance(episode.start)) == episode.shortest
+    said = episode.as_json()
+    assert said["listed"]["geodesic_distance"] == pytest.approx(episode.shortest, abs=1e-6)
+    assert "view_points" not in said
+    json.dumps(said, allow_nan=False)
+
+
+def test_success_is_strict(file):
+    """At exactly the distance of the rule there is none: the rule is set to the distance that the body reaches."""
+    slot, _ = planned(file)
+    rules = NavigationRules.objectnav()
+    config = {
+        "task": "navigation", "perception": "truth", "rows": 64, "episodes_file": str(file),
+        "camera": vars(Camera()), "disturbances": {},
+    }  # fmt: skip
+
+    def play(distance):
+        player = Player(config | {"rules": vars(rules) | {"success_distance": distance, "max_steps": 1}})
+        return player.play(slot, ["oracle"])["methods"]["oracle"]
+
+    left = play(1e-3)["metrics"]["distance_to_goal"]
+    place = load_place(slot.world, slot.seed, 0.18)
+    exact = float(way_to_goal(place, planned(file)[1]).distance(np.array(play(1e-3)["path"][-1][:2])))
+    assert exact == pytest.approx(left, abs=1e-6)
+    assert metrics.success([exact], [True], exact)[0] == 0
+    assert play(exact - 1e-6)["metrics"]["success"] == 0
+    assert play(exact + 1e-6)["metrics"]["success"] == 1
+
+
+def test_a_start_on_a_view_point_divides_nothing_by_zero(tmp_path):
+    file = exported(tmp_path)
+
+    def on_it(found):
+        (goals,) = found["goals_by_category"].values()
+        found["episodes"][0]["start_position"] = goals[0]["view_points"][3]["agent_state"]["position"]
+
+    slot, episode = planned(file, on_it)
+    assert episode.shortest < 1e-6
+    config = {
+        "task": "navigation", "perception": "truth", "rows": 64, "episodes_file": str(file), "disturbances": {},
+        "camera": vars(Camera()), "rules": vars(NavigationRules.objectnav()) | {"max_steps": 3},
+    }  # fmt: skip
+    found = Player(config).play(slot, ["oracle"])["methods"]["oracle"]["metrics"]
+    assert np.isfinite([found["spl"], found["soft_spl"]]).all()
+
+
+def test_view_points_of_another_storey_are_not_reached_from_this_one(tmp_path):
+    file = exported(tmp_path)
+    _, before = planned(file)
+
+    def lifted(found):
+        (goals,) = found["goals_by_category"].values()
+        for view in goals[0]["view_points"]:
+            view["agent_state"]["position"][1] += 3.0
+
+    _, episode = planned(file, lifted)
+    (goals,) = content(file)["goals_by_category"].values()
+    assert len(episode.view_points) == len(goals[1]["view_points"]) < len(before.view_points)
+    assert len(episode.goals) == 1
+
+    def all_lifted(found):
+        (goals,) = found["goals_by_category"].values()
+        for view in goals[1]["view_points"]:
+            view["agent_state"]["position"][1] += 3.0
+
+    with pytest.raises(WorldError, match="no view points on the storey of its start"):
+        planned(file, all_lifted)
+
+
+# --- files ---
+
+
+def test_random_numbers_do_not_depend_on_where_the_scenes_are(file):
+    one = listed_slots("navigation", file, None, "apartment", None)[0]
+    two = Listed(**{**vars(one), "world": "elsewhere", "seed": 3})
+    assert one.rng("plan").random() == two.rng("plan").random()
+    assert one.rng("plan").random() != one.rng("method").random()
+    assert one.id == two.id == "other-0"
+
+
+def test_few_episodes_are_taken_from_each_scene_in_turn(file):
+    def taken(count):
+        return [each.id for each in listed_slots("navigation", file, count, "apartment", None)]
+
+    assert taken(3) == ["other-0", "other-1", "room-0"]
+    assert taken(4) == ["other-0", "other-1", "room-0", "room-1"]
+    assert len(taken(None)) == len(taken(99)) == 10
+
+
+def test_in_habitat_each_scene_is_a_world_with_its_dataset_and_storeys(file):
+    home = file.parents[5] / "scene_datasets"
+    worlds = [each.world for each in listed_slots("navigation", file, 2, "habitat", None)]
+    dataset = home / "eagor/eagor.scene_dataset_config.json"
+    assert worlds == [
+        f"habitat:{home}/eagor/val/{place}.glb?dataset={dataset}" for place in ("00001-other/other", "00000-room/room")
+    ]
+
+
+def test_starts_on_two_storeys_are_played_on_their_own(tmp_path):
+    file = exported(tmp_path)
+
+    def upstairs(found):
+        for episode in found["episodes"][::2]:
+            episode["start_position"][1] += 2.9
+
+    rewrite(file, upstairs)
+    slots = listed_slots("navigation", file, None, "habitat", None)
+    assert [each.world.partition("&")[2] for each in slots] == ["storey=0.00"] * 2 + ["storey=2.90"] * 2
+    assert [each.episode for each in slots] == [1, 3, 0, 2]
+
+
+def test_one_file_may_hold_several_scenes_and_goals_in_each_episode(tmp_path):
+    """As the first files of MP3D: no content folder, no goals by category."""
+    file = exported(tmp_path, names=("room", "other"))
+    parts = [content(file, name) for name in ("room", "other")]
+    old = {key: value for key, value in parts[0].items() if key.startswith("category_to")} | {"episodes": []}
+    for part in parts:
+        (goals,) = part["goals_by_category"].values()
+        for episode in part["episodes"]:
+            old["episodes"].append({**episode, "goals": goals})
+            del old["episodes"][-1]["object_category"]
+    single = tmp_path / "data" / "old" / "val.json.gz"
+    single.parent.mkdir()
+    single.write_bytes(gzip.compress(json.dumps(old).encode()))
+    together = tmp_path / "data" / "both" / "val.json.gz"
+    together.parent.mkdir()
+    both = parts[0] | {"episodes": [], "goals_by_category": {}}
+    for part in parts:
+        both["episodes"] += part["episodes"]
+        both["goals_by_category"] |= part["goals_by_category"]
+    together.write_bytes(gzip.compress(json.dumps(both).encode()))
+    wanted = {each.episodes[0].scene: each for each in read_episodes(file)}
+    for path in (single, together):
+        found = {each.episodes[0].scene: each for each in read_episodes(path)}
+        assert found.keys() == wanted.keys()
+        for scene, each in found.items():
+            assert [tuple(one.position) for one in each.episodes] == [
+                tuple(one.position) for one in wanted[scene].episodes
+            ]
+            assert [goal.instance for goal in each.goals["chair"]] == [
+                goal.instance for goal in wanted[scene].goals["chair"]
+            ]
+        assert len(listed_slots("navigation", path, None, "apartment", None)) == 8
+
+
+def test_positions_in_the_file_are_habitats(file):
+    """Y up: what is y for us is -z there; a mirrored axis would pass in a symmetric room, not in this one."""
+    (mine,) = (each for each in read_episodes(file) if "room" in each.episodes[0].scene)
+    raw = content(file)["episodes"][0]["start_position"]
+    assert np.allclose(from_gltf(np.array(raw)), mine.episodes[0].position)
+    assert raw[1] == 0.0
+    assert raw[2] < 0

@@ -1,0 +1,42 @@
+"""A small room and episodes in it, for tests of what plays the episodes of a file."""
+
+import gzip
+import json
+
+from box_scenes import scene_of, shell, thing
+
+from eagor.worlds.glb import export_glb, import_glb
+from eagor.worlds.habitat_dataset import Source, export_dataset
+
+
+def room(source="room"):
+    """Five by four metres with two chairs and a bed."""
+    things = [
+        *shell(5.0, 4.0),
+        thing("chair", (1.0, 2.9, 0), (1.4, 3.3, 0.9), colour="red"),
+        thing("chair", (4.2, 0.4, 0), (4.6, 0.8, 0.9), colour="blue"),
+        thing("bed", (3.2, 2.4, 0), (4.9, 3.8, 0.5)),
+    ]
+    return scene_of(things, source=source)
+
+
+def exported(folder, episodes=4, names=("room",)):
+    """A data folder with such rooms as GLB scenes; returns the path of its episodes."""
+    sources = []
+    for number, name in enumerate(names):
+        path = export_glb(room(name), folder / "made" / f"{name}.glb")
+        sources.append(Source(number, name, lambda path=path: import_glb(path)))
+    file, _ = export_dataset(sources, folder / "data", episodes=episodes, categories=("chair",))
+    return file
+
+
+def content(file, name="room"):
+    """The JSON of a scene's episodes."""
+    return json.loads(gzip.decompress((file.parent / "content" / f"{name}.json.gz").read_bytes()))
+
+
+def rewrite(file, change, name="room"):
+    """Change the JSON of a scene's episodes in place."""
+    found = content(file, name)
+    change(found)
+    (file.parent / "content" / f"{name}.json.gz").write_bytes(gzip.compress(json.dumps(found).encode(), mtime=0))

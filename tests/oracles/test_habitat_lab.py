@@ -1,0 +1,65 @@
+"""habitat-lab reads what we write, and its measures of our recorded paths are ours.
+
+Needs habitat-lab and Habitat-Sim, which no extra of ours brings: `benchmarks/habitat_measures.py` says the figures.
+"""
+
+import habitat_lab
+import numpy as np
+import pytest
+from listed_rooms import exported
+
+from eagor.cli import main
+from eagor.conventions import from_gltf, pose_from_habitat, rotation_from_xyzw
+from eagor.evaluation import studies
+from eagor.evaluation.samples import finished
+from eagor.worlds.objectnav import read_episodes, spelt
+
+pytestmark = [
+    pytest.mark.habitat,
+    pytest.mark.skipif(habitat_lab.missing() is not None, reason=habitat_lab.missing() or "all is there"),
+    pytest.mark.filterwarnings("ignore"),  # of gym, and of what habitat-lab imports
+]
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    return exported(tmp_path_factory.mktemp("lab"), episodes=6, names=("room", "other"))
+
+
+@pytest.fixture(scope="module")
+def found(file):
+    return habitat_lab.dataset(file, file.parents[5] / "scene_datasets")
+
+
+def test_its_reader_finds_the_episodes_that_we_wrote(file, found):
+    assert len(found.episodes) == 12
+    assert found.category_to_task_category_id == found.category_to_scene_annotation_category_id == {"chair": 0}
+    ours = [episode for each in read_episodes(file) for episode in each.episodes]
+    goals = {each.episodes[0].scene: each.goals for each in read_episodes(file)}
+    home = file.parents[5] / "scene_datasets"
+    for mine, theirs in zip(ours, found.episodes, strict=True):
+        assert theirs.scene_id == str(home / mine.scene)
+        assert (home / mine.scene).is_file()
+        assert theirs.object_category == spelt(mine.category)
+        assert np.allclose(from_gltf(np.array(theirs.start_position)), mine.position)
+        turn = pose_from_habitat(rotation_from_xyzw(np.array(theirs.start_rotation)))
+        assert np.allclose(turn, mine.world_R_body)
+        assert theirs.info["geodesic_distance"] == mine.geodesic
+        assert theirs.info["closest_goal_object_id"] == mine.nearest
+        assert [goal.object_id for goal in theirs.goals] == [goal.instance for goal in goals[mine.scene]["chair"]]
+        for goal, wanted in zip(theirs.goals, goals[mine.scene]["chair"], strict=True):
+            places = [view.agent_state.position for view in goal.view_points]
+            assert np.allclose(from_gltf(np.array(places)), wanted.view_positions)
+
+
+@pytest.mark.parametrize("method", ["oracle", "eagor"])
+def test_its_measures_of_our_paths_are_ours(file, found, tmp_path, method):
+    words = ["bench", "run", "navigation", "--perception", "truth", "--methods", method, "--episodes-file", str(file),
+             "--out", str(tmp_path), "--set", "max_steps=6"]  # fmt: skip
+    assert main(words) == 0
+    run = studies.read(tmp_path)
+    rows = habitat_lab.differences(run.settings, finished(run.records), found)
+    assert len(rows) == 12
+    for ours, theirs in rows.values():
+        assert ours == pytest.approx(theirs, abs=1e-6)
+    assert {ours["success"] for ours, _ in rows.values()} == {0.0, 1.0}
