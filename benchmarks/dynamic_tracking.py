@@ -444,8 +444,8 @@ def _shown(values: Sequence[float]) -> str:
     known = np.array([value for value in values if not math.isnan(value)])
     if len(known) < 2:
         return "-"
-    low, high = bootstrap_interval(known, np.random.default_rng(0))[:2]
-    return f"{known.mean():.2f} [{low:.2f} {high:.2f}]"
+    interval = bootstrap_interval(known, np.random.default_rng(0))
+    return f"{known.mean():.2f} [{interval.low:.2f} {interval.high:.2f}]"
 
 
 def main() -> None:

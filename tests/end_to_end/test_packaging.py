@@ -177,7 +177,7 @@ def test_a_plugin_is_found_by_name(eagor, installed, tmp_path):
     assert "hall" in listed["worlds"]
     text = eagor("bench", "list")
     assert "turntable   name the direction of a thing" in text
-    assert "worlds (--world): apartment, hall, or a GLB file" in text
+    assert "worlds (--world): apartment, habitat, hall, or a GLB file" in text
 
 
 def test_a_plugins_task_in_a_plugins_world_is_run_and_reported(eagor, tmp_path):
