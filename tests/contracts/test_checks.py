@@ -219,7 +219,7 @@ def test_the_check_of_worlds_finds(world, says):
 
 
 def test_a_world_that_cannot_be_looked_up_says_what_there_is():
-    with pytest.raises(WorldError, match=r"no world 'barn'; known are apartment, hall, and GLB files"):
+    with pytest.raises(WorldError, match=r"no world 'barn'; known are apartment, habitat, hall, and GLB files"):
         worlds.load("barn")
 
 

@@ -19,7 +19,7 @@ def habitat(monkeypatch):
     monkeypatch.setitem(sys.modules, "habitat_sim", stand_in())
     monkeypatch.setitem(sys.modules, "magnum", magnum())
     monkeypatch.delenv("EAGOR_HABITAT_GPU", raising=False)
-    monkeypatch.setattr(sessions, "device_for", lambda scene, dataset, gpu: -1)
+    monkeypatch.setattr(sessions, "device_for", lambda scene, dataset, gpu, name: -1)
     yield
     sessions.close_all()
     world.open_scene.cache_clear()

@@ -11,3 +11,7 @@
 
 Habitat-Sim (0.3.3 and later) is imported only when a scene is opened.
 """
+
+from __future__ import annotations
+
+__all__: list[str] = []
