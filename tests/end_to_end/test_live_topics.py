@@ -54,9 +54,8 @@ def test_a_turning_robots_topics_are_followed_although_its_clock_is_off(robot, c
     captured = capsys.readouterr()
     answers = [json.loads(line) for line in captured.out.splitlines()]
     known = [answer for answer in answers if answer["status"] == "tracking"]
-    known = [
-        answer for answer in known if answer["pose_age"] < 0.1
-    ]  # on a busy machine the robot falls silent at times
+    # On a busy machine the robot falls silent at times.
+    known = [answer for answer in known if answer["pose_age"] is not None and answer["pose_age"] < 0.1]
     assert len(known) > 10
     # In the world the chair stands still, while it turns with half a radian per second in the robot's frame.
     world = np.degrees(np.unwrap(np.radians([a["azimuth_deg"] + np.degrees(TURN * a["stamp"]) for a in known[5:]])))
