@@ -387,13 +387,12 @@ def judge_run(path: str) -> tuple[str, dict[tuple[str, str], dict[str, float]]]:
     run = read(Path(path))
     house = load_house("apartment", run.seed)
     perception = load("scout")
+    calibration, detector = (getattr(perception, key, None) for key in ("calibration", "detector"))
     looks = look_at(run, perception)
     found, seen = {}, None
     for condition, seconds, late in conditions():
         coming = arrivals(looks, seconds)
         for name in NAMES:
-            read_by = (getattr(perception, key, None) for key in ("calibration", "detector"))
-            calibration, detector = read_by
             method = make_method(name, np.random.default_rng(0), "scout", calibration, detector=detector)
             played = play(run, coming, method, late)
             seen = in_sight(run, house, played["stamps"]) if seen is None else seen

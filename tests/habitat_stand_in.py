@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,8 +19,10 @@ from types import SimpleNamespace
 import numpy as np
 
 from eagor.errors import WorldError
+from eagor.tasks.places import load_place
 from eagor.worlds.glb import import_glb
 from eagor.worlds.ground import Ground
+from eagor.worlds.habitat import sessions, world
 from eagor.worlds.render import Renderer
 
 LIFT = 0.05  # metres: the mesh floats above the floor
@@ -224,3 +227,17 @@ def stand_in():
 def magnum():
     """The module magnum."""
     return SimpleNamespace(Vector3=Vector3, Quaternion=Quaternion, __spec__=None)
+
+
+def installed(monkeypatch):
+    """The life of a fixture in which this is Habitat-Sim; at its end no simulator is open."""
+    monkeypatch.setitem(sys.modules, "habitat_sim", stand_in())
+    monkeypatch.setitem(sys.modules, "magnum", magnum())
+    monkeypatch.delenv("EAGOR_HABITAT_GPU", raising=False)
+    monkeypatch.setattr(sessions, "device_for", lambda scene, dataset, gpu, name: -1)
+    yield
+    sessions.close_all()
+    world.open_scene.cache_clear()
+    world._ground.cache_clear()
+    load_place.cache_clear()
+    assert Simulator.opened == 0

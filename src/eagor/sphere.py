@@ -22,7 +22,7 @@ from eagor.errors import DirectionError, RotationError
 
 __all__ = [
     "angular_distance", "azimuth_elevation", "check_directions", "check_rotation", "check_unit", "cross", "direction",
-    "interpolate_rotation", "rotation", "unit", "world_R_body", "wrap",
+    "heading", "interpolate_rotation", "rotation", "unit", "world_R_body", "wrap",
 ]  # fmt: skip
 
 FORWARD = (1.0, 0.0, 0.0)
@@ -134,6 +134,11 @@ def rotation(axis: Array, angle: float) -> np.ndarray:
 def world_R_body(yaw: float, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
     """The pose ``(3, 3)`` of a body turned by `yaw` (left), then `pitch` (nose DOWN), then `roll`, radians."""
     return rotation((0, 0, 1), yaw) @ rotation((0, 1, 0), pitch) @ rotation((1, 0, 0), roll)
+
+
+def heading(world_R_body: np.ndarray) -> float:
+    """The azimuth (radians, in the world frame) of where a body in the pose ``(3, 3)`` faces: its yaw."""
+    return float(azimuth_elevation(np.asarray(world_R_body)[:, 0])[0])
 
 
 def check_rotation(matrix: Array, name: str = "new_R_old", tolerance: float = ORTHOGONAL) -> Array:

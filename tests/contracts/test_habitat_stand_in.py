@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from habitat_stand_in import Simulator, magnum, stand_in
+from habitat_stand_in import Simulator, installed
 from rooms import two_rooms
 
 from eagor import worlds
@@ -21,7 +21,7 @@ from eagor.tasks.task import load as load_task
 from eagor.worlds.checking import check_world
 from eagor.worlds.glb import export_glb
 from eagor.worlds.ground import Ground
-from eagor.worlds.habitat import probe, sessions, world
+from eagor.worlds.habitat import probe, world
 from eagor.worlds.habitat.frames import Frames
 from eagor.worlds.habitat.options import parse
 from eagor.worlds.habitat.view import euclidean
@@ -36,16 +36,7 @@ def flat(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def habitat(monkeypatch):
-    monkeypatch.setitem(sys.modules, "habitat_sim", stand_in())
-    monkeypatch.setitem(sys.modules, "magnum", magnum())
-    monkeypatch.delenv("EAGOR_HABITAT_GPU", raising=False)
-    monkeypatch.setattr(sessions, "device_for", lambda scene, dataset, gpu, name: -1)
-    yield
-    sessions.close_all()
-    world.open_scene.cache_clear()
-    world._ground.cache_clear()
-    load_place.cache_clear()
-    assert Simulator.opened == 0
+    yield from installed(monkeypatch)
 
 
 def test_an_exported_flat_comes_back_in_its_own_coordinates(flat):

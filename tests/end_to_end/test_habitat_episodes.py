@@ -4,28 +4,18 @@ import sys
 
 import numpy as np
 import pytest
-from habitat_stand_in import Simulator, magnum, stand_in
+from habitat_stand_in import installed
 from listed_rooms import exported, rewrite
 
 from eagor.cli import main
 from eagor.evaluation import ledger
 from eagor.tasks.listed import listed_slots
-from eagor.tasks.places import load_place
-from eagor.worlds.habitat import sessions, world
+from eagor.worlds.habitat import world
 
 
 @pytest.fixture(autouse=True)
 def habitat(monkeypatch):
-    monkeypatch.setitem(sys.modules, "habitat_sim", stand_in())
-    monkeypatch.setitem(sys.modules, "magnum", magnum())
-    monkeypatch.delenv("EAGOR_HABITAT_GPU", raising=False)
-    monkeypatch.setattr(sessions, "device_for", lambda scene, dataset, gpu, name: -1)
-    yield
-    sessions.close_all()
-    world.open_scene.cache_clear()
-    world._ground.cache_clear()
-    load_place.cache_clear()
-    assert Simulator.opened == 0
+    yield from installed(monkeypatch)
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ from eagor.robots.go2.sim_camera import CameraSettings
 from eagor.robots.go2.sim_live import LiveGo2
 from eagor.robots.go2.wire_settings import WireSettings
 from eagor.robots.ros.graph import default_domain
+from eagor.sphere import heading
 
 
 def sim(options: RobotSim) -> int:
@@ -69,11 +70,12 @@ def _facts(live: LiveGo2, options: RobotSim) -> dict[str, Any]:
     robot = live.robot
     pose = robot.truth.pose
     assert pose.position is not None
+    yaw = math.degrees(heading(pose.world_R_body))
     return {
         "domain": live.link.domain,
         "interface": options.interface,
         "world": None if robot.house is None else robot.house.scene.source,
-        "start": {"position": pose.position.round(3).tolist(), "yaw_deg": round(_heading(live), 1)},
+        "start": {"position": pose.position.round(3).tolist(), "yaw_deg": round(yaw, 1)},
         "target": options.target,
         "targets": [{"name": each.name, "position": each.centre.round(3).tolist()} for each in robot.targets],
         "things": dict(sorted(Counter(thing.name for thing in robot.things()).items())),
@@ -86,11 +88,12 @@ def _tell(live: LiveGo2, options: RobotSim) -> None:
     pose = robot.truth.pose
     assert pose.position is not None
     x, y, _ = pose.position
+    yaw = math.degrees(heading(pose.world_R_body))
     where = "only this machine" if options.interface == "lo" else f"all on {options.interface}"
     found = {
         "simulated Go2": f"DDS domain {live.link.domain} on {options.interface}, which {where} can hear",
         "house": "" if robot.house is None else robot.house.scene.source,
-        "start": f"x {x:.2f} m, y {y:.2f} m, heading {_heading(live):.0f} degrees",
+        "start": f"x {x:.2f} m, y {y:.2f} m, heading {yaw:.0f} degrees",
         "posture": "lying" if options.lying else "standing, ready to walk",
     }
     for each in robot.targets:
@@ -103,11 +106,6 @@ def _tell(live: LiveGo2, options: RobotSim) -> None:
     print("topics")
     terminal.columns(live.topics)
     print("end it with Ctrl-C" if options.seconds is None else f"it ends after {options.seconds:g} s", flush=True)
-
-
-def _heading(live: LiveGo2) -> float:
-    rotation = live.robot.truth.pose.world_R_body
-    return math.degrees(math.atan2(rotation[1, 0], rotation[0, 0]))
 
 
 def _until(seconds: float | None, live: LiveGo2) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import WorldError
-from eagor.sphere import azimuth_elevation, world_R_body
+from eagor.sphere import heading, world_R_body
 from eagor.tasks.episodes import Episode
 from eagor.tasks.listed import STOREY, Listed, read_file
 from eagor.tasks.places import Place, load_place, pixels_of
@@ -62,7 +62,6 @@ def plan(slot: Listed, file: str, camera: Camera, rules: NavigationRules) -> Lis
         )
     if rules.goal == "footprint" and not targets:
         raise WorldError(f"{name}: {place.scene.source} names no {episode.category}; leave goal at view_points")
-    azimuth, _ = azimuth_elevation(episode.world_R_body[:, 0])
     planned = ListedEpisode(
         slot=slot,
         scene=place.scene.source,
@@ -70,7 +69,7 @@ def plan(slot: Listed, file: str, camera: Camera, rules: NavigationRules) -> Lis
         query=episode.category,
         targets=targets,
         start=(float(start[0]), float(start[1])),
-        yaw=float(azimuth),
+        yaw=heading(episode.world_R_body),
         shortest=math.inf,
         goals=np.array([thing.position for thing in things]) - [0.0, 0.0, zero],
         view_points=views,

@@ -8,13 +8,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from eagor.sphere import azimuth_elevation
+from eagor.sphere import heading
 
 __all__ = ["Frozen"]
 
 TURNED = math.radians(3.0)  # by which the camera may turn without its picture changing at all
 HANGS = "the picture stays the same although the camera turns: does it hang? Restart the camera or its driver"
-EVERY = 4  # pixels along each side, of which one is compared: noise alone changes some of the rest
+ROWS = 128  # of a picture that are compared, and as dense along them: a sensor's noise alone changes these
 
 
 class Frozen:
@@ -25,11 +25,12 @@ class Frozen:
         self._code: int | None = None
         self._stamp = math.nan
         self._hangs = False
-        self._ahead: np.ndarray | None = None  # where the camera looked when this picture came first
+        self._ahead: float | None = None  # where the camera looked when this picture came first
 
     def take(self, panorama: np.ndarray, stamp: float) -> str:
         """What is wrong, in words, at the picture ``(H, W, 3)`` of this stamp; "" if nothing is."""
-        code, before = zlib.crc32(panorama[::EVERY, ::EVERY].tobytes()), self._stamp
+        step = max(1, len(panorama) // ROWS)
+        code, before = zlib.crc32(panorama[::step, ::step].tobytes()), self._stamp
         same, self._code, self._stamp = code == self._code, code, stamp
         if not same:
             self._ahead, self._hangs = None, False
@@ -38,11 +39,7 @@ class Frozen:
         if pose is None:
             return ""
         if self._ahead is None:
-            self._ahead = pose[:, 0]
-        turned = math.remainder(_heading(pose[:, 0]) - _heading(self._ahead), 2 * math.pi)
+            self._ahead = heading(pose)
+        turned = math.remainder(heading(pose) - self._ahead, 2 * math.pi)
         self._hangs |= abs(turned) > TURNED
         return HANGS if self._hangs else ""
-
-
-def _heading(direction: np.ndarray) -> float:
-    return float(azimuth_elevation(direction)[0])

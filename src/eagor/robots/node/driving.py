@@ -11,6 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -22,13 +23,13 @@ from eagor.robots.live.answers import Answer
 from eagor.robots.live.events import Event, PoseCame
 from eagor.robots.ros.graph import Graph
 from eagor.robots.ros.messages import message, vector
-from eagor.robots.safety.faults import Body, Inputs
+from eagor.robots.safety.faults import Body, Inputs, stamp_of
 from eagor.robots.safety.gate import Gate, Mode, State, Stop
 from eagor.robots.safety.guard import GuardState
 from eagor.robots.safety.limits import STILL, Limits, Velocity
 from eagor.robots.safety.steering import Odometer, Steering, Step
 from eagor.robots.safety.walking import WalkSettings
-from eagor.sphere import azimuth_elevation
+from eagor.sphere import heading
 
 __all__ = ["BASE", "TWIST", "Drive", "TwistGate"]
 
@@ -54,7 +55,6 @@ class TwistGate:
         self._poses: deque[tuple[float, Pose]] = deque()
         self._guard = GuardState(time.monotonic(), Mode.STANDING)
         self._over = threading.Event()
-        self.problem: str | None = None  # of the newest message that could not be sent
         self._thread = threading.Thread(target=self._serve, name="eagor cmd_vel", daemon=True)
 
     def __enter__(self) -> Self:
@@ -97,7 +97,7 @@ class TwistGate:
         """What is known now; ages in seconds since capture, None or infinite: nothing came yet."""
         now = time.monotonic()
         self._know(
-            image=_stamp(now, image_age), pose=_stamp(now, pose_age), belief=_stamp(now, belief_age),
+            image=stamp_of(now, image_age), pose=stamp_of(now, pose_age), belief=stamp_of(now, belief_age),
             presence=presence, heartbeat=now, stated=tuple(faults),
         )  # fmt: skip
 
@@ -149,10 +149,8 @@ class TwistGate:
         twist = message(
             TWIST, linear=vector((velocity.forward, velocity.left, 0.0)), angular=vector((0.0, 0.0, velocity.turn))
         )
-        try:
+        with suppress(EagorError):  # a reader that does not keep up: the next one comes soon
             self._writer.write(twist)
-        except EagorError as error:  # a reader that does not keep up: the next one comes soon
-            self.problem = str(error)
 
 
 @dataclass(eq=False)
@@ -183,13 +181,8 @@ def body_of(before: Pose, pose: Pose, body_R_camera: np.ndarray, now: float) -> 
     gone = pose.stamp - before.stamp
     assert before.position is not None
     assert pose.position is not None
-    ways = [azimuth_elevation(each.world_R_body[:, 0])[0] for each in (before, pose)]
     speed = turn = math.nan
     if gone > 0:
         speed = float(np.linalg.norm((pose.position - before.position)[:2])) / gone
-        turn = math.remainder(float(ways[1] - ways[0]), 2 * math.pi) / gone
+        turn = math.remainder(heading(pose.world_R_body) - heading(before.world_R_body), 2 * math.pi) / gone
     return Body.of(now, pose.world_R_body @ body_R_camera.T, speed, turn)
-
-
-def _stamp(now: float, age: float | None) -> float | None:
-    return None if age is None or math.isinf(age) else now - age

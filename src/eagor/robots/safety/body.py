@@ -35,7 +35,6 @@ class Go2Body:
         self.mode: int | None = None
         self.acknowledged: int | None = None
         self.problem: str | None = None  # of the last command
-        self._armed = armed
         self._link = Link(domain, interface)
         self._state = Go2State(self._link, received=self._received)
         self._low = Go2Low(self._link) if remote else None

@@ -11,7 +11,7 @@ import numpy as np
 
 from eagor.robots.safety.limits import STILL, Limits, Velocity
 
-__all__ = ["Body", "Fault", "Inputs", "faults_of"]
+__all__ = ["Body", "Fault", "Inputs", "faults_of", "stamp_of"]
 
 
 @dataclass(frozen=True)
@@ -71,6 +71,11 @@ class Fault(NamedTuple):
 
     name: str
     words: str
+
+
+def stamp_of(now: float, age: float | None) -> float | None:
+    """The stamp of what is `age` seconds old at `now`; None if nothing came yet (an age of None, or infinite)."""
+    return None if age is None or age == math.inf else now - age
 
 
 def faults_of(limits: Limits, now: float, inputs: Inputs, sent: Velocity = STILL) -> tuple[Fault, ...]:

@@ -18,6 +18,7 @@ from typing import Any, Self
 from eagor import errors
 from eagor.errors import DeviceError, EagorError
 from eagor.robots.safety.deadman import Deadman, Terminal, checked_deadman
+from eagor.robots.safety.faults import stamp_of
 from eagor.robots.safety.gate import Mode
 from eagor.robots.safety.limits import Limits, Velocity
 from eagor.robots.safety.lines import LineReader, as_line, cut, write_now
@@ -198,14 +199,14 @@ class Guard:
         now = time.monotonic()
         with self._turn:
             said = self._said
-            said.image, said.pose, said.belief = (_before(now, age) for age in (image_age, pose_age, belief_age))
+            said.image, said.pose, said.belief = (stamp_of(now, age) for age in (image_age, pose_age, belief_age))
             said.presence, said.stated = presence, [cut(text, WORDS) for text in faults[:STATED]]
             self._send()
 
     def pose(self, age: float) -> None:
         """A pose that was true `age` seconds ago has come; between two calls of `status`."""
         with self._turn:
-            self._said.pose = _before(time.monotonic(), age)
+            self._said.pose = stamp_of(time.monotonic(), age)
             self._send()
 
     def stop(self) -> None:
@@ -272,7 +273,3 @@ class Guard:
         finally:
             os.close(there)
             self._heard.set()
-
-
-def _before(now: float, age: float | None) -> float | None:
-    return None if age is None or age == math.inf else now - age

@@ -13,7 +13,7 @@ from typing import Literal
 
 from eagor._checks import above, require, within
 from eagor.robots.safety.limits import STILL, Velocity
-from eagor.sphere import azimuth_elevation
+from eagor.sphere import heading
 from eagor.tracking.estimate import Estimate, Status
 
 __all__ = ["Doing", "Sight", "Walk", "WalkSettings", "Wish", "walk"]
@@ -94,7 +94,7 @@ class Sight:
         if far is None and estimate.distance is not None and estimate.distance_spread is not None:
             far = estimate.distance, estimate.distance_spread
         distance, spread = (None, None) if far is None or estimate.azimuth is None else far
-        yaw = float(azimuth_elevation(estimate.world_R_body[:, 0])[0])
+        yaw = heading(estimate.world_R_body)
         return cls(
             estimate.stamp, estimate.status, estimate.azimuth, estimate.elevation, distance, spread, xy, yaw
         )  # fmt: skip
