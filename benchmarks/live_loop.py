@@ -2,8 +2,9 @@
 
 python benchmarks/live_loop.py                    # CPU per simulated second, as fast as it goes
 python benchmarks/live_loop.py --positions        # the same with positions (distances are tracked too)
+python benchmarks/live_loop.py --in-turn          # each picture is searched for one of the targets: a third of the looks
 python benchmarks/live_loop.py --real             # the whole loop with threads and a perception's process, in real time
-python benchmarks/live_loop.py --hours 8          # memory after hour 1 and at the end
+python benchmarks/live_loop.py --hours 8 --in-turn   # memory after hour 1 and at the end
 """
 
 from __future__ import annotations
@@ -64,7 +65,8 @@ def use(answer) -> None:
 class Run:
     """Events of a simulated run, handed to a core second by second."""
 
-    def __init__(self, positions: bool, seed: int = 0) -> None:
+    def __init__(self, positions: bool, in_turn: bool, seed: int = 0) -> None:
+        self.in_turn = in_turn
         self.core = LiveCore(Settings(QUERIES, TrackerConfig(history=60.0)))  # as the loop has it
         self.draw, self.positions, self.second = np.random.default_rng(seed), positions, 0
         angles = 2 * np.pi * np.arange(TARGETS) / TARGETS
@@ -83,7 +85,8 @@ class Run:
             now = self.second + number / LOOKS
             events.append(FrameCame(now, now, ""))
             seen = looks(self.draw, self.world, pose(now, self.positions))
-            come = zip(QUERIES, seen, strict=True)
+            come = list(zip(QUERIES, seen, strict=True))
+            come = come[number % TARGETS :][:1] if self.in_turn else come
             self.waiting += [EvidenceCame(now + LATENCY, now, now, query, (look,)) for query, look in come]
         events += [Asked(self.second + number / ANSWERS) for number in range(ANSWERS)]
         end = self.second + 1
@@ -118,8 +121,8 @@ def resident() -> float:
         return int(file.read().split()[1]) * resource.getpagesize() / 2**20
 
 
-def cost(positions: bool, seconds: int) -> None:
-    run = Run(positions)
+def cost(positions: bool, in_turn: bool, seconds: int) -> None:
+    run = Run(positions, in_turn)
     for _ in range(3):
         run.one_second()  # tables are made and cached
     shares = []
@@ -128,15 +131,16 @@ def cost(positions: bool, seconds: int) -> None:
         run.one_second()
         shares.append(100 * (time.process_time() - began - run.made))
     where = "with positions" if positions else "without positions"
+    about = f"one of {TARGETS} targets in turn" if in_turn else f"each of {TARGETS} targets"
     print(
-        f"{POSES} Hz poses {where}, {LOOKS} Hz evidence about each of {TARGETS} targets, {ANSWERS} Hz answers: "
+        f"{POSES} Hz poses {where}, {LOOKS} Hz evidence about {about}, {ANSWERS} Hz answers: "
         f"{np.mean(shares):.1f} % of one core (quietest second {min(shares):.1f} %: on a busy machine the rest is "
         f"the others' doing); median error {np.median(run.errors):.2f} degrees"
     )
 
 
-def memory(hours: float, positions: bool) -> None:
-    run, first, shown = Run(positions), None, -1
+def memory(hours: float, positions: bool, in_turn: bool) -> None:
+    run, first, shown = Run(positions, in_turn), None, -1
     while run.second < hours * 3600:
         run.one_second()
         run.errors.clear()
@@ -234,14 +238,15 @@ def main() -> None:
     parser.add_argument("--seconds", type=int, default=20)
     parser.add_argument("--hours", type=float)
     parser.add_argument("--positions", action="store_true")
+    parser.add_argument("--in-turn", action="store_true")
     parser.add_argument("--real", action="store_true")
     given = parser.parse_args()
     if given.hours:
-        memory(given.hours, given.positions)
+        memory(given.hours, given.positions, given.in_turn)
     elif given.real:
         real(given.positions, given.seconds)
     else:
-        cost(given.positions, given.seconds)
+        cost(given.positions, given.in_turn, given.seconds)
 
 
 if __name__ == "__main__":
