@@ -2,7 +2,7 @@
 
 python benchmarks/live_loop.py                    # CPU per simulated second, as fast as it goes
 python benchmarks/live_loop.py --positions        # the same with positions (distances are tracked too)
-python benchmarks/live_loop.py --in-turn          # each picture is searched for one of the targets: a third of the looks
+python benchmarks/live_loop.py --in-turn          # a picture is searched for one of the targets
 python benchmarks/live_loop.py --real             # the whole loop with threads and a perception's process, in real time
 python benchmarks/live_loop.py --hours 8 --in-turn   # memory after hour 1 and at the end
 """

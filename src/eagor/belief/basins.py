@@ -16,16 +16,16 @@ def basins(field: np.ndarray, prominence: float) -> np.ndarray:
     return _merge(field, _climb(field), prominence)
 
 
-def _over_pole(row: np.ndarray) -> np.ndarray:
-    """The row ``(1, W)`` that lies beyond the pole from this one."""
-    return np.roll(row, row.shape[1] // 2, axis=1)
-
-
 def _neighbours(values: np.ndarray) -> list[np.ndarray]:
     """`values` ``(H, W)`` of each cell's right, lower-left, lower and lower-right neighbours, then the opposites."""
-    tall = np.concatenate([_over_pole(values[:1]), values, _over_pole(values[-1:])])
-    shifts = [(1, -1), (2, 1), (2, 0), (2, -1), (1, 1), (0, -1), (0, 0), (0, 1)]
-    return [np.roll(tall[row : row + len(values)], side, axis=1) for row, side in shifts]
+    height, width = values.shape
+    around = np.empty((height + 2, width + 2), values.dtype)
+    around[1:-1, 1:-1] = values
+    for row, edge in ((0, values[0]), (-1, values[-1])):  # beyond a pole: the opposite meridian
+        around[row, 1:-1] = np.roll(edge, width // 2)
+    around[:, 0], around[:, -1] = around[:, -2], around[:, 1]
+    places = [(1, 2), (2, 0), (2, 1), (2, 2), (1, 0), (0, 2), (0, 1), (0, 0)]
+    return [around[row : row + height, column : column + width] for row, column in places]
 
 
 @lru_cache(maxsize=4)

@@ -218,10 +218,14 @@ def isotropic(directions: np.ndarray, spreads: np.ndarray) -> np.ndarray:
 
 def anisotropic(directions: np.ndarray, covariances: np.ndarray) -> np.ndarray:
     """The axes ``(n, 2, 3)`` of detections with covariances ``(n, 2, 2)`` in `tangent_frame` of their directions."""
-    if not len(directions):
+    return scaled_frames(tangent_frames(directions), covariances)
+
+
+def scaled_frames(frames: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    """The same with known `frames` ``(n, 2, 3)``, along which the covariances are given."""
+    if not len(frames):
         return np.zeros((0, 2, 3))
     variances, turns = np.linalg.eigh(covariances)
-    frames = tangent_frames(directions)
     return np.einsum("nij,nik->njk", turns, frames) / np.sqrt(variances)[..., None]
 
 
@@ -237,7 +241,10 @@ def tangent_frames(directions: np.ndarray) -> np.ndarray:
     zero = np.zeros_like(x)
     first = np.array([np.where(level, -y, zero), np.where(level, x, -z), np.where(level, zero, y)]).T
     first /= np.sqrt(np.einsum("ni,ni->n", first, first))[:, None]
-    return np.stack([first, np.cross(directions, first)], axis=1)
+    frames = np.empty((len(directions), 2, 3))
+    frames[:, 0], (a, b, c) = first, first.T
+    frames[:, 1, 0], frames[:, 1, 1], frames[:, 1, 2] = y * c - z * b, z * a - x * c, x * b - y * a
+    return frames
 
 
 def tangent_frame(direction: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.belief.field import Patch, SphereField
-from eagor.evidence.detections import anisotropic, bump_norms, tangent_frames
+from eagor.evidence.detections import bump_norms, scaled_frames, tangent_frames
 from eagor.harmonics.peaks import decoding_grid
 from eagor.tracking.look import Look, Sightings
 
@@ -207,14 +207,14 @@ class Turning:
                 continue
             group = alike[index] & (weights > 0)
             share = weights[group] / weights[group].sum()
-            across[index] = frames[index] @ np.tensordot(share, covariances[group], axes=1) @ frames[index].T
+            across[index] = frames[index] @ (share @ covariances[group].reshape(-1, 9)).reshape(3, 3) @ frames[index].T
             total = float(weights[group].sum())
             weights[group] = 0.0
             kept.append((index, total))
         order = np.array([index for index, _ in kept], dtype=np.intp)
         found = np.array([total for _, total in kept])
         found *= (1 - self.unseen) / max(float(found.sum()), 1e-300)
-        return found, self.directions[order], anisotropic(self.directions[order], across[order])
+        return found, self.directions[order], scaled_frames(frames[order], across[order])
 
     def density(self, where: np.ndarray) -> np.ndarray:
         """Density over a uniform one ``(...)``, at unit vectors ``(..., 3)``."""
