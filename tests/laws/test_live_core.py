@@ -290,3 +290,26 @@ def test_bytes_that_are_no_event_are_refused(wrong):
         event_from(wrong)
     with pytest.raises(FormatError):
         settings_from(wrong)
+
+
+def test_a_camera_that_moves_on_gets_its_belief_anew_without_a_look():
+    """Turning is exact; what is near is elsewhere after some steps, long before the next look comes."""
+    core = LiveCore(Settings(("chair",), TrackerConfig(degree=7)))
+    thing = np.array([2.0, 0.5, 0.0])
+    for number in range(17):  # past the thing, so that its distance becomes known
+        stamp, place = 0.25 * number, np.array([0.1 * number - 1.6, 0.0, 0.0])
+        core.take(PoseCame(stamp, Pose(stamp, np.eye(3), place)))
+        core.take(FrameCame(stamp, stamp, f"{number}"))
+        seen_at = (thing - place) / np.linalg.norm(thing - place)
+        look = Evidence.from_points(seen_at[None], scores=np.array([0.9]), stamp=stamp)
+        core.take(EvidenceCame(stamp, stamp, stamp, "chair", (look,)))
+        (answer,) = core.take(Asked(stamp))
+    moments = {}
+    for step in (0.05, 0.5):  # metres since then, within 0.1 s
+        now, place = 4.0 + 0.1 * step, np.array([step, 0.0, 0.0])
+        core.take(PoseCame(now, Pose(now, np.eye(3), place)))
+        (moments[step],) = core.take(Asked(now))
+    before = answer.direction
+    assert angular_distance(moments[0.05].direction, before) == 0.0  # turned alone: it would be a degree at most
+    moved = np.array([2.0 - 0.5, 0.5, 0.0]) / math.hypot(1.5, 0.5)
+    assert angular_distance(moments[0.5].direction, moved) < 0.7 * angular_distance(before, moved)

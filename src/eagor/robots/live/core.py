@@ -28,7 +28,9 @@ STARTING = 1.0  # seconds that the first pose may take
 STALE_IMAGE = 1.0  # seconds without a picture that are worth a word
 INTERVALS = 2.5  # between pictures, if that is longer: slow cameras are not stale
 STALE_LOOK = 5.0  # seconds since the newest look that are worth a word
-REFRESHED = 0.2  # seconds for which a belief may only be turned with the camera before it is computed anew
+TOGETHER = 0.2  # seconds: looks that come faster are taken in together
+REFRESHED = 0.4  # seconds for which a belief may only be turned with the camera before it is computed anew,
+MOVED = 0.1  # ... unless the camera has gone so many metres meanwhile: near things are elsewhere by then
 FUTURE = 0.1  # seconds by which evidence may be ahead of time
 PICTURES = 512  # stamps of pictures that are remembered, for evidence that comes late
 SLOWEST = 1.0  # seconds: a camera's quickest picture takes no longer; a larger difference is one of clocks
@@ -52,9 +54,9 @@ class Settings:
 class LiveCore:
     """Follows targets by `settings`, event by event. Not for several threads, except `orientation`.
 
-    A belief is computed anew with a new look, but at most every `REFRESHED` seconds (looks that come faster are taken
-    in together), and every `REFRESHED` seconds without one. In between it is turned with the camera, which is exact for
-    turns and cheap.
+    A belief is computed anew with a new look, but at most every `TOGETHER` seconds, and without one when the camera has
+    moved by `MOVED` or after `REFRESHED` seconds. In between it is turned with the camera, which is exact for turns and
+    cheap.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -69,6 +71,7 @@ class LiveCore:
         self._looks: dict[str, float] = {}
         self._early: list[tuple[str, Evidence]] = []  # of the next moments: stamps may be a little ahead of ours
         self._full: dict[str, Estimate] = {}
+        self._from: dict[str, np.ndarray | None] = {}  # where the camera was then
         self._fresh: set[str] = set()
         self._taken: dict[str, float] = {}  # when looks were taken in last
         self._faults: dict[tuple[Part, str], Fault] = {}
@@ -110,6 +113,7 @@ class LiveCore:
         for gone in {*self.queries} - {*queries}:
             self._faults.pop(("perception", gone), None)
             self._full.pop(gone, None)
+            self._from.pop(gone, None)
             self._looks.pop(gone, None)
             self._fresh.discard(gone)
             if gone in self._tracker.targets:
@@ -232,7 +236,7 @@ class LiveCore:
         due = [query for query in self.queries if self._is_due(query, now)]
         due.sort(key=lambda query: self._full[query].stamp if query in self._full else -math.inf)
         # The same work in each round: a belief that waits is turned meanwhile.
-        most = math.ceil(len(self.queries) * min(since / REFRESHED, 1.0) - 1e-9)
+        most = math.ceil(len(self.queries) * min(since / TOGETHER, 1.0) - 1e-9)
         computed = {query: self._computed(query, now) for query in due[: max(1, most)]}
         for query in self.queries:
             estimate = computed.get(query) or self._turned(query, now)
@@ -251,7 +255,10 @@ class LiveCore:
         full = self._full.get(query)
         if full is None or now < full.stamp or now - full.stamp >= REFRESHED:
             return True
-        return query in self._fresh and now - self._taken.get(query, -math.inf) >= REFRESHED
+        if query in self._fresh and now - self._taken.get(query, -math.inf) >= TOGETHER:
+            return True
+        before, here = self._from[query], self._tracker.pose_at(now)[1]
+        return before is not None and here is not None and math.dist(before, here) >= MOVED
 
     def _computed(self, query: str, now: float) -> Estimate:
         if query in self._fresh:
@@ -259,7 +266,7 @@ class LiveCore:
             self._taken[query] = now
         known = query in self._tracker.targets
         estimate = self._tracker.estimate(now, query) if known else self._unknown(now)
-        self._full[query] = estimate
+        self._full[query], self._from[query] = estimate, self._tracker.pose_at(now)[1]
         return estimate
 
     def _turned(self, query: str, now: float) -> Estimate:
