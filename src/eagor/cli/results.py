@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 from eagor._extras import need
 from eagor.cli import terminal
@@ -20,11 +22,26 @@ def report(options: BenchReport) -> int:
     if options.out is not None:
         checked_folder(options.out)
     page = write_report(options.folders, out=options.out)
+    counts = [_counted(folder) for folder in options.folders]
     if options.json:
-        terminal.emit({"report": str(page)})
+        terminal.emit({"report": str(page), "runs": counts})
     else:
         print(f"The report: {page}")
     return terminal.OK
+
+
+def _counted(folder: Path) -> dict[str, Any]:
+    """How many records a run has, and how many it is to have; said, if these are fewer."""
+    from eagor.evaluation import studies
+
+    run = studies.read(folder)
+    planned, there = run.study.planned(run.settings), len(run.records)
+    if planned is not None and there < planned:
+        terminal.warning(
+            f"{folder} has {there} of {planned} records; the figures are about these. The command of the run goes on "
+            "where it stopped"
+        )
+    return {"folder": str(folder), "records": there, "planned": planned}
 
 
 def compare(options: BenchCompare) -> int:
