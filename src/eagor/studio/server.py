@@ -1,0 +1,312 @@
+"""The web server of the studio: pages, JSON about runs and pictures, and a socket per page for what is live.
+
+Nothing is computed here. Sessions run in the engine's process, episodes are drawn again in a worker's; this process
+passes bytes on. A page that reads slowly has a slot of its own with the newest step (`eagor.studio.slots`), so it
+delays nobody.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from eagor._version import __version__
+from eagor.studio import engine
+from eagor.studio.backends import Backend
+from eagor.studio.guard import Gate, Guard
+from eagor.studio.houses import DEFAULT
+from eagor.studio.messages import LONGEST, PageError, read
+from eagor.studio.offers import Offer, offers
+from eagor.studio.session import Opening
+from eagor.studio.slots import Slot
+from eagor.studio.wire import Message, packed
+
+__all__ = ["Settings", "Studio", "create_app"]
+
+PAGES = 64  # open at a time
+RUBBISH = 10  # messages that make no sense, after which a page is sent away
+RATE, BURST = 60.0, 120.0  # messages per second of a page, and at once
+TOO_MANY, TOO_WRONG = 4429, 4400  # codes with which a socket is closed
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the command line says. `perception`: a further one; `seed`: the apartment to begin with (None: none)."""
+
+    gate: Gate
+    runs: Path = Path("runs")
+    perception: str | None = None
+    seed: int | None = DEFAULT[0]
+
+
+@dataclass(eq=False)
+class Page:
+    """A browser's page: its slot, and its session (0: none is open)."""
+
+    slot: Slot = field(default_factory=Slot)
+    session: int = 0
+    rubbish: int = 0
+    allowance: float = BURST
+    counted: float = field(default_factory=time.monotonic)
+
+    def may_speak(self) -> bool:
+        """Whether it keeps to the rate: a bucket of messages that fills with time."""
+        now = time.monotonic()
+        self.allowance = min(BURST, self.allowance + RATE * (now - self.counted))
+        self.counted = now
+        if self.allowance < 1:
+            return False
+        self.allowance -= 1
+        return True
+
+
+class Studio:
+    """The server's state. Used in the loop's thread alone, except `_heard` and `_died`."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings, self.ready = settings, False
+        self.offers: list[Offer] = offers(settings.perception)
+        self.pages: dict[int, Page] = {}  # by session
+        self.open = 0
+        self._numbers = itertools.count(1)
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._engine: Backend | None = None
+
+    def start(self) -> None:
+        """Start the processes; from the loop's thread."""
+        self._loop = asyncio.get_running_loop()
+        walks = [offer.name for offer in self.offers if offer.ready and "walk" in offer.views]
+        names = tuple(walks) or ("colour",)
+        seed = self.settings.seed if walks else None
+        self._engine = Backend(engine.serve, (names, seed), self._heard, self._died)
+        self.ready = seed is None
+
+    def close(self) -> None:
+        """End the processes."""
+        if self._engine is not None:
+            self._engine.close()
+
+    def opening(self, message: dict[str, Any]) -> Opening:
+        """What a page wants to open. Raises `PageError` for what there is not."""
+        view = message["view"]
+        if view == "live":
+            raise PageError("There is no live source.", "Start eagor studio with --source.", 404)
+        usable = [offer for offer in self.offers if offer.ready and view in offer.views]
+        chosen = next((offer for offer in usable if offer.name == message["perception"]), None)
+        if chosen is None and message["perception"]:
+            raise self._unusable(message["perception"], view)
+        if chosen is None and not usable:
+            raise self._unusable(next(offer.name for offer in self.offers if view in offer.views), view)
+        perception = (chosen or usable[0]).name
+        asked = {"query": message["query"], "perception": perception, "methods": tuple(message["methods"])}
+        seed = DEFAULT[0] if message["seed"] is None else message["seed"]
+        return Opening(view, seed=seed, drive=message["drive"], **asked)
+
+    def _unusable(self, name: str, view: str) -> PageError:
+        offer = next((offer for offer in self.offers if offer.name == name), None)
+        if offer is None or view not in offer.views:
+            there = ", ".join(each.name for each in self.offers if view in each.views)
+            return PageError(f"There is no perception {name!r} for this view.", f"Choose one of {there}.", 404)
+        return PageError(f"The perception {name!r} cannot be used here.", offer.problem, 503)
+
+    def show(self, page: Page, message: dict[str, Any]) -> None:
+        """Open a view on a page, in place of the one before. Raises `PageError`."""
+        opening = self.opening(message)
+        self.hide(page)
+        page.slot.clear()
+        page.session = next(self._numbers)
+        self.pages[page.session] = page
+        assert self._engine is not None
+        self._engine.tell(("open", page.session, opening))
+
+    def tell(self, page: Page, message: dict[str, Any]) -> None:
+        """Pass a message on to the page's session. Raises `PageError` if it has none."""
+        if not page.session:
+            raise PageError("No view is open.", "Open one first.")
+        assert self._engine is not None
+        self._engine.tell(("told", page.session, message))
+
+    def hide(self, page: Page) -> None:
+        """Close the page's view, if it has one."""
+        if page.session:
+            self.pages.pop(page.session, None)
+            assert self._engine is not None
+            self._engine.tell(("close", page.session))
+            page.session = 0
+
+    def _heard(self, said: tuple[int, Message]) -> None:
+        assert self._loop is not None
+        with suppress(RuntimeError):  # the loop is closed: the server ends
+            self._loop.call_soon_threadsafe(self._deliver, *said)
+
+    def _deliver(self, number: int, message: Message) -> None:
+        if number == 0:
+            self.ready = True
+        elif (page := self.pages.get(number)) is not None:
+            page.slot.put(message)
+
+    def _died(self) -> None:
+        assert self._loop is not None
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._lost)
+
+    def _lost(self) -> None:
+        """The engine has died: every page is told to open its view again."""
+        words = {"problem": "The process of all views has ended unexpectedly.", "change": "Open the view again."}
+        for page in list(self.pages.values()):
+            page.session = 0
+            page.slot.put(Message({"type": "problem", **words, "fatal": True}))
+        self.pages.clear()
+
+    def state(self) -> dict[str, Any]:
+        """What ``/api/state`` says."""
+        walk = [offer for offer in self.offers if "walk" in offer.views]
+        picture = [offer for offer in self.offers if "picture" in offer.views]
+        views = [
+            _view("walk", any(offer.ready for offer in walk), walk[0].problem),
+            _view("run", True, ""),
+            _view("picture", any(offer.ready for offer in picture), picture[0].problem),
+            _view("live", False, "Start eagor studio with --source to see a camera here."),
+        ]
+        return {
+            "version": __version__,
+            "ready": self.ready,
+            "views": views,
+            "perceptions": [vars(offer) | {"views": list(offer.views)} for offer in self.offers],
+            "houses": {"first": 0, "last": 9999, "default": DEFAULT[0], "offered": [DEFAULT[0], 3, 8, 12, 17, 23]},
+            "default": {"seed": DEFAULT[0], "query": "", "perception": walk[0].name},
+            "limits": {"message_bytes": LONGEST},
+            "source": None,
+            "token": self.settings.gate.token is not None,
+        }
+
+
+def _view(name: str, usable: bool, problem: str) -> dict[str, Any]:
+    return {"name": name, "usable": usable, "problem": "" if usable else problem}
+
+
+def create_app(studio: Studio) -> Starlette:
+    """The ASGI application. Its processes run from its start to its end."""
+
+    @asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        studio.start()
+        try:
+            yield
+        finally:
+            await asyncio.to_thread(studio.close)
+
+    async def state(_: Request) -> Response:
+        return JSONResponse(studio.state())
+
+    async def socket(web: WebSocket) -> None:
+        await serve_page(studio, web)
+
+    routes = [
+        Route("/", index),
+        Route("/api/state", state),
+        WebSocketRoute("/ws", socket),
+        Mount("/assets", StaticFiles(directory=str(assets() / "assets"), check_dir=False)),
+    ]
+    handlers: dict[Any, Any] = {PageError: _refused, 404: _missing, 405: _missing, 500: _broken}
+    return Starlette(
+        routes=routes,
+        lifespan=lifespan,
+        middleware=[Middleware(Guard, gate=studio.settings.gate)],
+        exception_handlers=handlers,
+    )
+
+
+def assets() -> Path:
+    """The folder of the built page."""
+    return Path(str(files("eagor.studio") / "static"))
+
+
+async def index(_: Request) -> Response:
+    """The page."""
+    page = assets() / "index.html"
+    if not page.is_file():
+        raise PageError(
+            "The page has not been built in this clone.", "Run make page there (it needs Node), then reload.", 503
+        )
+    return FileResponse(page, headers={"Cache-Control": "no-cache"})
+
+
+async def _refused(_: Request, error: Exception) -> Response:
+    assert isinstance(error, PageError)
+    return JSONResponse({"problem": error.problem, "change": error.change}, error.status)
+
+
+async def _missing(request: Request, error: Exception) -> Response:
+    said = {"problem": f"There is nothing at {request.url.path[:200]}.", "change": "Open the page at /."}
+    return JSONResponse(said, getattr(error, "status_code", 404))
+
+
+async def _broken(_: Request, error: Exception) -> Response:
+    said = {"problem": f"The server has failed ({type(error).__name__}).", "change": "Its terminal says more."}
+    return JSONResponse(said, 500)
+
+
+async def serve_page(studio: Studio, web: WebSocket) -> None:
+    """One page, until it goes: what it says is checked and passed on, what is for it is sent as fast as it reads."""
+    await web.accept()
+    if studio.open >= PAGES:
+        await web.close(TOO_MANY, f"{PAGES} pages are open already; close one of them")
+        return
+    studio.open += 1
+    page = Page()
+    sending = asyncio.create_task(_send(page, web))
+    try:
+        await _listen(studio, page, web)
+    finally:
+        studio.open -= 1
+        studio.hide(page)
+        sending.cancel()
+        with suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError, OSError):
+            await sending
+
+
+async def _send(page: Page, web: WebSocket) -> None:
+    with suppress(WebSocketDisconnect, RuntimeError):
+        while True:
+            await web.send_bytes(packed(await page.slot.get()))
+
+
+async def _listen(studio: Studio, page: Page, web: WebSocket) -> None:
+    while True:
+        received = await web.receive()
+        if received["type"] == "websocket.disconnect":
+            return
+        text = received.get("text")
+        try:
+            if text is None:
+                raise PageError("A message of bytes came; text was wanted.", "Reload the page.")
+            message = read(text)
+            if not page.may_speak():
+                continue
+            if message["type"] == "open":
+                studio.show(page, message)
+            else:
+                studio.tell(page, message)
+        except PageError as error:
+            page.rubbish += 1
+            words = {"problem": error.problem, "change": error.change, "fatal": False}
+            page.slot.put(Message({"type": "problem", **words}))
+            if page.rubbish >= RUBBISH:
+                await web.close(TOO_WRONG, "too many messages that make no sense")
+                return
