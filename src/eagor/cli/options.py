@@ -38,6 +38,7 @@ from eagor.cli.shared_options import (
     Whole,
     bare,
 )
+from eagor.cli.studio_options import Studio
 from eagor.errors import EagorError
 
 
@@ -442,6 +443,7 @@ Command = (
     | Annotated[Ros, subcommand("ros")]
     | Annotated[Robot, subcommand("robot")]
     | Annotated[Demo, subcommand("demo")]
+    | Annotated[Studio, subcommand("studio")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[Export, subcommand("export")]
     | Annotated[Calibrate, subcommand("calibrate")]
