@@ -25,7 +25,9 @@ export interface Scene {
   view: View;
   title: string;
   query: string;
-  targets: unknown[];
+  targets: string[]; // names of things that can be asked for
+  drive?: "policy" | "person";
+  seed?: number;
   plan: Plan | null;
   degree: number;
   degrees?: number[];
@@ -90,7 +92,7 @@ export interface MethodStep {
 export interface Step {
   stamp: number;
   number?: number;
-  wall?: number; // seconds since 1970 when the server made it
+  sent?: number; // seconds since 1970 when the server made it
   world_R_camera: Matrix;
   position: number[] | null;
   look: { age: number | null; fresh?: boolean } | null;
@@ -102,7 +104,8 @@ export interface Step {
   rivals?: Record<string, { direction: Vector | null; error_deg: number | null }>;
   truth?: { direction: Vector | null } | null;
   error_deg: number | null;
-  goal?: { position: number[] | null; words?: string } | null;
+  drive?: "policy" | "person";
+  goal?: { position: number[] | null; words?: string; metres?: number | null; reached?: boolean } | null;
   frame?: { n: number; of: number } | null;
   methods?: Record<string, MethodStep>;
 }
@@ -121,8 +124,10 @@ export interface Problem {
 
 export interface ServerState {
   version: string;
+  ready?: boolean; // false while the server warms up
+  default?: { seed: number; query: string; perception: string };
   views: { name: View; ready: boolean; problem?: string | null; change?: string | null }[];
-  perceptions: { name: string; words: string; ready: boolean; problem?: string | null }[];
+  perceptions: { name: string; words: string; ready: boolean; problem?: string | null; views?: string[] }[];
   houses: { seeds: number[] };
   limits: { upload_bytes: number; pixels: number };
   source: string | null;
