@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import secrets
 import socket
-from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eagor._extras import need

@@ -6,25 +6,37 @@ import multiprocessing
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from importlib import import_module
 from queue import SimpleQueue
 from typing import Any
 
 from eagor._processes import starting
 
-__all__ = ["Backend"]
+__all__ = ["Backend", "run"]
 
 ENDING = 2.0  # seconds for the process to leave by itself
 
 
+def run(name: str, line: Any, *arguments: Any) -> None:
+    """Call ``package.module:function`` with the line and arguments: the first thing that a new process does.
+
+    What the function needs is imported in that process alone.
+    """
+    module, _, function = name.partition(":")
+    getattr(import_module(module), function)(line, *arguments)
+
+
 class Backend:
-    """Runs ``serve(line, *arguments)`` in a process of its own, and starts it anew if it dies.
+    """Runs a function ``(line, *arguments)`` in a process of its own, and starts it anew if it dies.
+
+    `serve`: its name, ``package.module:function``.
 
     `heard` is called with everything that it says, `died` after it has died, both in another thread. Telling never
     waits. A process that dies three times without having said anything is not started any more.
     """
 
     def __init__(
-        self, serve: Callable[..., None], arguments: tuple[Any, ...], heard: Callable[[Any], None],
+        self, serve: str, arguments: tuple[Any, ...], heard: Callable[[Any], None],
         died: Callable[[], None],
     ) -> None:  # fmt: skip
         self._serve, self._arguments, self._heard, self._died = serve, arguments, heard, died
@@ -59,7 +71,7 @@ class Backend:
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
         self._line, there = context.Pipe()
-        self._process = context.Process(target=self._serve, args=(there, *self._arguments))
+        self._process = context.Process(target=run, args=(self._serve, there, *self._arguments))
         with starting():
             self._process.start()
         there.close()

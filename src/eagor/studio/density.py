@@ -154,7 +154,9 @@ def _mixture(plane: np.ndarray, share: np.ndarray) -> list[tuple[float, np.ndarr
     covers = np.array([cover * 4.0 ** (1 - LOBES + index) for index in range(LOBES)])
     least = 1e-7
     for _ in range(ROUNDS):
-        logs = np.stack([_log_gaussian(plane, m, c) + math.log(p) for p, m, c in zip(parts, middles, covers, strict=True)])
+        logs = np.stack(
+            [_log_gaussian(plane, m, c) + math.log(p) for p, m, c in zip(parts, middles, covers, strict=True)]
+        )
         logs -= logs.max(axis=0)
         duty = np.exp(logs)
         duty *= share / duty.sum(axis=0)

@@ -15,9 +15,8 @@ from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from eagor._processes import leave_ctrl_c, leave_with_parent, starting
-from eagor.robots.live.core import Settings, warm
-from eagor.studio import eye
-from eagor.studio.following import SOONEST
+from eagor.studio.backends import run
+from eagor.studio.following import SOONEST, warm
 from eagor.studio.picture import PictureSession
 from eagor.studio.session import Opening, Outbox, Session
 from eagor.studio.walk import WalkSession
@@ -26,6 +25,7 @@ from eagor.tasks.methods import BASE
 
 __all__ = ["serve"]
 
+EYE = "eagor.studio.eye:serve"
 SHARE = 0.6  # of a core for computing beliefs
 KINDS = {"walk": WalkSession, "picture": PictureSession}
 
@@ -36,7 +36,7 @@ def serve(line: Connection, perceptions: tuple[str, ...], seed: int | None) -> N
     eyes = _Eye(perceptions, seed)
     leave_with_parent(eyes.kill)
     engine = _Engine(line, eyes)
-    warm(Settings(("",), BASE))
+    warm(BASE)
     with suppress(EOFError, OSError):
         while True:
             engine.turn()
@@ -53,7 +53,7 @@ class _Eye:
         """Start it, warm."""
         context = multiprocessing.get_context("spawn")
         self.line, there = context.Pipe()
-        self.process = context.Process(target=eye.serve, args=(there, *self._settings), daemon=False)
+        self.process = context.Process(target=run, args=(EYE, there, *self._settings), daemon=False)
         with starting():
             self.process.start()
         there.close()

@@ -6,20 +6,17 @@ own, so that other sessions go on seeing meanwhile. A panorama is said before th
 
 from __future__ import annotations
 
-import io
 import queue
 import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import lru_cache
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from eagor._processes import leave_ctrl_c, leave_with_parent
 from eagor.errors import EagorError, QueryError
@@ -28,87 +25,20 @@ from eagor.perception import load, rows_of
 from eagor.perception.looks import look_if_recorded
 from eagor.robots.pictures import read_photograph
 from eagor.studio.houses import House, house_of, place_of
+from eagor.studio.orders import Built, Opened, Panorama, Refused, See, Seen
+from eagor.studio.pictures import jpeg
 from eagor.studio.steps import calibration_of
 from eagor.tasks.eyes import is_privileged
 from eagor.tasks.places import LOOK_ROWS
 from eagor.tracking.config import TrackerConfig
 from eagor.worlds.photograph import Photograph
 
-__all__ = ["Built", "Opened", "Panorama", "Refused", "Seen", "See", "jpeg", "serve"]
+__all__ = ["serve"]
 
-QUALITY = 80  # of JPEG
 FIRST_ROWS = 256  # of the first panorama of an apartment
 PHOTO_ROWS = 768  # of a photograph that is sent, at most
 LOOKED_ROWS = 512  # of a photograph that is looked at, at most
 STILL = (0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class See:
-    """What a session wants to be seen: from where, and what to look for in it.
-
-    `seed`: the apartment; `picture`: else the file of a photograph. `rows` of the panorama that is sent (0: none).
-    `query` None: no look is taken.
-    """
-
-    session: int
-    stamp: float
-    world_R_body: np.ndarray
-    position: np.ndarray | None
-    perception: str
-    query: str | None
-    rows: int
-    seed: int | None = None
-    picture: Path | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Built:
-    """An apartment is ready, and so is the perception, which is `calibrated` in words and numbers."""
-
-    session: int
-    house: House
-    calibrated: dict[str, Any]
-
-
-@dataclass(frozen=True, eq=False)
-class Opened:
-    """A photograph is ready: as it is, `jpeg`, with facts from its file and the rows that are looked at."""
-
-    session: int
-    jpeg: bytes
-    facts: tuple[str, ...]
-    calibrated: dict[str, Any]
-
-
-@dataclass(frozen=True, eq=False)
-class Panorama:
-    """What the camera saw at a stamp."""
-
-    session: int
-    stamp: float
-    world_R_body: np.ndarray
-    jpeg: bytes
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """The looks at what was seen at a stamp, and the seconds that they took."""
-
-    session: int
-    stamp: float
-    query: str
-    looks: tuple[Evidence, ...]
-    seconds: float
-
-
-@dataclass(frozen=True)
-class Refused:
-    """Why something cannot be built, opened or looked for. `part`: house, picture, look or query."""
-
-    session: int
-    part: str
-    problem: str
 
 
 def serve(line: Connection, perceptions: tuple[str, ...], seed: int | None) -> None:
@@ -166,7 +96,7 @@ def _build(job: tuple[Any, ...], say: Callable[[Any], None]) -> None:
 
 @lru_cache(maxsize=64)
 def _furnished(seed: int) -> House:
-    """The apartment, after a first picture of it: its light takes seconds. Renderers are not for two threads at once."""
+    """The apartment, after a first picture of it (its light takes seconds), which no other thread renders meanwhile."""
     house = house_of(seed)
     _rendered(See(0, 0.0, np.eye(3), _eye(house), "", None, FIRST_ROWS, seed))
     return house
@@ -239,13 +169,6 @@ def _small(path: Path, rows: int) -> Photograph:
     found = Photograph(_photograph(path).panorama).panorama(STILL, np.eye(3), rows).rgb
     assert found is not None
     return Photograph(found)
-
-
-def jpeg(panorama: np.ndarray) -> bytes:
-    """A picture ``(H, W, 3)`` uint8 as JPEG."""
-    buffer = io.BytesIO()
-    Image.fromarray(panorama).save(buffer, "JPEG", quality=QUALITY)
-    return buffer.getvalue()
 
 
 def _said(error: Exception) -> str:

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from eagor.evidence import Evidence
-from eagor.studio.steps import belief_of
+from eagor.grids import ErpGrid
+from eagor.studio.steps import belief_of, estimate_json
 from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 
-__all__ = ["Following"]
+__all__ = ["Following", "warm"]
 
 SOONEST = 0.2  # seconds between two computations, at least
 LATEST = 1.0  # seconds after which the belief is computed anew without news: targets may come and go
@@ -61,3 +62,14 @@ class Following:
             self._fresh, self._at, self._stamp, self.news = False, position, stamp, True
             return self.estimate
         return self.estimate.turned(stamp, pose)
+
+
+def warm(config: TrackerConfig) -> None:
+    """Make the tables that the first answers need, which take tenths of a second."""
+    following = Following(config)
+    for number in range(3):
+        stamp = float(number)
+        following.pose(stamp, np.eye(3), np.array([0.1 * number, 0.0, 1.25]))
+        following.look(Evidence.from_points(np.array([[1.0, 0.1, 0.0]]), scores=np.full(1, 0.8), stamp=stamp))
+        following.look(Evidence.from_response(np.full((32, 64), 0.1), ErpGrid(32, 64), stamp=stamp))
+        estimate_json(following.answer(stamp, 0.0), following.entropy)

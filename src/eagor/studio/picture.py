@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from eagor.sphere import angular_distance, world_R_body
-from eagor.studio.eye import Opened, Refused, See, Seen
 from eagor.studio.following import SOONEST, Following
+from eagor.studio.orders import Opened, Refused, See, Seen
 from eagor.studio.rivals import OFFERED, Rivals
 from eagor.studio.session import Opening, Outbox
 from eagor.studio.steps import FLOATS, estimate_json, evidence_of, modes_json, stage
 from eagor.studio.wire import Blob, Message, rounded
-from eagor.tracking.config import TrackerConfig
+from eagor.tasks.methods import BASE
 
 __all__ = ["PictureSession"]
 
@@ -36,7 +37,7 @@ class PictureSession:
         self.number, self.opening, self._out = number, opening, out
         self.due = math.inf
         self._picture: Path = opening.picture
-        self._query, self._degree = opening.query, opening.config.degree
+        self._query, self._degree = opening.query, BASE.degree
         self._angles = (0.0, 0.0, 0.0)
         self._opened: Opened | None = None
         self._seeing = self._paused = False
@@ -129,8 +130,7 @@ class PictureSession:
     def _follow(self, now: float) -> None:
         """Follow the query, with nothing known."""
         assert self._opened is not None
-        config: TrackerConfig = self.opening.configured(self._degree)
-        self._following = Following(config)
+        self._following = Following(replace(BASE, degree=self._degree))
         self._rivals = Rivals(self.opening.perception)
         self._rivals.choose(self.opening.methods)
         self._stamp, self._poses, self._looked_from = 0.0, {}, None

@@ -38,7 +38,9 @@ class Rivals:
         self._methods = made
         self._answers = {name: each for name, each in self._answers.items() if name in made}
 
-    def look(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None, looks: Sequence[Evidence]) -> None:
+    def look(
+        self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None, looks: Sequence[Evidence]
+    ) -> None:
         """A look from a pose; looks come in order of time."""
         if stamp <= self._last:
             return

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote, unquote
 
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
@@ -26,18 +27,19 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from eagor._version import __version__
-from eagor.studio import engine
 from eagor.studio.backends import Backend
 from eagor.studio.guard import Gate, Guard
-from eagor.studio.houses import DEFAULT
+from eagor.studio.library import Library
 from eagor.studio.messages import LONGEST, PageError, read
 from eagor.studio.offers import Offer, offers
-from eagor.studio.session import Opening
+from eagor.studio.session import SEED, Opening
 from eagor.studio.slots import Slot
+from eagor.studio.uploads import BYTES, PIXELS, Uploads
 from eagor.studio.wire import Message, packed
 
 __all__ = ["Settings", "Studio", "create_app"]
 
+ENGINE = "eagor.studio.engine:serve"
 PAGES = 64  # open at a time
 RUBBISH = 10  # messages that make no sense, after which a page is sent away
 RATE, BURST = 60.0, 120.0  # messages per second of a page, and at once
@@ -51,7 +53,7 @@ class Settings:
     gate: Gate
     runs: Path = Path("runs")
     perception: str | None = None
-    seed: int | None = DEFAULT[0]
+    seed: int | None = SEED
 
 
 @dataclass(eq=False)
@@ -82,6 +84,7 @@ class Studio:
         self.settings, self.ready = settings, False
         self.offers: list[Offer] = offers(settings.perception)
         self.pages: dict[int, Page] = {}  # by session
+        self.uploads, self.library = Uploads(), Library(settings.runs)
         self.open = 0
         self._numbers = itertools.count(1)
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -93,13 +96,15 @@ class Studio:
         walks = [offer.name for offer in self.offers if offer.ready and "walk" in offer.views]
         names = tuple(walks) or ("colour",)
         seed = self.settings.seed if walks else None
-        self._engine = Backend(engine.serve, (names, seed), self._heard, self._died)
+        self._engine = Backend(ENGINE, (names, seed), self._heard, self._died)
         self.ready = seed is None
 
     def close(self) -> None:
-        """End the processes."""
+        """End the processes, remove the uploads."""
         if self._engine is not None:
             self._engine.close()
+        self.library.close()
+        self.uploads.close()
 
     def opening(self, message: dict[str, Any]) -> Opening:
         """What a page wants to open. Raises `PageError` for what there is not."""
@@ -114,7 +119,12 @@ class Studio:
             raise self._unusable(next(offer.name for offer in self.offers if view in offer.views), view)
         perception = (chosen or usable[0]).name
         asked = {"query": message["query"], "perception": perception, "methods": tuple(message["methods"])}
-        seed = DEFAULT[0] if message["seed"] is None else message["seed"]
+        if view == "picture":
+            found = self.uploads.get(message["id"])
+            if not asked["query"]:
+                raise PageError("There is no query.", "Say what to look for, such as 'red chair'.")
+            return Opening(view, picture=found.path, name=found.name, **asked)
+        seed = SEED if message["seed"] is None else message["seed"]
         return Opening(view, seed=seed, drive=message["drive"], **asked)
 
     def _unusable(self, name: str, view: str) -> PageError:
@@ -188,9 +198,9 @@ class Studio:
             "ready": self.ready,
             "views": views,
             "perceptions": [vars(offer) | {"views": list(offer.views)} for offer in self.offers],
-            "houses": {"first": 0, "last": 9999, "default": DEFAULT[0], "offered": [DEFAULT[0], 3, 8, 12, 17, 23]},
-            "default": {"seed": DEFAULT[0], "query": "", "perception": walk[0].name},
-            "limits": {"message_bytes": LONGEST},
+            "houses": {"first": 0, "last": 9999, "default": SEED, "offered": [SEED, 3, 8, 12, 17, 23]},
+            "default": {"seed": SEED, "query": "", "perception": walk[0].name},
+            "limits": {"message_bytes": LONGEST, "upload_bytes": BYTES, "pixels": PIXELS},
             "source": None,
             "token": self.settings.gate.token is not None,
         }
@@ -214,12 +224,47 @@ def create_app(studio: Studio) -> Starlette:
     async def state(_: Request) -> Response:
         return JSONResponse(studio.state())
 
+    async def runs(_: Request) -> Response:
+        folder = str(studio.settings.runs)
+        return JSONResponse({"folder": folder, "runs": await studio.library.listed()})
+
+    async def run(request: Request) -> Response:
+        name = request.path_params["name"]
+        return JSONResponse({"name": name, **await studio.library.opened(name)})
+
+    async def episode(request: Request) -> Response:
+        name, key = request.path_params["name"], request.path_params["key"]
+        found = await studio.library.episode(name, key)
+        if isinstance(found, int):
+            return JSONResponse({"progress": found}, 202)
+        here = f"/api/runs/{quote(name, safe='')}/episodes/{quote(key, safe='')}/panorama"
+        return JSONResponse(found.as_json(lambda number: f"{here}/{number}"))
+
+    async def panorama(request: Request) -> Response:
+        name, key, number = (request.path_params[each] for each in ("name", "key", "number"))
+        found = await studio.library.episode(name, key)
+        if isinstance(found, int) or number not in found.pictures:
+            raise PageError(f"Step {number} has no picture here.", "Open the episode again.", 404)
+        return Response(found.pictures[number], media_type="image/jpeg", headers={"Cache-Control": "max-age=3600"})
+
+    async def pictures(request: Request) -> Response:
+        declared = request.headers.get("content-length", "")
+        name = unquote(request.headers.get("x-name", ""))
+        path = await studio.uploads.receive(int(declared) if declared.isdecimal() else None, request.stream())
+        found = await asyncio.to_thread(studio.uploads.keep, path, name)
+        return JSONResponse(found.as_json(), 201)
+
     async def socket(web: WebSocket) -> None:
         await serve_page(studio, web)
 
     routes = [
         Route("/", index),
         Route("/api/state", state),
+        Route("/api/runs", runs),
+        Route("/api/runs/{name}", run),
+        Route("/api/runs/{name}/episodes/{key}", episode),
+        Route("/api/runs/{name}/episodes/{key}/panorama/{number:int}", panorama),
+        Route("/api/pictures", pictures, methods=["POST"]),
         WebSocketRoute("/ws", socket),
         Mount("/assets", StaticFiles(directory=str(assets() / "assets"), check_dir=False)),
     ]

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
 from eagor.studio.wire import Message
-from eagor.tasks.methods import BASE
-from eagor.tracking import TrackerConfig
 
-__all__ = ["Opening", "Outbox", "Session"]
+__all__ = ["SEED", "Opening", "Outbox", "Session"]
+
+SEED = 602  # the apartment of `eagor demo`: its search was chosen because it is instructive
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,6 @@ class Opening:
     picture: Path | None = None
     name: str = ""
     methods: tuple[str, ...] = ()
-    config: TrackerConfig = BASE
-
-    def configured(self, degree: int) -> TrackerConfig:
-        """The tracker's settings, with this degree."""
-        return replace(self.config, degree=degree)
 
 
 @dataclass

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from eagor.studio.eye import Built, Panorama, Refused, See, Seen
 from eagor.studio.following import SOONEST, Following
 from eagor.studio.houses import House
+from eagor.studio.orders import Built, Panorama, Refused, See, Seen
 from eagor.studio.rivals import OFFERED, Rivals
 from eagor.studio.session import Opening, Outbox
 from eagor.studio.steps import FLOATS, error_deg, estimate_json, evidence_of, modes_json, stage
 from eagor.studio.walking import Body, Walker
 from eagor.studio.wire import Blob, Message, rounded
+from eagor.tasks.methods import BASE
 from eagor.tasks.rules import NavigationRules
 from eagor.worlds.walkable import Way
 
@@ -35,7 +37,7 @@ class WalkSession:
         self.house: House | None = None
         self._paused = False
         self._seeing = self._fine = False  # a look is under way; the panorama is a fine one
-        self._degree = opening.config.degree
+        self._degree = BASE.degree
         out.eye(("house", number, opening.seed, opening.perception))
         out.status(number, f"Building apartment {opening.seed}. The first time takes some seconds.")
 
@@ -116,7 +118,7 @@ class WalkSession:
     def _follow(self, now: float) -> None:
         """Forget what was believed, and follow the query from here."""
         assert self.house is not None
-        self._following = Following(self.opening.configured(self._degree))
+        self._following = Following(replace(BASE, degree=self._degree))
         self._rivals = Rivals(self.opening.perception)
         self._rivals.choose(self.opening.methods)
         self._estimate, self._refused = None, None
@@ -168,7 +170,10 @@ class WalkSession:
         return body.world_R_body.T @ (nearest / max(float(np.linalg.norm(nearest)), 1e-9))
 
     def _arrive(self) -> None:
-        reached = self._way is not None and float(self._way.distance(self._walker.body.xy)) < NavigationRules().success_distance
+        reached = (
+            self._way is not None
+            and float(self._way.distance(self._walker.body.xy)) < NavigationRules().success_distance
+        )
         self._arrived = bool(reached)
 
     def _goal(self) -> dict[str, Any] | None:
