@@ -74,6 +74,12 @@ class Library:
         self._episodes: OrderedDict[tuple[str, str], _Job] = OrderedDict()
         self._loop: asyncio.AbstractEventLoop | None = None
 
+    def warm(self) -> None:
+        """Start the process, so that the first question is answered soon."""
+        self._loop = asyncio.get_running_loop()
+        if self._backend is None:
+            self._backend = Backend(PROCESS, (), self._heard, self._died)
+
     def close(self) -> None:
         """End the process."""
         if self._backend is not None:
@@ -104,9 +110,9 @@ class Library:
         return job.future.result()
 
     def _ask(self, what: str, name: str = "", key: str | None = None) -> _Job:
-        self._loop = asyncio.get_running_loop()
-        if self._backend is None:
-            self._backend = Backend(PROCESS, (), self._heard, self._died)
+        self.warm()
+        assert self._loop is not None
+        assert self._backend is not None
         number = next(self._numbers)
         job = self._jobs[number] = _Job(self._loop.create_future())
         job.future.add_done_callback(lambda done: done.cancelled() or done.exception())  # nobody may be waiting

@@ -167,6 +167,7 @@ class Studio:
     def _deliver(self, number: int, message: Message) -> None:
         if number == 0:
             self.ready = True
+            self.library.warm()  # now that nobody waits for the first apartment
         elif (page := self.pages.get(number)) is not None:
             page.slot.put(message)
 
