@@ -12,9 +12,10 @@ from eagor.cli.shared_options import given
 from eagor.cli.studio_options import Studio
 
 if TYPE_CHECKING:
-    from eagor.studio.server import Settings
+    from eagor.studio.server import LiveSource, Settings
 
 SHORTEST = 16  # letters of a token
+RATE = 10.0  # answers per second of a live source
 LAST_SEED = 9999
 FOR_EXPORT = ("out", "episode", "methods")
 FOR_SOURCE = ("query", "poses", "rig")
@@ -66,12 +67,29 @@ def _settings(options: Studio) -> Settings:
         )
     if options.folder.exists() and not options.folder.is_dir():
         raise terminal.UsageError(f"--runs {options.folder} is no folder; name the one that holds your runs")
-    settings = Settings(Gate(options.host, token), options.folder, options.perception, options.seed)
+    live = None if options.source is None else _live(options, options.source)
+    settings = Settings(Gate(options.host, token), options.folder, options.perception, options.seed, live)
     if options.perception is not None:
         from eagor.cli.looking import make_perception
 
         make_perception(options.perception)  # raises for what does not exist, before anything is started
     return settings
+
+
+def _live(options: Studio, source: str) -> LiveSource:
+    """The source, as ``eagor live`` would open it. Raises `UsageError`, `QueryError`."""
+    from eagor.cli import live
+    from eagor.cli.live_options import Live
+    from eagor.cli.studio_live import SERVE
+    from eagor.studio.server import LiveSource
+
+    if options.query is None:
+        raise terminal.UsageError(f"--source {source} needs --query: say what to look for at first")
+    wanted = Live(
+        words=(source, options.query), poses=options.poses, rig=options.rig, perception=options.perception, rate=RATE
+    )
+    live.asked(wanted)
+    return LiveSource(source, SERVE, (wanted,))
 
 
 def _listening(host: str, port: int) -> socket.socket:

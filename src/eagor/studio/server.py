@@ -28,6 +28,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from eagor._version import __version__
 from eagor.studio.backends import Backend
+from eagor.studio.channel import Channel
 from eagor.studio.guard import Gate, Guard
 from eagor.studio.library import Library
 from eagor.studio.messages import LONGEST, PageError, read
@@ -47,6 +48,15 @@ TOO_MANY, TOO_WRONG = 4429, 4400  # codes with which a socket is closed
 
 
 @dataclass(frozen=True)
+class LiveSource:
+    """A live source: its name, and the function ``(line, *arguments)`` of the process that watches it."""
+
+    words: str
+    serve: str
+    arguments: tuple[Any, ...] = ()
+
+
+@dataclass(frozen=True)
 class Settings:
     """What the command line says. `perception`: a further one; `seed`: the apartment to begin with (None: none)."""
 
@@ -54,6 +64,7 @@ class Settings:
     runs: Path = Path("runs")
     perception: str | None = None
     seed: int | None = SEED
+    live: LiveSource | None = None
 
 
 @dataclass(eq=False)
@@ -62,6 +73,7 @@ class Page:
 
     slot: Slot = field(default_factory=Slot)
     session: int = 0
+    watches: bool = False  # the live source
     rubbish: int = 0
     allowance: float = BURST
     counted: float = field(default_factory=time.monotonic)
@@ -86,9 +98,11 @@ class Studio:
         self.pages: dict[int, Page] = {}  # by session
         self.uploads, self.library = Uploads(), Library(settings.runs)
         self.open = 0
-        self._numbers = itertools.count(1)
+        self._numbers, self._steps = itertools.count(1), itertools.count(1)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._engine: Backend | None = None
+        self._live: Backend | None = None
+        self._channel = Channel()
 
     def start(self) -> None:
         """Start the processes; from the loop's thread."""
@@ -98,19 +112,20 @@ class Studio:
         seed = self.settings.seed if walks else None
         self._engine = Backend(ENGINE, (names, seed), self._heard, self._died)
         self.ready = seed is None
+        if (live := self.settings.live) is not None:
+            self._live = Backend(live.serve, live.arguments, self._seen, self._unseen)
 
     def close(self) -> None:
         """End the processes, remove the uploads."""
-        if self._engine is not None:
-            self._engine.close()
+        for backend in (self._engine, self._live):
+            if backend is not None:
+                backend.close()
         self.library.close()
         self.uploads.close()
 
     def opening(self, message: dict[str, Any]) -> Opening:
         """What a page wants to open. Raises `PageError` for what there is not."""
         view = message["view"]
-        if view == "live":
-            raise PageError("There is no live source.", "Start eagor studio with --source.", 404)
         usable = [offer for offer in self.offers if offer.ready and view in offer.views]
         chosen = next((offer for offer in usable if offer.name == message["perception"]), None)
         if chosen is None and message["perception"]:
@@ -136,6 +151,9 @@ class Studio:
 
     def show(self, page: Page, message: dict[str, Any]) -> None:
         """Open a view on a page, in place of the one before. Raises `PageError`."""
+        if message["view"] == "live":
+            self._watch(page, message["query"])
+            return
         opening = self.opening(message)
         self.hide(page)
         page.slot.clear()
@@ -144,15 +162,41 @@ class Studio:
         assert self._engine is not None
         self._engine.tell(("open", page.session, opening))
 
+    def _watch(self, page: Page, query: str) -> None:
+        if self._live is None:
+            raise PageError("There is no live source.", "Start eagor studio with --source.", 404)
+        self.hide(page)
+        page.slot.clear()
+        page.watches = True
+        if query:
+            self._live.tell(("query", query))
+        self._channel.join(page.slot)
+
     def tell(self, page: Page, message: dict[str, Any]) -> None:
         """Pass a message on to the page's session. Raises `PageError` if it has none."""
+        if page.watches:
+            self._direct(page, message)
+            return
         if not page.session:
             raise PageError("No view is open.", "Open one first.")
         assert self._engine is not None
         self._engine.tell(("told", page.session, message))
 
+    def _direct(self, page: Page, message: dict[str, Any]) -> None:
+        """What a page says to the live source, which others watch, too."""
+        assert self._live is not None
+        if message["type"] == "query":
+            self._live.tell(("query", message["text"]))
+        elif message["type"] == "pause":
+            self._channel.leave(page.slot)
+            if not message["on"]:
+                self._channel.join(page.slot)
+
     def hide(self, page: Page) -> None:
         """Close the page's view, if it has one."""
+        if page.watches:
+            self._channel.leave(page.slot)
+            page.watches = False
         if page.session:
             self.pages.pop(page.session, None)
             assert self._engine is not None
@@ -170,6 +214,22 @@ class Studio:
             self.library.warm()  # now that nobody waits for the first apartment
         elif (page := self.pages.get(number)) is not None:
             page.slot.put(message)
+
+    def _seen(self, message: Message) -> None:
+        assert self._loop is not None
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._channel.put, self._stamped(message))
+
+    def _unseen(self) -> None:
+        words = {"problem": "The process that watches the source has ended.", "change": "It is started anew; wait."}
+        self._seen(Message({"type": "problem", **words, "fatal": False}))
+
+    def _stamped(self, message: Message) -> Message:
+        """A step of the live source, with its number and the time."""
+        if message.header["type"] != "step":
+            return message
+        header = {**message.header, "number": next(self._steps), "sent": time.time()}
+        return Message(header, message.blobs)
 
     def _died(self) -> None:
         assert self._loop is not None
@@ -192,7 +252,7 @@ class Studio:
             _view("walk", any(offer.ready for offer in walk), walk[0].problem),
             _view("run", True, ""),
             _view("picture", any(offer.ready for offer in picture), picture[0].problem),
-            _view("live", False, "Start eagor studio with --source to see a camera here."),
+            _view("live", self._live is not None, "Start eagor studio with --source to see a camera here."),
         ]
         return {
             "version": __version__,
@@ -202,7 +262,7 @@ class Studio:
             "houses": {"first": 0, "last": 9999, "default": SEED, "offered": [SEED, 3, 8, 12, 17, 23]},
             "default": {"seed": SEED, "query": "", "perception": walk[0].name},
             "limits": {"message_bytes": LONGEST, "upload_bytes": BYTES, "pixels": PIXELS},
-            "source": None,
+            "source": None if self.settings.live is None else self.settings.live.words,
             "token": self.settings.gate.token is not None,
         }
 
