@@ -35,7 +35,11 @@ theme(shell.theme, () => {
 const problems = new Problems(shell.problems);
 const stage = new Stage(store, [shell.insideView, shell.insideMarks], [shell.flatView, shell.flatMarks]);
 if (stage.broken) problems.tell("webgl", { problem: words.problems.webgl, change: words.problems.webglChange });
-const player = new Player(store, shell);
+// A stored episode begins with a look at the answer, and the view stays with it while the camera turns and walks.
+const player = new Player(store, shell, () => {
+  stage.hold = true;
+  stage.lookAt(store.direction ?? [1, 0, 0]);
+});
 const panels = new Panels(store, shell, stage);
 let state: ServerState | null = null;
 let view: ViewHandler | null = null;
@@ -127,6 +131,8 @@ function enter(name: View): void {
   problems.clearAll();
   if (stage.broken) problems.tell("webgl", { problem: words.problems.webgl, change: words.problems.webglChange });
   store.begin(null);
+  stage.hold = false;
+  stage.lookAt([1, 0, 0]);
   badge("");
   for (const link of shell.tabs.querySelectorAll("a")) {
     if (link.hash === `#${name}`) link.setAttribute("aria-current", "page");

@@ -30,6 +30,8 @@ export interface Field {
 
 const LONGEST = 4000; // moments of a live session; then every second one is dropped
 const PATIENCE = 1500; // milliseconds until a pose that the server does not take up is given up
+const [QUICKEST, FINEST] = [64, 128]; // rows that a belief is evaluated on
+const SETTLED = 300; // milliseconds without a new belief until the last one is evaluated finely
 const QUICK = 22; // milliseconds for the heat of one belief while it changes often
 
 export class Store {
@@ -49,7 +51,8 @@ export class Store {
   look = { yaw: 0, pitch: 0, field: 1.25 };
   hold = false;
   stats = { received: 0, evaluated: 0, drawn: 0, ages: [] as number[], evaluation: 0, firstPicture: 0 };
-  private rows = 128;
+  private rows = QUICKEST; // the first belief is evaluated by code that is not compiled yet
+  private settling = 0;
   private asked: Matrix | null = null;
   private askedUntil = 0;
   private readonly listeners = new Map<Topic, Set<() => void>>();
@@ -159,7 +162,15 @@ export class Store {
     this.stats.evaluated++;
     const took = performance.now() - begun;
     this.stats.evaluation = this.stats.evaluation ? 0.8 * this.stats.evaluation + 0.2 * took : took;
-    this.rows = this.stats.evaluation > QUICK ? 64 : this.stats.evaluation < QUICK / 5 ? 128 : this.rows;
+    const used = this.rows;
+    this.rows = this.stats.evaluation > QUICK ? QUICKEST : this.stats.evaluation < QUICK / 5 ? FINEST : used;
+    clearTimeout(this.settling);
+    if (used < FINEST)
+      this.settling = window.setTimeout(() => {
+        if (this.density !== density) return;
+        this.heat = heatOf(density, FINEST);
+        this.emit("layers");
+      }, SETTLED);
   }
 
   private observe(step: Step, blob: ArrayBuffer | undefined): void {

@@ -150,7 +150,7 @@ export const words = {
     answer: "Look at the answer",
     full: "Fill the screen",
     small: "Leave full screen",
-    hold: "Hold my view to the world",
+    hold: "Hold my view",
     looking: (azimuth: number, elevation: number, field: number) =>
       `You look ${side(azimuth)}, ${height(elevation)}, ${whole(field)}° high.`,
     waiting: "Waiting for the first picture …",
@@ -190,7 +190,7 @@ export const words = {
   answer: {
     label: "Answer",
     none: "Nothing is known yet",
-    presence: "Here at all",
+    presence: "Presence",
     cone: (mass: number) => `${whole(100 * mass)} % within`,
     error: "Off the truth by",
     distance: "Distance",

@@ -26,7 +26,7 @@ function glyph(name: LayerName): SVGElement {
 }
 
 function chip(text: string, mark: SVGElement, on: boolean, flip: (on: boolean) => void): HTMLButtonElement {
-  const button = h("button", { type: "button", class: "chip", "aria-pressed": on }, mark, h("span", {}, text));
+  const button = h("button", { type: "button", class: "chip", "aria-pressed": String(on) }, mark, h("span", {}, text));
   button.addEventListener("click", () => {
     const now = button.getAttribute("aria-pressed") !== "true";
     button.setAttribute("aria-pressed", String(now));
@@ -71,6 +71,7 @@ export function layers(store: Store, shell: Shell, stage: Stage, actions: LayerA
       });
     }));
   };
+  store.on("look", () => hold.setAttribute("aria-pressed", String(store.hold)));
   store.on("scene", renew);
   renew();
 }

@@ -21,7 +21,7 @@ export class Player {
   private readonly method = h("select", {});
   private readonly methodField = field(words.run.method, this.method, "small");
 
-  constructor(private readonly store: Store, private readonly shell: Shell) {
+  constructor(private readonly store: Store, private readonly shell: Shell, private readonly loaded: () => void) {
     const button = (label: string, path: string, act: () => void) =>
       h("button", { type: "button", class: "tool", "aria-label": label, title: label, onclick: act }, icon(path));
     shell.player.setAttribute("role", "group");
@@ -55,6 +55,7 @@ export class Player {
     this.shell.player.hidden = false;
     this.remember();
     this.go(0, false);
+    this.loaded();
   }
 
   unload(): void {

@@ -11,8 +11,8 @@ export function live(page: Page): ViewHandler {
       const state = page.state();
       const told = state?.views.find(({ name }) => name === "live");
       shell.controls.replaceChildren();
-      if (!state?.source || told?.ready === false) {
-        page.empty(h("strong", {}, told?.problem ?? words.live.none), h("p", {}, told?.change ?? words.live.noneChange));
+      if (!state?.source || told?.usable === false) {
+        page.empty(h("strong", {}, words.live.none), h("p", {}, told?.problem || words.live.noneChange));
         return;
       }
       shell.controls.replaceChildren(h("p", { class: "source" }, `${words.live.source}: ${state.source}`));

@@ -9,7 +9,8 @@ export function walk(page: Page): ViewHandler {
   const { session, shell, store } = page;
   let drive = "policy";
   let paused = false;
-  const seed = h("input", { type: "number", min: 0, max: 999_999, step: 1, value: "", class: "short", onchange: () => open() });
+  const seed = h("input", { type: "number", step: 1, list: "houses", class: "short", onchange: () => open() });
+  const offered = h("datalist", { id: "houses" });
   const perception = h("select", { onchange: () => open() });
   const stick = new Stick((forward, turn) => session.send({ type: "drive", by: "person", forward, turn }));
   const steering = segmented(words.walk.drive, [["policy", words.walk.policy], ["person", words.walk.person]], drive, (by) => {
@@ -52,9 +53,13 @@ export function walk(page: Page): ViewHandler {
       const usable = (state?.perceptions ?? []).filter(({ views }) => !views || views.includes("walk"));
       perception.replaceChildren(...usable.map(({ name, words: told, ready, problem }) =>
         h("option", { value: name, disabled: !ready, title: problem ?? told, selected: name === state?.default?.perception }, name)));
+      if (state?.houses) {
+        [seed.min, seed.max] = [String(state.houses.first), String(state.houses.last)];
+        offered.replaceChildren(...state.houses.offered.map((value) => h("option", { value })));
+      }
       if (seed.value === "" && state?.default) seed.value = String(state.default.seed);
       shell.controls.replaceChildren(
-        field(words.walk.house, seed), field(words.walk.perception, perception), steering, h("span", { class: "buttons" }, pause, again));
+        field(words.walk.house, seed), offered, field(words.walk.perception, perception), steering, h("span", { class: "buttons" }, pause, again));
       mark();
       page.empty(words.panorama.waiting);
       open();

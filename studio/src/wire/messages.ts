@@ -126,9 +126,9 @@ export interface ServerState {
   version: string;
   ready?: boolean; // false while the server warms up
   default?: { seed: number; query: string; perception: string };
-  views: { name: View; ready: boolean; problem?: string | null; change?: string | null }[];
+  views: { name: View; usable: boolean; problem: string }[];
   perceptions: { name: string; words: string; ready: boolean; problem?: string | null; views?: string[] }[];
-  houses: { seeds: number[] };
+  houses: { first: number; last: number; default: number; offered: number[] };
   limits: { upload_bytes: number; pixels: number };
   source: string | null;
 }
