@@ -82,7 +82,10 @@ store.on("step", () => {
   badge(goal?.words ?? "");
 });
 
+const hold = tool(words.panorama.hold, shell.ICONS.hold, () => { stage.hold = !store.hold; });
+store.on("look", () => hold.setAttribute("aria-pressed", String(store.hold)));
 shell.tools.append(
+  hold,
   tool(words.panorama.answer, shell.ICONS.target, () => { if (store.direction) stage.lookAt(store.direction); }),
   tool(words.panorama.ahead, shell.ICONS.ahead, () => stage.lookAt([1, 0, 0])),
   tool(words.panorama.zoomIn, shell.ICONS.plus, () => stage.zoom(1 / 1.25)),
@@ -99,7 +102,7 @@ handle(stage, shell.look, {
 });
 shell.flatMarks.addEventListener("click", (event) => stage.lookAt(stage.under("flat", [event.offsetX, event.offsetY])));
 shell.series.canvas.addEventListener("click", (event) => { if (player.active) player.go(panels.momentAt(event.offsetX)); });
-layers(store, shell, stage, {
+layers(store, shell, {
   degree: (L) => session.send({ type: "degree", L }),
   methods: (names) => session.send({ type: "methods", names }),
   stored: () => player.active,

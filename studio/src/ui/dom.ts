@@ -68,6 +68,7 @@ export const ICONS = {
   plus: "M9 4h2v5h5v2h-5v5H9v-5H4V9h5z",
   minus: "M4 9h12v2H4z",
   ahead: "M10 3l6 13-6-3.5L4 16z",
-  target: "M10 2v3M10 15v3M2 10h3M15 10h3M10 6a4 4 0 1 0 .01 0z",
+  target: "M9 1h2v3.100a6 6 0 0 1 4.900 4.900H19v2h-3.100a6 6 0 0 1-4.900 4.900V19H9v-3.100A6 6 0 0 1 4.100 11H1V9h3.100A6 6 0 0 1 9 4.100zM10 6a4 4 0 1 0 0 8 4 4 0 0 0 0-8zm0 2.500a1.500 1.500 0 1 1 0 3 1.500 1.500 0 0 1 0-3z",
+  hold: "M6 8V6a4 4 0 0 1 8 0v2h1.500v9h-11V8zm2 0h4V6a2 2 0 0 0-4 0z",
   full: "M3 3h5v2H5v3H3zM12 3h5v5h-2V5h-3zM3 12h2v3h3v2H3zM15 12h2v5h-5v-2h3z",
 } as const;

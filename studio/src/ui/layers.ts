@@ -1,7 +1,6 @@
 /** What is drawn: each switch shows the mark that it stands for. */
 
 import { RIVALS } from "../draw/palette";
-import type { Stage } from "../draw/stage";
 import { LAYERS, type LayerName, type Store } from "../store";
 import { words } from "../words";
 import { h, svg } from "./dom";
@@ -41,16 +40,14 @@ export interface LayerActions {
   stored(): boolean; // a stored episode: its degree is what it is
 }
 
-export function layers(store: Store, shell: Shell, stage: Stage, actions: LayerActions): void {
+export function layers(store: Store, shell: Shell, actions: LayerActions): void {
   const text = (name: LayerName) => (name === "border" ? words.layers.border(store.scene?.region ?? 0.9) : words.layers[name as "heat"]);
   const chips = LAYERS.map((name) =>
     chip(text(name), glyph(name), store.layers.has(name), (on) => store.toggle(name, on)));
-  const hold = chip(words.panorama.hold, svg("svg", { viewBox: "0 0 16 16", class: "glyph", "aria-hidden": "true" },
-    svg("path", { d: "M8 1l2 4-2 1.500L6 5zM8 15a4 4 0 1 1 .01 0z", class: "g-grid" })), store.hold, (on) => { stage.hold = on; });
   const degree = h("select", { onchange: () => actions.degree(Number(degree.value)) });
   const degreeField = h("label", { class: "field small", title: words.layers.degreeHint }, h("span", {}, words.layers.degree), degree);
   const rivals = h("details", { class: "rivals" }, h("summary", {}, words.layers.rivals), h("div", { class: "chips" }));
-  shell.legend.append(...chips, hold, rivals, degreeField);
+  shell.legend.append(...chips, rivals, degreeField);
 
   const renew = () => {
     const { scene } = store;
@@ -71,7 +68,6 @@ export function layers(store: Store, shell: Shell, stage: Stage, actions: LayerA
       });
     }));
   };
-  store.on("look", () => hold.setAttribute("aria-pressed", String(store.hold)));
   store.on("scene", renew);
   renew();
 }

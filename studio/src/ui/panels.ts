@@ -61,7 +61,7 @@ export class Panels {
     shell.status.dataset.status = state || "none";
     const name = state ? (words.status[state as "tracking"] as string | undefined) ?? state : words.status.none;
     say(shell.status, answer?.held ? `${name}, ${words.status.held}` : name);
-    const told = answer?.words && direction ? answer.words : direction ? this.where(direction) : words.answer.none;
+    const told = direction ? this.where(direction) : words.answer.none;
     say(shell.sentence, told[0].toUpperCase() + told.slice(1));
     const age = step?.look?.age ?? null;
     say(shell.means, age !== null && age > SLOW && state ? words.answer.slow : (words.status.means[state] ?? ""));
@@ -78,7 +78,7 @@ export class Panels {
       rows.push([words.answer.error, store.error === null ? dash : words.answer.degrees(store.error)]);
     rows.push([words.answer.look, age === null ? words.answer.never : words.answer.seconds(age), age !== null && age > SLOW]);
     fill(shell.facts, rows);
-    this.news(`${name}. ${told}`);
+    this.news(`${name}. ${direction && answer?.words ? answer.words : told}`);
   }
 
   private news(text: string): void {
