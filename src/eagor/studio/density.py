@@ -121,8 +121,8 @@ def _filled(values: np.ndarray, hidden: np.ndarray) -> np.ndarray:
         return np.zeros_like(values)
     width = values.shape[1]
     wide, masked = np.tile(values, 3), np.tile(hidden, 3)
-    nearest = ndimage.distance_transform_edt(masked, return_distances=False, return_indices=True)
-    return wide[tuple(nearest)][:, width : 2 * width]
+    nearest = np.asarray(ndimage.distance_transform_edt(masked, return_distances=False, return_indices=True))
+    return wide[nearest[0], nearest[1]][:, width : 2 * width]
 
 
 @lru_cache(maxsize=2)

@@ -17,8 +17,10 @@ from typing import Any
 from eagor._processes import leave_ctrl_c, leave_with_parent, starting
 from eagor.studio.backends import run
 from eagor.studio.following import SOONEST, warm
+from eagor.studio.orders import Close
 from eagor.studio.picture import PictureSession
 from eagor.studio.session import Opening, Outbox, Session
+from eagor.studio.video import VideoSession
 from eagor.studio.walk import WalkSession
 from eagor.studio.wire import Message
 from eagor.tasks.methods import BASE
@@ -27,7 +29,7 @@ __all__ = ["serve"]
 
 EYE = "eagor.studio.eye:serve"
 SHARE = 0.6  # of a core for computing beliefs
-KINDS = {"walk": WalkSession, "picture": PictureSession}
+KINDS = {"walk": WalkSession, "picture": PictureSession, "video": VideoSession}
 
 
 def serve(line: Connection, perceptions: tuple[str, ...], seed: int | None) -> None:
@@ -99,6 +101,7 @@ class _Engine:
         elif what == "close":
             self._sessions.pop(number, None)
             self._out.forget(number)
+            self._order(Close(number))
         elif (session := self._sessions.get(number)) is not None:
             self._safely(session, session.told, rest[0], time.monotonic())
 

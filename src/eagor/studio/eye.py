@@ -25,8 +25,9 @@ from eagor.perception import load, rows_of
 from eagor.perception.looks import look_if_recorded
 from eagor.robots.pictures import read_photograph
 from eagor.studio.houses import House, house_of, place_of
-from eagor.studio.orders import Built, Opened, Panorama, Refused, See, Seen
+from eagor.studio.orders import Built, Close, Opened, Panorama, Refused, See, Seen, Turn, Turned
 from eagor.studio.pictures import jpeg
+from eagor.studio.reels import Reel
 from eagor.studio.steps import calibration_of
 from eagor.tasks.eyes import is_privileged
 from eagor.tasks.places import LOOK_ROWS
@@ -51,15 +52,16 @@ def serve(line: Connection, perceptions: tuple[str, ...], seed: int | None) -> N
         with lock, suppress(OSError):
             line.send(item)
 
-    looks: queue.SimpleQueue[See] = queue.SimpleQueue()
-    builds: queue.SimpleQueue[tuple[Any, ...]] = queue.SimpleQueue()
-    threading.Thread(target=_forever, args=(looks, lambda job: _see(job, say)), daemon=True).start()
+    looks: queue.SimpleQueue[See | Turn | Close] = queue.SimpleQueue()
+    reels: dict[int, Reel] = {}
+    builds: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    threading.Thread(target=_forever, args=(looks, lambda job: _serve(job, reels, say)), daemon=True).start()
     threading.Thread(target=_forever, args=(builds, lambda job: _build(job, say)), daemon=True).start()
     if seed is not None:
         builds.put(("warm", seed, perceptions[0]))
     with suppress(EOFError, OSError):
         while (job := line.recv()) is not None:
-            (looks if isinstance(job, See) else builds).put(job)
+            (looks if isinstance(job, See | Turn | Close) else builds).put(job)
 
 
 def _forever(jobs: queue.SimpleQueue[Any], work: Callable[[Any], None]) -> None:
@@ -80,6 +82,9 @@ def _build(job: tuple[Any, ...], say: Callable[[Any], None]) -> None:
             session, seed, perception = rest
             house = _furnished(seed)
             say(Built(session, house, calibration_of(_loaded(perception), TrackerConfig())))
+        elif what == "video":
+            session, perception = rest
+            say(Opened(session, b"", (), calibration_of(_loaded(perception), TrackerConfig())))
         elif what == "picture":
             session, path, perception = rest
             found = _photograph(path)
@@ -104,6 +109,39 @@ def _furnished(seed: int) -> House:
 
 def _eye(house: House) -> np.ndarray:
     return place_of(house.seed).eye(house.start, 1.25)
+
+
+def _serve(job: See | Turn | Close, reels: dict[int, Reel], say: Callable[[Any], None]) -> None:
+    if isinstance(job, Close):
+        reels.pop(job.session, None)
+    elif isinstance(job, Turn):
+        _turn(job, reels, say)
+    else:
+        _see(job, say)
+
+
+def _turn(job: Turn, reels: dict[int, Reel], say: Callable[[Any], None]) -> None:
+    """The next frame of a video, and a look at it."""
+    try:
+        if job.start is not None or job.session not in reels:
+            reels[job.session] = Reel(job.path, job.start or 0.0)
+        found = reels[job.session].next()
+        if found is None:
+            say(Turned(job.session, 0.0, np.eye(3), b"", None, over=True))
+            return
+        frame, pose, lost = found
+        looks: tuple[Evidence, ...] = ()
+        if job.query is not None:
+            try:
+                looks = look_if_recorded(_loaded(job.perception), frame.panorama, job.query, frame.stamp, pose)
+            except EagorError as error:
+                say(Refused(job.session, "query" if isinstance(error, QueryError) else "look", _said(error)))
+        rows = min(frame.panorama.shape[0], FIRST_ROWS)
+        small = Photograph(frame.panorama).panorama(STILL, np.eye(3), rows).rgb
+        assert small is not None
+        say(Turned(job.session, frame.stamp, pose, jpeg(small), job.query, looks, lost))
+    except Exception as error:
+        say(Refused(job.session, "picture", _said(error)))
 
 
 def _see(job: See, say: Callable[[Any], None]) -> None:

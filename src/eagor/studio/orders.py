@@ -12,7 +12,10 @@ if TYPE_CHECKING:
     from eagor.evidence import Evidence
     from eagor.studio.houses import House
 
-__all__ = ["Built", "Opened", "Panorama", "Refused", "See", "Seen"]
+__all__ = ["LOOKS", "Built", "Close", "Opened", "Panorama", "Refused", "See", "Seen", "Turn", "Turned"]
+
+
+LOOKS = 4.0  # frames of a video per second that are taken, at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +35,45 @@ class See:
     rows: int
     seed: int | None = None
     picture: Path | None = None
+
+
+@dataclass(frozen=True)
+class Turn:
+    """The next frame of a video that a session wants to see; `start`: seconds of the video to begin at (None: go on).
+
+    `query` None: no look is taken.
+    """
+
+    session: int
+    path: Path
+    perception: str
+    query: str | None
+    start: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Turned:
+    """A frame of a video: its time (seconds of the video), the camera's rotation, the picture, and the looks at it.
+
+    `lost`: the rotation could not be followed up to here; the world starts anew. `over`: there are no more frames, and
+    the rest means nothing.
+    """
+
+    session: int
+    stamp: float
+    world_R_body: np.ndarray
+    jpeg: bytes
+    query: str | None
+    looks: tuple[Evidence, ...] = ()
+    lost: bool = False
+    over: bool = False
+
+
+@dataclass(frozen=True)
+class Close:
+    """The session is closed: what is kept for it can go."""
+
+    session: int
 
 
 @dataclass(frozen=True, eq=False)

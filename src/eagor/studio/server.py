@@ -138,7 +138,8 @@ class Studio:
             found = self.uploads.get(message["id"])
             if not asked["query"]:
                 raise PageError("There is no query.", "Say what to look for, such as 'red chair'.")
-            return Opening(view, picture=found.path, name=found.name, **asked)
+            kind = "video" if found.kind == "video" else view
+            return Opening(kind, picture=found.path, name=found.name, frames=found.frames, **asked)
         seed = SEED if message["seed"] is None else message["seed"]
         return Opening(view, seed=seed, drive=message["drive"], **asked)
 

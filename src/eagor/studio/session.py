@@ -25,6 +25,7 @@ class Opening:
     seed: int = 0
     drive: str = "policy"
     picture: Path | None = None
+    frames: int = 0
     name: str = ""
     methods: tuple[str, ...] = ()
 

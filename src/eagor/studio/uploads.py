@@ -159,14 +159,16 @@ def _photo(path: Path, name: str) -> Upload:
         )  # fmt: skip
     if fisheye_circles(found):
         raise PageError(f"{name} shows the circles of a fisheye camera.", "Stitch it first, then drop it again.", 422)
-    return Upload(path.name, "photo", path, name, *found.shape[:2], 1, tuple(problems(found)))
+    return Upload(path.name, "photo", path, name, found.shape[0], found.shape[1], 1, tuple(problems(found)))
 
 
 def _video(path: Path, name: str) -> Upload:
     from eagor.robots.video import Video
+    from eagor.studio.orders import LOOKS
+    from eagor.studio.reels import ROWS
 
     try:
-        found = Video(path, rows=512)
+        found = Video(path, rate=LOOKS, rows=ROWS)
     except EagorError as error:
         words = " ".join(str(error).replace(str(path), name).split())
         raise PageError(f"{name} cannot be used: {words}.", "Drop an equirectangular video (MP4, MKV).", 422) from error
