@@ -12,7 +12,7 @@ from eagor.cli.shared_options import given
 from eagor.cli.studio_options import Studio
 
 if TYPE_CHECKING:
-    from eagor.studio.server import LiveSource, Settings
+    from eagor.studio.hub import LiveSource, Settings
 
 SHORTEST = 16  # letters of a token
 RATE = 10.0  # answers per second of a live source
@@ -52,7 +52,7 @@ def studio(options: Studio) -> int:
 
 def _settings(options: Studio) -> Settings:
     from eagor.studio.guard import Gate, is_loopback
-    from eagor.studio.server import Settings
+    from eagor.studio.hub import Settings
 
     if not 0 <= options.port <= 65535:
         raise terminal.UsageError(f"--port {options.port}; wanted a port from 0 to 65535")
@@ -81,7 +81,7 @@ def _live(options: Studio, source: str) -> LiveSource:
     from eagor.cli import live
     from eagor.cli.live_options import Live
     from eagor.cli.studio_live import SERVE
-    from eagor.studio.server import LiveSource
+    from eagor.studio.hub import LiveSource
 
     if options.query is None:
         raise terminal.UsageError(f"--source {source} needs --query: say what to look for at first")

@@ -15,6 +15,7 @@ from eagor._processes import starting
 __all__ = ["Backend", "run"]
 
 ENDING = 2.0  # seconds for the process to leave by itself
+PAUSE = 0.3  # seconds before one that has died is started anew
 
 
 def run(name: str, line: Any, *arguments: Any) -> None:
@@ -41,7 +42,7 @@ class Backend:
     ) -> None:  # fmt: skip
         self._serve, self._arguments, self._heard, self._died = serve, arguments, heard, died
         self._orders: SimpleQueue[Any] = SimpleQueue()
-        self._closed = threading.Event()
+        self._closed, self._turn = threading.Event(), threading.Lock()
         self._process: Any = None
         self._line: Any = None
         self._start()
@@ -59,7 +60,8 @@ class Backend:
 
     def close(self) -> None:
         """End the process."""
-        self._closed.set()
+        with self._turn:
+            self._closed.set()
         self._orders.put(None)
         with suppress(OSError):
             self._line.close()
@@ -70,11 +72,14 @@ class Backend:
 
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
-        self._line, there = context.Pipe()
-        self._process = context.Process(target=run, args=(self._serve, there, *self._arguments))
-        with starting():
-            self._process.start()
-        there.close()
+        with self._turn:
+            if self._closed.is_set():
+                return
+            self._line, there = context.Pipe()
+            self._process = context.Process(target=run, args=(self._serve, there, *self._arguments))
+            with starting():
+                self._process.start()
+            there.close()
 
     def _listen(self) -> None:
         silent = 0
@@ -82,7 +87,7 @@ class Backend:
             try:
                 said = self._line.recv()
             except (EOFError, OSError, TypeError):
-                if self._closed.is_set():
+                if self._closed.wait(PAUSE):  # whoever ends us may have ended it first
                     return
                 silent += 1
                 self._process.join(ENDING)

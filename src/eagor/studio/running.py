@@ -8,8 +8,9 @@ from socket import socket
 
 import uvicorn
 
+from eagor.studio.hub import Settings, Studio
 from eagor.studio.messages import LONGEST
-from eagor.studio.server import Settings, Studio, create_app
+from eagor.studio.server import create_app
 
 __all__ = ["serve"]
 
