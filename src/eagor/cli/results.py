@@ -21,12 +21,19 @@ def report(options: BenchReport) -> int:
         raise terminal.UsageError("no run was given; wanted the folder of a run")
     if options.out is not None:
         checked_folder(options.out)
-    page = write_report(options.folders, out=options.out)
+    episode, out = None, options.out or options.folders[0]
+    if len(options.folders) == 1 and not options.without_episode:
+        from eagor.cli.studio_export import beside_report
+
+        episode = beside_report(options.folders[0], out)
+    page = write_report(options.folders, out=options.out, episode=episode)
     counts = [_counted(folder) for folder in options.folders]
     if options.json:
-        terminal.emit({"report": str(page), "runs": counts})
+        terminal.emit({"report": str(page), "episode": None if episode is None else str(out / episode), "runs": counts})
     else:
         print(f"The report: {page}")
+        if episode is not None:
+            print(f"The worst episode, to watch: {out / episode}")
     return terminal.OK
 
 

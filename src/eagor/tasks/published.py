@@ -51,7 +51,8 @@ def picture_size(file: Path | IO[bytes], upright: bool = False) -> tuple[int, in
         try:
             with Image.open(file, formats=FORMATS) as picture:
                 turned = upright and picture.getexif().get(ORIENTATION, 1) >= 5  # by a quarter
-                return picture.size[::-1] if turned else picture.size
+                width, height = picture.size
+                return (height, width) if turned else (width, height)
         except Exception:  # decoders may raise anything for damaged files
             return None
 
