@@ -1,0 +1,267 @@
+"""A body that searches: while nothing is believed it goes where looks would tell most per metre, then to the thing.
+
+It uses odometry, touch, and the floor that looks show (`floor_seen`); no map is given and no depth is read. A place is
+worth going to for what could be seen from there: ground that no look has shown, as far as it may go on, and ground that
+was looked at but where the perception may have missed the thing. The best ratio of that to the way is the next goal
+(a frontier search; Yamauchi, 1997, with expected information as in Bourgault et al., 2002).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from scipy import ndimage
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, UNKNOWN, FloorSeen
+
+TOUCH = 0.07  # a step that falls short by more than this share collided
+HALF = 0.1  # metres to each side of the way on which it was held up: there it would be, too
+# What a metre on such ground costs, in metres of floor.
+COSTS = np.array([2.0, 1.0, 15.0])
+HELD = 20.0  # ... and more for each time that the body was held up there
+TIGHT, CLOSE = 4.0, 1.5  # ... nearer to an obstacle than the body's radius, and than that and SPARE metres more
+SPARE = 0.15
+RAYS, SIGHT = 32, 3.0  # rays about a place from which it may look, and how far they go, metres
+FINE = 160  # rays about the body itself
+OPEN = 1.5  # metres: how far one sees on average into what is unknown
+NEAREST_GOAL = 0.8  # metres added to the way to a goal: a goal next to the body is not worth everything
+REACHED = 0.3  # metres from a goal
+WORTH = 0.4  # a goal is given up when less of what it promised is left
+RANGE = 5.0  # metres to a target whose distance is unknown
+ALIKE, NEAR = math.radians(25), 0.5  # a belief that moves by less still means the same place; metres that do, too
+LOOK = 1.5  # metres: longest straight stretch of a path
+EVERY = 3  # cells between the places that are weighed
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """What a policy is told at a step.
+
+    `azimuth` of the estimate (radians, body frame), whether it is `sure`, and the `distance` (metres) if known; the pose
+    by odometry: `position` ``(3,)``, metres above the floor, and `world_R_body` ``(3, 3)``; `floor` ``(H, W)``: which
+    pixels show floor.
+    """
+
+    azimuth: float
+    sure: bool
+    distance: float | None
+    position: np.ndarray
+    world_R_body: np.ndarray
+    floor: np.ndarray
+
+
+@dataclass
+class Searcher:
+    """Chooses headings for one episode. `step` and `radius` in metres; `recall`: probability that a look finds."""
+
+    step: float
+    radius: float = 0.18
+    recall: float = 0.5
+    known: FloorSeen = field(default_factory=FloorSeen)
+    searching: bool = True
+    _goal: np.ndarray | None = None
+    _promise: float = 0.0
+    _last: tuple[np.ndarray, np.ndarray] | None = None
+    _kept: np.ndarray | None = None  # where the thing should be
+    _vain: list[np.ndarray] = field(default_factory=list)  # where it should have been, and was not
+
+    def heading(self, now: Situation) -> float:
+        """The heading to walk in, radians from straight ahead, in (-pi, pi]."""
+        here = np.array(now.position[:2], dtype=np.float64)
+        yaw = math.atan2(now.world_R_body[1, 0], now.world_R_body[0, 0])
+        self.known.look(now.floor, now.world_R_body, now.position)
+        self.known.walked(here, self.radius)
+        if self._last is not None:
+            self._feel(*self._last, here)
+        self._looked(here)
+        bearing = now.azimuth + yaw
+        ahead = np.array([math.cos(bearing), math.sin(bearing)])
+        target = self._target(now, here, ahead) if now.sure else None
+        self.searching = target is None
+        if target is not None:
+            self._goal = None
+            self.known.cover(np.minimum(here, target) - 1.0, np.maximum(here, target) + 1.0)
+        costs = self._costs()
+        metres, before = self._spread(costs, here)
+        end = self._search(metres, here, ahead) if target is None else self._end(metres, target)
+        if target is not None and float(np.hypot(*(self.known.centres(np.array(end)) - here))) < REACHED:
+            self._vain.append(target)  # it should be here, and is not
+        way = self._way(costs, metres, before, here, end)
+        self._last = here, way * (self.step / max(np.hypot(*way), 1e-9))
+        return math.remainder(math.atan2(way[1], way[0]) - yaw, 2 * math.pi)
+
+    def _target(self, now: Situation, here: np.ndarray, ahead: np.ndarray) -> np.ndarray | None:
+        """Where the thing should be ``(2,)``, as believed; None if the body has been there in vain.
+
+        The way to it is kept until the belief moves away from it.
+        """
+        kept = self._kept
+        if kept is not None:
+            to = kept - here
+            away = float(np.hypot(*to))
+            agrees = float(to @ ahead) > math.cos(ALIKE) * away
+            known = now.distance is None or abs(math.log(max(now.distance, 0.1) / max(away, 0.1))) < 0.3
+            if not (agrees and known):
+                kept = None
+        if kept is None:
+            distance = now.distance if now.distance is not None else self._free(here, ahead)
+            kept = here + distance * ahead
+        self._kept = kept
+        if any(float(np.hypot(*(kept - place))) < NEAR for place in self._vain):
+            if now.distance is not None or float(np.hypot(*(kept - here))) >= RANGE - 0.1:
+                return None
+            self._kept = kept = here + RANGE * ahead  # not in front of the next obstacle: behind it
+            if any(float(np.hypot(*(kept - place))) < NEAR for place in self._vain):
+                return None
+        return kept
+
+    def _free(self, here: np.ndarray, ahead: np.ndarray) -> float:
+        """Metres to where something stands first in a direction, as far as is known; `RANGE` if nothing does."""
+        metres = np.arange(0.3, RANGE, CELL / 2)
+        cells = self.known.cells(here + metres[:, None] * ahead)
+        inside = self.known.inside(cells)
+        cells = np.where(inside[:, None], cells, 0)
+        stands = inside & (self.known.state[cells[:, 0], cells[:, 1]] == CONTACT)
+        return float(metres[stands.argmax()]) if stands.any() else RANGE
+
+    def _feel(self, before: np.ndarray, meant: np.ndarray, here: np.ndarray) -> None:
+        """Learn from a step: something stands where the body was held up."""
+        lost = meant - (here - before)
+        size, into = float(np.hypot(*lost)), float(lost @ meant)
+        if size <= TOUCH * self.step or into <= 0:
+            return
+        normal = lost / size
+        along = np.array([-normal[1], normal[0]])
+        ahead = np.linspace(0.5, 1.2, 3)[:, None, None] * self.step * normal
+        beside = np.linspace(-HALF, HALF, 3)[None, :, None] * along
+        points = (here + ahead + beside).reshape(-1, 2)
+        self.known.held_up(points[np.any(self.known.cells(points) != self.known.cells(here), axis=1)])
+
+    def _costs(self) -> np.ndarray:
+        """Metres of floor that a metre costs, for each cell."""
+        state = self.known.state
+        costs = COSTS[state]
+        taken = state >= CONTACT
+        away = np.asarray(ndimage.distance_transform_edt(~taken)) * CELL
+        free = ~taken
+        costs[free & (away < self.radius + SPARE)] *= CLOSE
+        costs[free & (away < self.radius)] *= TIGHT
+        return costs + HELD * self.known.held
+
+    def _spread(self, costs: np.ndarray, here: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The cost ``(rows, cols)`` of the way from here to each cell, and the cell before it (flat)."""
+        row, col = self.known.cells(here)
+        a, b, lengths, order = _lattice(costs.shape)
+        flat = costs.reshape(-1)
+        weights = (flat[a] + flat[b]) * lengths
+        graph = csr_array((weights, b, order), shape=(flat.size, flat.size))
+        metres, before = dijkstra(graph, indices=int(row) * costs.shape[1] + int(col), return_predecessors=True)
+        return metres.reshape(costs.shape), before
+
+    def _end(self, metres: np.ndarray, goal: np.ndarray) -> tuple[int, int]:
+        """The cell to go to for a goal in which something may stand."""
+        rows, cols = np.indices(metres.shape)
+        centres = self.known.centres(np.stack([rows, cols], axis=-1))
+        away = np.hypot(*np.moveaxis(centres - goal, -1, 0))
+        best = int((3 * away + 0.2 * metres).argmin())
+        return divmod(best, metres.shape[1])
+
+    def _search(self, metres: np.ndarray, here: np.ndarray, ahead: np.ndarray) -> tuple[int, int]:
+        """The cell to go to while nothing is believed: the old goal as long as it is worth it, or the best one."""
+        known = self.known
+        if self._goal is not None:
+            cell = known.cells(self._goal)
+            left = self._gains(cell[None])[0]
+            away = float(np.hypot(*(self._goal - here)))
+            if away > REACHED and left > WORTH * self._promise and known.state[tuple(cell)] <= FLOOR:
+                return int(cell[0]), int(cell[1])
+        rows, cols = np.nonzero(known.state == FLOOR)
+        kept = ((rows + cols) % EVERY == 0) & np.isfinite(metres[rows, cols])
+        cells = np.stack([rows[kept], cols[kept]], axis=-1)
+        if not len(cells):
+            return tuple(known.cells(here + ahead))  # type: ignore[return-value]
+        gains = self._gains(cells)
+        ratios = gains / (metres[cells[:, 0], cells[:, 1]] + NEAREST_GOAL)
+        best = int(ratios.argmax())
+        self._goal, self._promise = known.centres(cells[best]), float(gains[best])
+        return int(cells[best, 0]), int(cells[best, 1])
+
+    def _gains(self, cells: np.ndarray) -> np.ndarray:
+        """Square metres ``(n,)`` that a look from each of the cells ``(n, 2)`` is expected to search."""
+        row, col, reached, inside = self._reached(cells, _rays()[0])
+        worth = np.where(inside, self.known.worth[row, col], 1.0)
+        return np.sum(reached * worth * _rays()[1], axis=(1, 2))
+
+    def _reached(self, cells: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Rows and columns ``(n, RAYS, k)`` along rays from cells ``(n, 2)``, how likely one sees them, which exist."""
+        known = self.known
+        places = cells[:, None, None] + rays
+        inside = known.inside(places)
+        row, col = (np.where(inside, places[..., axis], 0) for axis in (0, 1))
+        state = np.where(inside, known.state[row, col], UNKNOWN)
+        step = SIGHT / rays.shape[1]
+        dimmed = np.where(state >= CONTACT, 50.0, np.where(state == UNKNOWN, step / OPEN, 0.0))
+        passed = np.cumsum(dimmed, axis=2) - dimmed
+        return row, col, np.exp(-passed), inside
+
+    def _looked(self, here: np.ndarray) -> None:
+        """What could be seen from here has had its chance."""
+        row, col, reached, inside = self._reached(self.known.cells(here)[None], _rays(FINE)[0])
+        seen = np.zeros(self.known.state.shape)
+        np.maximum.at(seen, (row[inside], col[inside]), reached[inside])
+        self.known.worth *= 1 - self.recall * seen
+
+    def _way(
+        self, costs: np.ndarray, metres: np.ndarray, before: np.ndarray, here: np.ndarray, end: tuple[int, int]
+    ) -> np.ndarray:
+        """The direction ``(2,)`` in which the path to a cell begins: to its farthest point that a line reaches."""
+        width = costs.shape[1]
+        path = [end[0] * width + end[1]]
+        while before[path[-1]] >= 0:
+            path.append(int(before[path[-1]]))
+        path = path[::-1]
+        points = self.known.centres(np.stack(np.divmod(path, width), axis=-1))
+        target = points[min(1, len(points) - 1)]
+        for flat, point in zip(path[1:], points[1:], strict=True):
+            if float(np.hypot(*(point - here))) > LOOK:
+                break
+            if self._line(costs, here, point) > 1.05 * float(metres.flat[flat]) + 0.1:
+                break
+            target = point
+        found = target - here
+        return found if np.hypot(*found) > 1e-6 else np.array([1.0, 0.0])
+
+    def _line(self, costs: np.ndarray, here: np.ndarray, there: np.ndarray) -> float:
+        """The cost of the straight line between two points."""
+        length = float(np.hypot(*(there - here)))
+        at = np.linspace(0, 1, max(2, math.ceil(length / CELL * 2)))[:, None]
+        cells = self.known.cells(here + at * (there - here))
+        return float(costs[cells[:, 0], cells[:, 1]].mean()) * length
+
+
+@lru_cache(maxsize=8)
+def _lattice(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The edges of a grid of cells, sorted by their first: both ends, half their lengths (metres), and row pointers."""
+    index = np.arange(shape[0] * shape[1]).reshape(shape)
+    padded = np.pad(index, 1, constant_values=-1)
+    around = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+    ends = np.stack([padded[1 + i : 1 + i + shape[0], 1 + j : 1 + j + shape[1]] for i, j in around], axis=-1)
+    lengths = np.broadcast_to([math.hypot(i, j) * CELL / 2 for i, j in around], ends.shape)
+    there = ends.reshape(-1) >= 0
+    first = np.repeat(index.reshape(-1), len(around))[there]
+    order = np.concatenate([[0], np.cumsum((ends >= 0).sum(axis=-1).reshape(-1))])
+    return first, ends.reshape(-1)[there], lengths.reshape(-1)[there], order
+
+
+@lru_cache(maxsize=2)
+def _rays(count: int = RAYS) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets ``(RAYS, n, 2)`` of the cells along rays, and the square metres ``(n,)`` for which each stands."""
+    metres = (np.arange(int(SIGHT / CELL)) + 0.5) * CELL
+    angles = (np.arange(count) + 0.5) * 2 * math.pi / count
+    offsets = np.stack([np.sin(angles)[:, None] * metres, np.cos(angles)[:, None] * metres], axis=-1)
+    return np.round(offsets / CELL).astype(np.intp), 2 * math.pi / count * metres * CELL
