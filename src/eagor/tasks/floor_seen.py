@@ -19,6 +19,7 @@ CELL = 0.15  # metres
 FARTHEST = 6.0  # metres: beyond, a row of pixels covers more floor than a body
 THICK = 0.3  # metres behind its contact that a thing reaches at least
 MARGIN = 1.5  # metres of unknown ground around all that is known
+BLOCK = 12  # cells by which the grid grows
 UNKNOWN, FLOOR, CONTACT = range(3)
 
 
@@ -50,8 +51,8 @@ class FloorSeen:
 
     def cover(self, low: np.ndarray, high: np.ndarray) -> None:
         """Grow the grid to these corners ``(2,)``."""
-        first = np.floor(low / CELL).astype(int)
-        last = np.ceil(high / CELL).astype(int)
+        first = np.floor(low / CELL / BLOCK).astype(int) * BLOCK
+        last = np.ceil(high / CELL / BLOCK).astype(int) * BLOCK
         rows, cols = self.state.shape
         if rows:
             old = np.round(self.origin / CELL).astype(int)

@@ -26,7 +26,8 @@ COSTS = np.array([2.0, 1.0, 15.0])
 HELD = 20.0  # ... and more for each time that the body was held up there
 TIGHT, CLOSE = 4.0, 1.5  # ... nearer to an obstacle than the body's radius, and than that and SPARE metres more
 SPARE = 0.15
-RAYS, SIGHT = 32, 3.0  # rays about a place from which it may look, and how far they go, metres
+RAYS, SIGHT = 24, 3.0  # rays about a place from which it may look, and how far they go, metres
+PAD = math.ceil(SIGHT / CELL) + 1  # cells around the grid
 FINE = 160  # rays about the body itself
 OPEN = 1.5  # metres: how far one sees on average into what is unknown
 NEAREST_GOAL = 0.8  # metres added to the way to a goal: a goal next to the body is not worth everything
@@ -181,7 +182,7 @@ class Searcher:
             if away > REACHED and left > WORTH * self._promise and known.state[tuple(cell)] <= FLOOR:
                 return int(cell[0]), int(cell[1])
         rows, cols = np.nonzero(known.state == FLOOR)
-        kept = ((rows + cols) % EVERY == 0) & np.isfinite(metres[rows, cols])
+        kept = (rows % EVERY == 0) & (cols % EVERY == 0) & np.isfinite(metres[rows, cols])
         cells = np.stack([rows[kept], cols[kept]], axis=-1)
         if not len(cells):
             return tuple(known.cells(here + ahead))  # type: ignore[return-value]
@@ -193,28 +194,30 @@ class Searcher:
 
     def _gains(self, cells: np.ndarray) -> np.ndarray:
         """Square metres ``(n,)`` that a look from each of the cells ``(n, 2)`` is expected to search."""
-        row, col, reached, inside = self._reached(cells, _rays()[0])
-        worth = np.where(inside, self.known.worth[row, col], 1.0)
-        return np.sum(reached * worth * _rays()[1], axis=(1, 2))
+        _, worth, reached = self._reached(cells, RAYS)
+        return np.einsum("nrk,nrk,k->n", reached, worth, _rays(RAYS)[1])
 
-    def _reached(self, cells: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Rows and columns ``(n, RAYS, k)`` along rays from cells ``(n, 2)``, how likely one sees them, which exist."""
-        known = self.known
-        places = cells[:, None, None] + rays
-        inside = known.inside(places)
-        row, col = (np.where(inside, places[..., axis], 0) for axis in (0, 1))
-        state = np.where(inside, known.state[row, col], UNKNOWN)
+    def _reached(self, cells: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Along `count` rays from cells ``(n, 2)``: flat indices of padded cells, their worth, how likely one sees them.
+
+        All ``(n, count, k)``.
+        """
+        known, (rays, _) = self.known, _rays(count)
         step = SIGHT / rays.shape[1]
-        dimmed = np.where(state >= CONTACT, 50.0, np.where(state == UNKNOWN, step / OPEN, 0.0))
-        passed = np.cumsum(dimmed, axis=2) - dimmed
-        return row, col, np.exp(-passed), inside
+        veil = np.array([step / OPEN, 0.0, 50.0])[np.pad(known.state, PAD)]
+        width = veil.shape[1]
+        index = ((cells + PAD) @ (width, 1))[:, None, None] + rays @ (width, 1)
+        dimmed = veil.take(index)
+        reached = np.exp(dimmed - np.cumsum(dimmed, axis=2))
+        return index, np.pad(known.worth, PAD, constant_values=1.0).take(index), reached
 
     def _looked(self, here: np.ndarray) -> None:
         """What could be seen from here has had its chance."""
-        row, col, reached, inside = self._reached(self.known.cells(here)[None], _rays(FINE)[0])
-        seen = np.zeros(self.known.state.shape)
-        np.maximum.at(seen, (row[inside], col[inside]), reached[inside])
-        self.known.worth *= 1 - self.recall * seen
+        index, _, reached = self._reached(self.known.cells(here)[None], FINE)
+        rows, cols = self.known.state.shape
+        seen = np.zeros((rows + 2 * PAD, cols + 2 * PAD))
+        np.maximum.at(seen.reshape(-1), index.reshape(-1), reached.reshape(-1))
+        self.known.worth *= 1 - self.recall * seen[PAD:-PAD, PAD:-PAD]
 
     def _way(
         self, costs: np.ndarray, metres: np.ndarray, before: np.ndarray, here: np.ndarray, end: tuple[int, int]
@@ -259,7 +262,7 @@ def _lattice(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 @lru_cache(maxsize=2)
-def _rays(count: int = RAYS) -> tuple[np.ndarray, np.ndarray]:
+def _rays(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Offsets ``(RAYS, n, 2)`` of the cells along rays, and the square metres ``(n,)`` for which each stands."""
     metres = (np.arange(int(SIGHT / CELL)) + 0.5) * CELL
     angles = (np.arange(count) + 0.5) * 2 * math.pi / count
