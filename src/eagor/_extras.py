@@ -29,6 +29,7 @@ EXTRAS = {
         "pyyaml": "6.0",
         "rosbags": "0.11",
     },
+    "studio": {"starlette": "0.41", "uvicorn": "0.36", "websockets": "14"},
     "rerun": {"rerun-sdk": "0.41"},
     "vlm": {"torch": "2.6", "transformers": "5.23", "accelerate": "1.10"},
     "endpoint": {"openai": "1.98", "tenacity": "9"},

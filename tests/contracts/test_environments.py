@@ -72,8 +72,7 @@ def test_the_environments_are_registered():
 )
 def test_gymnasiums_checker_passes(task, settings):
     with warnings.catch_warnings():
-        # A pose has no bounds, and headings and metres are not scaled to [-1, 1]: Gymnasium wonders about both.
-        warnings.filterwarnings("ignore", message=".*(minimum|maximum) value is .*infinity.*")
+        # Headings and metres are not scaled to [-1, 1] (`eagor.tasks.training` does that): Gymnasium wonders.
         warnings.filterwarnings("ignore", message=".*symmetric and normalized space.*")
         check_env(make(task, **settings, render_mode="rgb_array").unwrapped, skip_render_check=False)
 
@@ -191,8 +190,8 @@ def test_an_agent_can_walk_the_waypoints_by_itself():
     legs, over = [], False
     while not over:
         ahead = info["waypoint"]
-        move = np.array([ahead["heading"], min(0.25, ahead["distance"])], dtype=np.float32)
-        _, _, terminated, truncated, info = env.step({"answer": info["truth"]["direction"], "move": move})
+        action = np.array([*info["truth"]["direction"], ahead["heading"], min(0.25, ahead["distance"])])
+        _, _, terminated, truncated, info = env.step(action)
         legs.append(info["waypoint"]["leg"])
         over = terminated or truncated
     assert legs[-1] == "L4" or truncated

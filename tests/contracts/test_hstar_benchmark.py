@@ -3,8 +3,11 @@
 import base64
 import io
 import json
+import math
 import random
+import shutil
 import threading
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -15,11 +18,13 @@ from PIL import Image
 
 from eagor.errors import EagorError, FormatError, ImageError
 from eagor.perception.endpoint.chat import ServedChat
+from eagor.perception.partial import look_at_view
 from eagor.tasks import benchmark
 from eagor.tasks.chat import IMAGE, Message, load_chat
-from eagor.tasks.hstar import data
+from eagor.tasks.hstar import data, looking
 from eagor.tasks.hstar.agents import VlmAgent
 from eagor.tasks.hstar.bench import HOS, HPS
+from eagor.tasks.hstar.camera import View, render_view
 from eagor.tasks.hstar.data import Episode, open_panorama, read_episodes
 from eagor.tasks.hstar.lmms import process_results
 from eagor.tasks.hstar.play import CAUSES, cause_of, play, work
@@ -112,6 +117,56 @@ def test_what_cannot_be_read_is_refused_with_its_name(tmp_path):
     (tmp_path / "bad" / "hos_bench.zip").write_bytes(b"PK no")
     with pytest.raises(FormatError, match="zip"):
         read_episodes(tmp_path / "bad", "hos")
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_other_endings_are_skipped_as_published_and_told(tmp_path, packed):
+    folder = hstar_data.write(tmp_path)
+    hall = folder / "hos_bench" / "hall"
+    for ending in ("PNG", "jpeg", "JPG"):
+        (hall / "pano.png").rename(hall / f"pano.{ending}")
+        assert {episode.scene for episode in read_episodes(folder, "hos")} == {"shop"}
+        (hall / f"pano.{ending}").rename(hall / "pano.png")
+    (hall / "pano.png").rename(hall / "pano.PNG")
+    if packed:
+        hstar_data.zipped(folder)
+    assert ["hall" in each for each in data.info(folder)["skipped"]] == [True]
+    shutil.rmtree(folder / "hos_bench", ignore_errors=True)
+    for archive in folder.glob("*.zip"):
+        archive.unlink()
+    hall.mkdir(parents=True)
+    (hall / "annotation.json").write_text("[]")
+    with pytest.raises(FormatError, match=r"lower case .*hall has annotation\.json, but no such picture"):
+        read_episodes(folder, "hos")
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_a_picture_is_turned_by_its_orientation_tag(tmp_path, suffix):
+    folder = hstar_data.write(tmp_path)
+    whole = Image.fromarray(hstar_data.panorama(hstar_data.TARGETS["hall"]))
+    place = folder / "hos_bench" / "hall" / f"pano.{suffix}"
+    (folder / "hos_bench" / "hall" / "pano.png").unlink()
+    tag = Image.Exif()
+    tag[0x0112] = 6  # to be shown turned to the right: stored turned to the left
+    whole.transpose(Image.Transpose.ROTATE_90).save(place, exif=tag, **({"quality": 100} if suffix == "jpg" else {}))
+    episode = next(each for each in read_episodes(folder, "hos") if each.scene == "hall")
+    found = open_panorama(episode.panorama)
+    assert found.shape == (180, 400, 3)
+    assert np.abs(found.astype(int) - np.asarray(whole)).mean() < 3
+    assert data.info(folder)["widths"] == [400, 400]
+
+
+def test_a_perception_is_not_shown_the_cross(tmp_path):
+    episode = read_episodes(
+        hstar_data.write(tmp_path, targets={"hall": {"red": ([170.0, 190.0], [-5.0, 5.0])}}), "hos"
+    )[0]
+    asked = replace(episode, task="Find the green square")
+    perception = looking.open_perception("colour")
+    view = View(0.0, 0.0)
+    drawn = render_view(open_panorama(asked.panorama), 0.0, 0.0, 54)
+    assert look_at_view(perception, drawn, 0.0, math.radians(100), "green square").response.max() > 0.5
+    seen = looking.open_eye(perception, asked, 0, 54)(view).evidence
+    assert seen.response.max() < 0.2
 
 
 def test_episodes_survive_json(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import csv
 import json
 import struct
@@ -165,7 +166,20 @@ def test_exports(data: Path, tmp_path: Path) -> None:
     with table.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [int(row["turn_id"]) for row in rows] == sorted(int(row["turn_id"]) for row in rows)
-    assert {float(row["score"]) for row in rows} == {1.0}
+    (drawn,) = (row for row in rows if row["skills_tested"] == MAP)
+    assert {float(row["score"]) for row in rows if row is not drawn} == {1.0}
+    # The published analysis reads the map's score as JSON; the truth is the grid as Python writes it.
+    score = json.loads(drawn["score"])
+    assert {key: score["overall"][key] for key in ("precision", "recall", "f1", "fp", "fn")} == {
+        "precision": 1.0, "recall": 1.0, "f1": 1.0, "fp": 0, "fn": 0,
+    }  # fmt: skip
+    assert score["per_class"]
+    (scene,) = load_scenes(data, "qa")
+    assert ast.literal_eval(drawn["ground_truth"]) == next(q.answer for q in scene.questions if q.skill == MAP)
+    older = [{key: value for key, value in each.items() if key != "map"} for each in records]
+    (table,) = bench.export("osr-csv", older, settings, tmp_path / "older")
+    with table.open(newline="", encoding="utf-8") as file:
+        assert {row["score"] for row in csv.DictReader(file)} == {"1.0"}
     task, utils, questions = bench.export("lmms-eval", [], settings, tmp_path / "lmms")
     assert "generate_until" in task.read_text()
     compile(utils.read_text(), str(utils), "exec")

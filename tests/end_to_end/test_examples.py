@@ -20,11 +20,11 @@ NUMBER = r"-?\d+(?:\.\d+)?"
 def printed(tmp_path):
     """What an example prints, line by line, run where there is nothing else, with warnings as errors."""
 
-    def run(name):
+    def run(name, *words):
         (file,) = EXAMPLES.glob(f"{name}*.py")
         environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "TMPDIR": str(tmp_path)}
         done = subprocess.run(
-            [sys.executable, "-W", "error", file],
+            [sys.executable, "-W", "error", file, *words],
             capture_output=True,
             text=True,
             timeout=300,
@@ -44,7 +44,7 @@ def numbers(line, *before):
 
 
 def test_they_are_numbered_short_and_say_what_is_learnt():
-    assert [int(file.name[:2]) for file in FILES] == list(range(1, 8))
+    assert [int(file.name[:2]) for file in FILES] == list(range(1, 9))
     listed = (EXAMPLES / "README.md").read_text()
     for file in FILES:
         text = file.read_text()
@@ -124,6 +124,17 @@ def test_a_benchmark_runs_goes_on_and_is_reported(printed):
     assert len(steps) == 24
     page = Path(lines[-1].removeprefix("the report: "))
     assert "Target Direction Estimation: 3 episodes" in page.read_text()
+
+
+def test_a_policy_is_trained_and_measured_against_random_actions(printed):
+    pytest.importorskip("stable_baselines3")
+    trained, random, gain = printed("08", "--steps", "1024", "--apartments", "2")
+    for line, name in ((trained, "trained"), (random, "random")):
+        share, low, high = (float(value) for value in re.findall(NUMBER, line))
+        assert line.startswith(f"{name} reaches the target in ")
+        assert 0 <= low <= share <= high <= 100
+    points, _, low, high = (float(value) for value in re.findall(NUMBER, gain))
+    assert low <= points <= high
 
 
 def _ended(lines):

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor.errors import DirectionError, FormatError
@@ -146,6 +146,47 @@ def test_a_map_is_scored_by_things_that_are_near() -> None:
     assert (found.precision, found.recall) == (pytest.approx(1 / 3), pytest.approx(1 / 3))
     assert (found.hallucinated, found.hallucinated_things) == (0.5, pytest.approx(1 / 3))
     assert found.distance > 1
+
+
+NAMED = st.dictionaries(st.sampled_from("abcde"), CELLS, min_size=1, max_size=4)
+
+
+@settings(max_examples=60)
+@given(NAMED, NAMED)
+def test_the_published_f1_lies_between_the_least_and_the_most(layout: dict, said: dict) -> None:
+    reply = json.dumps({name: [[column, row] for row, column in where] for name, where in said.items()})
+    found, there = score_map(grid_of(layout), reply), layout_of(grid_of(layout))
+    # As published: the totals are those at the last category that both have, in an order that depends on hash seeds.
+    by_order = []
+    for order in itertools.permutations(sorted({*layout} | {*said})):
+        best = 0.0
+        for quarters in range(4):
+            mine, right, named, true, f1 = layout_of(turned(grid_of(said), quarters)), 0, 0, 0, 0.0
+            for name in order:
+                named, true = named + len(mine.get(name, ())), true + len(there.get(name, ()))
+                if name in there and name in mine:
+                    right += matched(there[name], mine[name])
+                    f1 = 2 * right / (named + true)
+            best = max(best, f1)
+        by_order.append(best)
+    assert found.f1 == pytest.approx(min(by_order))
+    assert found.f1_most == pytest.approx(max(by_order))
+    overall = found.as_published()["overall"]
+    assert (overall["tp"] + overall["fp"], overall["tp"] + overall["fn"]) in (
+        (sum(map(len, layout_of(grid_of(said)).values())), sum(map(len, there.values()))),
+        (0, 0),  # nothing in common: as published, nothing is counted
+    )
+    for key in ("tp", "fp", "fn"):
+        assert sum(each[key] for each in found.categories.values()) == overall[key]
+
+
+def matched(true: list, named: list) -> int:
+    """Pairs at most two cells apart in the pairing with the smallest sum of distances."""
+    short, long = sorted((true, named), key=len)
+    ways = [list(zip(short, chosen, strict=True)) for chosen in itertools.permutations(long, len(short))]
+    away = [[math.dist(a, b) for a, b in way] for way in ways]
+    least = min(map(sum, away))
+    return next(sum(d <= 2 for d in way) for way in away if sum(way) <= least + 1e-12)
 
 
 @pytest.mark.parametrize("reply", ["", "no map", "}{", '{"a": 3}', '{"a": [[1]]}', '{"a": [[0.5, 1]]}', "{]}"])

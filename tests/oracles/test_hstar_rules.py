@@ -2,15 +2,16 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import hstar_data
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eagor.errors import EagorError, FormatError
+from eagor.errors import EagorError, FormatError, ImageError
 from eagor.tasks.hstar import (
     Action,
     View,
@@ -19,8 +20,8 @@ from eagor.tasks.hstar import (
     submit_succeeds,
     window_of,
 )
-from eagor.tasks.hstar.camera import inside, visible_share
-from eagor.tasks.hstar.rules import read_action, turned
+from eagor.tasks.hstar.camera import inside, visible_share, without_cross
+from eagor.tasks.hstar.rules import FORMS, read_action, turned
 
 SHARED = Path(__file__).parents[2] / ".." / "shared" / "bench_samples"
 SUBMIT, PARSE = SHARED / "conformance_hstar_submit.json", SHARED / "conformance_hstar_parse.json"
@@ -49,6 +50,53 @@ def test_replies_are_read_as_the_published_parser_reads_them():
     for vector in json.loads(PARSE.read_text()):
         text = vector.pop("text")
         assert dict(parse_action(text)) == vector, text
+
+
+TAGS = ("<think>", "</think>", "<answer>", "</answer>")
+
+
+def published(text, form):
+    """Thought, actions and form of a reply by the patterns of the published parser (the default configuration)."""
+    grounded = (
+        r"<think>\s*<observation>(.*?)</observation>\s*<reasoning>(.*?)</reasoning>\s*</think>\s*<answer>(.*?)</answer>"
+    )
+    strict, loose = {
+        "free_think": (
+            r"<think>(.*?)</think>\s*<answer>(.*?)</answer>",
+            r"(?:<think>(.*?)</think>)?.*?<answer>(.*?)</answer>",
+        ),
+        "no_think": (r"<answer>(.*?)</answer>", r"()<answer>(.*?)</answer>"),
+        "grounding": (grounded, grounded),
+    }[form]
+    text = text.replace("<image>", "")
+    kept = re.match(rf"^\s*{strict}\s*$", text.strip(), re.DOTALL) is not None
+    found = re.search(loose, text, re.DOTALL)
+    if found is None or (form == "no_think" and not kept):
+        return {"think_content": "", "actions": [], "format_correct": kept}
+    *thoughts, answer = (part or "" for part in found.groups())
+    thought = thoughts[0]
+    if form == "grounding":
+        thought = f"<observation>{thoughts[0]}</observation><reasoning>{thoughts[1]}</reasoning>"
+    for tag in TAGS:
+        thought, answer = (part.replace(tag, "").strip() for part in (thought, answer))
+    actions = [part.strip() for part in answer.split("|") if part.strip()]
+    return {"think_content": thought, "actions": actions[:1], "format_correct": kept}
+
+
+PIECES = (*TAGS, *TAGS, "<observation>", "</observation>", "<reasoning>", "</reasoning>", "submit(10,0)", " ", "|",
+          "\n", "rotate(5,-5)", "a", "<", "<ans", "wer>", "<image>")  # fmt: skip
+
+
+@settings(max_examples=1500)
+@given(st.lists(st.sampled_from(PIECES), max_size=14).map("".join), st.sampled_from(FORMS))
+def test_replies_of_any_tags_are_read_as_the_published_parser_reads_them(text, form):
+    assert dict(parse_action(text, form)) == published(text, form)
+
+
+@pytest.mark.parametrize("form", ["free_think", "no_think"])
+def test_tags_left_inside_an_answer_are_taken_out(form):
+    assert parse_action("<answer><answer>submit(10,0)</answer></answer>", form).action == Action("submit", 10, 0)
+    assert parse_action("<answer><think>submit(10,0)</think></answer>", form).action == Action("submit", 10, 0)
 
 
 @pytest.mark.parametrize(
@@ -145,6 +193,21 @@ def test_the_cross_is_where_it_is_drawn():
     assert len(changed) == 41
     assert (changed.min(axis=0), changed.max(axis=0)) == (pytest.approx([530, 950]), pytest.approx([550, 970]))
     assert (with_cross[540, 960] == (0, 255, 0)).all()
+
+
+def test_the_cross_is_filled_in_from_beside_it():
+    slope = np.repeat(np.arange(180, dtype=np.uint8), 360 * 3).reshape(180, 360, 3)  # darker to the top
+    for image, most in ((np.full((90, 180, 3), 77, dtype=np.uint8), 0), (slope, 1)):
+        for resolution in (90, 270, 1080):
+            with_cross, without = (render_view(image, 10, 5, resolution, cross=cross) for cross in (True, False))
+            filled = without_cross(with_cross)
+            assert np.abs(filled.astype(int) - without).max() <= most
+            assert (filled == with_cross).all(axis=-1).sum() >= with_cross[..., 0].size - 41, "nothing else changed"
+    wider = with_cross.copy()
+    wider[539:542, 948:973], wider[528:553, 959:962] = 255, 255  # as if it had run
+    assert np.abs(without_cross(wider, around=2).astype(int) - without).max() <= 3
+    with pytest.raises(ImageError, match="a view is"):
+        without_cross(with_cross[..., 0])
 
 
 @pytest.mark.parametrize(("yaw", "pitch"), [(0, 0), (215, -25), (90, 40)])

@@ -11,6 +11,7 @@ from PIL import Image
 from processes import limited
 
 from eagor.cli import main
+from eagor.errors import EagorError
 from eagor.evaluation import inputs, ledger
 
 
@@ -72,6 +73,69 @@ def test_other_settings_are_refused_with_force_too(run, capsys):
     words, *_ = run
     assert main([*words, "--set", "sure=0.7", "--force"]) == 2
     assert "holds another run: sure is" in capsys.readouterr().err
+
+
+def test_a_run_can_get_more_episodes_but_not_fewer(tmp_path, capsys):
+    out = tmp_path / "run"
+    words = ["bench", "run", "tracking", "--perception", "truth", "--methods", "centroid", "--set", "steps=4"]
+    words += ["--out", str(out), "--json", "--episodes"]
+    assert main([*words, "1"]) == 0
+    (first,) = ledger.read(out)
+    assert main([*words, "3"]) == 0
+    assert ledger.description(out)["episodes"] == 3
+    assert len(ledger.read(out)) == 3
+    assert first in ledger.read(out)
+    capsys.readouterr()
+    assert main([*words, "2"]) == 2
+    assert "episodes is 3 there and 2 was asked for (a run can get more, not fewer)" in capsys.readouterr().err
+    assert main([*words, "4", "--seed", "7"]) == 2
+    assert "holds another run: seed is 2000 there" in capsys.readouterr().err
+    assert ledger.description(out)["episodes"] == 3
+
+
+def test_what_a_run_began_with_stays_when_it_grows(tmp_path):
+    begin, made = ledger.begin, {"code": "a"}
+    begin(tmp_path, {"task": "x", "episodes": 4, "development": False}, made)
+    begin(tmp_path, {"task": "x", "episodes": 6, "development": True}, made)
+    assert ledger.description(tmp_path) == {"task": "x", "episodes": 6, "development": True, "inputs": made}
+    for episodes in (6, 8):
+        with pytest.raises(EagorError, match="made of something else"):
+            begin(tmp_path, {"task": "x", "episodes": episodes, "development": True}, {"code": "b"})
+    assert ledger.description(tmp_path)["episodes"] == 6
+    with pytest.warns(UserWarning, match="goes on with changed inputs"):
+        begin(tmp_path, {"task": "x", "episodes": 8, "development": True}, {"code": "b"}, force=True)
+    begin(tmp_path, {"task": "x", "episodes": 9, "development": True}, {"code": "b"})
+    found = ledger.description(tmp_path)
+    assert (found["episodes"], found["inputs"], len(found["resumed"])) == (9, {"code": "b"}, 1)
+    with pytest.raises(EagorError, match="development is true there"):
+        begin(tmp_path, {"task": "x", "episodes": 9, "development": False}, {"code": "b"})
+
+
+def test_a_report_of_a_part_of_a_run_says_so(run, capsys):
+    words, _, out = run
+    capsys.readouterr()
+    assert main(["bench", "report", str(out), "--json"]) == 0
+    said = capsys.readouterr()
+    assert f"{out} has 3 of 16 records; the figures are about these" in " ".join(said.err.split())
+    assert json.loads(said.out)["runs"] == [{"folder": str(out), "records": 3, "planned": 16}]
+    assert main(words) == 0
+    capsys.readouterr()
+    assert main(["bench", "report", str(out)]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_an_interrupted_run_says_how_it_goes_on(run, capsys, monkeypatch):
+    words, _, out = run
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("eagor.evaluation.workers.carry_out", interrupted)
+    capsys.readouterr()
+    assert main(words) == 130
+    said = " ".join(capsys.readouterr().err.split())
+    assert f"3 of 16 units are in {out}; the same command goes on from there" in said
+    assert said.endswith("eagor: interrupted")
 
 
 def test_what_does_not_belong_to_the_data_changes_nothing(run):

@@ -97,7 +97,7 @@ def info(options: BenchInfo) -> int:
 
 def run(options: BenchRun) -> int:
     """``eagor bench run``."""
-    from eagor.evaluation import studies
+    from eagor.evaluation import ledger, studies
     from eagor.evaluation.workers import carry_out
 
     kind = studies.known().get(options.task)
@@ -127,7 +127,12 @@ def run(options: BenchRun) -> int:
 
         names = "workers", "retry_failed", "engine", "address", "force"
         how = {name: getattr(options, name) for name in names}
-        outcome = carry_out(units, study.work, config, out, on_done=done, **how)
+        try:
+            outcome = carry_out(units, study.work, config, out, on_done=done, **how)
+        except KeyboardInterrupt:
+            recorded = {record["key"] for record in ledger.read(out)} & {unit.key for unit in units}
+            terminal.log(f"{len(recorded)} of {len(units)} units are in {out}; the same command goes on from there")
+            raise
     if outcome.skipped:
         terminal.log(f"{outcome.skipped} of {len(units)} units were already in {out}")
     return _said(study, studies.read(out).summary, out, options.json)

@@ -17,8 +17,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from eagor.cli import terminal
 from eagor.cli.bag_steps import odometry_of
 from eagor.cli.live_options import Live
@@ -34,20 +32,17 @@ from eagor.cli.looking import (
 from eagor.cli.poses import read_poses
 from eagor.cli.steps import LEAST_ROWS
 from eagor.drawing.words import answer_in_words
-from eagor.errors import StorageError
 from eagor.perception import is_model, rows_of
 from eagor.robots.cameras import open_camera
 from eagor.robots.frames import CameraSource, Pose
 from eagor.robots.live.answers import Answer
-from eagor.robots.live.events import Event, FrameCame, PoseCame
-from eagor.robots.live.loop import LiveLoop
+from eagor.robots.live.loop import LiveLoop, Watcher
 from eagor.robots.live.news import News
 from eagor.robots.live.sources import GO2, ROS, GivenPoses, MotionPoses, open_poses
 from eagor.robots.ros.playing import BagCamera
 
 MOST_DRIFT = 90  # degrees
 MOST_RATE = 1000.0  # answers per second
-LOGGED = 4.0  # logs per second for the Rerun viewer
 SHOWN = 0.1  # seconds between two status lines
 BY_SIGHT = ("auto", "level")
 
@@ -56,6 +51,45 @@ def live(options: Live) -> int:
     """Run the command; returns its exit code."""
     if options.words[:1] == ("replay",):
         return _replay(options)
+    source, queries = asked(options)
+    told, watchers = _Told(options, queries), []
+    try:
+        if options.rerun is not None:
+            from eagor.drawing.rerun_live import LiveLog
+
+            watchers.append(LiveLog(checked_out(options.rerun, "--rerun"), f"{', '.join(queries)}: {source}"))
+        loop = loop_of(options, watchers)
+    except BaseException:
+        for watcher in watchers:
+            watcher.close()
+        raise
+    until = math.inf if options.seconds is None else time.monotonic() + options.seconds
+
+    def answered(answer: Answer) -> None:
+        told.add(answer)
+        if time.monotonic() >= until and answer.query == queries[-1]:
+            loop.stop()
+
+    try:
+        loop.run(answered)
+    finally:
+        told.close()
+        for watcher in watchers:
+            if watcher.problem is not None:
+                terminal.warning(watcher.problem)
+        counts = loop.counts
+        terminal.log(
+            f"{counts.frames} pictures, {counts.looks} looks, {counts.poses} poses, {counts.answers} answers"
+            + (f"; {counts.skipped} pictures skipped" if counts.skipped else "")
+            + (f", recorded in {options.record}" if options.record else "")
+        )
+    if not counts.looks:
+        raise terminal.RunError(f"nothing was looked at: {told.last or 'no picture came'}")
+    return terminal.INCOMPLETE if loop.recording_problem else terminal.OK
+
+
+def asked(options: Live) -> tuple[str, list[str]]:
+    """The source and the queries, after a check of all numbers. Raises `UsageError`, `QueryError`."""
     if len(options.words) < 2:
         raise terminal.UsageError(f"got {' '.join(options.words)!r}; wanted SOURCE, then one or more QUERY")
     source, *words = options.words
@@ -63,6 +97,12 @@ def live(options: Live) -> int:
     if len({*queries}) < len(queries):
         raise terminal.UsageError("a query comes twice; name each thing once")
     _check(options)
+    return source, queries
+
+
+def loop_of(options: Live, watchers: Sequence[Watcher] = ()) -> LiveLoop:
+    """The loop that the options ask for, with its camera open. Raises `UsageError`, and as `LiveLoop`."""
+    source, queries = asked(options)
     spec = _perception(queries, options.perception)
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
     config = replace(config, floor_height=options.floor, drift=math.radians(options.drift))
@@ -87,15 +127,8 @@ def live(options: Live) -> int:
             rows=rows,
             rig=None if options.rig is None else read_rig(options.rig),
         )
-    watchers = [] if options.rerun is None else [_Logged(options.rerun, queries)]
     camera = opens()
-    told = _Told(options, queries)
-    watchers = []
     try:
-        if options.rerun is not None:
-            from eagor.drawing.rerun_live import LiveLog
-
-            watchers.append(LiveLog(checked_out(options.rerun, "--rerun"), f"{', '.join(queries)}: {source}"))
         loop = LiveLoop(
             _First(camera, opens) if camera.live else camera,
             spec,
@@ -111,38 +144,12 @@ def live(options: Live) -> int:
             watchers=watchers,
         )
     except BaseException:
-        for watcher in watchers:
-            watcher.close()
         camera.close()
-        for watcher in watchers:
-            watcher.close()
         raise
     terminal.log(
         f"{'live' if camera.live else 'recorded'}: {source}, seen by {spec}, {options.rate:g} answers a second"
     )
-    until = math.inf if options.seconds is None else time.monotonic() + options.seconds
-
-    def answered(answer: Answer) -> None:
-        told.add(answer)
-        if time.monotonic() >= until and answer.query == queries[-1]:
-            loop.stop()
-
-    try:
-        loop.run(answered)
-    finally:
-        told.close()
-        for watcher in watchers:
-            if watcher.problem is not None:
-                terminal.warning(watcher.problem)
-        counts = loop.counts
-        terminal.log(
-            f"{counts.frames} pictures, {counts.looks} looks, {counts.poses} poses, {counts.answers} answers"
-            + (f"; {counts.skipped} pictures skipped" if counts.skipped else "")
-            + (f", recorded in {options.record}" if options.record else "")
-        )
-    if not counts.looks:
-        raise terminal.RunError(f"nothing was looked at: {told.last or 'no picture came'}")
-    return terminal.INCOMPLETE if loop.recording_problem else terminal.OK
+    return loop
 
 
 class _First:
@@ -213,44 +220,6 @@ def _poses(options: Live, camera: CameraSource) -> Any:
         )
     found = read_poses(text)
     return GivenPoses([Pose(each.stamp, each.world_R_body, each.position) for each in found])
-
-
-class _Logged:
-    """A watcher of the loop that logs for the Rerun viewer, `LOGGED` times a second."""
-
-    def __init__(self, path: Path, queries: Sequence[str]) -> None:
-        from eagor.drawing.rerun_log import RerunLog
-
-        self._log: RerunLog | None = RerunLog(checked_out(path, "--rerun"), f"{', '.join(queries)}: {path.name}")
-        self._panorama: np.ndarray | None = None
-        self._position: np.ndarray | None = None
-        self._last = -math.inf
-
-    def take(self, event: Event, answers: Sequence[Answer]) -> None:
-        """Keep the newest picture and place; log the answers."""
-        if isinstance(event, FrameCame):
-            self._panorama = event.panorama
-        elif isinstance(event, PoseCame):
-            self._position = event.pose.position
-        if not answers or self._log is None or event.arrival - self._last < 1 / LOGGED:
-            return
-        self._last = event.arrival
-        try:
-            for answer in answers:
-                self._log.add(
-                    self._panorama, answer.estimate, stamp=answer.stamp, query=answer.query, position=self._position,
-                    problem="; ".join(fault.text for fault in answer.faults) or None,
-                )  # fmt: skip
-        except (StorageError, OSError) as error:
-            terminal.warning(f"--rerun has ended early: {error}")
-            self.close()
-        self._panorama = None
-
-    def close(self) -> None:
-        """Finish the file."""
-        log, self._log = self._log, None
-        if log is not None:
-            log.close()
 
 
 class _Told:

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 MAX_DEGREE = 63
 LEAST_ROWS = 8
-ROUNDING = 2  # columns by which a panorama may fail to be 2:1
 
 
 def checked_degree(degree: int) -> int:
@@ -233,6 +232,8 @@ def checked_frame(frame: PanoramaFile, name: str, force: bool = False, said: set
 
 def checked_shape(panorama: np.ndarray, name: str, force: bool, said: set[str]) -> np.ndarray:
     """`panorama`, if it is 2:1; else raises `ShapeError`, or with `force` warns (unless it is in `said`)."""
+    from eagor.robots.pictures import is_whole
+
     if is_whole(panorama):
         return panorama
     height, width = panorama.shape[:2]
@@ -246,12 +247,6 @@ def checked_shape(panorama: np.ndarray, name: str, force: bool, said: set[str]) 
         said.add("shape")
         warning(f"{what}; accepted, with all columns for 360 degrees and all rows for 180")
     return panorama
-
-
-def is_whole(panorama: np.ndarray) -> bool:
-    """Whether its aspect ratio is 2:1, up to the rounding of a resized picture."""
-    height, width = panorama.shape[:2]
-    return abs(width - 2 * height) <= ROUNDING
 
 
 def first_stamp(perception: Perception, query: str) -> float:

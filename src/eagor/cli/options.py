@@ -38,6 +38,7 @@ from eagor.cli.shared_options import (
     Whole,
     bare,
 )
+from eagor.cli.studio_options import Studio
 from eagor.errors import EagorError
 
 
@@ -255,12 +256,14 @@ class BenchRun(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class BenchReport(Common):
-    """Write report.html, tables.md and tables.csv of a run into its folder; benchmarks take several runs."""
+    """Write the report of a run into its folder: report.html, tables.md, tables.csv and (to watch) episode.html."""
 
     folders: Annotated[tuple[Path, ...], Positional, arg(metavar="RUN ...", help_behavior_hint="(required)")]
     """The folder of the run; for benchmarks also several."""
     out: Annotated[Path | None, bare("DIR")] = None
     """Folder for the report (default: the first run's)."""
+    without_episode: Flag = False
+    """Leave out episode.html, for which the worst episode of a simulated task is played again."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -442,6 +445,7 @@ Command = (
     | Annotated[Ros, subcommand("ros")]
     | Annotated[Robot, subcommand("robot")]
     | Annotated[Demo, subcommand("demo")]
+    | Annotated[Studio, subcommand("studio")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[Export, subcommand("export")]
     | Annotated[Calibrate, subcommand("calibrate")]

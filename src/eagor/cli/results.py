@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 from eagor._extras import need
 from eagor.cli import terminal
@@ -19,12 +21,34 @@ def report(options: BenchReport) -> int:
         raise terminal.UsageError("no run was given; wanted the folder of a run")
     if options.out is not None:
         checked_folder(options.out)
-    page = write_report(options.folders, out=options.out)
+    episode, out = None, options.out or options.folders[0]
+    if len(options.folders) == 1 and not options.without_episode:
+        from eagor.cli.studio_export import beside_report
+
+        episode = beside_report(options.folders[0], out)
+    page = write_report(options.folders, out=options.out, episode=episode)
+    counts = [_counted(folder) for folder in options.folders]
     if options.json:
-        terminal.emit({"report": str(page)})
+        terminal.emit({"report": str(page), "episode": None if episode is None else str(out / episode), "runs": counts})
     else:
         print(f"The report: {page}")
+        if episode is not None:
+            print(f"The worst episode, to watch: {out / episode}")
     return terminal.OK
+
+
+def _counted(folder: Path) -> dict[str, Any]:
+    """How many records a run has, and how many it is to have; said, if these are fewer."""
+    from eagor.evaluation import studies
+
+    run = studies.read(folder)
+    planned, there = run.study.planned(run.settings), len(run.records)
+    if planned is not None and there < planned:
+        terminal.warning(
+            f"{folder} has {there} of {planned} records; the figures are about these. The command of the run goes on "
+            "where it stopped"
+        )
+    return {"folder": str(folder), "records": there, "planned": planned}
 
 
 def compare(options: BenchCompare) -> int:

@@ -138,6 +138,12 @@ class Published:
         found = benchmark_sheets.tag_sheet(summary), benchmark_sheets.cause_sheet(summary, meanings)
         return [sheet for sheet in found if sheet is not None]
 
+    def planned(self, settings: Settings) -> int | None:
+        try:
+            return len(self.benchmark.cases(Path(str(settings["data"])), settings))
+        except (EagorError, OSError, LookupError, TypeError, ValueError):  # the data, or what run.json says of them
+            return None
+
     def report(self, runs: Sequence[Told], open_place: Any = None) -> Report:
         summaries = [run.summary for run in runs]
         labels = labels_of(summaries)

@@ -13,6 +13,7 @@ import math
 import os
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,8 @@ except ImportError:  # not a POSIX system: there is no lock, so numbers are only
 RUN = "run.json"
 WORKER = "worker-{}.jsonl"
 INPUTS, RESUMED = "inputs", "resumed"  # in run.json, beside the settings
+# Settings that may become larger, as what is recorded stays a part of the run, and those that follow from them.
+GROWS = {"episodes": ("development",)}
 
 
 class Ledger:
@@ -105,7 +108,8 @@ def begin(
     """Make `folder` the folder of the run that `config` describes, or make sure that it already is.
 
     `inputs` are digests of what the run is made of (`eagor.evaluation.inputs`). Where they have changed since, the run
-    goes on only if forced: then it warns, and ``run.json`` says under "resumed" what has changed.
+    goes on only if forced: then it warns, and ``run.json`` says under "resumed" what has changed. A setting of `GROWS`
+    may be larger than in the folder, and is then written there.
 
     Raises `EagorError` if the folder holds another run or one of other inputs (the text lists what differs), or can be
     none; `FormatError` if its ``run.json`` is no JSON object; `StorageError`.
@@ -127,8 +131,16 @@ def begin(
                     f"could not write {path}: {error.strerror or error}; choose another folder"
                 ) from error
             return
-    found = description(folder)
+    with _alone(path.parent):
+        _go_on(folder, wanted, inputs, force)
+
+
+def _go_on(folder: Path, wanted: dict[str, Any], inputs: Mapping[str, Any] | None, force: bool) -> None:
+    """Make sure that `folder` holds the run that is wanted, or fewer units of it."""
+    path, found = Path(folder) / RUN, description(folder)
     (resumed, before), (_, now) = ((each.pop(RESUMED, []), each.pop(INPUTS, {})) for each in (found, wanted))
+    grown = {key for key in GROWS if _is_more(found.get(key), wanted.get(key))}
+    found |= {each: wanted[each] for key in grown for each in (key, *GROWS[key]) if each in wanted}
     if differences := _shown(_differences(found, wanted)):
         raise EagorError(
             f"{folder} holds another run: {differences}. Ask for what it holds to go on with it, or choose another "
@@ -140,8 +152,34 @@ def begin(
                 f"{folder} holds a run that was made of something else: {changed}. Restore what has changed, choose "
                 "another folder, or go on all the same with --force"
             )
-        warnings.warn(f"{folder} goes on with changed inputs: {changed}", stacklevel=2)
-        written(path, _text({**wanted, INPUTS: now, RESUMED: [*resumed, changed]}))
+        warnings.warn(f"{folder} goes on with changed inputs: {changed}", stacklevel=3)
+        before, resumed = now, [*resumed, changed]
+    elif not grown:
+        return
+    written(path, _text({**wanted, **({INPUTS: before} if before else {}), **({RESUMED: resumed} if resumed else {})}))
+
+
+def _is_more(old: Any, new: Any) -> bool:
+    """Whether both are whole numbers, and the second is larger."""
+    return type(old) is int and type(new) is int and new > old
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Hold the folder, so that no other process changes its description at the same time; where there are locks."""
+    if fcntl is None:
+        yield
+        return
+    try:
+        place = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise FormatError(f"{folder} cannot be read ({error.strerror or error}); name the folder of a run") from None
+    try:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(place, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(place)
 
 
 def description(folder: Path) -> dict[str, Any]:
@@ -342,7 +380,8 @@ def _differences(found: Any, wanted: Any, place: str = "") -> Iterator[str]:
             else:
                 yield from _differences(found[key], wanted[key], inner)
     elif found != wanted:
-        yield f"{place} is {_short(found)} there and {_short(wanted)} was asked for"
+        more = " (a run can get more, not fewer)" if place in GROWS and _is_more(wanted, found) else ""
+        yield f"{place} is {_short(found)} there and {_short(wanted)} was asked for{more}"
 
 
 def _short(value: Any) -> str:

@@ -103,7 +103,15 @@ class Folded:
     parts: Sequence[Part]
 
 
-Part = Sheet | Text | Heading | Facts | Items | Pictures | Folded
+@dataclass(frozen=True)
+class Link:
+    """A line that leads to a file beside the page."""
+
+    text: str
+    file: str
+
+
+Part = Sheet | Text | Heading | Facts | Items | Link | Pictures | Folded
 
 
 @dataclass(frozen=True)

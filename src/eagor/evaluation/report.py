@@ -14,11 +14,14 @@ from eagor.errors import EagorError
 from eagor.evaluation import export, page, studies
 
 
-def write_report(folders: Path | Sequence[Path], open_place: Any = None, out: Path | None = None) -> Path:
+def write_report(
+    folders: Path | Sequence[Path], open_place: Any = None, out: Path | None = None, episode: str | None = None
+) -> Path:
     """Write the report of the runs in `folders`, all of one study, into `out` (None: the first folder).
 
     Returns the path of its page. `open_place` makes a world again from its name, its seed and the body's radius, for
-    pictures (`eagor.tasks.places.load_place` where it is None). Raises `EagorError` where there are no records, or of
+    pictures (`eagor.tasks.places.load_place` where it is None). `episode`: the name of a page beside it on which an
+    episode can be watched (`eagor.studio.export`), to link to. Raises `EagorError` where there are no records, or of
     several studies; `FormatError` for a folder that is no run's; `StorageError`.
     """
     named = [Path(folders)] if isinstance(folders, str | Path) else [Path(folder) for folder in folders]
@@ -33,7 +36,10 @@ def write_report(folders: Path | Sequence[Path], open_place: Any = None, out: Pa
     told = study.report(runs, open_place)
     place = Path(out or named[0])
     path = place / "report.html"
-    written(path, page.document(told.title, told.lead, told.sections))
+    lead = list(told.lead)
+    if episode is not None:
+        lead.append(page.Link("Watch the worst episode, step by step", episode))
+    written(path, page.document(told.title, lead, told.sections))
     written(place / "tables.md", export.markdown(told.title, told.facts, told.sheets))
     for name, text in told.files.items():
         written(place / name, text)

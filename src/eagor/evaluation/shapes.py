@@ -106,7 +106,7 @@ PUBLISHED: Shape = {
     "error?": _or_null(NUMBER), "steps?": [{"would?": _or_null(WOULD)}],
 }  # fmt: skip
 
-_WORDS: dict[str, Shape] = {"text": TEXT, "texts": TAGS, "figures": {"*": FIGURE}}
+_WORDS: dict[str, Shape] = {"text": TEXT, "texts": TAGS, "figures": {"*": FIGURE}, "object": OBJECT}
 
 
 def published(more: Mapping[str, str]) -> Shape:

@@ -51,6 +51,12 @@ class Simulated:
     def as_json(self, summary: Summary) -> dict[str, Any]:
         return {key: summary[key] for key in ("task", "episodes", "failed", "methods", "judged") if key in summary}
 
+    def planned(self, settings: Settings) -> int | None:
+        count, methods = settings.get("episodes"), settings.get("methods")
+        if type(count) is not int or not isinstance(methods, list):
+            return None
+        return count * len(methods) if self.task.walked else count
+
     def report(self, runs: Sequence[Told], open_place: Any = None) -> Report:
         (run,) = runs
         summary, task, good, degrees = run.summary, self.task, finished(run.records), _degrees(run.settings)

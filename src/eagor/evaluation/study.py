@@ -114,6 +114,10 @@ class Study(Protocol):
         """What ``eagor bench run --json`` says."""
         ...
 
+    def planned(self, settings: Settings) -> int | None:
+        """How many records the whole run has; None where that cannot be told, as the data are not there."""
+        ...
+
     def report(self, runs: Sequence[Told], open_place: Any = None) -> Report:
         """The report of one or several runs; `open_place` makes a world again, for pictures."""
         ...

@@ -18,10 +18,11 @@ from eagor.robots.projection import Projection, of_photograph
 from eagor.robots.xmp import GPANO, properties
 from eagor.worlds.panorama import FORMATS, read_panorama
 
-__all__ = ["IMAGES", "PanoramaFile", "in_order", "pictures_in", "read_photograph"]
+__all__ = ["IMAGES", "PanoramaFile", "in_order", "is_whole", "pictures_in", "read_photograph"]
 
 IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 
+ROUNDING = 2  # columns by which a panorama may fail to be 2:1
 JPEG_XMP = b"http://ns.adobe.com/xap/1.0/\0"  # how a JPEG's APP1 segment with XMP begins (XMP specification, part 3)
 
 
@@ -79,6 +80,12 @@ def read_photograph(path: str | os.PathLike[str]) -> PanoramaFile:
         return PanoramaFile(image)
     found.check(name)
     return _placed(image, found)
+
+
+def is_whole(panorama: np.ndarray) -> bool:
+    """Whether its aspect ratio is 2:1, up to the rounding of a resized picture."""
+    height, width = panorama.shape[:2]
+    return abs(width - 2 * height) <= ROUNDING
 
 
 def _placed(image: np.ndarray, found: Projection) -> PanoramaFile:

@@ -119,8 +119,8 @@ class Benchmark(Protocol):
     "level" (the stratum's title); "tags", known before the run; "cause", why it failed (default: "wrong"); "by_turn":
     1 if an answer at that turn would have succeeded; "views": number of looks; "stated": the probability of success
     stated with the answer; "sure": whether it stopped because it was sure; "steps", "answer", and anything else. A
-    benchmark may also have ``causes``, {cause: meaning}, and ``record``, {field: "text", "texts" or "figures"}: what
-    its figures read in a record ("field?": it may be missing).
+    benchmark may also have ``causes``, {cause: meaning}, and ``record``, {field: "text", "texts", "figures" or
+    "object"}: what its figures and exports read in a record ("field?": it may be missing).
     """
 
     @property

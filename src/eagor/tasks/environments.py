@@ -12,8 +12,9 @@ from typing import Any, Literal
 import numpy as np
 
 from eagor.tasks import listed_episode, navigation, tracking, waypoint
+from eagor.tasks.actions import Actions, answering_walk_space, as_answer_and_walk, as_walk, walking_space
 from eagor.tasks.episodes import Episode, Slot
-from eagor.tasks.place_env import Actions, AnsweringEnv, PlaceEnv, as_walk, spaces, walking_space
+from eagor.tasks.place_env import AnsweringEnv, PlaceEnv
 from eagor.tasks.rules import NavigationRules, TrackingRules, WaypointRules
 from eagor.worlds.ball import Ball
 
@@ -77,9 +78,10 @@ class WaypointFollowingEnv(AnsweringEnv):
     """Follow a route of four legs and name the direction at each step.
 
     - ``actions="guided"``: the body is carried along the route, and the action is the answer ``(3,)``.
-    - ``actions="continuous"`` or ``"discrete"``: the agent walks by itself; the action is a Dict of ``move`` (as in
-      navigation) and ``answer``. ``info["waypoint"]`` gives the end of the current leg: heading (radians), distance
-      (metres) and leg. The episode ends at the last one, or after three times the steps of the route.
+    - ``actions="continuous"`` or ``"discrete"``: the agent walks by itself, and the action is a walk and an answer in
+      one: 5 numbers, or 3 whole numbers (`eagor.tasks.actions`). ``info["waypoint"]`` gives the end of the current
+      leg: heading (radians), distance (metres) and leg. The episode ends at the last one, or after three times the
+      steps of the route.
     """
 
     task = "waypoint"
@@ -94,8 +96,7 @@ class WaypointFollowingEnv(AnsweringEnv):
         super().__init__(**settings)
         self.rules, self.actions = rules or WaypointRules(), actions
         if actions != "guided":
-            moves = walking_space(actions, self.camera)
-            self.action_space = spaces.Dict({"answer": self.action_space, "move": moves})
+            self.action_space = answering_walk_space(actions, self.camera)
 
     def plan(self, slot: Slot) -> Episode:
         return waypoint.plan(slot, self.camera, self.rules)
@@ -119,8 +120,9 @@ class WaypointFollowingEnv(AnsweringEnv):
     def step(self, action: Any) -> tuple[dict, float, bool, bool, dict]:
         if self.actions == "guided":
             return super().step(action)
-        reward = self._judge(action["answer"])
-        turn, length, _ = as_walk(action["move"], self.actions, self.camera)
+        answer, walk = as_answer_and_walk(action, self.actions)
+        turn, length, _ = as_walk(walk, self.actions, self.camera)
+        reward = self._judge(answer)
         self._walk(turn, length, slide=True)
         while self._leg < len(self._ends) and np.hypot(*(self._ends[self._leg][1] - self.body.xy)) < self.reach:
             self._leg += 1

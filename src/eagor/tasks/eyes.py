@@ -20,6 +20,7 @@ from eagor.perception import Perception, load, look
 from eagor.perception.calibrated import Calibrated, from_json
 from eagor.queries import Named
 from eagor.tasks.chat import shared_chat
+from eagor.tasks.episodes import Slot
 
 
 class Eye(Protocol):
@@ -95,6 +96,19 @@ def open_eye(perception: Any, things: Sequence[Named], seed: int) -> Eye:
     """`perception` for one episode among `things` (indexed by instance id); `seed` is for its mistakes."""
     begin = getattr(perception, "episode", None)
     return PixelEye(perception) if begin is None else PrivilegedEye(begin(things, seed))
+
+
+def open_for(perception: Any, slot: Slot, things: Sequence[Named]) -> Eye:
+    """`open_eye` for the episode of a slot, whose mistakes are the same each time."""
+    return open_eye(perception, things, int(slot.rng("perception").integers(1 << 31)))
+
+
+def look_around(
+    eye: Eye, observation: Mapping[str, Any], info: Mapping[str, Any], stamp: float, query: str = ""
+) -> Evidence | None:
+    """The evidence in what an environment returned (`eagor.tasks.place_env`); `query`: another than its own."""
+    image = info["instances"]["ids"] if eye.privileged else observation["panorama"]
+    return eye.look(image, query or info["query"], stamp, info["truth"]["world_R_body"])
 
 
 @lru_cache(maxsize=1)

@@ -25,6 +25,7 @@ from eagor.baselines import (
     VonMisesFisherFilter,
 )
 from eagor.belief.ranged import log_ranges
+from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError, TimeError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
@@ -220,6 +221,20 @@ def make_method(
         raise EagorError(f"method {name!r}: {error}") from None
     except ValueError as error:
         raise EagorError(f"method {name!r}: a setting wants a number ({error})") from None
+
+
+def method_for(name: str, perception: Any, called: str, rng: np.random.Generator, ours: TrackerConfig = BASE) -> Method:
+    """A new method of this name, configured for a perception and the text it was `called` by."""
+    calibration, detector = (getattr(perception, part, None) for part in ("calibration", "detector"))
+    return make_method(name, rng, called, calibration, ours, detector)
+
+
+def told(method: Method, stamp: float, pose: np.ndarray, evidence: Evidence | None) -> np.ndarray:
+    """The method's direction ``(3,)`` at a `pose` ``(7,)`` of the odometry, given the evidence that has arrived."""
+    method.move(stamp, rotation_from_wxyz(pose[3:]), pose[:3])
+    if evidence is not None:
+        method.see(evidence)
+    return method.direction()
 
 
 def _settings(name: str, text: str) -> dict[str, str]:

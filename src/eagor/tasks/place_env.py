@@ -4,25 +4,26 @@ Observations (Dict):
 
 - ``panorama`` ``(H, 2H, 3)`` uint8, equirectangular, in the layout of `eagor.sphere`; absent with ``panorama=None``.
 - ``range`` ``(H, 2H)`` float32, Euclidean metres, 0 without a hit; only with ``with_range=True``.
-- ``pose`` ``(7,)`` float64: x, y, z of the camera in metres and its orientation ``world_R_body`` as a quaternion w, x,
-  y, z; from the odometry, which may drift (`Disturbances`).
+- ``pose`` ``(7,)`` float64: x, y, z of the camera in metres (within 10 km of the origin) and its orientation
+  ``world_R_body`` as a quaternion w, x, y, z; from the odometry, which may drift (`Disturbances`).
 - ``rotation`` ``(3, 3)`` float64: new_R_old since the last step, from the same odometry.
 
 ``info`` holds Habitat's measures under their names (`distance_to_goal`, `success`, `spl`, `soft_spl`, `collisions`,
-`num_steps`), the ``query``, and two privileged entries that agents must not use: ``instances`` (``ids``, the instance
+`num_steps`), the ``query``, the ``episode_id`` (``episode`` is left to the statistics of Gymnasium and
+Stable-Baselines3), and two privileged entries that agents must not use: ``instances`` (``ids``, the instance
 in each direction, and at reset ``labels``) and ``truth`` (true pose, direction, distance, visibility).
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from eagor import conventions
-from eagor._extras import how_to_install
-from eagor.errors import MissingExtraError, WorldError
+from eagor.errors import WorldError
+from eagor.tasks.actions import answer_space, gymnasium, spaces
 from eagor.tasks.carrier import Carrier, Pose
 from eagor.tasks.episodes import PER_PLACE, Episode, Slot
 from eagor.tasks.places import APARTMENT, DEVELOPMENT, LOOK_ROWS, Place, load_place, pixels_of
@@ -30,15 +31,9 @@ from eagor.tasks.rules import Camera, Disturbances
 from eagor.worlds.ball import Ball, with_ball
 from eagor.worlds.render import Frame
 
-try:
-    import gymnasium
-    from gymnasium import spaces
-except ImportError as error:
-    raise MissingExtraError(f"a simulated task needs gymnasium: {how_to_install('sim')}") from error
-
-Actions = Literal["continuous", "discrete"]
-STOP, FORWARD, LEFT, RIGHT = range(4)  # Habitat's order
 FAR = 100.0  # metres: ranges in observations are clipped to this
+EXTENT = 1e4  # metres, bound of positions in observations; rendering in single precision gets inexact beyond it
+POSE_BOUNDS = np.array([EXTENT] * 3 + [1.0] * 4)
 VISIBLE = 2  # pixels of a 64 x 128 panorama that make a target visible, if the rules do not say
 
 
@@ -72,7 +67,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         self.instances, self.render_mode = instances, render_mode
         self.camera, self.disturbances = camera or Camera(), disturbances or Disturbances()
         space: dict[str, spaces.Space[Any]] = {
-            "pose": spaces.Box(-np.inf, np.inf, (7,), np.float64),
+            "pose": spaces.Box(-POSE_BOUNDS, POSE_BOUNDS, dtype=np.float64),
             "rotation": spaces.Box(-1.0, 1.0, (3, 3), np.float64),
         }
         if panorama is not None:
@@ -125,6 +120,11 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         start = np.array(chosen.start)
         floor = self.place.ground.height(start)
         self.body = Carrier(self.camera, self.disturbances, rng, start, chosen.yaw, floor)
+        if np.abs(self.body.pose.position).max() > EXTENT:
+            raise WorldError(
+                f"episode {chosen.slot.id} starts at {self.body.pose.position} m; wanted a scene within "
+                f"{EXTENT / 1000:g} km of the origin of its coordinates: move it there"
+            )
         self._start()
         self._before: Pose | None = None
         self._collisions, self._collided = 0, False
@@ -179,7 +179,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         direction, distance = pose.towards(target) if target is not None else (np.zeros(3), 0.0)
         info: dict[str, Any] = {
             "query": self.episode.query,
-            "episode": self.episode.slot.id,
+            "episode_id": self.episode.slot.id,
             "scene": self.place.scene.source,
             "scene_hash": self.place.scene.hash,
             "num_steps": self.body.steps,
@@ -225,28 +225,6 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         return self._seen(max(self.rows or 0, 128), range=True).rgb
 
 
-def walking_space(actions: Actions, camera: Camera) -> spaces.Space[Any]:
-    """Habitat's discrete actions, or (heading, distance): radians to the left, and metres up to one step."""
-    if actions == "discrete":
-        return spaces.Discrete(4)
-    if actions == "continuous":
-        low, high = np.array([-math.pi, 0.0], np.float32), np.array([math.pi, camera.step], np.float32)
-        return spaces.Box(low, high, dtype=np.float32)
-    raise WorldError(f"actions = {actions!r}; wanted 'continuous' (heading, distance) or 'discrete' (Habitat's four)")
-
-
-def as_walk(action: Any, actions: str, camera: Camera) -> tuple[float, float, bool]:
-    """An action as (turn in radians, metres, stop). (heading, 0) means stop, as the discrete action 0 does."""
-    if actions == "discrete":
-        turn = {LEFT: math.radians(camera.turn), RIGHT: -math.radians(camera.turn)}.get(int(action), 0.0)
-        return turn, camera.step if int(action) == FORWARD else 0.0, int(action) == STOP
-    heading, distance = (float(value) for value in np.asarray(action, dtype=np.float64).reshape(2))
-    if not (math.isfinite(heading) and math.isfinite(distance)):
-        raise WorldError(f"action {action!r}; wanted a finite heading (radians) and distance (metres)")
-    distance = min(max(distance, 0.0), camera.step)
-    return heading, distance, distance == 0.0
-
-
 class AnsweringEnv(PlaceEnv):
     """The camera is carried along, and the action is the answer: a direction ``(3,)`` in the body frame.
 
@@ -256,7 +234,7 @@ class AnsweringEnv(PlaceEnv):
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.action_space = spaces.Box(-1.0, 1.0, (3,), np.float32)
+        self.action_space: spaces.Space[Any] = answer_space()
 
     def _start(self) -> None:
         self._error_deg: float | None = None

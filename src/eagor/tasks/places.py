@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,7 @@ class Place:
     scene: Scene | worlds.SimulatedScene
     ground: Walkable
     renderer: worlds.View
+    _ways: dict[Any, Way] = field(default_factory=dict, init=False, repr=False)  # they go when the place goes
 
     def eye(self, xy: np.ndarray, height: float) -> np.ndarray:
         """The camera ``(3,)`` at this height (metres) above the ground under a point ``(2,)``."""
@@ -69,22 +71,17 @@ class Place:
 
     def way_to(self, targets: tuple[int, ...]) -> Way:
         """Geodesic distance to the nearest of the targets' footprints."""
-        return _way_to(self, targets)
+        if targets not in self._ways:
+            fields = [self.ground.footprint(self.scene.instances[target]) for target in targets]
+            self._ways[targets] = fields[0].union(*fields[1:]) if len(fields) > 1 else fields[0]
+        return self._ways[targets]
 
     def way_to_points(self, points: np.ndarray) -> Way:
         """Geodesic distance to the nearest of points ``(n, 2)``, metres; inf everywhere if none is free."""
-        return _way_to_points(self, np.ascontiguousarray(points, dtype=np.float64).tobytes())
-
-
-@lru_cache(maxsize=256)
-def _way_to(place: Place, targets: tuple[int, ...]) -> Way:
-    fields = [place.ground.footprint(place.scene.instances[target]) for target in targets]
-    return fields[0].union(*fields[1:]) if len(fields) > 1 else fields[0]
-
-
-@lru_cache(maxsize=64)
-def _way_to_points(place: Place, points: bytes) -> Way:
-    return place.ground.field(np.frombuffer(points).reshape(-1, 2))
+        key = np.ascontiguousarray(points, dtype=np.float64).tobytes()
+        if key not in self._ways:
+            self._ways[key] = self.ground.field(np.frombuffer(key).reshape(-1, 2))
+        return self._ways[key]
 
 
 @lru_cache(maxsize=4)

@@ -20,9 +20,9 @@ from eagor.perception.calibrated import from_json
 from eagor.sphere import azimuth_elevation
 from eagor.tasks import task
 from eagor.tasks.episodes import Episode, Slot
-from eagor.tasks.eyes import Eye, is_privileged, open_eye, shared
+from eagor.tasks.eyes import Eye, is_privileged, look_around, open_eye, open_for, shared
 from eagor.tasks.listed import Listed, slot_of
-from eagor.tasks.methods import BASE, ORACLE, Method, make_method
+from eagor.tasks.methods import BASE, ORACLE, Method, method_for, told
 from eagor.tasks.place_env import PlaceEnv
 from eagor.tasks.policy import Policy
 from eagor.tasks.rules import Camera, Disturbances, from_dict
@@ -128,19 +128,15 @@ class Player:
 
     def method(self, name: str, slot: Slot) -> Method:
         """A new method of this name, configured for this perception."""
-        calibration, detector = (getattr(self.perception, name_, None) for name_ in ("calibration", "detector"))
-        return make_method(name, slot.rng("method"), self.config["perception"], calibration, self.ours, detector)
+        return method_for(name, self.perception, self.config["perception"], slot.rng("method"), self.ours)
 
     def _begin(self, episode: Episode) -> tuple[dict, dict, Eye]:
         observation, info = self.env.reset(options={"episode": episode})
-        seed = int(episode.slot.rng("perception").integers(1 << 31))
-        return observation, info, open_eye(self.perception, info["instances"]["labels"], seed)
+        return observation, info, open_for(self.perception, episode.slot, info["instances"]["labels"])
 
     def _look(self, eye: Eye, observation: dict, info: dict, query: str = "") -> Evidence | None:
         """The evidence of this step, stamped with the time of capture; None if an answer could not be read."""
-        stamp = info["num_steps"] * self.camera.seconds
-        image = info["instances"]["ids"] if eye.privileged else observation["panorama"]
-        return eye.look(image, query or info["query"], stamp, info["truth"]["world_R_body"])
+        return look_around(eye, observation, info, info["num_steps"] * self.camera.seconds, query)
 
     def _walk(self, episode: Episode, name: str, watch: Watch | None) -> dict[str, Any]:
         """One method through one episode in which it steers the body."""
@@ -154,18 +150,15 @@ class Player:
         while not over:
             waiting.append(self._look(eye, observation, info))
             due = waiting.pop(0) if len(waiting) > self.disturbances.latency else None
-            direction = (
-                info["truth"]["direction"] if method is None else _told(method, observation, info, due, self.camera)
-            )
+            stamp, pose = info["num_steps"] * self.camera.seconds, observation["pose"]
+            direction = info["truth"]["direction"] if method is None else told(method, stamp, pose, due)
             directions.append(info["truth"]["direction"])
             said.append(direction)
             poses.append(info["truth"]["world_R_body"])
             places.append(info["truth"]["position"])
             _note_truth(trace, info, "true_")
             _note_answer(trace, method, direction, directions[-1])
-            pose = observation["pose"]
             if watch is not None:
-                stamp = info["num_steps"] * self.camera.seconds
                 watch(Seen(stamp, method, observation.get("panorama"), pose[:3], directions[-1]))
             ahead = rotation_from_wxyz(pose[3:])[:, 0]
             azimuth, yaw = float(azimuth_elevation(direction)[0]), math.atan2(ahead[1], ahead[0])
@@ -249,15 +242,6 @@ def work(config: dict[str, Any]) -> Callable[[dict[str, Any]], dict[str, Any]]:
     """The function with which a worker plays one unit, ``{"slot": {...}, "methods": [...]}``."""
     player = Player(config)
     return lambda unit: player.play(slot_of(unit["slot"]), unit["methods"])
-
-
-def _told(method: Method, observation: dict, info: dict, due: Evidence | None, camera: Camera) -> np.ndarray:
-    """The method's direction, given the pose and the response that has arrived."""
-    pose = observation["pose"]
-    method.move(info["num_steps"] * camera.seconds, rotation_from_wxyz(pose[3:]), pose[:3])
-    if due is not None:
-        method.see(due)
-    return method.direction()
 
 
 def _note_truth(trace: dict[str, list[Any]], info: dict, prefix: str) -> None:

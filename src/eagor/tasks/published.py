@@ -18,6 +18,8 @@ from eagor.tasks.benchmark import Record
 from eagor.tasks.eyes import recalibration
 from eagor.tasks.places import Place
 
+ORIENTATION = 0x0112  # the tag in Exif
+
 
 def finished(records: Iterable[Record], wanted: str) -> list[Record]:
     """The records of finished cases. Raises `EagorError` with what is `wanted` if there are none."""
@@ -38,8 +40,8 @@ def luck(seed: int, case: str) -> list[int]:
     return [seed, zlib.crc32(case.encode())]
 
 
-def picture_size(file: Path | IO[bytes]) -> tuple[int, int] | None:
-    """Width and height of a picture, None if it cannot be read."""
+def picture_size(file: Path | IO[bytes], upright: bool = False) -> tuple[int, int] | None:
+    """Width and height of a picture, None if it cannot be read; `upright`: after its orientation tag was followed."""
     from PIL import Image
 
     from eagor.worlds.panorama import FORMATS
@@ -48,7 +50,9 @@ def picture_size(file: Path | IO[bytes]) -> tuple[int, int] | None:
         warnings.simplefilter("ignore")
         try:
             with Image.open(file, formats=FORMATS) as picture:
-                return picture.size
+                turned = upright and picture.getexif().get(ORIENTATION, 1) >= 5  # by a quarter
+                width, height = picture.size
+                return (height, width) if turned else (width, height)
         except Exception:  # decoders may raise anything for damaged files
             return None
 

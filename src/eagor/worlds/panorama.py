@@ -11,7 +11,7 @@ import warnings
 from typing import IO
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageOps
 
 from eagor.errors import ImageError
 from eagor.grids import ErpGrid, Grid
@@ -56,8 +56,10 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
     return image
 
 
-def read_image(file: str | IO[bytes], size: int) -> np.ndarray:
+def read_image(file: str | IO[bytes], size: int, upright: bool = False) -> np.ndarray:
     """The picture ``(H, W, 3)`` uint8 in a file of `size` bytes. Raises `ImageError`, or what Pillow's decoders raise.
+
+    `upright`: turn it as its orientation tag (Exif) says; otherwise the tag is ignored.
 
     A picture that claims more pixels than a real one of this file size can have is rejected before memory is allocated.
     Small pictures may be blank.
@@ -67,7 +69,7 @@ def read_image(file: str | IO[bytes], size: int) -> np.ndarray:
         if decoded_bytes(image) > max(_SMALL, _DENSEST * size):
             raise ImageError(f"claims {width} x {height} pixels in {size} bytes; it is corrupt, or blank")
         image.load()
-        return as_rgb(image)
+        return as_rgb(ImageOps.exif_transpose(image) if upright else image)
 
 
 def decoded_bytes(image: Image.Image) -> int:

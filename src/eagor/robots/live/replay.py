@@ -71,7 +71,7 @@ class Replay:
         anew = None if self.perception is None else _Anew(self.perception, self.patience, core, self._looked_at())
         written = self._answers() if anew is None else iter(())
         try:
-            for event in self._events(pictures=anew is not None):
+            for event in self.events(pictures=anew is not None):
                 for each in (event,) if anew is None else anew.instead(event):
                     for answer in core.take(each):
                         self.compared.add(answer.as_json(exact=True), next(written, None))
@@ -85,8 +85,8 @@ class Replay:
             return settings_from(found.data.tobytes())
         raise FormatError(f"{self.path} holds no event: the run was ended before its first")
 
-    def _events(self, pictures: bool) -> Iterator[Event]:
-        """The events in order, with their pictures if wanted."""
+    def events(self, pictures: bool) -> Iterator[Event]:
+        """The recorded events in order, with their pictures if wanted (where they were recorded)."""
         held: FrameCame | None = None
         for _, topic, _, found in read_bag(self.path, [EVENTS, IMAGES] if pictures else [EVENTS]):
             if topic == IMAGES:

@@ -79,10 +79,49 @@ def render_view(
         out[part] = _sampled(panorama, x[part], y[part])
     out = out.reshape(rows, columns, 3)
     if cross:
-        middle, centre = rows // 2, columns // 2
-        out[middle, max(0, centre - ARM) : centre + ARM + 1] = CROSS
-        out[max(0, middle - ARM) : middle + ARM + 1, centre] = CROSS
+        row, column = _arms(rows, columns)
+        out[row] = out[column] = CROSS
     return out
+
+
+def without_cross(picture: np.ndarray, around: int = 0) -> np.ndarray:
+    """A view ``(rows, columns, 3)`` uint8 of the environment with its cross filled in from the pixels beside it.
+
+    For perceptions: a query for something green would find the cross. Each pixel becomes the mean of the nearest pixels
+    to both sides of the line. `around`: pixels to both sides of the lines that are filled in, too, for pictures that
+    were compressed after the cross was drawn. Raises `ImageError` for anything but a picture.
+    """
+    picture = np.asarray(picture)
+    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8 or picture.size == 0:
+        raise ImageError(f"a view is (rows, columns, 3) uint8; got shape {picture.shape}, {picture.dtype}")
+    rows, columns = picture.shape[:2]
+    out = picture.copy()
+    for axis, (size, part) in enumerate(zip((rows, columns), _arms(rows, columns, around), strict=True)):
+        # The row's pixels are taken from above and below, the column's from left and right, outside of the cross.
+        first, last = part[axis].start, part[axis].stop
+        sides = [place for place in (first - 1, last) if 0 <= place < size]
+        if not sides:
+            continue
+        beside = [np.take(picture, [place], axis=axis).astype(np.float64) for place in sides]
+        along = (slice(None), part[1]) if axis == 0 else (part[0], slice(None))
+        out[part] = np.rint(np.mean(beside, axis=0))[along].astype(np.uint8)
+    # Where the lines cross, what lies beside them is the other line: the corners of the crossing are clear.
+    (high, wide) = _arms(rows, columns, around)
+    top, bottom, left, right = high[0].start - 1, high[0].stop, wide[1].start - 1, wide[1].stop
+    corners = [picture[i, j] for i in (top, bottom) for j in (left, right) if 0 <= i < rows and 0 <= j < columns]
+    if corners:
+        out[high[0], wide[1]] = np.rint(np.mean(corners, axis=0)).astype(np.uint8)
+    return out
+
+
+def _arms(rows: int, columns: int, around: int = 0) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """The pixels of the cross: of its row, and of its column; `around` pixels wider to all sides."""
+    middle, centre = rows // 2, columns // 2
+
+    def stretch(place: int, reach: int) -> slice:
+        return slice(max(0, place - reach - around), place + reach + around + 1)
+
+    return (stretch(middle, 0), stretch(centre, ARM)), (stretch(middle, ARM), stretch(centre, 0))
 
 
 def visible_share(view: View, yaw: tuple[float, float], pitch: tuple[float, float] | None) -> float:

@@ -1,8 +1,9 @@
 """H*Bench's published data: scenes with one panorama and annotations, in folders or in the original zip archives.
 
 The layout is ``<anything>/<scene>/annotation.json`` beside the scene's panorama: the first ``*.png`` by name, otherwise
-the first ``*.jpg``. An entry with ``pitch`` is an object to find (HOS), one without is a path to take (HPS). There is
-one episode per entry and start.
+the first ``*.jpg``. As in the published environment, ``.PNG`` and ``.jpeg`` are other endings, whose scenes are skipped
+(`info` names them), and a picture is turned by its orientation tag (Exif). An entry with ``pitch`` is an object to find
+(HOS), one without is a path to take (HPS). There is one episode per entry and start.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import json
 import random
 import zipfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -32,6 +33,7 @@ Kind = Literal["hos", "hps"]
 Box = tuple[tuple[float, float], tuple[float, float] | None]  # yaw and pitch, from and to, degrees
 
 ANNOTATION = "annotation.json"
+PICTURES = (".png", ".jpg")  # as published: in lower case, and no .jpeg
 STARTS = (0, 90, 180, 270)  # degrees of yaw, for entries without any
 SHUFFLE = 42  # the published environment shuffles its episodes with this seed
 LEVELS = {"hos": ("easy", "medium", "hard"), "hps": ("easy", "medium", "hard", "extreme")}
@@ -149,16 +151,42 @@ def find_scenes(data: Path) -> list[Scene]:
         if not (data.is_dir() and archive.stem in extracted):  # otherwise its folder lies beside it
             found += _in_archive(archive)
     if not found:
+        skipped = skipped_scenes(data)
+        also = f"; {skipped[0]} has {ANNOTATION}, but no such picture" if skipped else ""
         raise FormatError(
-            f"{data} has no scene; wanted folders with {ANNOTATION} and one .png or .jpg each, or hos_bench.zip and "
-            "hps_bench.zip as published"
+            f"{data} has no scene; wanted folders with {ANNOTATION} and one .png or .jpg each, in lower case (.PNG and "
+            f".jpeg do not count, as published), or hos_bench.zip and hps_bench.zip as published{also}"
         )
     last = Counter(scene.name.rpartition("/")[2] for scene in found)
     short = [replace(one, name=end) if last[end := one.name.rpartition("/")[2]] == 1 else one for one in found]
     return sorted(short, key=lambda scene: scene.name)
 
 
+def skipped_scenes(data: Path) -> list[str]:
+    """Folders in the folder or archive `data` with annotations, but without a picture of one of the two endings."""
+    data = Path(data)
+    found = [
+        str(path.parent)
+        for path in (sorted(data.rglob(ANNOTATION)) if data.is_dir() else ())
+        if not _picture([each.name for each in path.parent.iterdir() if each.is_file()])
+    ]
+    for archive in sorted(data.rglob("*.zip")) if data.is_dir() else [data]:
+        inside = _folders_in(archive)
+        found += [
+            f"{archive}: {folder}" for folder, names in inside.items() if ANNOTATION in names and not _picture(names)
+        ]
+    return found
+
+
 def _in_archive(archive: Path) -> Iterator[Scene]:
+    for folder, inside in _folders_in(archive).items():
+        if ANNOTATION in inside and (picture := _picture(inside)):
+            name = f"{archive.stem}/{folder}".rstrip("/")
+            yield Scene(name, Stored(str(archive), folder + picture), Stored(str(archive), folder + ANNOTATION))
+
+
+def _folders_in(archive: Path) -> dict[str, list[str]]:
+    """The folders in an archive, each with a slash at its end, and the files in them, by name."""
     try:
         with zipfile.ZipFile(archive) as file:
             names = sorted(name for name in file.namelist() if not name.startswith("__MACOSX"))
@@ -168,16 +196,13 @@ def _in_archive(archive: Path) -> Iterator[Scene]:
     for name in names:
         folder, slash, last = name.rpartition("/")
         folders.setdefault(folder + slash, []).append(last)
-    for folder, inside in folders.items():
-        if ANNOTATION in inside and (picture := _picture(inside)):
-            name = f"{archive.stem}/{folder}".rstrip("/")
-            yield Scene(name, Stored(str(archive), folder + picture), Stored(str(archive), folder + ANNOTATION))
+    return folders
 
 
-def _picture(names: Iterable[str]) -> str | None:
-    for ending in (".png", ".jpg", ".jpeg"):
+def _picture(names: Sequence[str]) -> str | None:
+    for ending in PICTURES:
         for name in names:
-            if name.lower().endswith(ending):
+            if name.endswith(ending):
                 return name
     return None
 
@@ -191,13 +216,14 @@ def _archive(path: str) -> zipfile.ZipFile:
 def open_panorama(panorama: Stored) -> np.ndarray:
     """The picture ``(H, W, 3)`` uint8 of any proportions: columns span 360 degrees, rows 180.
 
-    Read-only, as it is cached. Raises `ImageError` if it is missing or not a picture.
+    It is turned by its orientation tag, as the published environment reads it. Read-only, as it is cached. Raises
+    `ImageError` if it is missing or not a picture.
     """
     from eagor.worlds.panorama import read_image
 
     try:
         data = panorama.read()
-        image = read_image(io.BytesIO(data), len(data))
+        image = read_image(io.BytesIO(data), len(data), upright=True)
     except Exception as error:  # decoders may raise anything for damaged files
         raise ImageError(
             f"the panorama {panorama} cannot be read ({type(error).__name__}: {error}); fetch it again"
@@ -248,6 +274,7 @@ def info(data: Path) -> dict[str, Any]:
         "widths": [min(widths), max(widths)] if widths else None,
         "heights": [min(heights), max(heights)] if heights else None,
         "not_2_to_1": sum(w != 2 * h for w, h in zip(widths, heights, strict=True)),
+        "skipped": skipped_scenes(data),
         "unreadable": [scene.name for scene, size in zip(scenes, sizes, strict=True) if size is None],
         "without_initial_yaw": sum("initial yaw" not in item for item in items),
         "without_level": sum("level" not in item for item in items),
@@ -258,9 +285,9 @@ def info(data: Path) -> dict[str, Any]:
 
 def _size(stored: Stored) -> tuple[int, int] | None:
     if not stored.member:
-        return picture_size(Path(stored.path))
+        return picture_size(Path(stored.path), upright=True)
     try:
-        return picture_size(io.BytesIO(stored.read()))
+        return picture_size(io.BytesIO(stored.read()), upright=True)
     except Exception:  # zipfile may raise anything for damaged files
         return None
 

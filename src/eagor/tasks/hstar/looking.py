@@ -20,7 +20,7 @@ from eagor.perception.partial import look_at_view
 from eagor.perception.truth import Report, displaced, drawn
 from eagor.sphere import world_R_body
 from eagor.tasks.eyes import shared
-from eagor.tasks.hstar.camera import HFOV_DEG, View, box_points, inside, render_view
+from eagor.tasks.hstar.camera import HFOV_DEG, View, box_points, inside, render_view, without_cross
 from eagor.tasks.hstar.data import Episode, open_panorama
 from eagor.tasks.hstar.words import head_of, phrase_of, thing_of
 from eagor.tasks.published import luck
@@ -74,7 +74,7 @@ def open_eye(
 
 
 class PixelEye:
-    """A perception that is shown the view, drawn as the benchmark draws it, without the cross.
+    """A perception that is shown the view as the benchmark draws it, with the cross filled in: it is no evidence.
 
     It is asked for the target in the task's words; a perception that knows only single nouns gets shorter phrases.
     """
@@ -84,7 +84,8 @@ class PixelEye:
         self._queries = list(dict.fromkeys((thing_of(episode.task), phrase_of(episode.task), head_of(episode.task))))
 
     def __call__(self, view: View) -> Look:
-        image = render_view(open_panorama(self._episode.panorama), view.yaw, view.pitch, self._resolution, cross=False)
+        drawn = render_view(open_panorama(self._episode.panorama), view.yaw, view.pitch, self._resolution)
+        image = without_cross(drawn)
         pitch, hfov = math.radians(view.pitch), math.radians(HFOV_DEG)
         while True:
             try:

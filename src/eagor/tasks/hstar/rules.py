@@ -146,13 +146,15 @@ _MARKS = {
 }
 _THOUGHT = ("<think>", "</think>", "<answer>")
 _END = "</answer>"
+_STRAY = ("<think>", "</think>", "<answer>", "</answer>")  # taken out of thoughts and answers, in this order
 
 
 def parse_action(text: str, form: str = "free_think") -> Reply:
     """The parsed reply of a model, in one of the three published forms.
 
-    ``free_think`` takes the first ``<answer>`` anywhere; the other forms are strict. Of several actions (separated by
-    ``|``) the first counts. Raises `EagorError` for an unknown form.
+    ``free_think`` takes the first ``<answer>`` anywhere; the other forms are strict. Tags that are left inside of a
+    thought or an answer are taken out, so ``<answer><answer>submit(10,0)</answer></answer>`` submits. Of several
+    actions (separated by ``|``) the first counts. Raises `EagorError` for an unknown form.
     """
     if form not in FORMS:
         raise EagorError(f"the form of replies is {form!r}; wanted one of {', '.join(FORMS)}")
@@ -162,15 +164,22 @@ def parse_action(text: str, form: str = "free_think") -> Reply:
     if kept is not None and not (whole.endswith(_END) and kept[-1].end() <= len(whole) - len(_END)):
         kept = None
     if form == "no_think":
-        read = None if kept is None else ("", whole[kept[-1].end() : -len(_END)])
+        read = None if kept is None else ("", whole[kept[-1].end() :].partition(_END)[0])
     elif form == "grounding":
         read = _between(text, _along(text, _MARKS[form]), "<observation>", "</reasoning>")
     else:
         read = _between(text, _along(text, _THOUGHT, at_start=True)) or _between(text, _along(text, _THOUGHT[-1:]))
     if read is None:
         return Reply("", [], kept is not None)
-    actions = [part.strip() for part in read[1].split(SEPARATOR) if part.strip()]
-    return Reply(read[0], actions[:1], kept is not None)
+    thought, answer = map(_without_tags, read)
+    actions = [part.strip() for part in answer.split(SEPARATOR) if part.strip()]
+    return Reply(thought, actions[:1], kept is not None)
+
+
+def _without_tags(text: str) -> str:
+    for tag in _STRAY:
+        text = text.replace(tag, "").strip()
+    return text
 
 
 def _along(text: str, marks: tuple[str, ...], at_start: bool = False) -> list[re.Match[str]] | None:

@@ -13,7 +13,17 @@ from eagor.tasks.osr.agents import AGENTS, Agent, Eagor, Majority, Reply, Vlm, c
 from eagor.tasks.osr.data import Question, Scene, load
 from eagor.tasks.osr.layout import ERRORS, is_tied, products, steps, swapped
 from eagor.tasks.osr.looking import open_looker
-from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, extracted, is_direction, lenient, score
+from eagor.tasks.osr.scoring import (
+    COUNTING,
+    DIRECTION,
+    DISTANCE,
+    MAP,
+    extracted,
+    is_direction,
+    lenient,
+    score,
+    score_map,
+)
 
 TITLES = {COUNTING: "Counting", DISTANCE: "Distance", DIRECTION: "Direction", MAP: "Map"}
 
@@ -69,7 +79,11 @@ def judged(scene: Scene, question: Question, reply: Reply, settings: Mapping[str
         "answer": reply.text,
         "cause": cause(question, reply, main, think) if scores[main] < 1 else None,
     }
-    if skill != MAP:
+    if skill == MAP:
+        found = score_map(truths[main], reply.text)
+        record["map"] = found.as_published() | {"truth": truths[main], "rotation": found.rotation}
+        record["map_range"] = {"least": found.f1, "most": found.f1_most}
+    else:
         record["truth"] = truths[main]
         record["lenient"] = {labels: lenient(skill, truth, reply.text) for labels, truth in truths.items()}
     if reply.stated is not None:

@@ -1,13 +1,15 @@
 """OSR-Bench's own scoring of an answer (`evaluation_re` and the map's score of the published code).
 
-One deviation: the published code stops updating the totals of a map's score at the last category that both maps have,
-which depends on the order of a set. Here all categories count.
+One deviation: the published code computes a map's precision, recall and F1 when it comes to the last category that
+both maps have, from the categories so far. Their order is that of a Python set, which differs from process to process
+unless PYTHONHASHSEED is set. Here all categories count, which is the least that the published code can give;
+`MapScore.f1_most` is the most.
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -88,17 +90,43 @@ def _counted(said: str, true: str) -> float:
 class MapScore:
     """Agreement of a map with the truth: things at most `NEAR` cells from one of their category are found.
 
-    `distance`: mean over pairs, cells. `hallucinated`: share of the named categories that are absent (CHAIR_i);
-    `hallucinated_things`: of the things. `rotation`: degrees clockwise by which the map was turned.
+    `f1_most`: the highest F1 that the published code can give, `f1` the lowest. `found`, `strange`, `missed`: numbers
+    of things (true positives, false positives, false negatives). `distance`: mean over pairs, cells. `hallucinated`:
+    share of the named categories that are absent (CHAIR_i), which are `absent`; `hallucinated_things`: of the things.
+    `rotation`: degrees clockwise by which the map was turned. `categories`: the score of each, by name, with the keys
+    of the published code.
     """
 
     precision: float = 0.0
     recall: float = 0.0
     f1: float = 0.0
+    f1_most: float = 0.0
+    found: int = 0
+    strange: int = 0
+    missed: int = 0
     distance: float = FAR
     hallucinated: float = 0.0
     hallucinated_things: float = 0.0
+    absent: tuple[str, ...] = ()
     rotation: int = 0
+    categories: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    def as_published(self) -> dict[str, Any]:
+        """The dictionary that the published runner writes as JSON into its tables."""
+        overall = {
+            "precision": self.precision,
+            "recall": self.recall,
+            "f1": self.f1,
+            "avg_distance": self.distance,
+            "tp": self.found,
+            "fp": self.strange,
+            "fn": self.missed,
+            "chair_s": int(bool(self.absent)),
+            "chair_i": self.hallucinated,
+            "chair_instance": self.hallucinated_things,
+            "hallucinated_classes": list(self.absent),
+        }
+        return {"overall": overall, "per_class": self.categories}
 
 
 def score_map(truth: Grid, reply: str) -> MapScore:
@@ -157,16 +185,43 @@ def turned(grid: Grid, quarters: int) -> Grid:
 def _compared(there: dict[str, list[list[int]]], said: dict[str, list[list[int]]], rotation: int) -> MapScore:
     from scipy.optimize import linear_sum_assignment
 
-    right, pairs, total = 0, 0, 0.0
-    for name in sorted(set(there) & set(said)):
-        away = np.linalg.norm(np.array(there[name])[:, None] - np.array(said[name])[None], axis=-1)
-        chosen = away[linear_sum_assignment(away)]
-        right, pairs, total = right + int((chosen <= NEAR).sum()), pairs + len(chosen), total + float(chosen.sum())
-    if not pairs:
+    common = {*there} & {*said}
+    if not common:
         return MapScore(rotation=rotation)
-    named = sum(map(len, said.values()))
-    precision, recall = right / named, right / sum(map(len, there.values()))
-    f1 = 2 * precision * recall / (precision + recall) if right else 0.0
-    strange = [name for name in said if name not in there]
-    astray = sum(len(said[name]) for name in strange) / named
-    return MapScore(precision, recall, f1, total / pairs, len(strange) / len(said), astray, rotation)
+    categories: dict[str, dict[str, float]] = {}
+    pairs, total = 0, 0.0
+    for name in sorted({*there} | {*said}):
+        true, named, right, away = len(there.get(name, ())), len(said.get(name, ())), 0, FAR
+        if name in common:
+            distances = np.linalg.norm(np.array(there[name])[:, None] - np.array(said[name])[None], axis=-1)
+            chosen = distances[linear_sum_assignment(distances)]
+            right, away = int((chosen <= NEAR).sum()), float(chosen.mean())
+            pairs, total = pairs + len(chosen), total + float(chosen.sum())
+        # As published, a category without any thing to find (or named) has the recall (or precision) 1.
+        rates = (right / named if named else 1.0), (right / true if true else 1.0), _f1(right, named, true)
+        categories[name] = dict(zip(("precision", "recall", "f1"), rates, strict=True)) | {
+            "avg_distance": away, "tp": right, "fp": named - right, "fn": true - right,
+        }  # fmt: skip
+    true, named = sum(map(len, there.values())), sum(map(len, said.values()))
+    right = int(sum(each["tp"] for each in categories.values()))
+    absent = tuple(sorted({*said} - {*there}))
+    return MapScore(
+        right / named,
+        right / true,
+        _f1(right, named, true),
+        _f1(right, sum(len(said[name]) for name in common), sum(len(there[name]) for name in common)),
+        right,
+        named - right,
+        true - right,
+        total / pairs,
+        len(absent) / len(said),
+        sum(len(said[name]) for name in absent) / named,
+        absent,
+        rotation,
+        categories,
+    )
+
+
+def _f1(right: int, named: int, true: int) -> float:
+    """F1 of `right` things of those `named`, with `true` things there."""
+    return 2 * right / (named + true) if right else 0.0

@@ -5,9 +5,9 @@
 - `configuring`: what a simulator is made of; `sessions`: those that are open in this process;
 - `frames`: the one place in which coordinates change;
 - `view`: panoramas with Euclidean ranges and instance ids;
-- `navmesh`: where a body can walk; `raster`: its plan; `storeys`: the storey that it walks on; `floors`: meshes, and
-  the true floors below them;
-- `semantics`: the named things of the scene; `extents`: repairs their boxes.
+- `navmesh`: where a body can walk; `surface`: its points and paths; `ways`: distances to several goals; `steps`: its
+  steps; `raster`: its plan; `storeys`: the storey that it walks on; `floors`: meshes, and the true floors below them;
+- `semantics`: the named things of the scene; `labels`: which of them a pixel shows; `extents`: repairs their boxes.
 
 Habitat-Sim (0.3.3 and later) is imported only when a scene is opened.
 """

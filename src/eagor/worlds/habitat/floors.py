@@ -111,7 +111,7 @@ def true_floor(view: HabitatView, pathfinder: Any, storey: Storey, name: str, op
     Raises `WorldError` if the mesh does not lie on what is drawn, or if the scene seems to lie on its side.
     """
     mesh = NavMesh(pathfinder, storey, Frames(), 0.18, source=name)
-    level = np.abs(mesh.heights[mesh.free] - storey.level) <= 0.1
+    level = np.abs(mesh.surface.heights[mesh.free] - storey.level) <= 0.1
     spots = mesh.points[level][:: max(1, int(level.sum()) // 25)]
     feet = np.array([mesh.feet(xy) for xy in spots]).reshape(-1, 3)
     above, below = _looks(view, feet).T

@@ -1,6 +1,6 @@
-"""Our world against Habitat-Sim, in the same apartments: pictures, distances, steps, speed, and the three tasks.
+"""Our world against Habitat-Sim, in the same apartments: pictures, distances, steps, speed.
 
-    python benchmarks/habitat.py [--parts pictures ground speed tasks] [--seeds 3 17] [--json FILE]
+    python benchmarks/habitat_comparison.py [--parts pictures ground speed] [--seeds 3 17] [--json FILE]
 
 Needs Habitat-Sim. Each apartment is exported to GLB with `export_glb(annotated=True)` and opened as ``habitat:FILE``.
 
@@ -9,7 +9,8 @@ Needs Habitat-Sim. Each apartment is exported to GLB with `export_glb(annotated=
 - ground: geodesic distances between random pairs of points that are free in both; and two greedy followers, Habitat's
   and ours, with Habitat's actions (0.25 m, 10 degrees) from point to point.
 - speed: RGB, range and ids at 256 x 512, CPU seconds per frame of one process each, which take turns.
-- tasks: episodes planned in our world, with the same random numbers, played in both.
+
+`habitat_tasks.py` plays the tasks in both.
 """
 
 from __future__ import annotations
@@ -26,64 +27,24 @@ import multiprocessing
 import sys
 import tempfile
 import time
-from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from habitat_places import Both, free_in_both, need_habitat, opened
 
 from eagor import worlds
 from eagor.grids import ErpGrid
 from eagor.sphere import unit, world_R_body
-from eagor.tasks import place_env
-from eagor.tasks import task as tasks
-from eagor.tasks.episodes import Slot
-from eagor.tasks.places import APARTMENT, Place
-from eagor.tasks.play import Player
-from eagor.tasks.rules import Camera, Disturbances, as_dict
-from eagor.worlds.apartment import generate
-from eagor.worlds.glb import export_glb
-from eagor.worlds.ground import Ground
-from eagor.worlds.opened import ground_of, view_of
-from eagor.worlds.render import Renderer
+from eagor.tasks.places import APARTMENT
+from eagor.worlds.opened import view_of
 from eagor.worlds.scene import STRUCTURE
 from eagor.worlds.walkable import Walkable
 
-RADIUS, EYE = 0.18, 1.25  # metres: of the body, and of the camera's height
+EYE = 1.25  # metres: the camera's height
 FINE = 1024  # rows of the pictures in which corners are looked for
 WINDOW = math.radians(3.0)  # about a corner
-PARTS = ("pictures", "ground", "speed", "tasks")
-TASKS = {"waypoint": {}, "navigation": {}, "tracking": {}}
-METHODS = ("eagor", "eagor_paper", "vmf")
-
-
-@dataclass(frozen=True, eq=False)
-class Both:
-    """An apartment in both worlds. `world`: the name of the second."""
-
-    seed: int
-    ours: Place
-    theirs: Place
-    world: str
-
-
-def opened(seed: int, folder: Path) -> Both:
-    """The apartment of this seed, ours and in Habitat-Sim."""
-    scene = generate(seed)
-    file = export_glb(scene, folder / f"apartment{seed:04d}.glb", radius=RADIUS, annotated=True)
-    name = f"habitat:{file}"
-    held = worlds.load(name)(seed)
-    theirs = Place(held, ground_of(held, RADIUS), view_of(held))
-    return Both(seed, Place(scene, Ground.from_scene(scene, radius=RADIUS), Renderer(scene)), theirs, name)
-
-
-def free_in_both(both: Both, rng: np.random.Generator, clearance: float = 0.1) -> np.ndarray:
-    """A random point ``(2,)`` on which a body can stand in both."""
-    while True:
-        point = both.ours.ground.sample(rng, RADIUS + clearance)
-        if bool(both.theirs.ground.is_free(point)):
-            return point
+PARTS = ("pictures", "ground", "speed")
 
 
 # --- pictures ---
@@ -321,85 +282,20 @@ def _render(line: Any, world: str, seed: int, poses: list[tuple[np.ndarray, np.n
         line.send((time.process_time() - cpu, time.perf_counter() - wall))
 
 
-# --- tasks ---
-
-
-def side_by_side(name: str, both: list[Both], episodes: int, perception: str, rows: int) -> dict[str, Any]:
-    """The figures of all methods in both worlds: the same episodes, the same random numbers."""
-    task = tasks.load(name)
-    config = {"task": name, "perception": perception, "camera": as_dict(Camera()), "rows": rows}
-    config |= {"rules": as_dict(task.rules()), "disturbances": as_dict(Disturbances())}
-    player = Player(config)
-    found: dict[str, dict[str, list[dict[str, Any]]]] = {
-        world: {m: [] for m in METHODS} for world in ("ours", "habitat")
-    }
-    number = 0
-    for index in range(episodes):
-        for each in both:
-            slot = Slot(name, APARTMENT, each.seed, index, number)
-            number += 1
-            place_env.load_place = lambda *_, place=each.ours: place
-            episode = player.plan(slot)
-            for world, place in (("ours", each.ours), ("habitat", each.theirs)):
-                place_env.load_place = lambda *_, place=place: place
-                here = replace(episode, scene_hash=place.scene.hash)
-                if task.walked:
-                    start = place.ground.snap(np.array(episode.start), within=0.2)
-                    if start is None:
-                        break
-                    way = float(place.way_to(episode.targets).distance(start))
-                    here = replace(here, start=(float(start[0]), float(start[1])), shortest=way)
-                    for method in METHODS:
-                        found[world][method].append(player._walk(here, method, None)["metrics"])
-                else:
-                    recording = player.record(here)
-                    for method in METHODS:
-                        found[world][method].append(player.judge(recording, player.method(method, slot))["metrics"])
-            print(f"  {name} {slot.id}", file=sys.stderr, flush=True)
-    columns = [column for column in task.columns if column.only_if is None]
-    table = {
-        world: {
-            method: {
-                column.key: _mean([column.scale * r[column.metric] for r in records if r[column.metric] is not None])
-                for column in columns
-            }
-            for method, records in by_method.items()
-        }
-        for world, by_method in found.items()
-    }
-    return {"episodes": number, "perception": perception, "figures": table}
-
-
-def _mean(values: list[float]) -> float | None:
-    return round(float(np.mean(values)), 2) if values else None
-
-
 def main() -> int:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
     options.add_argument("--seeds", nargs="+", type=int, default=[3, 17])
     options.add_argument("--poses", type=int, default=20, help="of each apartment")
     options.add_argument("--pairs", type=int, default=200)
-    options.add_argument("--episodes", type=int, default=5, help="of each task, in each apartment")
-    options.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS))
-    options.add_argument("--perceptions", nargs="+", default=["truth:moderate", "colour"])
     options.add_argument("--rounds", type=int, default=10)
     options.add_argument("--json", type=Path)
     given = options.parse_args()
-    if find_spec("habitat_sim") is None:
-        print("this compares with Habitat-Sim, which is not installed here (docs/how-to/habitat.md says how to get it)")
-        return 0
+    need_habitat()
     report: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
         both = [opened(seed, Path(folder)) for seed in given.seeds]
         for part in given.parts:
-            if part == "tasks":
-                report[part] = {
-                    f"{name}, {perception}": side_by_side(name, both, given.episodes, perception, 256)
-                    for name in given.tasks
-                    for perception in given.perceptions
-                }
-                continue
             report[part] = {}
             for each in both:
                 rng = np.random.default_rng(each.seed)
@@ -411,8 +307,6 @@ def main() -> int:
                     else speed(each, given.rounds, 8, rng)
                 )
             print(json.dumps({part: report[part]}, indent=1), flush=True)
-        if "tasks" in report:
-            print(json.dumps({"tasks": report["tasks"]}, indent=1), flush=True)
     if given.json:
         given.json.write_text(json.dumps(report, indent=1) + "\n")
     return 0

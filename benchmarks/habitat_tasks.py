@@ -1,0 +1,225 @@
+"""The three tasks in our world and in Habitat-Sim: the same apartments, episodes, methods and random numbers.
+
+    python benchmarks/habitat_tasks.py --out FILE.jsonl [--seeds 8500 8501 ...] [--perceptions truth:moderate scout]
+
+Needs Habitat-Sim. One episode of each task is planned in each apartment, in our world, and played in both. Each played
+episode is a line of FILE.jsonl; the same command goes on where it was stopped. Prints for each method the means in both
+worlds, with 95 % intervals (Wilson's for successes, else a bootstrap over apartments), and of the paired difference,
+Habitat minus ours. `--table` prints what FILE.jsonl holds, and plays nothing: that needs no Habitat-Sim.
+"""
+
+from __future__ import annotations
+
+import os
+
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import argparse
+import json
+import sys
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from habitat_places import Both, need_habitat, opened
+
+from eagor.errors import EagorError
+from eagor.statistics import bootstrap_interval, paired_difference, wilson_interval
+from eagor.tasks import place_env
+from eagor.tasks import task as tasks
+from eagor.tasks.episodes import Episode, Slot
+from eagor.tasks.places import APARTMENT, Place
+from eagor.tasks.play import Player
+from eagor.tasks.rules import Camera, Disturbances, as_dict
+
+ROWS = 256  # of the panoramas that a perception sees
+WORLDS = ("ours", "habitat")
+TASKS = ("waypoint", "tracking", "navigation")
+METHODS = ("eagor", "eagor_paper", "vmf")
+SHOWN = {
+    "waypoint": ("L4", "occ", "mae", "coverage"),
+    "tracking": ("error", "time_lost", "coverage"),
+    "navigation": ("success", "spl", "steps", "mae"),
+}
+SCALE = {"coverage": 100, "time_lost": 100, "success": 100, "spl": 100}
+
+Record = dict[str, Any]
+Key = tuple[str, str, int]  # task, perception, seed
+
+
+def key_of(record: Record) -> Key:
+    return record["task"], record["perception"], record["seed"]
+
+
+def read(file: Path) -> list[Record]:
+    """The records of a file; a last line that was cut off does not count."""
+    found = []
+    for line in file.read_text().splitlines() if file.is_file() else []:
+        try:
+            found.append(json.loads(line))
+        except json.JSONDecodeError:
+            continue
+    return found
+
+
+def played(both: Both, task: str, perception: str, number: int) -> Record:
+    """One episode, planned in our world and played in both.
+
+    Starts are moved onto the mesh if they lie beside it. `WorldError` if there is no episode, or no way in one world.
+    """
+    kind = tasks.load(task)
+    config = {"task": task, "perception": perception, "camera": as_dict(Camera()), "rows": ROWS}
+    player = Player(config | {"rules": as_dict(kind.rules()), "disturbances": as_dict(Disturbances())})
+    slot = Slot(task, APARTMENT, both.seed, 0, number)
+    _at(both.ours)
+    planned = player.plan(slot)
+    record: Record = {"task": task, "perception": perception, "seed": both.seed, "query": planned.query, "worlds": {}}
+    for world, place in zip(WORLDS, (both.ours, both.theirs), strict=True):
+        _at(place)
+        episode = replace(planned, scene_hash=place.scene.hash)
+        if kind.walked:
+            record["worlds"][world] = _walked(player, _started(episode, place))
+        else:
+            record["worlds"][world] = _judged(player, episode, slot)
+    return record
+
+
+def _at(place: Place) -> None:
+    """Let the environments be in this place."""
+    place_env.load_place = lambda *_: place
+
+
+def _started(episode: Episode, place: Place) -> Episode:
+    """The same episode from the nearest free point of this place, with the shortest way in it."""
+    start = place.ground.snap(np.array(episode.start), within=0.2)
+    if start is None:
+        raise EagorError("the start is not on the ground of both worlds")
+    way = float(place.way_to(episode.targets).distance(start))
+    if not np.isfinite(way):
+        raise EagorError("no way leads to the target in one of the worlds")
+    return replace(episode, start=(float(start[0]), float(start[1])), shortest=way)
+
+
+def _walked(player: Player, episode: Episode) -> dict[str, Any]:
+    """By method: its metrics, and where it walked (metres)."""
+    found = {}
+    for method in METHODS:
+        walk = player._walk(episode, method, None)
+        found[method] = walk["metrics"] | {"path": [pose[:2] for pose in walk["trace"]["pose"]]}
+    return found
+
+
+def _judged(player: Player, episode: Episode, slot: Slot) -> dict[str, Any]:
+    """By method: its metrics. Also in which steps the target was visible."""
+    recording = player.record(episode)
+    found = {method: player.judge(recording, player.method(method, slot))["metrics"] for method in METHODS}
+    return found | {"visible": [int(seen) for seen in recording.truth["visible"]]}
+
+
+def play_all(file: Path, seeds: list[int], names: list[str], perceptions: list[str]) -> None:
+    """Play what the file does not hold yet, one apartment after the other."""
+    done = {key_of(record) for record in read(file)}
+    for number, seed in enumerate(seeds):
+        wanted = [(t, p, seed) for p in perceptions for t in names if (t, p, seed) not in done]
+        if not wanted:
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            both = opened(seed, Path(folder))
+            for task, perception, _ in wanted:
+                try:
+                    record = played(both, task, perception, number)
+                except EagorError as error:
+                    record = {"task": task, "perception": perception, "seed": seed, "failed": str(error)}
+                with file.open("a") as stream:
+                    stream.write(json.dumps(record) + "\n")
+                print(f"  {task} {perception} {seed}: {record.get('failed', 'played')}", file=sys.stderr, flush=True)
+            both.theirs.scene.close()  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def table(records: list[Record]) -> Iterator[str]:
+    """The lines of all tables."""
+    groups: dict[tuple[str, str], list[Record]] = defaultdict(list)
+    for record in records:
+        groups[record["task"], record["perception"]].append(record)
+    for (task, perception), group in groups.items():
+        kept = [record for record in group if "failed" not in record]
+        yield f"{task}, {perception}: {len(kept)} episodes, {len(group) - len(kept)} could not be played"
+        yield f"  {'':12}{'':18}" + "".join(f"{name:>24}" for name in SHOWN[task])
+        for method in METHODS:
+            for world in WORLDS:
+                cells = "".join(f"{_mean(kept, world, method, name):>24}" for name in SHOWN[task])
+                yield f"  {method if world == 'ours' else '':12}{world:18}{cells}"
+            gaps = "".join(f"{_gap(kept, method, name):>24}" for name in SHOWN[task])
+            yield f"  {'':12}{'habitat - ours':18}{gaps}"
+        yield from _visibility(kept)
+
+
+def _values(records: list[Record], world: str, method: str, name: str) -> dict[int, float]:
+    """By seed, what a method reached where the metric applies."""
+    found = {record["seed"]: record["worlds"][world][method][name] for record in records}
+    return {seed: SCALE.get(name, 1) * value for seed, value in found.items() if value is not None}
+
+
+def _mean(records: list[Record], world: str, method: str, name: str) -> str:
+    values = list(_values(records, world, method, name).values())
+    if len(values) < 2:
+        return "-"
+    if name == "success":
+        ends = wilson_interval(round(sum(values) / 100), len(values))
+        return _cell(float(np.mean(values)), 100 * ends.low, 100 * ends.high)
+    ends = bootstrap_interval(values, np.random.default_rng(0))
+    return _cell(float(np.mean(values)), ends.low, ends.high)
+
+
+def _gap(records: list[Record], method: str, name: str) -> str:
+    ours, habitat = (_values(records, world, method, name) for world in WORLDS)
+    common = [seed for seed in ours if seed in habitat]
+    if len(common) < 2:
+        return "-"
+    found = paired_difference(
+        [habitat[seed] for seed in common], [ours[seed] for seed in common], np.random.default_rng(0)
+    )
+    return _cell(found.difference, found.interval.low, found.interval.high)
+
+
+def _cell(value: float, low: float, high: float) -> str:
+    return f"{value:.1f} [{low:.1f}, {high:.1f}]"
+
+
+def _visibility(records: list[Record]) -> Iterator[str]:
+    """In how many steps both worlds agree on whether the target is visible."""
+    pairs = [
+        [record["worlds"][world]["visible"] for world in WORLDS]
+        for record in records
+        if "visible" in record["worlds"]["ours"]
+    ]
+    if pairs:
+        ours, habitat = (np.concatenate([np.array(pair[k]) for pair in pairs]) for k in (0, 1))
+        yield (
+            f"  visible in {100 * ours.mean():.1f} % of {len(ours)} steps (ours), {100 * habitat.mean():.1f} % "
+            f"(habitat); the worlds agree in {100 * (ours == habitat).mean():.1f} %"
+        )
+
+
+def main() -> int:
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--out", type=Path, required=True)
+    options.add_argument("--seeds", nargs="+", type=int, default=list(range(8500, 8510)))
+    options.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS))
+    options.add_argument("--perceptions", nargs="+", default=["truth:moderate", "scout"])
+    options.add_argument("--table", action="store_true", help="print what FILE.jsonl holds")
+    given = options.parse_args()
+    if not given.table:
+        need_habitat()
+        play_all(given.out, given.seeds, given.tasks, given.perceptions)
+    print("\n".join(table(read(given.out))))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

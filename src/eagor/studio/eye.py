@@ -1,0 +1,214 @@
+"""The process that sees for all sessions: it builds apartments, renders and decodes pictures, runs perceptions.
+
+It is told tuples and says tuples, each with the number of the session. Building takes seconds and has a thread of its
+own, so that other sessions go on seeing meanwhile. A panorama is said before the look at it is taken.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import lru_cache
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor._processes import leave_ctrl_c, leave_with_parent
+from eagor.errors import EagorError, QueryError
+from eagor.evidence import Evidence
+from eagor.perception import load, rows_of
+from eagor.perception.looks import look_if_recorded
+from eagor.robots.pictures import read_photograph
+from eagor.studio.houses import House, house_of, place_of
+from eagor.studio.orders import Built, Close, Opened, Panorama, Refused, See, Seen, Turn, Turned
+from eagor.studio.pictures import jpeg
+from eagor.studio.reels import Reel
+from eagor.studio.steps import calibration_of
+from eagor.tasks.eyes import is_privileged
+from eagor.tasks.places import LOOK_ROWS
+from eagor.tracking.config import TrackerConfig
+from eagor.worlds.photograph import Photograph
+
+__all__ = ["serve"]
+
+FIRST_ROWS = 256  # of the first panorama of an apartment
+PHOTO_ROWS = 768  # of a photograph that is sent, at most
+LOOKED_ROWS = 512  # of a photograph that is looked at, at most
+STILL = (0.0, 0.0, 0.0)
+
+
+def serve(line: Connection, perceptions: tuple[str, ...], seed: int | None) -> None:
+    """The life of the process. It begins with the apartment `seed` (None: none) and the first of `perceptions`."""
+    leave_ctrl_c()
+    leave_with_parent()
+    lock = threading.Lock()
+
+    def say(item: Any) -> None:
+        with lock, suppress(OSError):
+            line.send(item)
+
+    looks: queue.SimpleQueue[See | Turn | Close] = queue.SimpleQueue()
+    reels: dict[int, Reel] = {}
+    builds: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    threading.Thread(target=_forever, args=(looks, lambda job: _serve(job, reels, say)), daemon=True).start()
+    threading.Thread(target=_forever, args=(builds, lambda job: _build(job, say)), daemon=True).start()
+    if seed is not None:
+        builds.put(("warm", seed, perceptions[0]))
+    with suppress(EOFError, OSError):
+        while (job := line.recv()) is not None:
+            (looks if isinstance(job, See | Turn | Close) else builds).put(job)
+
+
+def _forever(jobs: queue.SimpleQueue[Any], work: Callable[[Any], None]) -> None:
+    while True:
+        work(jobs.get())
+
+
+def _build(job: tuple[Any, ...], say: Callable[[Any], None]) -> None:
+    """("warm", seed, perception), ("house", session, seed, perception) or ("picture", session, file, perception)."""
+    what, *rest = job
+    try:
+        if what == "warm":
+            seed, perception = rest
+            house = _furnished(seed)
+            _looked(See(0, 0.0, np.eye(3), _eye(house), perception, house.query, 0, seed))
+            say(("warm",))
+        elif what == "house":
+            session, seed, perception = rest
+            house = _furnished(seed)
+            say(Built(session, house, calibration_of(_loaded(perception), TrackerConfig())))
+        elif what == "video":
+            session, perception = rest
+            say(Opened(session, b"", (), calibration_of(_loaded(perception), TrackerConfig())))
+        elif what == "picture":
+            session, path, perception = rest
+            found = _photograph(path)
+            rows = min(found.panorama.shape[0], PHOTO_ROWS)
+            sent = Photograph(found.panorama).panorama(STILL, np.eye(3), rows).rgb
+            assert sent is not None
+            say(Opened(session, jpeg(sent), found.facts, calibration_of(_loaded(perception), TrackerConfig())))
+    except Exception as error:
+        if what == "warm":
+            say(("warm",))  # whoever opens it is told what is wrong
+        else:
+            say(Refused(rest[0], what, _said(error)))
+
+
+@lru_cache(maxsize=64)
+def _furnished(seed: int) -> House:
+    """The apartment, after a first picture of it (its light takes seconds), which no other thread renders meanwhile."""
+    house = house_of(seed)
+    _rendered(See(0, 0.0, np.eye(3), _eye(house), "", None, FIRST_ROWS, seed))
+    return house
+
+
+def _eye(house: House) -> np.ndarray:
+    return place_of(house.seed).eye(house.start, 1.25)
+
+
+def _serve(job: See | Turn | Close, reels: dict[int, Reel], say: Callable[[Any], None]) -> None:
+    if isinstance(job, Close):
+        reels.pop(job.session, None)
+    elif isinstance(job, Turn):
+        _turn(job, reels, say)
+    else:
+        _see(job, say)
+
+
+def _turn(job: Turn, reels: dict[int, Reel], say: Callable[[Any], None]) -> None:
+    """The next frame of a video, and a look at it."""
+    try:
+        if job.start is not None or job.session not in reels:
+            reels[job.session] = Reel(job.path, job.start or 0.0)
+        found = reels[job.session].next()
+        if found is None:
+            say(Turned(job.session, 0.0, np.eye(3), b"", None, over=True))
+            return
+        frame, pose, lost = found
+        looks: tuple[Evidence, ...] = ()
+        if job.query is not None:
+            try:
+                looks = look_if_recorded(_loaded(job.perception), frame.panorama, job.query, frame.stamp, pose)
+            except EagorError as error:
+                say(Refused(job.session, "query" if isinstance(error, QueryError) else "look", _said(error)))
+        rows = min(frame.panorama.shape[0], FIRST_ROWS)
+        small = Photograph(frame.panorama).panorama(STILL, np.eye(3), rows).rgb
+        assert small is not None
+        say(Turned(job.session, frame.stamp, pose, jpeg(small), job.query, looks, lost))
+    except Exception as error:
+        say(Refused(job.session, "picture", _said(error)))
+
+
+def _see(job: See, say: Callable[[Any], None]) -> None:
+    """Render, say so, look, say so."""
+    try:
+        if job.rows:
+            say(Panorama(job.session, job.stamp, job.world_R_body, jpeg(_rendered(job))))
+        if job.query is not None:
+            began = time.perf_counter()
+            looks = _looked(job)
+            say(Seen(job.session, job.stamp, job.query, looks, time.perf_counter() - began))
+    except Exception as error:
+        say(Refused(job.session, "query" if isinstance(error, QueryError) else "look", _said(error)))
+
+
+def _rendered(job: See, rows: int | None = None) -> np.ndarray:
+    rows = rows or job.rows
+    if job.seed is not None:
+        assert job.position is not None
+        found = place_of(job.seed).renderer.panorama(job.position, job.world_R_body, rows, range=False, ids=False).rgb
+    else:
+        assert job.picture is not None
+        found = _small(job.picture, rows).panorama(STILL, job.world_R_body, rows).rgb
+    assert found is not None
+    return found
+
+
+def _looked(job: See) -> tuple[Evidence, ...]:
+    """The look of the job's perception at what is seen from its pose."""
+    assert job.query is not None
+    perception = _loaded(job.perception)
+    if is_privileged(perception):
+        if job.seed is None:
+            raise QueryError(f"{job.perception} knows only simulated apartments; choose another perception")
+        assert job.position is not None
+        ids = place_of(job.seed).ids(job.position, job.world_R_body, LOOK_ROWS)
+        return (_informed(job.perception, job.seed)(ids, job.query, stamp=job.stamp),)
+    rows = rows_of(perception)
+    if job.picture is not None:
+        rows = max(128, min(rows, LOOKED_ROWS, _photograph(job.picture).panorama.shape[0]))
+    return look_if_recorded(perception, _rendered(job, rows), job.query, job.stamp, job.world_R_body)
+
+
+@lru_cache(maxsize=4)
+def _loaded(perception: str) -> Any:
+    return load(perception)
+
+
+@lru_cache(maxsize=64)
+def _informed(perception: str, seed: int) -> Any:
+    """A perception that is told the truth, with mistakes of its own in this apartment."""
+    return _loaded(perception).episode(house_of(seed).things, seed)
+
+
+@lru_cache(maxsize=8)
+def _photograph(path: Path) -> Any:
+    return read_photograph(path)
+
+
+@lru_cache(maxsize=16)
+def _small(path: Path, rows: int) -> Photograph:
+    """The photograph, shrunk once to the rows that are looked at."""
+    found = Photograph(_photograph(path).panorama).panorama(STILL, np.eye(3), rows).rgb
+    assert found is not None
+    return Photograph(found)
+
+
+def _said(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return text if isinstance(error, EagorError) and text else f"{type(error).__name__}: {text}".rstrip(": ")

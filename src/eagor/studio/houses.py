@@ -1,0 +1,135 @@
+"""What a session of the walk knows of an apartment: its ground, its things, its plan from above, where to begin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from eagor.errors import QueryError
+from eagor.queries import matching, parse_query
+from eagor.studio.session import SEED
+from eagor.studio.wire import rounded
+from eagor.tasks import navigation
+from eagor.tasks.episodes import PER_PLACE, Slot
+from eagor.tasks.places import APARTMENT, Place, load_place
+from eagor.tasks.rules import Camera, NavigationRules
+from eagor.worlds.scene import STRUCTURE, Instance
+from eagor.worlds.walkable import Walkable
+
+__all__ = ["House", "house_of", "place_of", "plan_of"]
+
+EPISODE = 2  # of the apartment `SEED`, as in `eagor demo`
+
+
+@dataclass(frozen=True, eq=False)
+class House:
+    """An apartment as a session needs it: it can be pickled, and renders nothing.
+
+    `names`: what can be asked for without doubt; `start` ``(2,)``, `yaw` and `query` of an episode in it.
+    """
+
+    seed: int
+    ground: Walkable
+    things: tuple[Instance, ...]
+    names: tuple[str, ...]
+    start: np.ndarray
+    yaw: float
+    query: str
+    plan: dict[str, Any]
+
+    def targets(self, query: str) -> list[int]:
+        """The things that a query names; none if it names nothing that is known here."""
+        try:
+            asked = parse_query(query, {thing.category for thing in self.things})
+        except QueryError:
+            return []
+        return matching(asked, self.things)
+
+
+@lru_cache(maxsize=64)  # more than `load_place` keeps: each is in use by somebody
+def place_of(seed: int) -> Place:
+    """The apartment itself, with its renderer."""
+    return load_place(APARTMENT, seed, Camera().radius)
+
+
+@lru_cache(maxsize=64)
+def house_of(seed: int) -> House:
+    """The apartment of this seed, for a session. Raises `WorldError` if nobody can walk to anything in it."""
+    place = place_of(seed)
+    number = EPISODE if seed == SEED else seed % PER_PLACE
+    episode = navigation.plan(Slot("navigation", APARTMENT, seed, number, number), Camera(), NavigationRules())
+    return House(
+        seed,
+        replace(place.ground),  # type: ignore[type-var]  # without what it keeps for itself, so that it can be pickled
+        tuple(place.scene.instances),
+        tuple(sorted(str(name) for name in place.nameable().values())),
+        np.array(episode.start),
+        episode.yaw,
+        str(episode.query),
+        plan_of(place.ground, place.scene.instances),
+    )
+
+
+def plan_of(ground: Walkable, things: Any) -> dict[str, Any]:
+    """The plan from above, metres: walls and floor as closed polylines, things as boxes."""
+    origin, cell = np.asarray(ground.origin), ground.cell
+    return {
+        "walls": [_metres(line, origin, cell) for line in outlines(ground.structure)],
+        "floor": [_metres(line, origin, cell) for line in outlines(ground.free)],
+        "things": [
+            {"name": thing.name, "low": rounded(thing.low[:2], 3), "high": rounded(thing.high[:2], 3)}
+            for thing in things
+            if thing.category not in (*STRUCTURE, "ceiling lamp", "rug", "curtain")
+        ],
+    }
+
+
+def outlines(mask: np.ndarray) -> list[np.ndarray]:
+    """The borders of the True cells of a mask ``(rows, cols)`` as closed lines ``(n, 2)`` of corners (column, row).
+
+    Borders have the True cells on their left; at corners where two of them touch, they stay apart.
+    """
+    grid = np.pad(np.asarray(mask, dtype=bool), 1)
+    follows: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    # Each edge between a True and a False cell, directed; (row, column) of a cell's low corner is its own index - 1.
+    for rows, cols, begin, end in (
+        (*np.nonzero(grid[1:-1, 1:-1] & ~grid[:-2, 1:-1]), (0, 0), (1, 0)),
+        (*np.nonzero(grid[1:-1, 1:-1] & ~grid[2:, 1:-1]), (1, 1), (0, 1)),
+        (*np.nonzero(grid[1:-1, 1:-1] & ~grid[1:-1, 2:]), (1, 0), (1, 1)),
+        (*np.nonzero(grid[1:-1, 1:-1] & ~grid[1:-1, :-2]), (0, 1), (0, 0)),
+    ):
+        for row, col in zip(rows.tolist(), cols.tolist(), strict=True):
+            follows.setdefault((col + begin[0], row + begin[1]), []).append((col + end[0], row + end[1]))
+    lines = []
+    while follows:
+        start = here = next(iter(follows))
+        line, ahead = [start], (0, 0)
+        while True:
+            choices = follows[here]
+            # Where two borders touch, turn left: the cells on the left belong together.
+            left = (here[0] - ahead[1], here[1] + ahead[0])
+            there = left if left in choices else choices[0]
+            choices.remove(there)
+            if not choices:
+                del follows[here]
+            ahead, here = (there[0] - here[0], there[1] - here[1]), there
+            line.append(here)
+            if here == start:
+                break
+        lines.append(_straight(np.array(line)))
+    return lines
+
+
+def _straight(line: np.ndarray) -> np.ndarray:
+    """A closed line without the points in the middle of straight stretches."""
+    steps = np.diff(line, axis=0)
+    turns = np.any(steps != np.roll(steps, 1, axis=0), axis=1)
+    kept = line[:-1][turns]
+    return np.concatenate([kept, kept[:1]])
+
+
+def _metres(line: np.ndarray, origin: np.ndarray, cell: float) -> list[list[float]]:
+    return rounded(origin + line * cell, 3)

@@ -1,0 +1,256 @@
+"""The server's state: which pages watch what, and the processes that work for them.
+
+Nothing is computed here. Sessions run in the engine's process, a live source in its own, runs are read in a third.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from eagor._version import __version__
+from eagor.studio.backends import Backend
+from eagor.studio.channel import Channel
+from eagor.studio.guard import Gate
+from eagor.studio.library import Library
+from eagor.studio.messages import LONGEST, PageError
+from eagor.studio.offers import Offer, offers
+from eagor.studio.session import SEED, Opening
+from eagor.studio.slots import Slot
+from eagor.studio.uploads import BYTES, PIXELS, Uploads
+from eagor.studio.wire import Message
+
+__all__ = ["LiveSource", "Page", "Settings", "Studio"]
+
+ENGINE = "eagor.studio.engine:serve"
+RATE, BURST = 60.0, 120.0  # messages per second of a page, and at once
+
+
+@dataclass(frozen=True)
+class LiveSource:
+    """A live source: its name, and the function ``(line, *arguments)`` of the process that watches it."""
+
+    words: str
+    serve: str
+    arguments: tuple[Any, ...] = ()
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the command line says. `perception`: a further one; `seed`: the apartment to begin with (None: none)."""
+
+    gate: Gate
+    runs: Path = Path("runs")
+    perception: str | None = None
+    seed: int | None = SEED
+    live: LiveSource | None = None
+
+
+@dataclass(eq=False)
+class Page:
+    """A browser's page: its slot, and its session (0: none is open)."""
+
+    slot: Slot = field(default_factory=Slot)
+    session: int = 0
+    watches: bool = False  # the live source
+    rubbish: int = 0
+    allowance: float = BURST
+    counted: float = field(default_factory=time.monotonic)
+
+    def may_speak(self) -> bool:
+        """Whether it keeps to the rate: a bucket of messages that fills with time."""
+        now = time.monotonic()
+        self.allowance = min(BURST, self.allowance + RATE * (now - self.counted))
+        self.counted = now
+        if self.allowance < 1:
+            return False
+        self.allowance -= 1
+        return True
+
+
+class Studio:
+    """The server's state. Used in the loop's thread alone, except `_heard` and `_died`."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings, self.ready = settings, False
+        self.offers: list[Offer] = offers(settings.perception)
+        self.pages: dict[int, Page] = {}  # by session
+        self.uploads, self.library = Uploads(), Library(settings.runs)
+        self.open = 0
+        self._numbers, self._steps = itertools.count(1), itertools.count(1)
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._engine: Backend | None = None
+        self._live: Backend | None = None
+        self._channel = Channel()
+
+    def start(self) -> None:
+        """Start the processes; from the loop's thread."""
+        self._loop = asyncio.get_running_loop()
+        walks = [offer.name for offer in self.offers if offer.ready and "walk" in offer.views]
+        names = tuple(walks) or ("colour",)
+        seed = self.settings.seed if walks else None
+        self._engine = Backend(ENGINE, (names, seed), self._heard, self._died)
+        self.ready = seed is None
+        if (live := self.settings.live) is not None:
+            self._live = Backend(live.serve, live.arguments, self._seen, self._unseen)
+
+    def close(self) -> None:
+        """End the processes, remove the uploads."""
+        for backend in (self._engine, self._live):
+            if backend is not None:
+                backend.close()
+        self.library.close()
+        self.uploads.close()
+
+    def opening(self, message: dict[str, Any]) -> Opening:
+        """What a page wants to open. Raises `PageError` for what there is not."""
+        view = message["view"]
+        usable = [offer for offer in self.offers if offer.ready and view in offer.views]
+        chosen = next((offer for offer in usable if offer.name == message["perception"]), None)
+        if chosen is None and message["perception"]:
+            raise self._unusable(message["perception"], view)
+        if chosen is None and not usable:
+            raise self._unusable(next(offer.name for offer in self.offers if view in offer.views), view)
+        perception = (chosen or usable[0]).name
+        asked = {"query": message["query"], "perception": perception, "methods": tuple(message["methods"])}
+        if view == "picture":
+            found = self.uploads.get(message["id"])
+            if not asked["query"]:
+                raise PageError("There is no query.", "Say what to look for, such as 'red chair'.")
+            kind = "video" if found.kind == "video" else view
+            return Opening(kind, picture=found.path, name=found.name, frames=found.frames, **asked)
+        seed = SEED if message["seed"] is None else message["seed"]
+        return Opening(view, seed=seed, drive=message["drive"], **asked)
+
+    def _unusable(self, name: str, view: str) -> PageError:
+        offer = next((offer for offer in self.offers if offer.name == name), None)
+        if offer is None or view not in offer.views:
+            there = ", ".join(each.name for each in self.offers if view in each.views)
+            return PageError(f"There is no perception {name!r} for this view.", f"Choose one of {there}.", 404)
+        return PageError(f"The perception {name!r} cannot be used here.", offer.problem, 503)
+
+    def show(self, page: Page, message: dict[str, Any]) -> None:
+        """Open a view on a page, in place of the one before. Raises `PageError`."""
+        if message["view"] == "live":
+            self._watch(page, message["query"])
+            return
+        opening = self.opening(message)
+        self.hide(page)
+        page.slot.clear()
+        page.session = next(self._numbers)
+        self.pages[page.session] = page
+        assert self._engine is not None
+        self._engine.tell(("open", page.session, opening))
+
+    def _watch(self, page: Page, query: str) -> None:
+        if self._live is None:
+            raise PageError("There is no live source.", "Start eagor studio with --source.", 404)
+        self.hide(page)
+        page.slot.clear()
+        page.watches = True
+        if query:
+            self._live.tell(("query", query))
+        self._channel.join(page.slot)
+
+    def tell(self, page: Page, message: dict[str, Any]) -> None:
+        """Pass a message on to the page's session. Raises `PageError` if it has none."""
+        if page.watches:
+            self._direct(page, message)
+            return
+        if not page.session:
+            raise PageError("No view is open.", "Open one first.")
+        assert self._engine is not None
+        self._engine.tell(("told", page.session, message))
+
+    def _direct(self, page: Page, message: dict[str, Any]) -> None:
+        """What a page says to the live source, which others watch, too."""
+        assert self._live is not None
+        if message["type"] == "query":
+            self._live.tell(("query", message["text"]))
+        elif message["type"] == "pause":
+            self._channel.leave(page.slot)
+            if not message["on"]:
+                self._channel.join(page.slot)
+
+    def hide(self, page: Page) -> None:
+        """Close the page's view, if it has one."""
+        if page.watches:
+            self._channel.leave(page.slot)
+            page.watches = False
+        if page.session:
+            self.pages.pop(page.session, None)
+            assert self._engine is not None
+            self._engine.tell(("close", page.session))
+            page.session = 0
+
+    def _heard(self, said: tuple[int, Message]) -> None:
+        assert self._loop is not None
+        with suppress(RuntimeError):  # the loop is closed: the server ends
+            self._loop.call_soon_threadsafe(self._deliver, *said)
+
+    def _deliver(self, number: int, message: Message) -> None:
+        if number == 0:
+            self.ready = True
+            self.library.warm()  # now that nobody waits for the first apartment
+        elif (page := self.pages.get(number)) is not None:
+            page.slot.put(message)
+
+    def _seen(self, message: Message) -> None:
+        assert self._loop is not None
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._channel.put, self._stamped(message))
+
+    def _unseen(self) -> None:
+        words = {"problem": "The process that watches the source has ended.", "change": "It is started anew; wait."}
+        self._seen(Message({"type": "problem", **words, "fatal": False}))
+
+    def _stamped(self, message: Message) -> Message:
+        """A step of the live source, with its number and the time."""
+        if message.header["type"] != "step":
+            return message
+        header = {**message.header, "number": next(self._steps), "sent": time.time()}
+        return Message(header, message.blobs)
+
+    def _died(self) -> None:
+        assert self._loop is not None
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._lost)
+
+    def _lost(self) -> None:
+        """The engine has died: every page is told to open its view again."""
+        words = {"problem": "The process of all views has ended unexpectedly.", "change": "Open the view again."}
+        for page in list(self.pages.values()):
+            page.session = 0
+            page.slot.put(Message({"type": "problem", **words, "fatal": True}))
+        self.pages.clear()
+
+    def state(self) -> dict[str, Any]:
+        """What ``/api/state`` says."""
+        walk = [offer for offer in self.offers if "walk" in offer.views]
+        picture = [offer for offer in self.offers if "picture" in offer.views]
+        views = [
+            _view("walk", any(offer.ready for offer in walk), walk[0].problem),
+            _view("run", True, ""),
+            _view("picture", any(offer.ready for offer in picture), picture[0].problem),
+            _view("live", self._live is not None, "Start eagor studio with --source to see a camera here."),
+        ]
+        return {
+            "version": __version__,
+            "ready": self.ready,
+            "views": views,
+            "perceptions": [vars(offer) | {"views": list(offer.views)} for offer in self.offers],
+            "houses": {"first": 0, "last": 9999, "default": SEED, "offered": [SEED, 3, 8, 12, 17, 23]},
+            "default": {"seed": SEED, "query": "", "perception": walk[0].name},
+            "limits": {"message_bytes": LONGEST, "upload_bytes": BYTES, "pixels": PIXELS},
+            "source": None if self.settings.live is None else self.settings.live.words,
+            "token": self.settings.gate.token is not None,
+        }
+
+
+def _view(name: str, usable: bool, problem: str) -> dict[str, Any]:
+    return {"name": name, "usable": usable, "problem": "" if usable else problem}

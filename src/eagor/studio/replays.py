@@ -1,0 +1,198 @@
+"""Episodes as the page shows them: steps with belief, panorama, answers of all methods, in one JSON object.
+
+An episode of a simulated task is played again (as `eagor.evaluation.watching` does for the Rerun viewer): the method
+with a belief sees what it saw in the run. What the other methods said is in the records. A live recording goes through
+the live core again; of a robot's walk its report is read.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from eagor.conventions import rotation_from_wxyz
+from eagor.errors import EagorError
+from eagor.evaluation.published import OURS
+from eagor.evaluation.samples import case_of, finished
+from eagor.evaluation.study import Told
+from eagor.sphere import direction
+from eagor.studio.houses import plan_of
+from eagor.studio.pictures import jpeg
+from eagor.studio.steps import belief_of, calibration_of, error_deg, estimate_json, modes_json, stage
+from eagor.studio.wire import rounded
+from eagor.tasks.episodes import Episode
+from eagor.tasks.listed import slot_of
+from eagor.tasks.methods import DESCRIPTIONS, TrackerMethod
+from eagor.tasks.places import Place, load_place
+from eagor.tasks.play import Player, Seen
+
+__all__ = ["Redrawn", "redraw"]
+
+ROWS = 256  # of panoramas
+STEPS = 60  # steps with a panorama, at most: the page of an export is to be sent by mail
+Advance = Callable[[int], object]
+
+
+@dataclass(eq=False)
+class Redrawn:
+    """An episode for the page: its `scene`, its `steps`, and JPEG `pictures` by the number of their step."""
+
+    scene: dict[str, Any]
+    steps: list[dict[str, Any]] = field(default_factory=list)
+    pictures: dict[int, bytes] = field(default_factory=dict)
+
+    def as_json(self, address: Callable[[int], str]) -> dict[str, Any]:
+        """The EPISODE of the page; `address` says where the picture of a step is."""
+        steps = []
+        for number, step in enumerate(self.steps):
+            if number in self.pictures:
+                shown = {"stamp": step["stamp"], "world_R_camera": step["world_R_camera"], "url": address(number)}
+                step = step | {"panorama": shown}
+            steps.append(step)
+        return {"scene": self.scene, "steps": steps, "methods": [each["name"] for each in self.scene["methods"]]}
+
+
+def redraw(run: Told, case: str, advance: Advance = lambda _: None) -> Redrawn:
+    """Episode `case` of a run of a simulated task, again. `advance` is called with the number of each step.
+
+    Raises `EagorError` for an unknown episode, one of a benchmark of still pictures, or a run without a tracker.
+    """
+    records = [record for record in finished(run.records) if case_of(record) == case]
+    if not records:
+        raise EagorError(f"the run has no episode {case!r} with a result; choose one of those that are listed")
+    methods: dict[str, Any] = {}
+    for record in records:
+        methods |= {name: entry | {"record": record} for name, entry in record.get("methods", {}).items()}
+    shown = _believer(run, case, methods)
+    unit = next((each["unit"] for each in run.study.worst(run, shown).cases if each["case"] == case), None)
+    if unit is None:
+        raise EagorError(f"only episodes of simulated tasks can be played again, and {run.study.name} has none")
+    player = Player(dict(run.settings), rows=ROWS)
+    slot = slot_of(unit["slot"])
+    episode = player.plan(slot)
+    place = load_place(slot.world, slot.seed, player.camera.radius)
+    made = player.method(shown, slot)
+    assert isinstance(made, TrackerMethod)
+    config = made.tracker.config
+    found = Redrawn(_scene(run, episode, place, methods, shown, calibration_of(player.perception, config)))
+    seen: list[Seen] = []
+
+    def watch(each: Seen) -> None:
+        advance(len(seen))
+        seen.append(each)
+        found.steps.append(_step(each, config.degree))
+        if each.panorama is not None:
+            found.pictures[len(seen) - 1] = jpeg(each.panorama)
+
+    player.play(slot, [shown], watch)
+    _thin(found)
+    _others(found, methods, shown)
+    return found
+
+
+def _believer(run: Told, case: str, methods: Mapping[str, Any]) -> str:
+    """The method whose belief is shown: ours, else another tracker."""
+    known = [name for name in (OURS, *methods) if name in methods]
+    trackers = [name for name in known if name.partition(":")[0] in (OURS, "eagor_paper")]
+    if not trackers:
+        raise EagorError(
+            f"episode {case!r} was played by {', '.join(known) or 'no method'}: none keeps a belief that could be "
+            "shown. Run it with --methods eagor"
+        )
+    return trackers[0]
+
+
+def _scene(
+    run: Told, episode: Episode, place: Place, methods: Mapping[str, Any], shown: str, calibrated: dict[str, Any]
+) -> dict[str, Any]:
+    plan = plan_of(place.ground, place.scene.instances)
+    names = {place.scene.instances[index].name for index in episode.targets if index < len(place.scene.instances)}
+    plan["things"] = [thing | {"target": thing["name"] in names} for thing in plan["things"]]
+    listed = [shown, *(name for name in methods if name != shown)]
+    return {
+        "view": "run",
+        "title": f"{run.study.name} {episode.slot.id}: {episode.query}",
+        "task": run.study.name,
+        "case": episode.slot.id,
+        "query": str(episode.query),
+        "targets": [],
+        "plan": plan,
+        "degree": 15,
+        "calibration": calibrated,
+        "perception": str(run.settings.get("perception", "")),
+        "methods": [{"name": name, "words": DESCRIPTIONS.get(name.partition(":")[0], name)} for name in listed],
+        "method": shown,
+        "region": 0.9,
+        "paths": {name: path for name in listed if (path := _path(methods[name]))},
+    }
+
+
+def _trace(entry: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A method's trace, with the poses of the episode where they are common to all methods."""
+    truth = entry["record"].get("truth", {})
+    return {"pose": truth.get("pose", [])} | entry.get("trace", {})
+
+
+def _path(entry: Mapping[str, Any]) -> list[list[float]]:
+    return [rounded(pose[:2], 3) for pose in _trace(entry)["pose"]]
+
+
+def _step(seen: Seen, degree: int) -> dict[str, Any]:
+    """One step of the method whose belief is shown."""
+    assert isinstance(seen.method, TrackerMethod)
+    estimate = seen.method.estimate
+    header, coefficients = belief_of(estimate, seen.stamp, degree)
+    header["coefficients"] = base64.b64encode(coefficients).decode("ascii")
+    return {
+        **stage(estimate, seen.stamp, seen.position),
+        "estimate": estimate_json(estimate, estimate.posterior.entropy()),
+        "modes": modes_json(estimate),
+        "belief": header,
+        "truth": {"direction": rounded(seen.truth)},
+        "error_deg": error_deg(estimate.direction, seen.truth),
+    }
+
+
+def _thin(found: Redrawn) -> None:
+    """Leave pictures to at most `STEPS` steps, evenly spread, the first and the last among them."""
+    count = len(found.steps)
+    kept = {round(index * (count - 1) / (STEPS - 1)) for index in range(STEPS)} if count > STEPS else {*range(count)}
+    found.pictures = {number: found.pictures[number] for number in sorted(kept & {*found.pictures})}
+    for number, step in enumerate(found.steps):
+        step["frame"] = {"n": number, "of": count, "stamp": step["stamp"]}
+
+
+def _others(found: Redrawn, methods: Mapping[str, Any], shown: str) -> None:
+    """What every method said at each step, from the records; in navigation each walks a way of its own."""
+    for number, step in enumerate(found.steps):
+        step["methods"] = {name: told for name, entry in methods.items() if (told := _said(entry, number))}
+        step["rivals"] = {
+            name: {"direction": told["estimate"]["direction"], "error_deg": told["error_deg"]}
+            for name, told in step["methods"].items()
+            if name != shown
+        }
+
+
+def _said(entry: Mapping[str, Any], number: int) -> dict[str, Any] | None:
+    trace = _trace(entry)
+    if number >= len(trace.get("azimuth_deg", ())):
+        return None
+    azimuth, elevation = (math.radians(trace[f"{each}_deg"][number]) for each in ("azimuth", "elevation"))
+    found: dict[str, Any] = {
+        "estimate": {
+            "direction": rounded(direction(np.array(azimuth), np.array(elevation))),
+            "azimuth": rounded(azimuth),
+            "elevation": rounded(elevation),
+        },
+        "error_deg": trace["error_deg"][number],
+    }
+    if number < len(trace["pose"]):
+        pose = np.array(trace["pose"][number], dtype=float)
+        found["position"] = rounded(pose[:3], 3)
+        found["world_R_camera"] = rounded(rotation_from_wxyz(pose[3:]).reshape(9), 5)
+    return found

@@ -1,0 +1,171 @@
+"""The runs of a folder: which there are, which episodes each has, and one episode again.
+
+A name from a page is only ever compared with the names in the folder; it is never a path.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+
+from eagor._json import parsed
+from eagor.errors import EagorError, FormatError
+from eagor.evaluation import ledger, studies
+from eagor.evaluation.published import OURS
+from eagor.evaluation.samples import case_of, finished
+from eagor.evaluation.study import Told
+from eagor.robots.bag_files import is_bag
+from eagor.studio.recordings import recorded, report_of, walked
+from eagor.studio.replays import Redrawn, redraw
+from eagor.studio.wire import rounded
+
+__all__ = ["again", "folder_of", "key_of", "kind_of", "listed", "opened", "runs_in"]
+
+MOST = 200  # runs that are listed
+LARGEST = 1 << 22  # bytes of a run.json that is listed
+ITSELF = "."  # the name of a folder that is a run itself
+WALK, LIVE = "walk", "recording"  # the only case of a robot's report, and of a recording
+
+
+def key_of(case: str) -> str:
+    """A case as a part of an address: no slash, no percent sign."""
+    return quote(case, safe="").replace("~", "~7E").replace("%", "~")
+
+
+def kind_of(folder: Path) -> str | None:
+    """What a folder holds: "bench", "robot", "live", or nothing that is known here."""
+    with suppress(OSError, ValueError):
+        if is_bag(folder):
+            return "live"
+        path = folder / ledger.RUN
+        if path.is_file() and path.stat().st_size <= LARGEST:
+            found = parsed(path.read_bytes())
+            if isinstance(found, dict):
+                return "robot" if "samples" in found else "bench"
+            return "bench"
+        if path.is_file():
+            return "robot"  # a long walk
+    return None
+
+
+def runs_in(root: Path) -> dict[str, Path]:
+    """The runs by name: those below `root`, newest first, or `root` itself."""
+    root = Path(root)
+    if not root.is_dir():
+        return {}
+    if kind_of(root) is not None:
+        return {ITSELF: root}
+    found = []
+    for path in root.iterdir():
+        # A link may lead anywhere.
+        if not path.name.startswith(".") and path.is_dir() and not path.is_symlink() and kind_of(path) is not None:
+            found.append(path)
+    found.sort(key=lambda path: path.stat().st_mtime, reverse=True)
+    return {path.name: path for path in found[:MOST]}
+
+
+def folder_of(root: Path, name: str) -> Path:
+    """The folder of the run called `name`. Raises `EagorError` for any other name."""
+    runs = runs_in(root)
+    if name not in runs:
+        there = ", ".join(runs) or "none"
+        raise EagorError(f"there is no run {name[:80]!r}; there are {there[:400]}")
+    return runs[name]
+
+
+def listed(root: Path) -> list[dict[str, Any]]:
+    """A line about each run."""
+    return [_line(name, folder) for name, folder in runs_in(root).items()]
+
+
+def _line(name: str, folder: Path) -> dict[str, Any]:
+    kind = kind_of(folder)
+    line: dict[str, Any] = {"name": name, "kind": kind, "task": "", "episodes": 1, "done": 1, "problem": ""}
+    if kind != "bench":
+        return line | {"task": {"live": "recording", "robot": "walk"}[str(kind)]}
+    try:
+        settings = ledger.description(folder)
+        done = sum(path.read_bytes().count(b"\n") for path in ledger.files(folder))
+    except (EagorError, OSError) as error:
+        return line | {"episodes": 0, "done": 0, "problem": str(error)}
+    problem = "" if done else "It has no records yet."
+    line |= {"task": str(settings.get("task", "")), "perception": str(settings.get("perception", ""))}
+    return line | {"episodes": settings.get("episodes"), "done": done, "problem": problem}
+
+
+def opened(folder: Path) -> dict[str, Any]:
+    """The episodes of a run: those that failed first, then by error, the worst first. Raises `EagorError`."""
+    kind = kind_of(folder)
+    if kind == "live":
+        return _single(kind, LIVE, f"Recording {folder.name}", "")
+    if kind == "robot":
+        report = report_of(folder)
+        return _single(kind, WALK, f"Walk: {report.get('ended') or 'it did not end'}", str(report.get("query", "")))
+    if kind is None:
+        raise FormatError(f"{folder.name} holds no run: no {ledger.RUN} and no recording")
+    run = studies.read(folder)
+    methods = list(run.methods)
+    episodes: dict[str, dict[str, Any]] = {}
+    for record in finished(run.records):
+        case = case_of(record)
+        entry = episodes.setdefault(case, _entry(case, record))
+        for name, part in record.get("methods", {}).items():
+            entry["methods"][name] = _figures(part)
+    for entry in episodes.values():
+        ours = entry["methods"].get(OURS) or next(iter(entry["methods"].values()), {})
+        entry |= {"error_deg": ours.get("error_deg"), "success": ours.get("success")}
+    order = sorted(episodes.values(), key=_badness)
+    playable = bool(methods)
+    problem = "" if playable else "Episodes of a benchmark of still pictures cannot be played again; see its report."
+    failed = run.summary.get("failed", 0)
+    return {"kind": kind, "task": run.study.name, "methods": methods, "episodes": order, "failed": failed,
+            "playable": playable, "problem": problem}  # fmt: skip
+
+
+def _single(kind: str, case: str, title: str, query: str) -> dict[str, Any]:
+    entry = {"key": case, "title": title, "query": query, "error_deg": None, "success": None, "methods": {}}
+    return {"kind": kind, "task": kind, "methods": [OURS], "episodes": [entry], "failed": 0, "playable": True,
+            "problem": ""}  # fmt: skip
+
+
+def _entry(case: str, record: Mapping[str, Any]) -> dict[str, Any]:
+    query = str((record.get("episode") or record).get("query", ""))
+    return {"key": key_of(case), "title": case, "query": query, "methods": {}}
+
+
+def _figures(part: Mapping[str, Any]) -> dict[str, Any]:
+    """A method's mean error, and whether it reached the target, where the task has such a thing."""
+    errors = [error for error in part.get("trace", {}).get("error_deg", ()) if error is not None]
+    metrics = part.get("metrics", {})
+    found: dict[str, Any] = {"error_deg": rounded(float(np.mean(errors)), 2) if errors else None}
+    if "success" in metrics:
+        found["success"] = bool(metrics["success"])
+    return found
+
+
+def _badness(entry: Mapping[str, Any]) -> tuple[bool, float]:
+    error = entry["error_deg"]
+    return entry["success"] is not False, -(math.inf if error is None else error)
+
+
+def again(folder: Path, key: str | None, advance: Callable[[int], object] = lambda _: None) -> Redrawn:
+    """One episode of a run, for the page; `key` None: the worst one. Raises `EagorError`."""
+    kind = kind_of(folder)
+    if kind == "live":
+        return recorded(folder, None, advance)
+    if kind == "robot":
+        return walked(folder)
+    run: Told = studies.read(folder)
+    if key is None:
+        key = opened(folder)["episodes"][0]["key"]
+    cases = {key_of(case): case for record in finished(run.records) for case in (case_of(record),)}
+    cases |= {case: case for case in cases.values()}
+    if key not in cases:
+        raise EagorError(f"the run has no episode {key!r}; it has {', '.join(sorted(cases.values())[:8])}")
+    return redraw(run, cases[key], advance)

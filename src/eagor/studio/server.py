@@ -1,0 +1,182 @@
+"""The web server of the studio: pages, JSON about runs and pictures, and a socket per page for what is live.
+
+Nothing is computed here. Sessions run in the engine's process, episodes are drawn again in a worker's; this process
+passes bytes on. A page that reads slowly has a slot of its own with the newest step (`eagor.studio.slots`), so it
+delays nobody.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote, unquote
+
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from eagor.studio.guard import Guard
+from eagor.studio.hub import Page, Studio
+from eagor.studio.messages import PageError, read
+from eagor.studio.wire import Message, packed
+
+__all__ = ["create_app"]
+
+PAGES = 64  # open at a time
+RUBBISH = 10  # messages that make no sense, after which a page is sent away
+TOO_MANY, TOO_WRONG = 4429, 4400  # codes with which a socket is closed
+
+
+def create_app(studio: Studio) -> Starlette:
+    """The ASGI application. Its processes run from its start to its end."""
+
+    @asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        studio.start()
+        try:
+            yield
+        finally:
+            await asyncio.to_thread(studio.close)
+
+    async def state(_: Request) -> Response:
+        return JSONResponse(studio.state())
+
+    async def runs(_: Request) -> Response:
+        folder = str(studio.settings.runs)
+        return JSONResponse({"folder": folder, "runs": await studio.library.listed()})
+
+    async def run(request: Request) -> Response:
+        name = request.path_params["name"]
+        return JSONResponse({"name": name, **await studio.library.opened(name)})
+
+    async def episode(request: Request) -> Response:
+        name, key = request.path_params["name"], request.path_params["key"]
+        found = await studio.library.episode(name, key)
+        if isinstance(found, int):
+            return JSONResponse({"progress": found}, 202)
+        here = f"/api/runs/{quote(name, safe='')}/episodes/{quote(key, safe='')}/panorama"
+        return JSONResponse(found.as_json(lambda number: f"{here}/{number}"))
+
+    async def panorama(request: Request) -> Response:
+        name, key, number = (request.path_params[each] for each in ("name", "key", "number"))
+        found = await studio.library.episode(name, key)
+        if isinstance(found, int) or number not in found.pictures:
+            raise PageError(f"Step {number} has no picture here.", "Open the episode again.", 404)
+        return Response(found.pictures[number], media_type="image/jpeg", headers={"Cache-Control": "max-age=3600"})
+
+    async def pictures(request: Request) -> Response:
+        declared = request.headers.get("content-length", "")
+        name = unquote(request.headers.get("x-name", ""))
+        path = await studio.uploads.receive(int(declared) if declared.isdecimal() else None, request.stream())
+        found = await asyncio.to_thread(studio.uploads.keep, path, name)
+        return JSONResponse(found.as_json(), 201)
+
+    async def socket(web: WebSocket) -> None:
+        await serve_page(studio, web)
+
+    routes = [
+        Route("/", index),
+        Route("/api/state", state),
+        Route("/api/runs", runs),
+        Route("/api/runs/{name}", run),
+        Route("/api/runs/{name}/episodes/{key}", episode),
+        Route("/api/runs/{name}/episodes/{key}/panorama/{number:int}", panorama),
+        Route("/api/pictures", pictures, methods=["POST"]),
+        WebSocketRoute("/ws", socket),
+        Mount("/assets", StaticFiles(directory=str(assets() / "assets"), check_dir=False)),
+    ]
+    handlers: dict[Any, Any] = {PageError: _refused, 404: _missing, 405: _missing, 500: _broken}
+    return Starlette(
+        routes=routes,
+        lifespan=lifespan,
+        middleware=[Middleware(Guard, gate=studio.settings.gate)],
+        exception_handlers=handlers,
+    )
+
+
+def assets() -> Path:
+    """The folder of the built page."""
+    return Path(str(files("eagor.studio") / "static"))
+
+
+async def index(_: Request) -> Response:
+    """The page."""
+    page = assets() / "index.html"
+    if not page.is_file():
+        raise PageError(
+            "The page has not been built in this clone.", "Run make page there (it needs Node), then reload.", 503
+        )
+    return FileResponse(page, headers={"Cache-Control": "no-cache"})
+
+
+async def _refused(_: Request, error: Exception) -> Response:
+    assert isinstance(error, PageError)
+    return JSONResponse({"problem": error.problem, "change": error.change}, error.status)
+
+
+async def _missing(request: Request, error: Exception) -> Response:
+    said = {"problem": f"There is nothing at {request.url.path[:200]}.", "change": "Open the page at /."}
+    return JSONResponse(said, getattr(error, "status_code", 404))
+
+
+async def _broken(_: Request, error: Exception) -> Response:
+    said = {"problem": f"The server has failed ({type(error).__name__}).", "change": "Its terminal says more."}
+    return JSONResponse(said, 500)
+
+
+async def serve_page(studio: Studio, web: WebSocket) -> None:
+    """One page, until it goes: what it says is checked and passed on, what is for it is sent as fast as it reads."""
+    await web.accept()
+    if studio.open >= PAGES:
+        await web.close(TOO_MANY, f"{PAGES} pages are open already; close one of them")
+        return
+    studio.open += 1
+    page = Page()
+    sending = asyncio.create_task(_send(page, web))
+    try:
+        await _listen(studio, page, web)
+    finally:
+        studio.open -= 1
+        studio.hide(page)
+        sending.cancel()
+        with suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError, OSError):
+            await sending
+
+
+async def _send(page: Page, web: WebSocket) -> None:
+    with suppress(WebSocketDisconnect, RuntimeError):
+        while True:
+            await web.send_bytes(packed(await page.slot.get()))
+
+
+async def _listen(studio: Studio, page: Page, web: WebSocket) -> None:
+    while True:
+        received = await web.receive()
+        if received["type"] == "websocket.disconnect":
+            return
+        text = received.get("text")
+        try:
+            if text is None:
+                raise PageError("A message of bytes came; text was wanted.", "Reload the page.")
+            message = read(text)
+            if not page.may_speak():
+                continue
+            if message["type"] == "open":
+                studio.show(page, message)
+            else:
+                studio.tell(page, message)
+        except PageError as error:
+            page.rubbish += 1
+            words = {"problem": error.problem, "change": error.change, "fatal": False}
+            page.slot.put(Message({"type": "problem", **words}))
+            if page.rubbish >= RUBBISH:
+                await web.close(TOO_WRONG, "too many messages that make no sense")
+                return

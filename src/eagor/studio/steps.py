@@ -1,0 +1,135 @@
+"""An estimate as a step of the page: JSON, and the coefficients of its belief."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from eagor.drawing.words import STATUS, answer_in_words, far_in_words, status_in_words
+from eagor.evidence import Calibration
+from eagor.evidence.evidence import Evidence
+from eagor.harmonics import RealHarmonics
+from eagor.sphere import angular_distance
+from eagor.studio.density import DEGREE, MASS, Density, density_of
+from eagor.studio.wire import Blob, rounded
+from eagor.tracking.config import TrackerConfig
+from eagor.tracking.estimate import Estimate
+
+__all__ = ["belief_of", "calibration_of", "error_deg", "estimate_json", "evidence_of", "modes_json", "stage"]
+
+FLOATS = "float32"
+
+
+def estimate_json(estimate: Estimate, entropy: float) -> dict[str, Any]:
+    """The answer, in the body frame; angles in radians."""
+    e = estimate
+    known = e.direction is not None
+    near = known and e.status != "searching"
+    return rounded(
+        {
+            "direction": e.direction,
+            "azimuth": e.azimuth,
+            "elevation": e.elevation,
+            "credible_angle": e.credible_angle if known else None,
+            "presence": e.presence,
+            "entropy": entropy,
+            "distance": e.distance if near else None,
+            "distance_spread": e.distance_spread if near else None,
+            "moving": e.moving,
+            "status": e.status,
+            "held": e.held,
+            "words": in_words(e),
+        }
+    )
+
+
+def in_words(estimate: Estimate) -> str:
+    """The answer in a sentence: where, how far, how sure."""
+    e = estimate
+    if e.direction is None:
+        return "No direction is known yet."
+    where, far = answer_in_words(e), far_in_words(e)
+    cone = f"90 % within {math.degrees(e.credible_angle):.0f} degrees"
+    parts = [where, *([f"{far} away"] if far else []), cone]
+    said = f"{', '.join(parts)}. Presence {100 * e.presence:.0f} %, {status_in_words(e)}: {STATUS[e.status]}."
+    return said[0].upper() + said[1:]
+
+
+def modes_json(estimate: Estimate) -> list[dict[str, Any]]:
+    """The candidates, heaviest first, in the body frame."""
+    return [{"direction": rounded(mode.direction), "weight": rounded(mode.weight)} for mode in estimate.modes]
+
+
+def belief_of(estimate: Estimate, stamp: float, degree: int = DEGREE) -> tuple[dict[str, Any], bytes]:
+    """The belief of an estimate in world axes: what the header says of it, and its coefficients."""
+    density = density_of(estimate.posterior, degree)
+    mode = estimate.world_R_body @ estimate.modes[0].direction if estimate.modes else None
+    return belief_json(density, stamp, mode), density.blob
+
+
+def belief_json(density: Density, stamp: float, mode: np.ndarray | None) -> dict[str, Any]:
+    """What the header says of a density; `mode` ``(3,)``: its heaviest candidate, in world axes."""
+    return {
+        "frame": "world",
+        "stamp": rounded(stamp),
+        "mass": MASS,
+        "level": float(f"{density.level:.6g}"),
+        "mode": rounded(mode),
+        "terms": [{"weight": float(f"{term.weight:.6g}"), "degree": term.degree} for term in density.terms],
+    }
+
+
+def evidence_of(
+    evidence: Evidence, world_R_body: np.ndarray, stamp: float, degree: int = DEGREE
+) -> tuple[dict[str, Any], Blob]:
+    """A look's log-likelihood ratio in world axes: what the header says of it, and its coefficients."""
+    basis = RealHarmonics(degree)
+    turned = np.asarray(basis.rotate(np.asarray(evidence.coefficients(degree)), world_R_body))
+    header = {"degree": degree, "frame": "world", "stamp": rounded(stamp)}
+    return header, Blob(FLOATS, turned.astype("<f4").tobytes())
+
+
+def stage(estimate: Estimate, stamp: float, position: np.ndarray | None) -> dict[str, Any]:
+    """The part of a step that says when and where the camera is."""
+    return {
+        "stamp": rounded(stamp),
+        "world_R_camera": rounded(estimate.world_R_body.reshape(9), 6),
+        "position": rounded(position, 4),
+        "look": {"age": rounded(estimate.age, 3), "fresh": False},
+    }
+
+
+def error_deg(direction: np.ndarray | None, truth: np.ndarray | None) -> float | None:
+    """The angle between an answer and the truth, degrees; None where either is not known."""
+    if direction is None or truth is None:
+        return None
+    return round(math.degrees(float(angular_distance(direction, truth))), 2)
+
+
+def calibration_of(perception: Any, config: TrackerConfig) -> dict[str, Any]:
+    """How looks are read, in words and numbers: by the tracker's settings, else as the perception reads itself."""
+    detector = config.detector or getattr(perception, "detector", None)
+    calibration = config.calibration or getattr(perception, "calibration", None)
+    source = "from the settings of this run" if config.detector or config.calibration else "the perception's own"
+    if detector is not None:
+        return {"words": f"Detections, read with a model of the detector ({source}).", "numbers": _numbers(detector)}
+    if calibration is None:
+        calibration, source = Calibration(), "the default"
+    words = (
+        f"Response maps, read with a calibration ({source}): evidence is temperature x log((response + floor) / "
+        "(neutral + floor))."
+    )
+    return {"words": words, "numbers": _numbers(calibration)}
+
+
+def _numbers(settings: Any) -> dict[str, Any]:
+    found: Mapping[str, Any] = asdict(settings)
+    return {
+        key.replace("_", " "): rounded(value) if isinstance(value, float | int) else str(value)
+        for key, value in found.items()
+        if value is not None
+    }

@@ -1,0 +1,42 @@
+"""Steps of a body over a navigation mesh: Habitat's own, but that no body is left on the edge of the mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from eagor.errors import WorldError
+from eagor.worlds.habitat.surface import Surface
+
+__all__ = ["stepped"]
+
+HELD = 1e-4  # metres by which a step falls short that has collided: the mesh is in single precision
+SHORT = 1e-3  # metres before the edge at which a step without sliding ends: no step leads away from the edge itself
+
+
+def stepped(surface: Surface, xy: np.ndarray, step: np.ndarray, slide: bool) -> tuple[np.ndarray, bool]:
+    """The end of a step ``(2,)`` from a free point ``(2,)``, and whether it collided: Habitat's ``try_step``.
+
+    A blocked step slides along the edge of the mesh (`slide`), or the body stops there, a millimetre short of it: for
+    Habitat-Sim 0.3.4 every step of a body that stands on the edge crosses it. It never leaves the storey. Raises
+    `WorldError` if the start is not free or the step not finite.
+    """
+    start, way = np.asarray(xy, dtype=np.float64), np.asarray(step, dtype=np.float64)
+    if not np.isfinite(way).all():
+        raise WorldError(f"step = ({way[0]}, {way[1]}); wanted two finite numbers, metres")
+    surface.check_free(start)
+    if not way.any():
+        return start.copy(), False
+    feet, ahead = surface.feet(start), surface.frames.to_habitat(np.array([*(start + way), 0.0]))
+    ahead[1] = feet[1]
+    tried = surface.pathfinder.try_step if slide else surface.pathfinder.try_step_no_sliding
+    end = surface.frames.from_habitat(np.array(tried(feet, ahead.astype(np.float32)), dtype=np.float64))[:2]
+    moved = end - start
+    if not np.isfinite(end).all() or np.hypot(*moved) > np.hypot(*way) + HELD or not surface.is_free(end):
+        return start.copy(), True
+    # Freely moved, the body is where the step led, not where single precision has put it.
+    if np.hypot(*(moved - way)) <= HELD:
+        return start + way, False
+    if not slide:
+        length = float(np.hypot(*moved))
+        end = start + moved * max(0.0, 1 - SHORT / max(length, SHORT))
+    return end, True

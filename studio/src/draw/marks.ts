@@ -1,0 +1,226 @@
+/** Marks over a panorama: the region's border, the answer, candidates, truth, other methods, directions. */
+
+import type { Projection } from "../math/projection";
+import { apply, direction, dot, RADIANS, type Matrix, type Vector } from "../math/rotation";
+import { words } from "../words";
+import { ANSWER, BORDER, DARK, RIVALS, TRUTH, type Shape } from "./palette";
+
+export interface Marks {
+  border: Vector[][]; // frame of the belief
+  view_R_belief: Matrix;
+  view_R_body: Matrix;
+  answer: Vector | null; // body frame, and so the others
+  held: boolean;
+  modes: { direction: Vector; weight: number }[];
+  truth: Vector | null;
+  rivals: { direction: Vector; index: number }[];
+  grid: boolean;
+  gaze: { field: number; aspect: number; view_R_gaze: Matrix } | null; // what the other view shows
+}
+
+export function drawMarks(context: CanvasRenderingContext2D, to: Projection, marks: Marks, rem: number): void {
+  context.lineJoin = context.lineCap = "round";
+  const u = rem / 16;
+  if (marks.grid) drawGrid(context, to, marks.view_R_body, u);
+  if (marks.gaze) drawGaze(context, to, marks.gaze, u);
+  for (const line of marks.border)
+    strokeTwice(context, to, line.map((d) => apply(marks.view_R_belief, d)), BORDER, 1.8 * u);
+  const place = (d: Vector) => places(to, apply(marks.view_R_body, d), 40 * u);
+  for (const { direction, index } of marks.rivals)
+    for (const [x, y] of place(direction)) {
+      const { shape, colour } = RIVALS[index % RIVALS.length];
+      shaped(context, shape, x, y, 6.5 * u, colour, u);
+    }
+  for (const { direction, weight } of marks.modes)
+    for (const [x, y] of place(direction)) {
+      ring(context, x, y, 13 * u, "#ffffff", 1.8 * u);
+      label(context, words.percent(weight), x + 17 * u, y + 14 * u, u);
+    }
+  if (marks.truth)
+    for (const [x, y] of place(marks.truth)) {
+      ring(context, x, y, 19 * u, TRUTH, 2.4 * u);
+      for (const turn of [0.25, 0.75, 1.25, 1.75]) tick(context, x, y, 19 * u, 25 * u, turn * Math.PI, TRUTH, 2.4 * u);
+    }
+  if (marks.answer)
+    for (const [x, y] of place(marks.answer)) {
+      if (marks.held) ring(context, x, y, 7 * u, ANSWER, 2.6 * u);
+      else spot(context, x, y, 6.5 * u, ANSWER, u);
+      for (const turn of [0, 0.5, 1, 1.5]) tick(context, x, y, 9.5 * u, 14 * u, turn * Math.PI, ANSWER, 2.2 * u);
+    }
+}
+
+/** Where a direction is drawn: twice if it lies on the seam of a flat panorama. */
+function places(to: Projection, d: Vector, margin: number): (readonly [number, number])[] {
+  const at = to.project(d);
+  if (!at || at[0] < -margin || at[0] > to.width + margin || at[1] < -margin || at[1] > to.height + margin) return [];
+  if (to.seam === null) return [at];
+  if (at[0] < margin) return [at, [at[0] + to.seam, at[1]]];
+  if (at[0] > to.seam - margin) return [at, [at[0] - to.seam, at[1]]];
+  return [at];
+}
+
+/** Parts of a line that can be drawn without a jump, in pixels. */
+export function pieces(to: Projection, line: Vector[]): [number, number][][] {
+  const found: [number, number][][] = [];
+  let piece: [number, number][] = [];
+  const end = () => {
+    if (piece.length > 1) found.push(piece);
+    piece = [];
+  };
+  for (const d of line) {
+    const at = to.project(d);
+    if (!at) {
+      end();
+      continue;
+    }
+    const last = piece.at(-1);
+    if (to.seam !== null && last && Math.abs(at[0] - last[0]) > to.seam / 2) {
+      const over = at[0] < last[0] ? to.seam : -to.seam; // the line leaves at one edge and comes in at the other
+      piece.push([at[0] + over, at[1]]);
+      const before: [number, number] = [last[0] - over, last[1]];
+      end();
+      piece = [before];
+    }
+    piece.push([at[0], at[1]]);
+  }
+  end();
+  return found;
+}
+
+function trace(context: CanvasRenderingContext2D, piece: [number, number][]): void {
+  context.beginPath();
+  piece.forEach(([x, y], i) => (i ? context.lineTo(x, y) : context.moveTo(x, y)));
+}
+
+function strokeTwice(context: CanvasRenderingContext2D, to: Projection, line: Vector[], colour: string, width: number): void {
+  const found = pieces(to, line);
+  for (const [style, wide] of [[DARK, width * 2.3], [colour, width]] as const) {
+    context.strokeStyle = style;
+    context.lineWidth = wide;
+    for (const piece of found) {
+      trace(context, piece);
+      context.stroke();
+    }
+  }
+}
+
+function drawGrid(context: CanvasRenderingContext2D, to: Projection, view_R_body: Matrix, u: number): void {
+  context.strokeStyle = "rgba(255, 255, 255, 0.16)";
+  context.lineWidth = 1;
+  const line = (points: Vector[], strong: boolean) => {
+    context.strokeStyle = strong ? "rgba(255, 255, 255, 0.34)" : "rgba(255, 255, 255, 0.15)";
+    for (const piece of pieces(to, points.map((d) => apply(view_R_body, d)))) {
+      trace(context, piece);
+      context.stroke();
+    }
+  };
+  const range = (from: number, past: number, step: number) => {
+    const out = [];
+    for (let x = from; x <= past; x += step) out.push(x * RADIANS);
+    return out;
+  };
+  for (let azimuth = -180; azimuth < 180; azimuth += 45)
+    line(range(-75, 75, 5).map((e) => direction(azimuth * RADIANS, e)), azimuth % 90 === 0);
+  for (const elevation of [-45, 0, 45])
+    line(range(-180, 180, 5).map((a) => direction(a, elevation * RADIANS)), elevation === 0);
+  const { ahead, left, right, behind } = words.panorama.axes;
+  for (const [azimuth, name] of [[0, ahead], [90, left], [-90, right], [180, behind]] as const)
+    for (const [x, y] of places(to, apply(view_R_body, direction(azimuth * RADIANS, 0)), 0))
+      label(context, name, x + 5 * u, y - 9 * u, u, "rgba(255, 255, 255, 0.85)", false);
+}
+
+/** The outline of what the other view shows. */
+function drawGaze(context: CanvasRenderingContext2D, to: Projection, gaze: NonNullable<Marks["gaze"]>, u: number): void {
+  const high = Math.tan(gaze.field / 2);
+  const wide = high * gaze.aspect;
+  const outline: Vector[] = [];
+  const count = 24;
+  const corners: [number, number][] = [[-wide, high], [wide, high], [wide, -high], [-wide, -high], [-wide, high]];
+  for (let side = 0; side < 4; side++)
+    for (let i = 0; i < count; i++) {
+      const [a, b] = [corners[side], corners[side + 1]];
+      const t = i / count;
+      const ray: Vector = [1, -(a[0] + t * (b[0] - a[0])), a[1] + t * (b[1] - a[1])];
+      const length = Math.sqrt(dot(ray, ray));
+      outline.push(apply(gaze.view_R_gaze, [ray[0] / length, ray[1] / length, ray[2] / length]));
+    }
+  outline.push(outline[0]);
+  context.setLineDash([5 * u, 4 * u]);
+  context.strokeStyle = "rgba(255, 255, 255, 0.75)";
+  context.lineWidth = 1.3 * u;
+  for (const piece of pieces(to, outline)) {
+    trace(context, piece);
+    context.stroke();
+  }
+  context.setLineDash([]);
+}
+
+function ring(context: CanvasRenderingContext2D, x: number, y: number, radius: number, colour: string, width: number): void {
+  for (const [style, wide] of [[DARK, width + 2.2], [colour, width]] as const) {
+    context.beginPath();
+    context.arc(x, y, radius, 0, 2 * Math.PI);
+    context.strokeStyle = style;
+    context.lineWidth = wide;
+    context.stroke();
+  }
+}
+
+function tick(
+  context: CanvasRenderingContext2D, x: number, y: number, from: number, past: number, turn: number, colour: string, width: number,
+): void {
+  const [c, s] = [Math.cos(turn), Math.sin(turn)];
+  for (const [style, wide] of [[DARK, width + 2], [colour, width]] as const) {
+    context.beginPath();
+    context.moveTo(x + from * c, y + from * s);
+    context.lineTo(x + past * c, y + past * s);
+    context.strokeStyle = style;
+    context.lineWidth = wide;
+    context.stroke();
+  }
+}
+
+function spot(context: CanvasRenderingContext2D, x: number, y: number, radius: number, colour: string, u: number): void {
+  context.beginPath();
+  context.arc(x, y, radius, 0, 2 * Math.PI);
+  context.fillStyle = colour;
+  context.fill();
+  context.strokeStyle = DARK;
+  context.lineWidth = 1.6 * u;
+  context.stroke();
+}
+
+/** The mark of another method. */
+export function shaped(
+  context: CanvasRenderingContext2D, shape: Shape, x: number, y: number, r: number, colour: string, u: number,
+): void {
+  const outlines: Record<Shape, [number, number][]> = {
+    square: [[-1, -1], [1, -1], [1, 1], [-1, 1]],
+    diamond: [[0, -1.3], [1.2, 0], [0, 1.3], [-1.2, 0]],
+    up: [[0, -1.3], [1.2, 0.9], [-1.2, 0.9]],
+    down: [[0, 1.3], [1.2, -0.9], [-1.2, -0.9]],
+    plus: [[-0.45, -1.2], [0.45, -1.2], [0.45, -0.45], [1.2, -0.45], [1.2, 0.45], [0.45, 0.45], [0.45, 1.2],
+      [-0.45, 1.2], [-0.45, 0.45], [-1.2, 0.45], [-1.2, -0.45], [-0.45, -0.45]],
+    cross: [[-0.6, -1.2], [0, -0.6], [0.6, -1.2], [1.2, -0.6], [0.6, 0], [1.2, 0.6], [0.6, 1.2], [0, 0.6],
+      [-0.6, 1.2], [-1.2, 0.6], [-0.6, 0], [-1.2, -0.6]],
+  };
+  context.beginPath();
+  outlines[shape].forEach(([a, b], i) => (i ? context.lineTo(x + r * a, y + r * b) : context.moveTo(x + r * a, y + r * b)));
+  context.closePath();
+  context.fillStyle = colour;
+  context.fill();
+  context.strokeStyle = DARK;
+  context.lineWidth = 1.5 * u;
+  context.stroke();
+}
+
+function label(
+  context: CanvasRenderingContext2D, text: string, x: number, y: number, u: number, colour = "#ffffff", strong = true,
+): void {
+  context.font = `${strong ? 600 : 500} ${Math.round(12 * u)}px system-ui, sans-serif`;
+  context.textBaseline = "middle";
+  context.lineWidth = 3.2 * u;
+  context.strokeStyle = "rgba(8, 10, 16, 0.65)";
+  context.strokeText(text, x, y);
+  context.fillStyle = colour;
+  context.fillText(text, x, y);
+}

@@ -1,0 +1,70 @@
+/**
+ * When to draw, and how finely: at most one drawing is under way; its time sets the resolution of the next ones.
+ *
+ * Software rendering is bound by the number of pixels, so a quarter of them takes about a quarter of the time.
+ */
+
+const AIM = 55; // milliseconds for a drawing while things move
+const PATIENCE = 700; // milliseconds for the fine drawing after things came to rest
+const REST = 350; // milliseconds without a change
+const SCALES = [0.2, 0.27, 0.35, 0.5, 0.7, 1];
+
+export class Pace {
+  private wanted = false;
+  private resting = 0;
+  private scale = 0.5;
+  private cost = 0; // milliseconds at scale 1, by the newest drawings
+  private underWay = 0;
+  private sharp = false;
+
+  /**
+   * @param draw draws at a scale (1: all pixels of the screen)
+   * @param finished milliseconds that the last drawing took, null while it is under way
+   */
+  constructor(private readonly draw: (scale: number) => void, private readonly finished: () => number | null) {
+    const turn = () => {
+      requestAnimationFrame(turn);
+      this.turn();
+    };
+    requestAnimationFrame(turn);
+  }
+
+  /** Something changed. */
+  request(): void {
+    this.wanted = true;
+    this.resting = performance.now() + REST;
+    this.sharp = false;
+  }
+
+  get current(): number {
+    return this.sharp ? 1 : this.scale;
+  }
+
+  private turn(): void {
+    if (this.underWay > 0) {
+      const took = this.finished();
+      if (took === null) return;
+      this.learn(took, this.underWay);
+      this.underWay = 0;
+    }
+    if (this.wanted) {
+      this.wanted = false;
+      this.start(this.scale);
+    } else if (!this.sharp && performance.now() > this.resting) {
+      this.sharp = true;
+      const finest = [...SCALES].reverse().find((scale) => this.cost * scale ** 2 < PATIENCE) ?? this.scale;
+      if (finest > this.scale) this.start(finest);
+    }
+  }
+
+  private start(scale: number): void {
+    this.underWay = scale;
+    this.draw(scale);
+  }
+
+  private learn(took: number, scale: number): void {
+    const cost = took / scale ** 2;
+    this.cost = this.cost === 0 || cost > this.cost ? cost : 0.8 * this.cost + 0.2 * cost; // up at once, down slowly
+    this.scale = [...SCALES].reverse().find((one) => this.cost * one ** 2 < AIM) ?? SCALES[0];
+  }
+}

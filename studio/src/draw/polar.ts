@@ -1,0 +1,158 @@
+/** The belief by azimuth, seen from above: ahead is at the top, left on the left. */
+
+import type { Heat } from "../math/heat";
+import { apply, azimuthOf, direction, type Matrix, type Vector } from "../math/rotation";
+import { words } from "../words";
+import { font, sheetOf, themed } from "./canvas";
+import { shaped } from "./marks";
+import { RIVALS } from "./palette";
+
+export const BINS = 90;
+
+export interface Polar {
+  share: Float32Array | null; // of the belief, by bins of azimuth from 0 to 360 degrees left
+  answer: Vector | null;
+  held: boolean;
+  modes: { direction: Vector; weight: number }[];
+  truth: Vector | null;
+  rivals: { direction: Vector; index: number }[];
+  gaze: { azimuth: number; wide: number };
+  worldX: number | null; // azimuth of the world's x axis
+}
+
+/** The belief in bins of the camera's azimuth. */
+export function byAzimuth(heat: Heat, body_R_belief: Matrix): Float32Array {
+  const { lattice, values } = heat.fine ?? heat.coarse;
+  const columns = lattice.azimuths.length;
+  const share = new Float32Array(BINS);
+  let all = 0;
+  for (let i = 0; i < lattice.elevations.length; i++) {
+    const weight = Math.cos(lattice.elevations[i]);
+    for (let j = 0; j < columns; j++) {
+      const mass = values[i * columns + j] * weight;
+      const azimuth = azimuthOf(apply(body_R_belief, direction(lattice.azimuths[j], lattice.elevations[i])));
+      share[Math.floor((azimuth / (2 * Math.PI) + 1) * BINS + 0.5) % BINS] += mass;
+      all += mass;
+    }
+  }
+  return share.map((mass) => mass / all);
+}
+
+/** How much of the belief lies within `bins` bins of one. */
+export function around(share: Float32Array, centre: number, bins: number): number {
+  let total = 0;
+  for (let k = -bins; k <= bins; k++) total += share[(centre + k + BINS) % BINS];
+  return total;
+}
+
+export function drawPolar(canvas: HTMLCanvasElement, polar: Polar): void {
+  const sheet = sheetOf(canvas);
+  if (!sheet) return;
+  const { context, width, height, rem } = sheet;
+  const u = rem / 16;
+  const [cx, cy] = [width / 2, height / 2];
+  const outer = Math.min(width, height) / 2 - 24 * u;
+  const inner = outer * 0.3;
+  const at = (azimuth: number, radius: number): [number, number] => [
+    cx - radius * Math.sin(azimuth), cy - radius * Math.cos(azimuth),
+  ];
+  // What is looked at.
+  context.beginPath();
+  context.moveTo(cx, cy);
+  for (let k = 0; k <= 24; k++) context.lineTo(...at(polar.gaze.azimuth + polar.gaze.wide * (k / 24 - 0.5), outer));
+  context.closePath();
+  context.fillStyle = themed("wedge");
+  context.fill();
+  context.lineWidth = 1;
+  for (const radius of [inner, outer]) {
+    context.beginPath();
+    context.arc(cx, cy, radius, 0, 2 * Math.PI);
+    context.strokeStyle = themed("rule");
+    context.stroke();
+  }
+  for (let k = 0; k < 24; k++) {
+    context.beginPath();
+    context.moveTo(...at((k * Math.PI) / 12, outer));
+    context.lineTo(...at((k * Math.PI) / 12, outer - (k % 6 ? 4 : 9) * u));
+    context.stroke();
+  }
+  if (polar.share) {
+    const most = polar.share.reduce((a, b) => Math.max(a, b), 1e-9);
+    context.beginPath();
+    for (let k = 0; k <= BINS; k++) {
+      const radius = inner + (outer - inner) * 0.94 * Math.sqrt(polar.share[k % BINS] / most);
+      context.lineTo(...at(((k % BINS) / BINS) * 2 * Math.PI, radius));
+    }
+    context.closePath();
+    context.arc(cx, cy, inner, 0, 2 * Math.PI, true);
+    const glow = context.createRadialGradient(cx, cy, inner, cx, cy, outer);
+    glow.addColorStop(0, themed("heat-low"));
+    glow.addColorStop(1, themed("heat-high"));
+    context.fillStyle = glow;
+    context.fill("evenodd");
+  }
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  context.fillStyle = themed("quiet");
+  context.font = font(sheet, 12);
+  const { ahead, left, right, behind } = words.panorama.axes;
+  context.fillText(ahead, cx, cy - outer - 12 * u);
+  context.fillText(behind, cx, cy + outer + 13 * u);
+  context.textAlign = "right";
+  context.fillText(left, cx - outer - 6 * u, cy);
+  context.textAlign = "left";
+  context.fillText(right, cx + outer + 6 * u, cy);
+  context.textAlign = "center";
+  if (polar.worldX !== null) {
+    context.font = font(sheet, 11, 600);
+    context.fillText("x", ...at(polar.worldX, inner - 10 * u));
+    context.beginPath();
+    context.moveTo(...at(polar.worldX, inner - 1));
+    context.lineTo(...at(polar.worldX, inner - 4 * u));
+    context.strokeStyle = themed("quiet");
+    context.lineWidth = 1.5 * u;
+    context.stroke();
+  }
+  // The camera.
+  context.beginPath();
+  context.moveTo(...at(0, 8 * u));
+  context.lineTo(...at(2.5, 8 * u));
+  context.lineTo(...at(-2.5, 8 * u));
+  context.closePath();
+  context.fillStyle = themed("ink");
+  context.fill();
+  for (const { direction: d, index } of polar.rivals) {
+    const { shape, colour } = RIVALS[index % RIVALS.length];
+    shaped(context, shape, ...at(azimuthOf(d), outer), 4.6 * u, colour, u);
+  }
+  for (const { direction: d, weight } of polar.modes) {
+    context.beginPath();
+    context.arc(...at(azimuthOf(d), outer), (3 + 5 * Math.sqrt(weight)) * u, 0, 2 * Math.PI);
+    context.strokeStyle = themed("ink");
+    context.lineWidth = 1.5 * u;
+    context.stroke();
+  }
+  if (polar.truth) {
+    context.beginPath();
+    context.arc(...at(azimuthOf(polar.truth), outer), 9 * u, 0, 2 * Math.PI);
+    context.strokeStyle = themed("truth");
+    context.lineWidth = 2.4 * u;
+    context.stroke();
+  }
+  if (polar.answer) {
+    const azimuth = azimuthOf(polar.answer);
+    context.beginPath();
+    context.moveTo(...at(azimuth, inner * 0.5));
+    context.lineTo(...at(azimuth, outer));
+    context.strokeStyle = themed("answer");
+    context.lineWidth = 2.4 * u;
+    if (polar.held) context.setLineDash([4 * u, 3 * u]);
+    context.stroke();
+    context.setLineDash([]);
+    context.beginPath();
+    context.arc(...at(azimuth, outer), 5 * u, 0, 2 * Math.PI);
+    context.fillStyle = themed(polar.held ? "panel" : "answer");
+    context.fill();
+    context.stroke();
+  }
+}

@@ -1,0 +1,230 @@
+/** The panorama twice, from inside and flat, with the belief and the marks: who looks where, and when to draw. */
+
+import { flat, lookThatHolds, perspective, type Point, type Projection } from "../math/projection";
+import { apply, azimuthOf, elevationOf, IDENTITY, inverse, pose, times, type Matrix, type Vector } from "../math/rotation";
+import type { Store } from "../store";
+import { sheetOf } from "./canvas";
+import { drawMarks, type Marks } from "./marks";
+import { Pace } from "./pace";
+import { heatTexture, lookTexture, Sphere, type Camera } from "./sphere";
+
+const FIELDS: readonly [number, number] = [0.35, 2.1];
+const STEEPEST = 1.5;
+const POLL = 16; // milliseconds from one look at whether a drawing is finished to the next
+
+interface Pair {
+  sphere: Sphere | null;
+  canvas: HTMLCanvasElement;
+  overlay: HTMLCanvasElement;
+}
+
+export class Stage {
+  readonly inside: Pair;
+  readonly flat: Pair;
+  readonly pace: Pace;
+  readonly broken: boolean;
+  private textures: object | null = null;
+  private drawnSent: number | null = null;
+  private begun = 0;
+
+  constructor(
+    private readonly store: Store,
+    inside: [HTMLCanvasElement, HTMLCanvasElement],
+    flatly: [HTMLCanvasElement, HTMLCanvasElement],
+  ) {
+    const pair = ([canvas, overlay]: [HTMLCanvasElement, HTMLCanvasElement]): Pair => {
+      try {
+        return { canvas, overlay, sphere: new Sphere(canvas) };
+      } catch {
+        return { canvas, overlay, sphere: null };
+      }
+    };
+    [this.inside, this.flat] = [pair(inside), pair(flatly)];
+    this.broken = !this.inside.sphere || !this.flat.sphere;
+    this.pace = new Pace((scale) => this.draw(scale), () => this.finished());
+    for (const { canvas } of [this.inside, this.flat])
+      canvas.addEventListener("webglcontextrestored", () => {
+        this.textures = null;
+        store.emit("panorama");
+      });
+    for (const topic of ["scene", "step", "look", "layers", "style"] as const) store.on(topic, () => this.pace.request());
+    store.on("panorama", () => {
+      for (const { sphere } of [this.inside, this.flat]) sphere?.panorama(store.panorama?.image ?? null);
+      this.pace.request();
+    });
+  }
+
+  // --- frames ---
+
+  get world_R_body(): Matrix {
+    return this.store.pose ?? this.store.panorama?.head.world_R_camera ?? IDENTITY;
+  }
+
+  get body_R_view(): Matrix {
+    const { yaw, pitch } = this.store.look;
+    const base = pose(yaw, pitch);
+    return this.store.hold ? times(inverse(this.world_R_body), base) : base;
+  }
+
+  private get world_R_belief(): Matrix {
+    return this.store.world_R_belief ?? IDENTITY;
+  }
+
+  /** Azimuth in the body frame and the horizontal angle of what the view from inside shows. */
+  get gaze(): { azimuth: number; wide: number } {
+    const { canvas } = this.inside;
+    const aspect = canvas.clientWidth / Math.max(1, canvas.clientHeight);
+    const ahead = apply(this.body_R_view, [1, 0, 0]);
+    return { azimuth: azimuthOf(ahead), wide: 2 * Math.atan(Math.tan(this.store.look.field / 2) * aspect) };
+  }
+
+  projection(which: "inside" | "flat"): Projection {
+    const { overlay } = this[which];
+    const [width, height] = [overlay.clientWidth || 1, overlay.clientHeight || 1];
+    return which === "flat" ? flat(width, height) : perspective(width, height, this.store.look.field);
+  }
+
+  /** The direction in the body frame under a pixel of the view. */
+  under(which: "inside" | "flat", at: Point): Vector {
+    const ray = this.projection(which).unproject(at);
+    return which === "flat" ? ray : apply(this.body_R_view, ray);
+  }
+
+  // --- looking around ---
+
+  turn(yaw: number, pitch: number): void {
+    const { look } = this.store;
+    look.yaw += yaw;
+    look.pitch = Math.max(-STEEPEST, Math.min(STEEPEST, look.pitch + pitch));
+    this.store.emit("look");
+  }
+
+  zoom(factor: number): void {
+    const { look } = this.store;
+    look.field = Math.max(FIELDS[0], Math.min(FIELDS[1], look.field * factor));
+    this.store.emit("look");
+  }
+
+  /** Looks at a direction of the body frame. */
+  lookAt(d: Vector): void {
+    const aim = this.store.hold ? apply(this.world_R_body, d) : d;
+    const { look } = this.store;
+    [look.yaw, look.pitch] = [azimuthOf(aim), Math.max(-STEEPEST, Math.min(STEEPEST, elevationOf(aim)))];
+    this.store.emit("look");
+  }
+
+  /** What lies under the pointer in the frame that the look is told in, and how to keep it there. */
+  grab(at: Point): Vector {
+    return apply(pose(this.store.look.yaw, this.store.look.pitch), this.projection("inside").unproject(at));
+  }
+
+  /** The camera's yaw and pitch in the world with which `grabbed` (world) lies under the pointer. */
+  attitude(grabbed: Vector, at: Point): { yaw: number; pitch: number } {
+    return lookThatHolds(grabbed, this.under("inside", at), STEEPEST);
+  }
+
+  drag(grabbed: Vector, at: Point): void {
+    const found = lookThatHolds(grabbed, this.projection("inside").unproject(at), STEEPEST);
+    Object.assign(this.store.look, found);
+    this.store.emit("look");
+  }
+
+  /** Whether the view stays with the world while the camera turns; the view itself does not jump. */
+  set hold(on: boolean) {
+    if (on === this.store.hold) return;
+    const ahead = apply(this.body_R_view, [1, 0, 0]);
+    this.store.hold = on;
+    this.lookAt(ahead);
+  }
+
+  // --- drawing ---
+
+  private draw(scale: number): void {
+    this.heat();
+    this.begun = performance.now();
+    this.drawnSent = this.store.step?.sent ?? null;
+    for (const which of ["inside", "flat"] as const) {
+      const { sphere, canvas, overlay } = this[which];
+      if (!overlay.clientWidth) continue;
+      const ratio = Math.min(2, window.devicePixelRatio || 1) * scale;
+      const [columns, rows] = [Math.max(1, Math.round(overlay.clientWidth * ratio)), Math.max(1, Math.round(overlay.clientHeight * ratio))];
+      if (canvas.width !== columns || canvas.height !== rows) [canvas.width, canvas.height] = [columns, rows];
+      sphere?.draw(this.camera(which));
+      const sheet = sheetOf(overlay);
+      if (sheet) drawMarks(sheet.context, this.projection(which), this.marks(which), sheet.rem);
+    }
+    this.store.stats.drawn++;
+  }
+
+  /** Milliseconds that the last drawing took; null while it is under way. */
+  private finished(): number | null {
+    for (const { sphere } of [this.inside, this.flat]) if (sphere?.finished() === null) return null;
+    const took = Math.max(0.5, performance.now() - this.begun - POLL);
+    const { stats } = this.store;
+    if (this.drawnSent) {
+      stats.ages.push(Date.now() / 1000 - this.drawnSent);
+      if (stats.ages.length > 600) stats.ages.shift();
+      this.drawnSent = null;
+    }
+    if (!stats.firstPicture && this.store.panorama) stats.firstPicture = performance.now();
+    return took;
+  }
+
+  /** Uploads what is to glow if it is another than before. */
+  private heat(): void {
+    const { store } = this;
+    const source = store.showsEvidence ? store.evidence : store.heat;
+    if (source === this.textures) return;
+    this.textures = source;
+    const texture = store.showsEvidence && store.evidence
+      ? lookTexture(store.evidence.values, store.evidence.columns, store.evidence.rows)
+      : store.heat && heatTexture(store.heat);
+    for (const { sphere } of [this.inside, this.flat]) {
+      sphere?.colours(store.showsEvidence ? "look" : "heat");
+      sphere?.heat(texture);
+    }
+  }
+
+  private camera(which: "inside" | "flat"): Camera {
+    const { store } = this;
+    const body_R_view = which === "flat" ? IDENTITY : this.body_R_view;
+    const world_R_view = times(this.world_R_body, body_R_view);
+    const seen = store.panorama?.head.world_R_camera ?? this.world_R_body;
+    const { overlay } = this[which];
+    const high = Math.tan(store.look.field / 2);
+    const frame = store.showsEvidence && store.evidence?.frame === "world" ? IDENTITY : this.world_R_belief;
+    const glows = store.showsEvidence || (store.heat !== null && store.layers.has("heat"));
+    return {
+      plane: which === "flat" ? null : [(high * overlay.clientWidth) / overlay.clientHeight, high],
+      panorama_R_view: times(inverse(seen), world_R_view),
+      belief_R_view: times(inverse(frame), world_R_view),
+      heat: glows ? 1 : 0,
+    };
+  }
+
+  private marks(which: "inside" | "flat"): Marks {
+    const { store } = this;
+    const view_R_body = which === "flat" ? IDENTITY : inverse(this.body_R_view);
+    const view_R_world = times(view_R_body, inverse(this.world_R_body));
+    const { inside } = this;
+    const answer = store.answer;
+    return {
+      border: store.layers.has("border") && store.heat ? store.heat.border : [],
+      view_R_belief: times(view_R_world, this.world_R_belief),
+      view_R_body,
+      answer: store.layers.has("estimate") ? store.direction : null,
+      held: answer?.held ?? false,
+      modes: store.layers.has("modes") ? store.modes : [],
+      truth: store.layers.has("truth") ? store.truth : null,
+      rivals: store.others,
+      grid: store.layers.has("grid"),
+      gaze: which === "flat"
+        ? {
+            field: store.look.field,
+            aspect: inside.overlay.clientWidth / Math.max(1, inside.overlay.clientHeight),
+            view_R_gaze: this.body_R_view,
+          }
+        : null,
+    };
+  }
+}

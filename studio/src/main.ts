@@ -1,0 +1,205 @@
+/** The page of `eagor studio`, and of an exported episode. */
+
+import "./style.css";
+import { forgetStyle } from "./draw/canvas";
+import { Stage } from "./draw/stage";
+import { degrees } from "./math/rotation";
+import { Session } from "./session";
+import { Store } from "./store";
+import { h, say } from "./ui/dom";
+import { layers } from "./ui/layers";
+import { Panels } from "./ui/panels";
+import { Player } from "./ui/player";
+import { handle } from "./ui/pointer";
+import { Problems } from "./ui/problems";
+import { shell as makeShell, tool } from "./ui/shell";
+import { theme } from "./ui/theme";
+import type { Page, ViewHandler } from "./ui/view";
+import { live } from "./views/live";
+import { picture } from "./views/picture";
+import { run } from "./views/run";
+import { walk } from "./views/walk";
+import { Refused, serverState } from "./wire/api";
+import { VIEWS, type Episode, type ServerState, type View } from "./wire/messages";
+import { words } from "./words";
+
+document.title = words.title;
+document.documentElement.lang = words.language;
+const store = new Store();
+const root = document.getElementById("studio")!;
+const shell = makeShell(root);
+theme(shell.theme, () => {
+  forgetStyle();
+  store.emit("style");
+});
+const problems = new Problems(shell.problems);
+const stage = new Stage(store, [shell.insideView, shell.insideMarks], [shell.flatView, shell.flatMarks]);
+if (stage.broken) problems.tell("webgl", { problem: words.problems.webgl, change: words.problems.webglChange });
+// A stored episode begins with a look at the answer, and the view stays with it while the camera turns and walks.
+const player = new Player(store, shell, () => {
+  stage.hold = true;
+  stage.lookAt(store.direction ?? [1, 0, 0]);
+});
+const panels = new Panels(store, shell, stage);
+let state: ServerState | null = null;
+let view: ViewHandler | null = null;
+
+const session = new Session(store, {
+  connection(how, seconds) {
+    if (how === "open") problems.clear("connection");
+    else if (how === "lost")
+      problems.tell("connection", { problem: words.connection.lost(seconds), change: words.connection.lostChange },
+        { label: words.connection.retry, act: () => session.retry() });
+  },
+  problem(told) {
+    problems.tell("session", told);
+    if (told.fatal) empty(h("strong", {}, told.problem), h("p", {}, told.change));
+  },
+  status: (told) => badge(told),
+  scene() {
+    problems.clear("session");
+    if (store.scene && document.activeElement !== shell.query) shell.query.value = store.scene.query;
+    view?.scene?.();
+  },
+});
+
+const page: Page = { store, shell, stage, session, player, problems, state: () => state, empty };
+const handlers: Record<View, ViewHandler> = { walk: walk(page), run: run(page), picture: picture(page), live: live(page) };
+
+function empty(...content: (Node | string)[]): void {
+  shell.empty.hidden = content.length === 0;
+  shell.empty.replaceChildren(h("div", {}, ...content));
+}
+
+function badge(text: string): void {
+  shell.badge.hidden = text === "";
+  say(shell.badge, text);
+}
+
+store.on("panorama", () => { if (store.panorama) empty(); });
+store.on("step", () => {
+  const goal = store.step?.goal;
+  badge(goal?.words ?? "");
+});
+
+const hold = tool(words.panorama.hold, shell.ICONS.hold, () => { stage.hold = !store.hold; });
+store.on("look", () => hold.setAttribute("aria-pressed", String(store.hold)));
+shell.tools.append(
+  hold,
+  tool(words.panorama.answer, shell.ICONS.target, () => { if (store.direction) stage.lookAt(store.direction); }),
+  tool(words.panorama.ahead, shell.ICONS.ahead, () => stage.lookAt([1, 0, 0])),
+  tool(words.panorama.zoomIn, shell.ICONS.plus, () => stage.zoom(1 / 1.25)),
+  tool(words.panorama.zoomOut, shell.ICONS.minus, () => stage.zoom(1.25)),
+  tool(words.panorama.full, shell.ICONS.full, () => {
+    if (document.fullscreenElement) void document.exitFullscreen();
+    else void shell.stage.requestFullscreen?.();
+  }),
+);
+handle(stage, shell.look, {
+  turnsCamera: () => view?.turnsCamera?.() ?? false,
+  turnCamera: (yaw, pitch) => view?.turnCamera?.(yaw, pitch),
+  steer: (key, down) => view?.steer?.(key, down) ?? false,
+});
+shell.flatMarks.addEventListener("click", (event) => stage.lookAt(stage.under("flat", [event.offsetX, event.offsetY])));
+shell.series.canvas.addEventListener("click", (event) => { if (player.active) player.go(panels.momentAt(event.offsetX)); });
+layers(store, shell, {
+  degree: (L) => session.send({ type: "degree", L }),
+  methods: (names) => session.send({ type: "methods", names }),
+  stored: () => player.active,
+});
+shell.ask.addEventListener("submit", (event) => {
+  event.preventDefault();
+  const query = shell.query.value.trim();
+  if (!query) {
+    shell.query.setCustomValidity(words.ask.empty);
+    shell.query.reportValidity();
+    return;
+  }
+  view?.ask?.(query);
+});
+shell.query.addEventListener("input", () => shell.query.setCustomValidity(""));
+window.addEventListener("resize", () => {
+  forgetStyle();
+  store.emit("style");
+});
+new ResizeObserver(() => store.emit("style")).observe(shell.look);
+
+function wanted(): View {
+  const name = location.hash.slice(1) as View;
+  return VIEWS.includes(name) ? name : "walk";
+}
+
+function enter(name: View): void {
+  view?.leave();
+  problems.clearAll();
+  if (stage.broken) problems.tell("webgl", { problem: words.problems.webgl, change: words.problems.webglChange });
+  store.begin(null);
+  stage.hold = false;
+  stage.lookAt([1, 0, 0]);
+  badge("");
+  for (const link of shell.tabs.querySelectorAll("a")) {
+    if (link.hash === `#${name}`) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  }
+  root.dataset.view = name;
+  shell.ask.hidden = name === "run";
+  view = handlers[name];
+  view.enter();
+}
+
+async function connect(): Promise<void> {
+  for (let wait = 500; ; wait = Math.min(2 * wait, 8000)) {
+    try {
+      state = await serverState();
+      problems.clear("connection");
+      break;
+    } catch (problem) {
+      if (!(problem instanceof Refused)) throw problem;
+      problems.tell("connection", problem);
+      await new Promise((resolve) => setTimeout(resolve, wait));
+    }
+  }
+  enter(wanted());
+  window.addEventListener("hashchange", () => enter(wanted()));
+}
+
+/** The page of one episode, without a server. */
+function replay(text: string): void {
+  root.dataset.view = "export";
+  shell.ask.hidden = true;
+  try {
+    const episode = JSON.parse(text) as Episode;
+    document.title = `${episode.scene.query} – ${words.title}`;
+    shell.controls.append(h("p", { class: "source" }, h("strong", {}, `“${episode.scene.query}”`), ` ${episode.scene.title}`));
+    player.load(episode);
+  } catch {
+    problems.tell("episode", { problem: words.problems.episode, change: words.problems.episodeChange });
+  }
+}
+
+for (const name of VIEWS)
+  shell.tabs.append(h("a", { href: `#${name}`, title: words.tabs[`${name}Hint`] }, words.tabs[name]));
+const stored = document.getElementById("episode")?.textContent?.trim();
+if (stored) {
+  shell.tabs.replaceChildren();
+  replay(stored);
+} else void connect();
+
+/** For tests, and for people who look into the page: what is shown, in numbers. */
+declare global {
+  interface Window {
+    eagorStudio: unknown;
+  }
+}
+window.eagorStudio = {
+  store,
+  stage,
+  get summary() {
+    const { look, stats, heat } = store;
+    return {
+      yaw_deg: degrees(look.yaw), pitch_deg: degrees(look.pitch), field_deg: degrees(look.field),
+      peak: heat?.peak ?? null, mass: heat?.mass ?? null, border: heat?.border ?? [], frame: store.beliefFrame,
+      world_R_camera: store.step?.world_R_camera ?? null, stats, scale: stage.pace.current, number: store.step?.number ?? null,
+    };
+  },
+};

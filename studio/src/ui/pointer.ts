@@ -1,0 +1,93 @@
+/** Dragging, pinching, turning the wheel and pressing keys over the panorama. */
+
+import type { Stage } from "../draw/stage";
+import { apply, azimuthOf, elevationOf, RADIANS, type Vector } from "../math/rotation";
+import type { Point } from "../math/projection";
+
+export interface Hands {
+  /** Whether dragging and arrow keys turn the camera itself. */
+  turnsCamera(): boolean;
+  /** A person wants the camera to point there in the world, radians; pitch is positive up. */
+  turnCamera(yaw: number, pitch: number): void;
+  /** Keys that steer: returns whether this one does. */
+  steer(key: string, down: boolean): boolean;
+}
+
+const STEP = 5 * RADIANS;
+const KEYS: Record<string, readonly [number, number]> = {
+  ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1],
+};
+
+export function handle(stage: Stage, element: HTMLElement, hands: Hands): void {
+  const fingers = new Map<number, Point>();
+  let grabbed: Vector | null = null;
+
+  const at = (event: PointerEvent | WheelEvent): Point => {
+    const box = element.getBoundingClientRect();
+    return [event.clientX - box.left, event.clientY - box.top];
+  };
+  // What lies under a finger: in the world if the camera turns, else in the frame that the look is told in.
+  const hold = (place: Point): Vector =>
+    hands.turnsCamera() ? apply(stage.world_R_body, stage.under("inside", place)) : stage.grab(place);
+  const spread = () => {
+    const [a, b] = [...fingers.values()];
+    return Math.hypot(a[0] - b[0], a[1] - b[1]);
+  };
+
+  element.addEventListener("pointerdown", (event) => {
+    if (event.button !== 0 || (event.target as Element).closest("button, a, input, label, .stick")) return;
+    element.setPointerCapture(event.pointerId);
+    fingers.set(event.pointerId, at(event));
+    grabbed = fingers.size === 1 ? hold(at(event)) : null;
+    element.classList.add("dragging");
+  });
+  element.addEventListener("pointermove", (event) => {
+    if (!fingers.has(event.pointerId)) return;
+    const before = fingers.size === 2 ? spread() : 0;
+    const here = at(event);
+    fingers.set(event.pointerId, here);
+    if (fingers.size === 2) stage.zoom(before / Math.max(1, spread()));
+    else if (grabbed && hands.turnsCamera()) {
+      const { yaw, pitch } = stage.attitude(grabbed, here);
+      hands.turnCamera(yaw, pitch);
+    } else if (grabbed) stage.drag(grabbed, here);
+  });
+  const release = (event: PointerEvent) => {
+    fingers.delete(event.pointerId);
+    grabbed = null;
+    if (fingers.size === 1) {
+      grabbed = hold([...fingers.values()][0]);
+    }
+    if (!fingers.size) element.classList.remove("dragging");
+  };
+  element.addEventListener("pointerup", release);
+  element.addEventListener("pointercancel", release);
+
+  element.addEventListener("wheel", (event) => {
+    // On a page that scrolls, the wheel scrolls until a person has turned to the panorama.
+    const scrolls = document.documentElement.scrollHeight > window.innerHeight + 4;
+    if (scrolls && !event.ctrlKey && !element.contains(document.activeElement)) return;
+    event.preventDefault();
+    stage.zoom(Math.exp(Math.max(-60, Math.min(60, event.deltaY)) / 400));
+  }, { passive: false });
+
+  element.addEventListener("keydown", (event) => {
+    if (event.altKey || event.metaKey || event.ctrlKey || event.target !== element) return;
+    const way = KEYS[event.key];
+    if (way) {
+      if (event.shiftKey || !hands.steer(event.key, true)) {
+        const ahead = apply(stage.world_R_body, [1, 0, 0]);
+        if (hands.turnsCamera()) hands.turnCamera(azimuthOf(ahead) + way[0] * STEP, elevationOf(ahead) + way[1] * STEP);
+        else stage.turn(way[0] * STEP, way[1] * STEP);
+      }
+    } else if (event.key === "+" || event.key === "=") stage.zoom(1 / 1.15);
+    else if (event.key === "-" || event.key === "_") stage.zoom(1.15);
+    else if (event.key === "Home") stage.lookAt([1, 0, 0]);
+    else return;
+    event.preventDefault();
+  });
+  element.addEventListener("keyup", (event) => hands.steer(event.key, false));
+  element.addEventListener("blur", () => {
+    for (const key of Object.keys(KEYS)) hands.steer(key, false);
+  });
+}

@@ -1,0 +1,33 @@
+/** What a view needs of the page, and what the page needs of a view. */
+
+import type { Stage } from "../draw/stage";
+import type { Session } from "../session";
+import type { Store } from "../store";
+import type { ServerState } from "../wire/messages";
+import type { Player } from "./player";
+import type { Problems } from "./problems";
+import type { Shell } from "./shell";
+
+export interface Page {
+  store: Store;
+  shell: Shell;
+  stage: Stage;
+  session: Session;
+  player: Player;
+  problems: Problems;
+  state(): ServerState | null;
+  /** Words over the panorama while there is nothing to see; null takes them away. */
+  empty(...content: (Node | string)[]): void;
+}
+
+export interface ViewHandler {
+  enter(): void;
+  leave(): void;
+  /** A person asks for something. */
+  ask?(query: string): void;
+  /** The scene of the session has come. */
+  scene?(): void;
+  steer?(key: string, down: boolean): boolean;
+  turnsCamera?(): boolean;
+  turnCamera?(yaw: number, pitch: number): void;
+}

@@ -1,0 +1,145 @@
+/** A photograph or a video of a person's own. */
+
+import { pose, RADIANS } from "../math/rotation";
+import { field, h, say, segmented } from "../ui/dom";
+import type { Page, ViewHandler } from "../ui/view";
+import { Refused, upload } from "../wire/api";
+import type { Picture } from "../wire/messages";
+import { words } from "../words";
+
+const EVERY = 50; // milliseconds between two attitudes that are sent
+const STEEPEST = 80 * RADIANS;
+
+export function picture(page: Page): ViewHandler {
+  const { session, shell, store } = page;
+  let known: Picture | null = null;
+  let turns = "camera";
+  let paused = false;
+  const attitude = { yaw: 0, pitch: 0, roll: 0 };
+  let sending = 0;
+  const file = h("input", { type: "file", accept: "image/*,video/*", class: "in-words", id: "file", onchange: () => take(file.files?.[0]) });
+  const chooser = (text: string) => h("label", { for: "file", class: "button primary" }, text);
+  const perception = h("select", { onchange: () => known && open() });
+  const dragging = segmented(words.picture.turn, [["camera", words.picture.turnCamera], ["look", words.picture.turnLook]], turns, (what) => {
+    turns = what;
+    shell.keys.textContent = what === "camera" ? words.panorama.keysCamera : words.panorama.keys;
+  });
+  const slider = h("input", { type: "range", min: 0, value: 0, step: 1, "aria-label": words.picture.frame, oninput: () => seek() });
+  const count = h("output", { class: "count" });
+  const pause = h("button", { type: "button", onclick: () => {
+    paused = !paused;
+    session.send({ type: "pause", on: paused });
+    pause.textContent = paused ? words.walk.go : words.walk.pause;
+  } }, words.walk.pause);
+  const frames = h("div", { class: "frames", hidden: true }, pause, slider, count);
+
+  function seek(): void {
+    session.send({ type: "seek", frame: Number(slider.value) });
+  }
+
+  store.on("step", () => {
+    const frame = store.step?.frame;
+    if (!known || known.kind !== "video" || !frame || document.activeElement === slider) return;
+    slider.value = String(frame.n);
+    slider.max = String(Math.max(0, frame.of - 1));
+    say(count, `${frame.n + 1} / ${frame.of}`);
+  });
+
+  function invite(): void {
+    const limits = page.state()?.limits;
+    page.empty(
+      h("strong", {}, words.picture.drop), h("p", {}, words.picture.dropMore), chooser(words.picture.choose),
+      limits ? h("p", { class: "hint" }, words.picture.limits(limits.upload_bytes / 1e6, limits.pixels / 1e6)) : "");
+  }
+
+  async function take(chosen: File | undefined): Promise<void> {
+    if (!chosen) return;
+    page.problems.clear("picture");
+    try {
+      const most = page.state()?.limits.upload_bytes;
+      if (!/^(image|video)\//.test(chosen.type) && chosen.type !== "")
+        throw new Refused(words.picture.notPicture(chosen.type), words.picture.notPictureChange);
+      if (most && chosen.size > most)
+        throw new Refused(words.picture.tooLarge(chosen.size / 1e6, most / 1e6), words.picture.tooLargeChange);
+      page.empty(words.picture.uploading);
+      known = await upload(chosen);
+      Object.assign(attitude, { yaw: 0, pitch: 0, roll: 0 });
+      frames.hidden = known.kind !== "video";
+      slider.max = String(Math.max(0, known.frames - 1));
+      page.empty(words.panorama.waiting);
+      open();
+    } catch (problem) {
+      if (!(problem instanceof Refused)) throw problem;
+      page.problems.tell("picture", problem);
+      if (known) page.empty();
+      else invite();
+    } finally {
+      file.value = "";
+    }
+  }
+
+  function open(): void {
+    if (!known) return;
+    paused = false;
+    const request: Record<string, unknown> = { view: "picture", id: known.id, query: shell.query.value.trim() };
+    if (perception.value) request.perception = perception.value;
+    session.open(request);
+  }
+
+  function drop(event: DragEvent): void {
+    event.preventDefault();
+    shell.stage.classList.remove("over");
+    void take(event.dataTransfer?.files[0]);
+  }
+  const over = (event: DragEvent) => {
+    event.preventDefault();
+    shell.stage.classList.add("over");
+  };
+  const out = () => shell.stage.classList.remove("over");
+
+  return {
+    enter() {
+      const state = page.state();
+      const usable = (state?.perceptions ?? []).filter(({ views }) => !views || views.includes("picture"));
+      perception.replaceChildren(...usable.map(({ name, words: told, ready, problem }) =>
+        h("option", { value: name, disabled: !ready, title: problem ?? told }, name)));
+      shell.controls.replaceChildren(
+        file, ...(usable.length ? [field(words.walk.perception, perception)] : []), dragging,
+        h("label", { for: "file", class: "button" }, words.picture.other), frames);
+      shell.keys.textContent = words.panorama.keysCamera;
+      shell.stage.addEventListener("dragover", over);
+      shell.stage.addEventListener("dragleave", out);
+      shell.stage.addEventListener("drop", drop);
+      if (known) open();
+      else invite();
+    },
+    leave() {
+      shell.stage.removeEventListener("dragover", over);
+      shell.stage.removeEventListener("dragleave", out);
+      shell.stage.removeEventListener("drop", drop);
+      shell.keys.textContent = words.panorama.keys;
+      session.close();
+    },
+    ask(query) {
+      if (!known) {
+        page.problems.tell("picture", { problem: words.picture.drop, change: words.picture.dropMore });
+        return;
+      }
+      if (!session.send({ type: "query", text: query })) open();
+    },
+    scene() {
+      if (store.scene?.attitude) Object.assign(attitude, store.scene.attitude);
+    },
+    turnsCamera: () => turns === "camera" && known !== null,
+    turnCamera(yaw, pitch) {
+      attitude.yaw = yaw;
+      attitude.pitch = Math.max(-STEEPEST, Math.min(STEEPEST, pitch));
+      store.turnTo(pose(attitude.yaw, attitude.pitch, attitude.roll)); // the server's steps come after it
+      if (sending) return;
+      sending = window.setTimeout(() => {
+        session.send({ type: "camera", ...attitude });
+        sending = 0;
+      }, EVERY);
+    },
+  };
+}

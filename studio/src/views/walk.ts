@@ -1,0 +1,80 @@
+/** A walk through a simulated apartment, steered by the policy or by a person. */
+
+import { field, h, segmented } from "../ui/dom";
+import { Stick } from "../ui/stick";
+import type { Page, ViewHandler } from "../ui/view";
+import { words } from "../words";
+
+export function walk(page: Page): ViewHandler {
+  const { session, shell, store } = page;
+  let drive = "policy";
+  let paused = false;
+  const seed = h("input", { type: "number", step: 1, list: "houses", class: "short", onchange: () => open() });
+  const offered = h("datalist", { id: "houses" });
+  const perception = h("select", { onchange: () => open() });
+  const stick = new Stick((forward, turn) => session.send({ type: "drive", by: "person", forward, turn }));
+  const steering = segmented(words.walk.drive, [["policy", words.walk.policy], ["person", words.walk.person]], drive, (by) => {
+    drive = by;
+    stick.stop();
+    session.send({ type: "drive", by, forward: 0, turn: 0 });
+    mark();
+  });
+  const pause = h("button", { type: "button", onclick: () => {
+    paused = !paused;
+    session.send({ type: "pause", on: paused });
+    pause.textContent = paused ? words.walk.go : words.walk.pause;
+  } }, words.walk.pause);
+  const again = h("button", { type: "button", onclick: () => {
+    paused = false;
+    pause.textContent = words.walk.pause;
+    session.send({ type: "restart" });
+  } }, words.walk.start);
+
+  function mark(): void {
+    shell.stick.replaceChildren(...(drive === "person" ? [stick.element] : []));
+    shell.keys.textContent = drive === "person" ? words.panorama.keysDrive : words.panorama.keys;
+  }
+
+  function open(query?: string): void {
+    const state = page.state();
+    const request: Record<string, unknown> = { view: "walk", drive };
+    if (seed.value !== "") request.seed = Number(seed.value);
+    else if (state?.default) request.seed = state.default.seed;
+    if (query) request.query = query;
+    if (perception.value) request.perception = perception.value;
+    paused = false;
+    pause.textContent = words.walk.pause;
+    session.open(request);
+  }
+
+  return {
+    enter() {
+      const state = page.state();
+      const usable = (state?.perceptions ?? []).filter(({ views }) => !views || views.includes("walk"));
+      perception.replaceChildren(...usable.map(({ name, words: told, ready, problem }) =>
+        h("option", { value: name, disabled: !ready, title: problem ?? told, selected: name === state?.default?.perception }, name)));
+      if (state?.houses) {
+        [seed.min, seed.max] = [String(state.houses.first), String(state.houses.last)];
+        offered.replaceChildren(...state.houses.offered.map((value) => h("option", { value })));
+      }
+      if (seed.value === "" && state?.default) seed.value = String(state.default.seed);
+      shell.controls.replaceChildren(
+        field(words.walk.house, seed), offered, field(words.walk.perception, perception), steering, h("span", { class: "buttons" }, pause, again));
+      mark();
+      page.empty(words.panorama.waiting);
+      open();
+    },
+    leave() {
+      stick.stop();
+      shell.stick.replaceChildren();
+      session.close();
+    },
+    ask(query) {
+      if (!session.send({ type: "query", text: query })) open(query);
+    },
+    scene() {
+      if (store.scene?.seed !== undefined) seed.value = String(store.scene.seed);
+    },
+    steer: (key, down) => drive === "person" && stick.key(key, down),
+  };
+}

@@ -1,0 +1,275 @@
+/** All words of the page, in one place. */
+
+const whole = (x: number) => Math.round(x).toString();
+
+/** An azimuth in degrees, in words: "64° left". */
+function side(azimuth: number): string {
+  const angle = Math.round(azimuth);
+  if (Math.abs(angle) <= 4) return "ahead";
+  if (Math.abs(angle) >= 176) return "behind";
+  return `${Math.abs(angle)}° ${angle > 0 ? "left" : "right"}`;
+}
+
+function height(elevation: number): string {
+  const angle = Math.round(elevation);
+  return angle === 0 ? "level" : `${Math.abs(angle)}° ${angle > 0 ? "up" : "down"}`;
+}
+
+export const words = {
+  title: "EAGOR studio",
+  brand: "EAGOR",
+  brandSub: "studio",
+  skip: "Skip to the panorama",
+  language: "en",
+  noScript: "This page needs JavaScript.",
+  side,
+  height,
+  percent: (share: number) => `${whole(100 * share)} %`,
+
+  tabs: {
+    label: "What to look at",
+    walk: "Walk",
+    run: "Run",
+    picture: "Picture",
+    live: "Live",
+    walkHint: "A camera walks through a simulated apartment",
+    runHint: "Episodes of a benchmark, a recording or a robot",
+    pictureHint: "A photograph or a video of your own",
+    liveHint: "A camera or a stream, as it comes in",
+    export: "Episode",
+    exportHint: "The episode that this file holds",
+  },
+
+  theme: {
+    system: "Colours: as the system",
+    dark: "Colours: dark",
+    light: "Colours: light",
+    change: (next: string) => `change to ${next}`,
+  },
+
+  ask: {
+    label: "Where is the …",
+    placeholder: "white sofa",
+    submit: "Ask",
+    empty: "Type what to look for.",
+  },
+
+  walk: {
+    house: "Apartment",
+    perception: "Perception",
+    drive: "Steered by",
+    policy: "policy",
+    person: "me",
+    start: "Start again",
+    pause: "Pause",
+    go: "Go on",
+    stick: "Steer the camera",
+    forward: "Forward",
+    back: "Back",
+    left: "Turn left",
+    right: "Turn right",
+    stickHint: "Drag the knob, hold a button, or use the arrow keys.",
+    goal: "Walks to",
+  },
+
+  run: {
+    runs: "Run",
+    none: "No runs yet",
+    noneChange: (folder: string) =>
+      `There is no run in ${folder}. Make one with “eagor bench run navigation --out runs/first”, then come back.`,
+    choose: "Choose an episode on the right",
+    episodes: "Episodes",
+    episodesHint: "Failures first, then the largest error.",
+    episode: "Episode",
+    query: "Query",
+    error: "Error",
+    found: "Result",
+    success: "found",
+    failure: "missed",
+    unknown: "–",
+    loading: (progress: number | null) =>
+      progress === null ? "The episode is played again …" : `The episode is played again … ${whole(100 * progress)} %`,
+    kind: { bench: "benchmark", live: "recording", robot: "robot" } as Record<string, string>,
+    count: (done: number | null, all: number | null) =>
+      all === null ? "" : done !== null && done < all ? `${done} of ${all} episodes` : `${all} episode${all === 1 ? "" : "s"}`,
+    method: "Method shown",
+    refresh: "Look for new runs",
+    back: "All episodes",
+  },
+
+  player: {
+    label: "Play the episode",
+    play: "Play",
+    pause: "Pause",
+    previous: "Previous step",
+    next: "Next step",
+    step: "Step",
+    at: (n: number, of: number, stamp: number) => `step ${n} of ${of}, ${stamp.toFixed(1)} s`,
+  },
+
+  picture: {
+    drop: "Drop a panorama here",
+    dropMore: "A photograph or a video, twice as wide as high (equirectangular). It stays on this machine.",
+    choose: "Choose a file",
+    other: "Another file",
+    uploading: "Reading the file …",
+    ready: "The picture is here. Type what to look for.",
+    turn: "Dragging turns",
+    turnLook: "my eyes",
+    turnCamera: "the camera",
+    turnHint: "Turn the camera: the belief stays with the world.",
+    limits: (megabytes: number, megapixels: number) =>
+      `At most ${whole(megabytes)} MB and ${whole(megapixels)} megapixels.`,
+    tooLarge: (megabytes: number, most: number) =>
+      `This file has ${whole(megabytes)} MB; at most ${whole(most)} MB are read.`,
+    tooLargeChange: "Make it smaller: 2048 columns are enough.",
+    notPicture: (type: string) => `This is ${type || "no picture"}; wanted a photograph or a video.`,
+    notPictureChange: "Choose a JPEG, PNG, WebP, MP4, MOV, MKV or WebM file.",
+    frame: "Frame",
+    started: "Watch",
+  },
+
+  live: {
+    none: "No camera is connected",
+    noneChange: "Start the studio with one: eagor studio --source camera:0",
+    source: "Source",
+    start: "Watch",
+  },
+
+  panorama: {
+    label: "Panorama from inside",
+    role: "panorama",
+    keys: "Drag, or use the arrow keys, to look around; plus and minus zoom; Home looks ahead.",
+    keysDrive: "Arrow keys steer the camera. With Shift they look around; plus and minus zoom; Home looks ahead.",
+    keysCamera: "Arrow keys turn the camera; plus and minus zoom; Home looks ahead.",
+    flat: "The whole panorama, flat",
+    flatHint: "Click a place to look there.",
+    ahead: "Look ahead",
+    zoomIn: "Zoom in",
+    zoomOut: "Zoom out",
+    answer: "Look at the answer",
+    full: "Fill the screen",
+    small: "Leave full screen",
+    hold: "Hold my view while the camera turns",
+    looking: (azimuth: number, elevation: number, field: number) =>
+      `You look ${side(azimuth)}, ${height(elevation)}, ${whole(field)}° high.`,
+    waiting: "Waiting for the first picture …",
+    noPicture: "No picture yet",
+    axes: { ahead: "ahead", left: "left", right: "right", behind: "behind" },
+  },
+
+  layers: {
+    label: "What is drawn",
+    heat: "Belief",
+    border: (mass: number) => `${whole(100 * mass)} % region`,
+    evidence: "Newest look",
+    estimate: "Answer",
+    modes: "Candidates",
+    truth: "Truth",
+    rivals: "Methods",
+    grid: "Grid",
+    degree: "Degree L",
+    degreeHint: "How fine the belief may be: L = 15 tells things about 12° apart.",
+  },
+
+  status: {
+    searching: "searching",
+    tracking: "tracking",
+    ambiguous: "ambiguous",
+    stale: "stale",
+    held: "an older answer is held",
+    means: {
+      searching: "It may not be here, or lie anywhere.",
+      tracking: "More likely than not it is here, within 15 degrees of the answer.",
+      ambiguous: "It is likely here, and several directions fit.",
+      stale: "There was an answer, and nothing has been looked at for a while.",
+    } as Record<string, string>,
+    none: "not asked yet",
+  },
+
+  answer: {
+    label: "Answer",
+    none: "Nothing is known yet",
+    presence: "Presence",
+    cone: (mass: number) => `${whole(100 * mass)} % within`,
+    error: "Off the truth by",
+    distance: "Distance",
+    moving: "It moves",
+    entropy: "Entropy",
+    nats: (x: number) => `${x.toFixed(1)} nats`,
+    look: "Newest look",
+    degrees: (x: number) => `${x < 10 ? x.toFixed(1) : whole(x)}°`,
+    seconds: (x: number) => (x < 10 ? `${x.toFixed(1)} s ago` : `${whole(x)} s ago`),
+    slow: "Perception is slow: the answer is predicted from the newest look.",
+    never: "none yet",
+    metres: (low: string, high: string) => (low === high ? `${low} m` : `${low} to ${high} m`),
+    unknown: "–",
+  },
+
+  candidates: {
+    label: "Candidates",
+    none: "No candidate stands out.",
+    row: (azimuth: number, elevation: number) => `${side(azimuth)}, ${height(elevation)}`,
+    look: (where: string) => `Look at ${where}`,
+  },
+
+  polar: {
+    label: "All around",
+    hint: "Belief by azimuth, seen from above. The grey wedge is what you look at.",
+    text: (peak: string, share: number, view: string) =>
+      `The belief is densest ${peak}; ${whole(100 * share)} % of it lies within 30° of there. You look ${view}.`,
+    empty: "No belief yet.",
+  },
+
+  plan: {
+    label: "Ground plan",
+    hint: "Path so far; the wedge shows the answer and how far it may be.",
+    text: (walked: number, far: string) =>
+      `The camera has walked ${walked.toFixed(1)} m.${far ? ` The answer is ${far} away.` : ""}`,
+    none: "No positions: a plan needs a camera that knows where it is.",
+    north: "x",
+    metre: "1 m",
+  },
+
+  series: {
+    label: "Over time",
+    error: "Error",
+    presence: "Presence",
+    entropy: "Entropy",
+    text: (name: string, first: string, last: string, low: string, high: string) =>
+      `${name}: ${first} at first, ${last} now, between ${low} and ${high}.`,
+    none: "Nothing yet.",
+    seconds: (x: number) => `${x < 10 ? x.toFixed(1) : whole(x)} s`,
+  },
+
+  calibration: {
+    label: "Calibration in force",
+    none: "Not told.",
+    degree: "Degree of the belief",
+    perception: "Perception",
+    region: "Region drawn",
+  },
+
+  connection: {
+    connecting: "Connecting …",
+    lost: (seconds: number) => `The server does not answer. Trying again in ${seconds} s.`,
+    lostChange: "Is “eagor studio” still running? Start it again: this page comes back by itself.",
+    retry: "Try now",
+    dismiss: "Close",
+  },
+
+  problems: {
+    gone: "The server does not answer.",
+    goneChange: "Is “eagor studio” still running? Start it again, then try once more.",
+    refused: (status: number) => `The server refused this (${status}).`,
+    refusedChange: "Reload the page. If that does not help, look at the server's words in its terminal.",
+    webgl: "This browser draws no 3D (WebGL 2).",
+    webglChange: "Switch on hardware acceleration, or take another browser. Plots and words work without it.",
+    data: "A message of the server could not be read.",
+    dataChange: "Reload the page: it may be of another version than the server.",
+    episode: "The episode in this file could not be read.",
+    episodeChange: "Export it again with “eagor studio export”.",
+  },
+} as const;
+
+export type Words = typeof words;

@@ -1,0 +1,85 @@
+"""Steps over a navigation mesh at a straight wall: where ours end on purpose elsewhere than Habitat's."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eagor.errors import WorldError
+from eagor.worlds.habitat.frames import Frames
+from eagor.worlds.habitat.steps import HELD, SHORT, stepped
+from eagor.worlds.habitat.storeys import Storey
+from eagor.worlds.habitat.surface import Surface
+
+WALL = 1.0  # our x of the edge of the mesh
+
+
+def no_sliding(start, end):
+    """As in Habitat: the step ends on the edge. Its world has our x, and our -y as z."""
+    start, end = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    if end[0] <= WALL:
+        return tuple(np.float32(end))
+    return tuple(np.float32(start + (end - start) * (WALL - start[0]) / (end[0] - start[0])))
+
+
+def sliding(start, end):
+    return np.float32(min(end[0], WALL)), np.float32(end[1]), np.float32(end[2])
+
+
+MESH = SimpleNamespace(
+    try_step_no_sliding=no_sliding,
+    try_step=sliding,
+    is_navigable=lambda feet, most: feet[0] <= WALL + 1e-6,
+    get_island=lambda feet: 0,
+)
+SURFACE = Surface(MESH, Storey(0, 0.0), Frames(), np.array([-5.0, -5.0]), np.zeros((200, 120)), "a test")
+
+
+@given(
+    gap=st.floats(0.002, 0.2),
+    y=st.floats(-2.0, 2.0),
+    angle=st.floats(-1.2, 1.2),
+    length=st.floats(0.6, 1.0),
+)
+def test_a_stopped_body_stands_a_millimetre_before_the_edge_on_its_line(gap, y, angle, length):
+    start, way = np.array([WALL - gap, y]), length * np.array([math.cos(angle), math.sin(angle)])
+    edge = start + way * gap / way[0]
+    end, stopped = stepped(SURFACE, start, way, slide=False)
+    assert stopped
+    assert np.hypot(*(edge - end)) == pytest.approx(SHORT, abs=2e-6)
+    assert (end - start) @ way / length == pytest.approx(np.hypot(*(end - start)), abs=1e-9)
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.0005, 0.001])
+def test_a_body_closer_than_that_stays_and_is_never_pushed_back(gap):
+    start = np.array([WALL - gap, 0.3])
+    end, stopped = stepped(SURFACE, start, np.array([0.25, 0.0]), slide=False)
+    assert stopped
+    np.testing.assert_allclose(end, start, atol=1e-6)
+
+
+def test_free_steps_are_exact_and_sliding_is_habitats_own():
+    start = np.array([0.2, 0.1])
+    free = np.array([0.1, 0.2])
+    end, stopped = stepped(SURFACE, start, free, slide=False)
+    assert not stopped
+    np.testing.assert_array_equal(end, start + free)
+    slid, stopped = stepped(SURFACE, np.array([0.9, 0.0]), np.array([0.3, 0.2]), slide=True)
+    assert stopped
+    np.testing.assert_allclose(slid, [WALL, 0.2], atol=HELD)
+
+
+def test_a_step_that_is_none_and_a_start_off_the_mesh():
+    start = np.array([0.2, 0.1])
+    end, stopped = stepped(SURFACE, start, np.zeros(2), slide=False)
+    assert not stopped
+    np.testing.assert_array_equal(end, start)
+    with pytest.raises(WorldError, match="wanted two finite numbers"):
+        stepped(SURFACE, start, np.array([np.nan, 0.0]), slide=False)
+    with pytest.raises(WorldError, match="not on the navigation mesh"):
+        stepped(SURFACE, np.array([1.5, 0.0]), np.array([0.1, 0.0]), slide=False)
