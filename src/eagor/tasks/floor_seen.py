@@ -47,21 +47,21 @@ class FloorSeen:
 
     def inside(self, cells: np.ndarray) -> np.ndarray:
         """Which cells ``(..., 2)`` lie on the grid."""
-        return ((cells >= 0) & (cells < self.state.shape)).all(axis=-1)
+        return np.all((cells >= 0) & (cells < self.state.shape), axis=-1)
 
     def cover(self, low: np.ndarray, high: np.ndarray) -> None:
         """Grow the grid to these corners ``(2,)``."""
         first = np.floor(low / CELL / BLOCK).astype(int) * BLOCK
         last = np.ceil(high / CELL / BLOCK).astype(int) * BLOCK
-        rows, cols = self.state.shape
-        if rows:
-            old = np.round(self.origin / CELL).astype(int)
-            first, last = np.minimum(first, old), np.maximum(last, old + (cols, rows))
-            if (first == old).all() and (last == old + (cols, rows)).all():
+        begin = np.round(self.origin / CELL).astype(int)
+        end = begin + self.state.shape[::-1]
+        if self.state.size:
+            first, last = np.minimum(first, begin), np.maximum(last, end)
+            if (first == begin).all() and (last == end).all():
                 return
-            pads = [(old[1] - first[1], last[1] - old[1] - rows), (old[0] - first[0], last[0] - old[0] - cols)]
         else:
-            pads = [(0, last[1] - first[1]), (0, last[0] - first[0])]
+            begin = end = first
+        pads = [(begin[axis] - first[axis], last[axis] - end[axis]) for axis in (1, 0)]
         self.state = np.pad(self.state, pads)
         self.nearest = np.pad(self.nearest, pads, constant_values=math.inf)
         self.worth = np.pad(self.worth, pads, constant_values=1.0)

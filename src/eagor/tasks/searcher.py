@@ -17,8 +17,11 @@ from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, UNKNOWN, FloorSeen
+from eagor.sphere import heading
+from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, FloorSeen
+from eagor.tasks.steering import Situation
 
+SURE = 0.5  # of a method's belief: if so much lies about its answer, the body walks there
 TOUCH = 0.07  # a step that falls short by more than this share collided
 HALF = 0.1  # metres to each side of the way on which it was held up: there it would be, too
 # What a metre on such ground costs, in metres of floor.
@@ -39,23 +42,6 @@ LOOK = 1.5  # metres: longest straight stretch of a path
 EVERY = 3  # cells between the places that are weighed
 
 
-@dataclass(frozen=True, eq=False)
-class Situation:
-    """What a policy is told at a step.
-
-    `azimuth` of the estimate (radians, body frame), whether it is `sure`, and the `distance` (metres) if known; the pose
-    by odometry: `position` ``(3,)``, metres above the floor, and `world_R_body` ``(3, 3)``; `floor` ``(H, W)``: which
-    pixels show floor.
-    """
-
-    azimuth: float
-    sure: bool
-    distance: float | None
-    position: np.ndarray
-    world_R_body: np.ndarray
-    floor: np.ndarray
-
-
 @dataclass
 class Searcher:
     """Chooses headings for one episode. `step` and `radius` in metres; `recall`: probability that a look finds."""
@@ -74,7 +60,8 @@ class Searcher:
     def heading(self, now: Situation) -> float:
         """The heading to walk in, radians from straight ahead, in (-pi, pi]."""
         here = np.array(now.position[:2], dtype=np.float64)
-        yaw = math.atan2(now.world_R_body[1, 0], now.world_R_body[0, 0])
+        yaw, sure = heading(now.world_R_body), now.share >= SURE
+        assert now.floor is not None
         self.known.look(now.floor, now.world_R_body, now.position)
         self.known.walked(here, self.radius)
         if self._last is not None:
@@ -82,7 +69,7 @@ class Searcher:
         self._looked(here)
         bearing = now.azimuth + yaw
         ahead = np.array([math.cos(bearing), math.sin(bearing)])
-        target = self._target(now, here, ahead) if now.sure else None
+        target = self._target(now, here, ahead) if sure else None
         self.searching = target is None
         if target is not None:
             self._goal = None
@@ -198,7 +185,7 @@ class Searcher:
         return np.einsum("nrk,nrk,k->n", reached, worth, _rays(RAYS)[1])
 
     def _reached(self, cells: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Along `count` rays from cells ``(n, 2)``: flat indices of padded cells, their worth, how likely one sees them.
+        """Along `count` rays from cells ``(n, 2)``: padded cells (flat), their worth, and how likely one sees them.
 
         All ``(n, count, k)``.
         """
@@ -206,7 +193,8 @@ class Searcher:
         step = SIGHT / rays.shape[1]
         veil = np.array([step / OPEN, 0.0, 50.0])[np.pad(known.state, PAD)]
         width = veil.shape[1]
-        index = ((cells + PAD) @ (width, 1))[:, None, None] + rays @ (width, 1)
+        flat = np.array([width, 1])
+        index = ((cells + PAD) @ flat)[:, None, None] + rays @ flat
         dimmed = veil.take(index)
         reached = np.exp(dimmed - np.cumsum(dimmed, axis=2))
         return index, np.pad(known.worth, PAD, constant_values=1.0).take(index), reached
