@@ -12,7 +12,8 @@ from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, UNKNOWN, FloorSeen
 from eagor.tasks.navigation import undone
 from eagor.tasks.rules import Camera, NavigationRules
 from eagor.tasks.searcher import Searcher
-from eagor.tasks.steering import Situation, floors_of, steering_for
+from eagor.tasks.situation import Situation, floors_of
+from eagor.tasks.steering import steering_for
 from eagor.worlds.ground import Ground
 from eagor.worlds.render import Renderer
 

@@ -25,7 +25,8 @@ from eagor.tasks.listed import Listed, slot_of
 from eagor.tasks.methods import BASE, ORACLE, Method, Steers, method_for, told
 from eagor.tasks.place_env import PlaceEnv
 from eagor.tasks.rules import Camera, Disturbances, from_dict
-from eagor.tasks.steering import Situation, along_floor, floors_of, steering_for
+from eagor.tasks.situation import Situation, along_floor, floors_of
+from eagor.tasks.steering import steering_for
 from eagor.tasks.task import Played
 
 MASS = 0.9  # of the credible regions whose coverage is measured

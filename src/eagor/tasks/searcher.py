@@ -13,22 +13,15 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-from scipy import ndimage
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from eagor.sphere import heading
 from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, FloorSeen
-from eagor.tasks.steering import Situation
+from eagor.tasks.floor_ways import Ways
+from eagor.tasks.situation import Situation
 
 SURE = 0.5  # of a method's belief: if so much lies about its answer, the body walks there
 TOUCH = 0.07  # a step that falls short by more than this share collided
 HALF = 0.1  # metres to each side of the way on which it was held up: there it would be, too
-# What a metre on such ground costs, in metres of floor.
-COSTS = np.array([2.0, 1.0, 15.0])
-HELD = 20.0  # ... and more for each time that the body was held up there
-TIGHT, CLOSE = 4.0, 1.5  # ... nearer to an obstacle than the body's radius, and than that and SPARE metres more
-SPARE = 0.15
 RAYS, SIGHT = 24, 3.0  # rays about a place from which it may look, and how far they go, metres
 PAD = math.ceil(SIGHT / CELL) + 1  # cells around the grid
 FINE = 160  # rays about the body itself
@@ -37,8 +30,8 @@ NEAREST_GOAL = 0.8  # metres added to the way to a goal: a goal next to the body
 REACHED = 0.3  # metres from a goal
 WORTH = 0.4  # a goal is given up when less of what it promised is left
 RANGE = 5.0  # metres to a target whose distance is unknown
-ALIKE, NEAR = math.radians(25), 0.5  # a belief that moves by less still means the same place; metres that do, too
-LOOK = 1.5  # metres: longest straight stretch of a path
+ALIKE, FARTHER = math.radians(25), 0.3  # a belief that changes by less (distance: its logarithm) means the same place
+NEAR = 0.5  # metres between two places that are one
 EVERY = 3  # cells between the places that are weighed
 
 
@@ -74,12 +67,11 @@ class Searcher:
         if target is not None:
             self._goal = None
             self.known.cover(np.minimum(here, target) - 1.0, np.maximum(here, target) + 1.0)
-        costs = self._costs()
-        metres, before = self._spread(costs, here)
-        end = self._search(metres, here, ahead) if target is None else self._end(metres, target)
+        ways = Ways.over(self.known, self.radius, here)
+        end = self._search(ways.metres, here, ahead) if target is None else ways.nearest(target)
         if target is not None and float(np.hypot(*(self.known.centres(np.array(end)) - here))) < REACHED:
             self._vain.append(target)  # it should be here, and is not
-        way = self._way(costs, metres, before, here, end)
+        way = ways.first(end)
         self._last = here, way * (self.step / max(np.hypot(*way), 1e-9))
         return math.remainder(math.atan2(way[1], way[0]) - yaw, 2 * math.pi)
 
@@ -88,25 +80,23 @@ class Searcher:
 
         The way to it is kept until the belief moves away from it.
         """
-        kept = self._kept
-        if kept is not None:
-            to = kept - here
-            away = float(np.hypot(*to))
-            agrees = float(to @ ahead) > math.cos(ALIKE) * away
-            known = now.distance is None or abs(math.log(max(now.distance, 0.1) / max(away, 0.1))) < 0.3
-            if not (agrees and known):
-                kept = None
+        kept = self._kept if self._kept is not None and self._agrees(now, self._kept - here, ahead) else None
         if kept is None:
-            distance = now.distance if now.distance is not None else self._free(here, ahead)
-            kept = here + distance * ahead
+            kept = here + (now.distance if now.distance is not None else self._free(here, ahead)) * ahead
+        if self._in_vain(kept) and now.distance is None:
+            kept = here + RANGE * ahead  # not in front of the next obstacle: behind it
         self._kept = kept
-        if any(float(np.hypot(*(kept - place))) < NEAR for place in self._vain):
-            if now.distance is not None or float(np.hypot(*(kept - here))) >= RANGE - 0.1:
-                return None
-            self._kept = kept = here + RANGE * ahead  # not in front of the next obstacle: behind it
-            if any(float(np.hypot(*(kept - place))) < NEAR for place in self._vain):
-                return None
-        return kept
+        return None if self._in_vain(kept) else kept
+
+    def _in_vain(self, place: np.ndarray) -> bool:
+        return any(float(np.hypot(*(place - other))) < NEAR for other in self._vain)
+
+    def _agrees(self, now: Situation, to: np.ndarray, ahead: np.ndarray) -> bool:
+        """Whether what is believed now still means the place `to` ``(2,)`` metres from here."""
+        away = float(np.hypot(*to))
+        if now.distance is not None and abs(math.log(max(now.distance, 0.1) / max(away, 0.1))) > FARTHER:
+            return False
+        return float(to @ ahead) > math.cos(ALIKE) * away
 
     def _free(self, here: np.ndarray, ahead: np.ndarray) -> float:
         """Metres to where something stands first in a direction, as far as is known; `RANGE` if nothing does."""
@@ -129,35 +119,6 @@ class Searcher:
         beside = np.linspace(-HALF, HALF, 3)[None, :, None] * along
         points = (here + ahead + beside).reshape(-1, 2)
         self.known.held_up(points[np.any(self.known.cells(points) != self.known.cells(here), axis=1)])
-
-    def _costs(self) -> np.ndarray:
-        """Metres of floor that a metre costs, for each cell."""
-        state = self.known.state
-        costs = COSTS[state]
-        taken = state >= CONTACT
-        away = np.asarray(ndimage.distance_transform_edt(~taken)) * CELL
-        free = ~taken
-        costs[free & (away < self.radius + SPARE)] *= CLOSE
-        costs[free & (away < self.radius)] *= TIGHT
-        return costs + HELD * self.known.held
-
-    def _spread(self, costs: np.ndarray, here: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The cost ``(rows, cols)`` of the way from here to each cell, and the cell before it (flat)."""
-        row, col = self.known.cells(here)
-        a, b, lengths, order = _lattice(costs.shape)
-        flat = costs.reshape(-1)
-        weights = (flat[a] + flat[b]) * lengths
-        graph = csr_array((weights, b, order), shape=(flat.size, flat.size))
-        metres, before = dijkstra(graph, indices=int(row) * costs.shape[1] + int(col), return_predecessors=True)
-        return metres.reshape(costs.shape), before
-
-    def _end(self, metres: np.ndarray, goal: np.ndarray) -> tuple[int, int]:
-        """The cell to go to for a goal in which something may stand."""
-        rows, cols = np.indices(metres.shape)
-        centres = self.known.centres(np.stack([rows, cols], axis=-1))
-        away = np.hypot(*np.moveaxis(centres - goal, -1, 0))
-        best = int((3 * away + 0.2 * metres).argmin())
-        return divmod(best, metres.shape[1])
 
     def _search(self, metres: np.ndarray, here: np.ndarray, ahead: np.ndarray) -> tuple[int, int]:
         """The cell to go to while nothing is believed: the old goal as long as it is worth it, or the best one."""
@@ -206,47 +167,6 @@ class Searcher:
         seen = np.zeros((rows + 2 * PAD, cols + 2 * PAD))
         np.maximum.at(seen.reshape(-1), index.reshape(-1), reached.reshape(-1))
         self.known.worth *= 1 - self.recall * seen[PAD:-PAD, PAD:-PAD]
-
-    def _way(
-        self, costs: np.ndarray, metres: np.ndarray, before: np.ndarray, here: np.ndarray, end: tuple[int, int]
-    ) -> np.ndarray:
-        """The direction ``(2,)`` in which the path to a cell begins: to its farthest point that a line reaches."""
-        width = costs.shape[1]
-        path = [end[0] * width + end[1]]
-        while before[path[-1]] >= 0:
-            path.append(int(before[path[-1]]))
-        path = path[::-1]
-        points = self.known.centres(np.stack(np.divmod(path, width), axis=-1))
-        target = points[min(1, len(points) - 1)]
-        for flat, point in zip(path[1:], points[1:], strict=True):
-            if float(np.hypot(*(point - here))) > LOOK:
-                break
-            if self._line(costs, here, point) > 1.05 * float(metres.flat[flat]) + 0.1:
-                break
-            target = point
-        found = target - here
-        return found if np.hypot(*found) > 1e-6 else np.array([1.0, 0.0])
-
-    def _line(self, costs: np.ndarray, here: np.ndarray, there: np.ndarray) -> float:
-        """The cost of the straight line between two points."""
-        length = float(np.hypot(*(there - here)))
-        at = np.linspace(0, 1, max(2, math.ceil(length / CELL * 2)))[:, None]
-        cells = self.known.cells(here + at * (there - here))
-        return float(costs[cells[:, 0], cells[:, 1]].mean()) * length
-
-
-@lru_cache(maxsize=8)
-def _lattice(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The edges of a grid of cells, sorted by their first: both ends, half their lengths (metres), and row pointers."""
-    index = np.arange(shape[0] * shape[1]).reshape(shape)
-    padded = np.pad(index, 1, constant_values=-1)
-    around = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
-    ends = np.stack([padded[1 + i : 1 + i + shape[0], 1 + j : 1 + j + shape[1]] for i, j in around], axis=-1)
-    lengths = np.broadcast_to([math.hypot(i, j) * CELL / 2 for i, j in around], ends.shape)
-    there = ends.reshape(-1) >= 0
-    first = np.repeat(index.reshape(-1), len(around))[there]
-    order = np.concatenate([[0], np.cumsum((ends >= 0).sum(axis=-1).reshape(-1))])
-    return first, ends.reshape(-1)[there], lengths.reshape(-1)[there], order
 
 
 @lru_cache(maxsize=2)
