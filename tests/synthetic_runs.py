@@ -148,6 +148,7 @@ def navigation_unit(rng, apartment, number, name, stratum, hard):
                     "shortest_m": shortest,
                     "distance_to_goal": 0.4 if arrived else 4.0,
                     "collisions": int(rng.integers(0, 9)),
+                    "undone": float(rng.uniform(0.0, 0.5)),
                     "coverage": float(inside.mean()) if name in ("eagor", "vmf", "particle_filter") else None,
                 },
                 "trace": {

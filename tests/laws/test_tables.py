@@ -27,7 +27,7 @@ from eagor.tasks.task import load
 MAKERS = {"waypoint": runs.waypoint, "navigation": runs.navigation, "tracking": runs.tracking}
 KEYS = {
     "waypoint": "L1 L2 L3 L4 delta occ seam tc tc_rotation coverage",
-    "navigation": "sr spl soft_spl steps mae seam_success coverage",
+    "navigation": "sr spl soft_spl steps undone mae seam_success coverage",
     "tracking": "error tc time_lost recovery coverage",
 }
 

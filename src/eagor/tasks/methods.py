@@ -37,6 +37,7 @@ from eagor.tracking import Estimate, TrackerConfig
 from eagor.tracking.tracker import DirectionTracker
 
 PARTICLES = 2000
+SURE_DISTANCE = 0.6  # standard deviation of the logarithm of a distance that one can walk by
 REWIND = 64  # steps by which a filter can be rewound
 FLOOR = 0.0  # metres: z of the floor in the worlds' odometry
 BASE = TrackerConfig(floor_height=FLOOR)  # default of our tracker
@@ -79,6 +80,18 @@ class Method(Protocol):
 
     def distance(self) -> float | None:
         """Metres to the target; None for methods without ranges."""
+        ...
+
+
+class Steers(Method, Protocol):
+    """A method that says what a search needs to know of its belief."""
+
+    def sure_distance(self) -> float | None:
+        """`distance`, but None unless its logarithm is known to within `SURE_DISTANCE`."""
+        ...
+
+    def share(self, angle: float) -> float:
+        """The share of the belief within `angle` radians of `direction`, if the target is here; 1 without a belief."""
         ...
 
 
@@ -143,6 +156,16 @@ class FilterMethod:
     def distance(self) -> float | None:
         return None
 
+    def sure_distance(self) -> float | None:
+        return None
+
+    def share(self, angle: float) -> float:
+        density = getattr(self.filter, "log_density", None)
+        if density is None:
+            return 1.0
+        mass = np.exp(density(GRID.directions)) * GRID.weights
+        return float(mass[GRID.directions @ self.direction() >= math.cos(angle)].sum())
+
 
 def _carried(state: DirectionFilter, last: _Step, world_R_body: np.ndarray, position: np.ndarray | None) -> Any:
     """`state` after the motion from `last` to here."""
@@ -185,6 +208,14 @@ class TrackerMethod:
     def distance(self) -> float | None:
         return self.estimate.distance
 
+    def sure_distance(self) -> float | None:
+        spread = self.estimate.distance_spread
+        return None if spread is None or spread > SURE_DISTANCE else self.estimate.distance
+
+    def share(self, angle: float) -> float:
+        found = self.estimate
+        return 0.0 if found.direction is None else found.within(angle) / max(found.presence, 1e-300)
+
 
 def default_methods(perception: str) -> tuple[str, ...]:
     """The methods that are compared by default; with vision-language models also the plain model."""
@@ -198,7 +229,7 @@ def make_method(
     calibration: Calibration | None = None,
     ours: TrackerConfig | None = None,
     detector: DetectorModel | None = None,
-) -> Method:
+) -> Steers:
     """The method with this name; `rng` is for those that draw. Raises `EagorError` for an unknown name.
 
     A baseline starts from the settings fitted for `perception`, ours from `ours`, with its `calibration` or `detector`.
@@ -223,7 +254,7 @@ def make_method(
         raise EagorError(f"method {name!r}: a setting wants a number ({error})") from None
 
 
-def method_for(name: str, perception: Any, called: str, rng: np.random.Generator, ours: TrackerConfig = BASE) -> Method:
+def method_for(name: str, perception: Any, called: str, rng: np.random.Generator, ours: TrackerConfig = BASE) -> Steers:
     """A new method of this name, configured for a perception and the text it was `called` by."""
     calibration, detector = (getattr(perception, part, None) for part in ("calibration", "detector"))
     return make_method(name, rng, called, calibration, ours, detector)
@@ -352,7 +383,7 @@ def tracker_config(
     return replace(config, **changes)
 
 
-def _filter(base: str, settings: dict[str, str], rng: np.random.Generator) -> Method:
+def _filter(base: str, settings: dict[str, str], rng: np.random.Generator) -> Steers:
     if unknown := [key for key in settings if key not in SETTINGS[base]]:
         raise KeyError(unknown[0])
     state: Any = _FILTERS[base](rng)

@@ -114,4 +114,17 @@ def measure(played: Played) -> dict[str, Any]:
         "path_m": played.walked,
         "shortest_m": played.shortest,
         "collisions": info["collisions"]["count"],
+        "undone": undone(np.array(played.trace["pose"])[:, :2], played.camera.step),
     }
+
+
+def undone(places: np.ndarray, step: float) -> float:
+    """The share of steps that lead back: they end less than half a step from where the body was before.
+
+    `places` ``(n, 2)``: before each step and after the last.
+    """
+    if len(places) < 2:
+        return 0.0
+    apart = np.linalg.norm(places[1:, None] - places[None, :-1], axis=-1)
+    earlier = np.arange(len(places) - 1) < np.arange(len(places) - 1)[:, None]
+    return float(np.mean(np.any((apart < step / 2) & earlier, axis=1)))

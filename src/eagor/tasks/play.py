@@ -22,10 +22,11 @@ from eagor.tasks import task
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.eyes import Eye, is_privileged, look_around, open_eye, open_for, shared
 from eagor.tasks.listed import Listed, slot_of
-from eagor.tasks.methods import BASE, ORACLE, Method, method_for, told
+from eagor.tasks.methods import BASE, ORACLE, Method, Steers, method_for, told
 from eagor.tasks.place_env import PlaceEnv
-from eagor.tasks.policy import Policy
 from eagor.tasks.rules import Camera, Disturbances, from_dict
+from eagor.tasks.situation import Situation, along_floor, floors_of
+from eagor.tasks.steering import steering_for
 from eagor.tasks.task import Played
 
 MASS = 0.9  # of the credible regions whose coverage is measured
@@ -126,7 +127,7 @@ class Player:
         looked = {"looked": recording.looked} if recording.looked else {}
         return body | looked | {"truth": recording.truth, "methods": judged}
 
-    def method(self, name: str, slot: Slot) -> Method:
+    def method(self, name: str, slot: Slot) -> Steers:
         """A new method of this name, configured for this perception."""
         return method_for(name, self.perception, self.config["perception"], slot.rng("method"), self.ours)
 
@@ -143,7 +144,9 @@ class Player:
         observation, info, eye = self._begin(episode)
         method = None if name == ORACLE else self.method(name, episode.slot)
         trace: dict[str, list[Any]] = defaultdict(list)
-        policy = Policy(self.camera.step, getattr(self.rules, "detour", True))
+        steering, near = steering_for(self.rules, self.camera), math.radians(getattr(self.rules, "sure_within", 0.0))
+        looks_down = getattr(self.rules, "policy", "follow") == "search"
+        floors = floors_of(self.env.labels, episode.scene) if looks_down else None
         waiting: list[Evidence | None] = []
         directions, said, poses, places, over = [], [], [], [], False
         path = [self._feet()]
@@ -160,9 +163,19 @@ class Player:
             _note_answer(trace, method, direction, directions[-1])
             if watch is not None:
                 watch(Seen(stamp, method, observation.get("panorama"), pose[:3], directions[-1]))
-            ahead = rotation_from_wxyz(pose[3:])[:, 0]
-            azimuth, yaw = float(azimuth_elevation(direction)[0]), math.atan2(ahead[1], ahead[0])
-            heading = policy.heading(azimuth, pose[:2], yaw)
+            now = Situation(
+                azimuth=float(azimuth_elevation(direction)[0]),
+                share=1.0 if method is None or floors is None else method.share(near),
+                distance=along_floor(
+                    info["truth"]["distance"] if method is None else method.sure_distance(), direction
+                ),
+                position=np.array([*pose[:2], self.camera.height]),
+                world_R_body=rotation_from_wxyz(pose[3:]),
+                floor=None if floors is None else np.isin(info["instances"]["ids"], floors),
+            )
+            heading = steering.heading(now)
+            if floors is not None:
+                trace["searching"].append(steering.searching)
             observation, _, terminated, truncated, info = self.env.step(np.array([heading, self.camera.step]))
             path.append(self._feet())
             over = terminated or truncated

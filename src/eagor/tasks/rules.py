@@ -17,6 +17,7 @@ from eagor.errors import WorldError
 
 Stop = Literal["reach", "call"]
 Goal = Literal["footprint", "view_points"]
+PolicyName = Literal["follow", "search"]
 LEGS = ("L1", "L2", "L3", "L4")  # of a route
 
 Fits = Callable[[Any], bool]
@@ -46,6 +47,7 @@ _PIXELS = _count(1, "a whole number of pixels, from 1 on")  # no pixel means not
 _SHARES = (lambda value: stretch(value, 0, 1)), "two shares (from, to), from 0 to 1, the second not below the first"
 _STOP = get_args(Stop).__contains__, " or ".join(get_args(Stop))
 _GOAL = get_args(Goal).__contains__, " or ".join(get_args(Goal))
+_POLICY = get_args(PolicyName).__contains__, " or ".join(get_args(PolicyName))
 _BOOL = (lambda value: isinstance(value, bool)), "true or false"
 
 
@@ -113,6 +115,9 @@ class NavigationRules(_Rules):
     - `sliding`: along walls (Habitat's default); otherwise a step ends at the contact.
     - `detour`: a blocked body feels its way around (`eagor.tasks.policy`), for every method alike; otherwise it pushes
       on along the estimate, as published.
+    - `policy`: "follow" the estimate always, as published, or "search" while too little is believed, and walk by the
+      floor that looks show (`eagor.tasks.searcher`); for every method alike. `sure_within`: a search hands over when
+      half of a method's belief lies within this many degrees of its answer.
     - `nearest`, `farthest`: geodesic metres from the start to the target's footprint.
     - `ratio`: largest ratio of geodesic to straight distance at the start; `winding` starts have more than
       `winding_above`.
@@ -126,6 +131,8 @@ class NavigationRules(_Rules):
     stop: Stop = _rule("reach", _STOP)  # noqa: RUF009 (it is a field)
     sliding: bool = _rule(True, _BOOL)
     detour: bool = _rule(True, _BOOL)
+    policy: PolicyName = _rule("follow", _POLICY)  # noqa: RUF009 (it is a field)
+    sure_within: float = _rule(20.0, ((lambda value: above(value, 0, 180)), "degrees above 0 and up to 180"))
     nearest: float = _rule(2.0, _from(0, "metres from 0 on"))
     farthest: float = _rule(8.0, _METRES)
     ratio: float = _rule(1.5, _from(1, "a number from 1 on: no path is shorter than the straight line"))

@@ -61,6 +61,7 @@ NAVIGATION = Task(
         Column("spl", "SPL", "%", "high", "spl", "success weighted by path length", scale=100.0),
         Column("soft_spl", "SoftSPL", "%", "high", "soft_spl", "progress weighted by path length", scale=100.0),
         Column("steps", "Steps", "", "low", "steps", "mean number of steps"),
+        Column("undone", "Undone", "%", "low", "undone", "steps that lead back to where the body was", scale=100.0),
         Column("mae", "MAE", "°", "low", "mae", "mean direction error"),
         Column(
             "seam_success", "Seam", "%", "high", "success", "success where the true bearing crossed the seam",

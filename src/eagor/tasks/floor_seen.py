@@ -1,0 +1,132 @@
+"""What is known of the floor: where looks have shown it, where it ends, where the body walked, and what it touched.
+
+No map is given and no depth is read. A look shows which pixels are floor. A pixel of the floor lies where its ray meets
+the floor's plane, so it tells that this place is free. Where the floor ends, something stands: its *contact*. What is
+hidden behind it stays unknown until it is seen from elsewhere. Things that hang over the floor (a table's top) have no
+contact; the body learns of them by touch.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from eagor.grids import ErpGrid
+
+CELL = 0.15  # metres
+FARTHEST = 6.0  # metres: beyond, a row of pixels covers more floor than a body
+THICK = 0.3  # metres behind its contact that a thing reaches at least
+MARGIN = 1.5  # metres of unknown ground around all that is known
+BLOCK = 12  # cells by which the grid grows
+UNKNOWN, FLOOR, CONTACT = range(3)
+
+
+@dataclass
+class FloorSeen:
+    """A growing grid of square cells: `state` ``(rows, cols)``, x along columns, low corner at `origin` ``(2,)``.
+
+    `nearest` ``(rows, cols)``: metres from which a cell was seen best. `worth` ``(rows, cols)``: probability that a
+    thing that stands there would have been worth by all looks so far.
+    """
+
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    state: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int8))
+    nearest: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    worth: np.ndarray = field(default_factory=lambda: np.ones((0, 0)))
+    held: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int32))
+
+    def cells(self, points: np.ndarray) -> np.ndarray:
+        """Rows and columns ``(..., 2)`` of points ``(..., 2)``."""
+        return np.floor((np.asarray(points) - self.origin) / CELL).astype(np.intp)[..., ::-1]
+
+    def centres(self, cells: np.ndarray) -> np.ndarray:
+        """The middles ``(..., 2)`` of cells ``(..., 2)``."""
+        return self.origin + (np.asarray(cells)[..., ::-1] + 0.5) * CELL
+
+    def inside(self, cells: np.ndarray) -> np.ndarray:
+        """Which cells ``(..., 2)`` lie on the grid."""
+        return np.all((cells >= 0) & (cells < self.state.shape), axis=-1)
+
+    def cover(self, low: np.ndarray, high: np.ndarray) -> None:
+        """Grow the grid to these corners ``(2,)``."""
+        first = np.floor(low / CELL / BLOCK).astype(int) * BLOCK
+        last = np.ceil(high / CELL / BLOCK).astype(int) * BLOCK
+        begin = np.round(self.origin / CELL).astype(int)
+        end = begin + self.state.shape[::-1]
+        if self.state.size:
+            first, last = np.minimum(first, begin), np.maximum(last, end)
+            if (first == begin).all() and (last == end).all():
+                return
+        else:
+            begin = end = first
+        pads = [(begin[axis] - first[axis], last[axis] - end[axis]) for axis in (1, 0)]
+        self.state = np.pad(self.state, pads)
+        self.nearest = np.pad(self.nearest, pads, constant_values=math.inf)
+        self.worth = np.pad(self.worth, pads, constant_values=1.0)
+        self.held = np.pad(self.held, pads)
+        self.origin = first * CELL
+
+    def look(self, floor: np.ndarray, world_R_body: np.ndarray, position: np.ndarray) -> None:
+        """Take in a look from `position` ``(3,)``, metres above the floor's plane z = 0.
+
+        `floor` ``(H, W)`` bool: which pixels of an equirectangular picture show the floor. `recall`: the probability
+        that the perception would have found the target in what this look shows anew.
+        """
+        here = position[:2]
+        reach = self._reach(floor, world_R_body, position)
+        self.cover(here - reach - MARGIN, here + reach + MARGIN)
+        cells = self._around(here, reach)
+        away = self.centres(cells) - here
+        metres = np.hypot(*away.T)
+        near = (metres < FARTHEST) & (metres > 0.05)
+        cells, away, metres = cells[near], away[near], metres[near]
+        height, row = position[2], math.pi / len(floor)
+        # A thing stands where the floor has just ended: nearer by this much (at least a row of pixels) there is floor.
+        back = np.maximum(THICK, 1.2 * row * (height + metres**2 / height))
+        is_floor = _shows(floor, world_R_body, away, height)
+        before = away * np.maximum(1 - back / metres, 0.0)[:, None]
+        contact = ~is_floor & _shows(floor, world_R_body, before, height)
+        rows, cols = cells.T
+        better = metres <= self.nearest[rows, cols] + 0.2
+        for which, state in ((is_floor, FLOOR), (contact, CONTACT)):
+            kept = which & better
+            self.state[rows[kept], cols[kept]] = state
+            self.nearest[rows[kept], cols[kept]] = np.minimum(self.nearest[rows[kept], cols[kept]], metres[kept])
+
+    def _reach(self, floor: np.ndarray, world_R_body: np.ndarray, position: np.ndarray) -> float:
+        rows = np.flatnonzero(floor.any(axis=1))
+        if not len(rows):
+            return 1.0
+        depression = (rows[0] + 0.5) / floor.shape[0] * math.pi - math.pi / 2
+        far = position[2] / math.tan(depression) if depression > 0.02 else FARTHEST
+        return min(max(far + THICK, 1.0), FARTHEST)
+
+    def _around(self, here: np.ndarray, reach: float) -> np.ndarray:
+        low, high = self.cells(here - reach), self.cells(here + reach) + 1
+        low, high = np.maximum(low, 0), np.minimum(high, self.state.shape)
+        rows, cols = np.arange(low[0], high[0]), np.arange(low[1], high[1])
+        return np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
+
+    def walked(self, here: np.ndarray, radius: float) -> None:
+        """A body of this radius stands here: nothing else does."""
+        cells = self._around(here, radius)
+        rows, cols = cells[np.hypot(*(self.centres(cells) - here).T) <= radius].T
+        self.state[rows, cols], self.nearest[rows, cols] = FLOOR, 0.0
+        row, col = self.cells(here)
+        self.state[row, col], self.nearest[row, col], self.held[row, col] = FLOOR, 0.0, 0
+
+    def held_up(self, points: np.ndarray) -> None:
+        """The body was held up on its way to `points` ``(n, 2)``."""
+        cells = np.unique(self.cells(points), axis=0)
+        rows, cols = cells[self.inside(cells)].T
+        self.held[rows, cols] += 1
+
+
+def _shows(floor: np.ndarray, world_R_body: np.ndarray, away: np.ndarray, height: float) -> np.ndarray:
+    """Whether the pixels of points ``(n, 2)`` of the floor's plane, from below the camera, show the floor."""
+    rays = np.column_stack([away, np.full(len(away), -height)]) @ world_R_body
+    grid = ErpGrid(*floor.shape)
+    x, y, _ = grid.project(rays)
+    return floor[np.minimum(y.astype(np.intp), grid.height - 1), x.astype(np.intp) % grid.width]

@@ -1,0 +1,58 @@
+"""What a body that walks knows at a step, and what steers it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from eagor.errors import WorldError
+
+FLOORS = ("floor", "rug")  # categories that one walks on
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """What is known at a step.
+
+    - `azimuth` of the estimate, radians, body frame; `share`: how much of the method's belief lies about it, 0 to 1;
+      `distance` to the thing along the floor, metres, None if not known.
+    - `position` ``(3,)``: of the camera by odometry, z in metres above the floor; `world_R_body` ``(3, 3)``.
+    - `floor` ``(H, W)`` bool: which pixels of an equirectangular look show the floor; None if the policy needs none.
+    """
+
+    azimuth: float
+    share: float
+    distance: float | None
+    position: np.ndarray
+    world_R_body: np.ndarray
+    floor: np.ndarray | None = None
+
+
+class Steering(Protocol):
+    """Chooses headings for one episode."""
+
+    searching: bool  # whether the last heading was one of a search
+
+    def heading(self, now: Situation) -> float:
+        """The heading to walk in, radians from straight ahead, positive left, in (-pi, pi]."""
+        ...
+
+
+def floors_of(labels: Sequence[Any], source: str) -> np.ndarray:
+    """The ids ``(n,)`` of what one walks on. Raises `WorldError` if nothing is called that."""
+    found = [index for index, thing in enumerate(labels) if thing.category in FLOORS]
+    if not found:
+        raise WorldError(
+            f"{source} names no {' or '.join(FLOORS)}, so a search cannot tell where one can walk; "
+            "leave the rule policy at follow"
+        )
+    return np.array(found)
+
+
+def along_floor(distance: float | None, direction: np.ndarray) -> float | None:
+    """Metres along the floor to what is `distance` metres away in a direction ``(3,)`` of a level frame."""
+    return None if distance is None else distance * math.hypot(float(direction[0]), float(direction[1]))

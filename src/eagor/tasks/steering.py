@@ -1,0 +1,35 @@
+"""What steers the body of a walked task: the rule `policy` chooses it, the same for every method.
+
+- `follow`: along the estimate, always (`eagor.tasks.policy`): the published policy, with a feeling for obstacles.
+- `search`: the thing's place is walked to while it is believed; otherwise the body goes where looks would tell most
+  (`eagor.tasks.searcher`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from eagor.sphere import heading
+from eagor.tasks.policy import Policy
+from eagor.tasks.rules import Camera
+from eagor.tasks.searcher import Searcher
+from eagor.tasks.situation import Situation, Steering
+
+
+@dataclass
+class Following:
+    """Walks along the estimate, whatever it is worth."""
+
+    policy: Policy
+    searching: bool = False
+
+    def heading(self, now: Situation) -> float:
+        return self.policy.heading(now.azimuth, now.position[:2], heading(now.world_R_body))
+
+
+def steering_for(rules: Any, camera: Camera) -> Steering:
+    """The steering that the rules ask for; a task whose rules do not speak of it follows."""
+    if getattr(rules, "policy", "follow") == "follow":
+        return Following(Policy(camera.step, getattr(rules, "detour", True)))
+    return Searcher(camera.step, camera.radius)

@@ -1,0 +1,153 @@
+"""The floor that looks show is where it is; a body that searches sees all rooms, and goes to what is believed."""
+
+import math
+
+import numpy as np
+import pytest
+from box_scenes import scene_of, shell, thing
+
+from eagor.errors import WorldError
+from eagor.sphere import world_R_body
+from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, UNKNOWN, FloorSeen
+from eagor.tasks.navigation import undone
+from eagor.tasks.rules import Camera, NavigationRules
+from eagor.tasks.searcher import Searcher
+from eagor.tasks.situation import Situation, floors_of
+from eagor.tasks.steering import steering_for
+from eagor.worlds.ground import Ground
+from eagor.worlds.render import Renderer
+
+HEIGHT, STEP = 1.25, 0.25
+WALLS = [thing("wall", (3.9, 0, 0), (4.1, 4.6, 2.5)), thing("wall", (3.9, 5.5, 0), (4.1, 6, 2.5))]
+TWO_ROOMS = scene_of([*shell(8.0, 6.0), *WALLS, thing("wardrobe", (6.4, 1.0, 0), (7.0, 1.6, 1.8))])
+
+
+class World:
+    """A body in a scene, and what its camera shows of the floor."""
+
+    def __init__(self, scene, xy, yaw=0.0, tilt=0.0):
+        self.ground, self.renderer = Ground.from_scene(scene), Renderer(scene)
+        self.floors = floors_of(scene.instances, "the scene")
+        self.xy, self.yaw, self.tilt = np.array(xy, dtype=float), yaw, tilt
+
+    @property
+    def rotation(self):
+        return world_R_body(self.yaw, self.tilt, -self.tilt)
+
+    def ids(self):
+        found = self.renderer.panorama(
+            np.array([*self.xy, HEIGHT]), self.rotation, 64, rgb=False, range=False, ids=True
+        )
+        return found.ids
+
+    def situation(self, azimuth=0.0, share=0.0, distance=None):
+        position = np.array([*self.xy, HEIGHT])
+        return Situation(azimuth, share, distance, position, self.rotation, np.isin(self.ids(), self.floors))
+
+    def step(self, heading):
+        self.yaw = math.remainder(self.yaw + heading, 2 * math.pi)
+        ahead = STEP * np.array([math.cos(self.yaw), math.sin(self.yaw)])
+        self.xy, collided = self.ground.move(self.xy, ahead)
+        return collided
+
+
+def shown(known, xy):
+    row, col = known.cells(np.array(xy))
+    return int(known.state[row, col])
+
+
+@pytest.mark.parametrize(("yaw", "tilt"), [(0.0, 0.0), (2.0, 0.0), (-1.0, 0.05)])
+def test_a_look_shows_floor_walls_and_what_is_hidden(yaw, tilt):
+    """The camera may be turned and tilted: the floor is where it is."""
+    world, known = World(TWO_ROOMS, (2.0, 2.0), yaw, tilt), FloorSeen()
+    now = world.situation()
+    known.look(now.floor, now.world_R_body, now.position)
+    rows, cols = np.nonzero(known.state == FLOOR)
+    places = known.centres(np.stack([rows, cols], axis=-1))
+    away = np.hypot(*(places - world.xy).T)
+    inside = (places > -0.15).all(axis=1) & (places[:, 0] < 4.05) & (places[:, 1] < 6.15)
+    through = places[:, 0] > 3.9  # through the door, at most
+    assert (inside | through)[away < 3].all()
+    for xy in [(1.0, 1.0), (3.5, 2.0), (1.0, 4.0)]:
+        assert shown(known, xy) == FLOOR
+    assert shown(known, (6.0, 1.0)) == UNKNOWN  # behind the wall
+    rows, cols = np.nonzero(known.state == CONTACT)
+    stands = known.centres(np.stack([rows, cols], axis=-1))
+    stands = stands[np.hypot(*(stands - world.xy).T) < 2.2]
+    off = np.abs(np.stack([stands[:, 0], stands[:, 0] - 4.0, stands[:, 1], stands[:, 1] - 6.0])).min(axis=0)
+    assert len(stands) > 20
+    assert off.max() < 0.45  # at a wall, or one thickness of a thing behind it
+
+
+def test_the_grid_grows_and_keeps_what_it_knows():
+    known = FloorSeen()
+    known.cover(np.array([0.0, 0.0]), np.array([1.0, 1.0]))
+    known.walked(np.array([0.5, 0.5]), 0.18)
+    before = shown(known, (0.5, 0.5))
+    known.cover(np.array([-3.0, -7.0]), np.array([5.0, 2.0]))
+    assert before == shown(known, (0.5, 0.5)) == FLOOR
+    assert known.state.shape == known.worth.shape == known.held.shape == known.nearest.shape
+    assert (known.state == FLOOR).sum() <= math.ceil(0.6 / CELL) ** 2
+
+
+def test_a_search_sees_both_rooms_and_does_not_go_to_and_fro():
+    world, searcher = World(TWO_ROOMS, (1.0, 1.0), 0.3), Searcher(STEP)
+    places = [world.xy]
+    for _ in range(60):
+        world.step(searcher.heading(world.situation()))
+        places.append(world.xy)
+    places = np.array(places)
+    assert places[:, 0].max() > 4.5  # it went through the door
+    assert shown(searcher.known, (6.0, 3.0)) == FLOOR
+    assert shown(searcher.known, (7.5, 3.0)) == FLOOR
+    early = places[: int((places[:, 0] > 4.5).argmax())]
+    gone = np.hypot(*np.diff(early, axis=0).T).sum()
+    assert gone < 2.0 * np.hypot(*(early[-1] - early[0])) + 2.0
+
+
+def test_what_is_believed_is_walked_to_through_the_door():
+    """The thing is behind the wall, the distance is known, and the door was seen before."""
+    goal = np.array([6.0, 1.0])
+    world, searcher = World(TWO_ROOMS, (3.2, 3.0)), Searcher(STEP)
+    collisions = 0
+    for _ in range(60):
+        to = goal - world.xy
+        if np.hypot(*to) < 0.5:
+            break
+        azimuth = math.remainder(math.atan2(to[1], to[0]) - world.yaw, 2 * math.pi)
+        collisions += world.step(searcher.heading(world.situation(azimuth, 1.0, float(np.hypot(*to)))))
+        assert not searcher.searching
+    assert np.hypot(*(goal - world.xy)) < 0.5
+    assert collisions <= 12  # of some forty steps: it brushes along the jamb and the wardrobe
+
+
+def test_a_place_where_the_thing_is_not_is_not_walked_to_for_ever():
+    """A wrong belief that no look refutes: the body goes there, and then on with its search."""
+    wrong = np.array([1.0, 5.0])
+    world, searcher, searched = World(TWO_ROOMS, (3.2, 1.0)), Searcher(STEP), 0
+    for _ in range(60):
+        to = wrong - world.xy
+        azimuth = math.remainder(math.atan2(to[1], to[0]) - world.yaw, 2 * math.pi)
+        world.step(searcher.heading(world.situation(azimuth, 1.0, float(np.hypot(*to)))))
+        searched += searcher.searching
+    assert searched > 20
+    assert shown(searcher.known, (6.0, 3.0)) == FLOOR
+
+
+def test_the_rule_chooses_and_a_world_without_a_floor_is_said():
+    assert isinstance(steering_for(NavigationRules(policy="search"), Camera()), Searcher)
+    assert not steering_for(NavigationRules(), Camera()).searching
+    with pytest.raises(WorldError, match="names no floor or rug"):
+        floors_of([thing("wall", (0, 0, 0), (1, 1, 1))], "bare.glb")
+    with pytest.raises(WorldError, match="follow or search"):
+        NavigationRules(policy="wander")
+
+
+def test_steps_that_lead_back_are_undone():
+    straight = np.column_stack([0.25 * np.arange(11), np.zeros(11)])
+    assert undone(straight, 0.25) == 0.0
+    there_and_back = np.concatenate([straight, straight[-2::-1]])
+    assert undone(there_and_back, 0.25) == pytest.approx(0.5)
+    assert undone(straight[:1], 0.25) == 0.0
+    held_up = np.concatenate([straight, np.repeat(straight[-1:], 10, axis=0)])
+    assert undone(held_up, 0.25) == pytest.approx(0.5, abs=0.06)
