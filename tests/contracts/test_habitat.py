@@ -251,7 +251,7 @@ def test_a_mesh_of_another_scene_is_told(flat, tmp_path):
 
 
 def test_scenes_take_turns_in_one_process(flat, bare, tmp_path):
-    """More than may be open at a time: Habitat-Sim ends a process that closes the simulator with the graphics context."""
+    """More of them than may be open: Habitat-Sim ends a process that closes the one with the graphics context."""
     files = [flat, bare, export_glb(two_rooms(), tmp_path / "flat.glb", annotated=True)]
     scenes = [worlds.load(f"habitat:{file}")(0) for file in files]
     once, again = ([scene.view().panorama(HERE, np.eye(3), 32) for scene in scenes] for _ in range(2))
