@@ -117,23 +117,31 @@ class Sensor:
 
 
 class Simulator:
+    """Simulators share the graphics context of the first: none may be used or closed once that one is closed."""
+
     opened = 0  # simulators that are open
+    first = None  # the one that holds the context
 
     def __init__(self, configuration):
         self.configuration = configuration
         asked = configuration.sim_cfg
         assert not asked.allow_sliding
         assert asked.gpu_device_id == -1
-        self.scene = _scene(Path(asked.scene_id), getattr(asked, "scene_dataset_config_file", "default"))
-        self.renderer = Renderer(self.scene)
+        if asked.scene_id != "NONE":
+            self.scene = _scene(Path(asked.scene_id), getattr(asked, "scene_dataset_config_file", "default"))
+            self.renderer = Renderer(self.scene)
         self.pathfinder, self.semantic_scene = PathFinder(), None
         self.agents = [SimpleNamespace(scene_node=SimpleNamespace(translation=Vector3(0, 0, 0), rotation=None))]
         (agent,) = configuration.agents
         self.sensors = {spec.uuid: Sensor(self, spec) for spec in agent.sensor_specifications}
         Simulator.opened += 1
+        Simulator.first = Simulator.first or self
 
     def close(self):
         Simulator.opened -= 1
+        if Simulator.first is self:
+            assert Simulator.opened == 0, "Habitat-Sim would end the process: the context of others is gone"
+            Simulator.first = None
 
     def add_sensor(self, spec):
         assert spec.uuid not in self.sensors

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import sys
 
 import numpy as np
@@ -182,6 +183,22 @@ def test_a_closed_simulator_opens_again(flat):
     scene.session.close()
     assert Simulator.opened == 0
     np.testing.assert_array_equal(scene.view().panorama((2.0, 2.9, 1.25), np.eye(3), 16).range, before)
+
+
+def test_the_simulator_with_the_graphics_context_is_closed_last(flat, tmp_path):
+    scenes = [worlds.load(f"habitat:{file}")(0) for file in (flat, *(_copy(flat, tmp_path / name) for name in "ab"))]
+    for scene in (*scenes, *scenes):
+        scene.view().panorama((2.0, 2.9, 1.25), np.eye(3), 16)
+        assert Simulator.opened <= sessions.MOST + 1
+    for scene in scenes:
+        scene.close()
+    assert Simulator.opened == 0
+
+
+def _copy(file, folder):
+    """A scene with its companions, in another folder."""
+    shutil.copytree(file.parent, folder)
+    return folder / file.name
 
 
 # --- the probe ---

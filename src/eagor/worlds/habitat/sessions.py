@@ -1,7 +1,8 @@
 """The simulators that are open in this process: made when they are needed, at most a few at a time, closed at the end.
 
 A session is all that touches Habitat-Sim's simulator. Another session may close its simulator; the next look opens it
-again.
+again. All simulators of a process draw with the graphics context of the first, and the process ends when one draws
+after the first was closed. So the first is one without a scene, which is closed last.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ __all__ = ["Session", "close_all"]
 MOST = 2  # simulators open at a time: each holds the textures of a whole building
 
 _open: list[Session] = []  # least recently used first
+_keeper: list[Any] = []  # a simulator without a scene, open as long as any other is
 
 
 class Session:
@@ -38,7 +40,10 @@ class Session:
             while len(_open) >= MOST:
                 _open[0].close()
             asked = self.source
-            self._sim = _made(asked, device_for(asked.scene_id, asked.dataset, asked.gpu, asked.name))
+            device = device_for(asked.scene_id, asked.dataset, asked.gpu, asked.name)
+            if not _keeper:
+                _keeper.append(_made(Source("NONE"), device, 8, ("depth",)))
+            self._sim = _made(asked, device)
             self._sensors = {(kind, FIRST_ROWS): f"{kind} {FIRST_ROWS}" for kind in KINDS}
         else:
             _open.remove(self)
@@ -76,21 +81,29 @@ class Session:
             _open.remove(self)
             sim, self._sim, self._sensors = self._sim, None, {}
             sim.close()
+        if not _open:
+            _close_keeper()
 
 
 def close_all() -> None:
     """Close all simulators of this process."""
     while _open:
         _open[0].close()
+    _close_keeper()
+
+
+def _close_keeper() -> None:
+    while _keeper:
+        _keeper.pop().close()
 
 
 atexit.register(close_all)
 
 
-def _made(source: Source, gpu: int) -> Any:
+def _made(source: Source, gpu: int, rows: int = FIRST_ROWS, kinds: Sequence[str] = KINDS) -> Any:
     habitat_sim = import_habitat()
     try:
-        return habitat_sim.Simulator(configured(habitat_sim, source, gpu))
+        return habitat_sim.Simulator(configured(habitat_sim, source, gpu, rows, kinds))
     except Exception as error:  # C++ errors come as RuntimeError, among others
         raise WorldError(
             f"Habitat-Sim cannot open {source.name or source.scene_id!r} on device {gpu} ({type(error).__name__}: "
