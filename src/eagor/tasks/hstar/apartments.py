@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,15 +41,18 @@ class Spot:
     items: tuple[dict[str, Any], ...]
 
 
-def spot(seed: int, most: int = 4) -> Spot:
-    """A camera in the apartment of this seed, with at most `most` targets. Raises `WorldError` if there is no room."""
+def spot(seed: int, most: int = 4, named: Callable[[Place], Mapping[int, Any]] = Place.nameable) -> Spot:
+    """A camera in the apartment of this seed, with at most `most` targets. Raises `WorldError` if there is no room.
+
+    `named`: what may be a target, by index in the scene, and the words for it.
+    """
     place = load_place(APARTMENT, seed, Camera().radius)
     rng = np.random.default_rng([seed, 0x5EA])
     best = Spot(f"apartment_{seed:04d}", place, np.zeros(3), 0.0, ())
     for _ in range(TRIES):
         position = np.array([*place.ground.sample(rng, CLEARANCE), HEIGHT])
         yaw = any_yaw(rng)
-        items = tuple(_items(place, position, yaw, rng, most))
+        items = tuple(_items(place, position, yaw, rng, most, named(place)))
         if len(items) > len(best.items):
             best = Spot(best.name, place, position, yaw, items)
         if len(items) == most:
@@ -75,10 +78,9 @@ def write_scene(spot: Spot, folder: Path, rows: int = 512) -> Path | None:
 
 
 def _items(
-    place: Place, position: np.ndarray, yaw: float, rng: np.random.Generator, most: int
+    place: Place, position: np.ndarray, yaw: float, rng: np.random.Generator, most: int, names: Mapping[int, Any]
 ) -> Iterator[dict[str, Any]]:
     ids = place.ids(position, world_R_body(yaw), ROWS)
-    names = place.nameable()
     seen = np.bincount(ids[ids >= 0], minlength=len(place.scene.instances))
     chosen = [index for index in names if seen[index] >= SMALLEST]
     for index in sorted(rng.permutation(chosen)[:most].tolist()):

@@ -29,6 +29,9 @@ OPTIONS = {
     "turns": Option(MAX_TURNS, "views at most; the benchmark allows ten", tuple(range(1, 51))),
     "sure": Option(SearchRules().sure, "probability from which on eagor submits"),
     "degree": Option(SearchRules().degree, "of eagor's harmonics", tuple(range(3, 64))),
+    "tilt": Option(SearchRules().tilt, "standard deviation of eagor's prior of the elevation, degrees; 0: even"),
+    "height": Option(SearchRules().height, "mean of that prior, degrees"),
+    "elsewhere": Option(SearchRules().elsewhere, "share of that prior that is even over the sphere"),
     "views": Option(len(SWEEP), "views of the fixed sweep", tuple(range(1, len(SWEEP) + 1))),
     "resolution": Option(RESOLUTION, "rows of a view; 1080 is official"),
     "form": Option(FORMS[0], "of the model's replies", FORMS),
@@ -84,8 +87,7 @@ class HStar:
 
     def settle(self, settings: Mapping[str, Any]) -> dict[str, Any]:
         found = settled(self, settings, LOOKING, "the annotations through noise, for studies")
-        if not 0 < found["sure"] <= 1:
-            raise EagorError(f"sure = {found['sure']}; wanted a probability above 0, at most 1")
+        SearchRules.of(found)  # complains about what nothing can be searched with
         if not 18 <= found["resolution"] <= MOST_ROWS:
             raise EagorError(f"resolution = {found['resolution']}; wanted rows of a picture, 18 to {MOST_ROWS}")
         if found["perception"]:

@@ -12,6 +12,7 @@ import numpy as np
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
+from eagor.evidence.detections import resolved
 from eagor.evidence.shapes import MIN_SPREAD
 from eagor.grids import PerspectiveGrid
 from eagor.perception import Perception
@@ -28,6 +29,7 @@ from eagor.tasks.published import luck
 # Tuned on development apartments (benchmarks/search.py --fit).
 CALIBRATION = Calibration(floor=0.125, neutral=0.124, temperature=2.59)
 LENS = PerspectiveGrid(27, 48, math.radians(HFOV_DEG))  # the cells of truth's response: 2 degrees in the middle
+NARROWEST = resolved(15)  # radians, standard deviation of truth's reports: what a belief of the default degree holds
 WHOLE = 0.5  # visible share of a box from which on it is detected as well as a whole one
 
 
@@ -162,7 +164,8 @@ class TruthEye:
 
     def _report(self, kind: str, row: int, centre: np.ndarray, covariance: np.ndarray, error: np.ndarray) -> Report:
         placed, carry = displaced(centre, error)
-        width = self._noise.spread**2 + MIN_SPREAD**2  # as detections are drawn; a belief cannot resolve less
+        # Narrower, a belief could not hold it, and the report would say less the sharper it is.
+        width = max(self._noise.spread**2 + MIN_SPREAD**2, NARROWEST**2)
         covariance = carry @ covariance @ carry.T + width * (np.eye(3) - np.outer(placed, placed))
         score = self._noise.weakest + (1 - self._noise.weakest) * float(self._luck[row, 1])
         return Report(kind, None, placed, covariance, score)

@@ -40,7 +40,7 @@ def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str,
     agent = settings["agent"]
     perception = open_perception(settings["perception"]) if agent in LOOKING else None
     chat = shared_chat(settings["model"]) if agent == "vlm" else None
-    rules, read = SearchRules(degree=settings["degree"], sure=settings["sure"]), reader(settings)
+    rules, read = SearchRules.of(settings), reader(settings)
 
     def do(payload: Mapping[str, Any]) -> dict[str, Any]:
         episode, eye = Episode.from_json(payload["episode"]), None

@@ -8,8 +8,10 @@ and the target's direction. The submission is the window with the most belief.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -39,13 +41,15 @@ class SearchRules:
       alarm.
     - `repeats`: share of a look that repeats the look before it where both look, since a model's errors persist for a
       while. Of the look before that one it repeats `repeats` squared, and so on.
-    - `tilt`, `height`: standard deviation and mean of the prior of the target's elevation, degrees; the share
-      `elsewhere` of that density is uniform. `tilt` 0: a uniform prior.
+    - `elsewhere`: the share of the prior's probability that is even over the sphere. The rest has a normal density in
+      the elevation, with the standard deviation `tilt` and the mean `height`, degrees; `tilt` 0: all of it is even.
+      Silent looks where things usually are move the belief to the even part, without any further rule.
     - `shift`, `slope`: calibration of the probability stated for a window with the share p of the belief,
       logit(stated) = shift + slope logit(p) (Platt 1999): looks are read cautiously, so the belief is underconfident.
 
     The defaults were tuned on development apartments (random trials, as in ``benchmarks/search.py --fit``), `shift`
-    and `slope` by the log score of the probability stated at each of ten turns.
+    and `slope` by the log score of the probability stated at each of ten turns; the prior on development scenes with
+    things at all heights (``benchmarks/search_heights.py``).
 
     Raises `EagorError` for numbers out of range.
     """
@@ -55,9 +59,9 @@ class SearchRules:
     hit: float = 0.7
     alarm: float = 0.2
     repeats: float = 0.48
-    tilt: float = 20.0
+    tilt: float = 40.0
     height: float = -15.0
-    elsewhere: float = 0.05
+    elsewhere: float = 0.5
     shift: float = 1.44
     slope: float = 1.24
 
@@ -70,11 +74,16 @@ class SearchRules:
             "repeats": (within(self.repeats, 0, 1), "a share from 0 to 1"),
             "tilt": (within(self.tilt, 0), "degrees, 0 or more"),
             "height": (within(self.height, -90, 90), "degrees from -90 to 90"),
-            "elsewhere": (above(self.elsewhere, 0), "a share above 0: nowhere is a target impossible"),
+            "elsewhere": (above(self.elsewhere, 0, 1), "a share above 0 (nowhere is a target impossible), at most 1"),
             "shift": (within(self.shift, -100, 100), "a number from -100 to 100"),
             "slope": (above(self.slope, 0, 100), "a number above 0, at most 100"),
         }
         require(self, wanted)
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any]) -> SearchRules:
+        """The rules of a run, whose settings may hold some of them by name. Raises `EagorError`."""
+        return cls(**{rule.name: settings[rule.name] for rule in fields(cls) if rule.name in settings})
 
     def stated(self, share: float) -> float:
         """The calibrated probability that the window with this share of the belief is right."""
@@ -248,7 +257,9 @@ def _prior(rules: SearchRules, kind: str) -> np.ndarray:
     if rules.tilt <= 0 or kind == "hps":
         return CELLS.weights
     latitude = (np.degrees(CELLS.latitudes) - rules.height) / rules.tilt
-    return (np.exp(-0.5 * latitude**2) + rules.elsewhere)[:, None] * CELLS.weights
+    usual = np.exp(-0.5 * latitude**2)[:, None] * CELLS.weights
+    even = CELLS.weights / CELLS.weights.sum()
+    return (1 - rules.elsewhere) * usual / usual.sum() + rules.elsewhere * even
 
 
 def _reach(kind: str) -> tuple[int, int]:
