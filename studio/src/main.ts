@@ -63,7 +63,7 @@ const session = new Session(store, {
   },
 });
 
-const page: Page = { store, shell, stage, session, player, problems, state: () => state, empty };
+const page: Page = { store, shell, stage, session, player, problems, state: () => state, empty, badge };
 const handlers: Record<View, ViewHandler> = { walk: walk(page), run: run(page), picture: picture(page), live: live(page) };
 
 function empty(...content: (Node | string)[]): void {
@@ -78,8 +78,7 @@ function badge(text: string): void {
 
 store.on("panorama", () => { if (store.panorama) empty(); });
 store.on("step", () => {
-  const goal = store.step?.goal;
-  badge(goal?.words ?? "");
+  if (store.step) badge(store.step.goal?.words ?? "");
 });
 
 const hold = tool(words.panorama.hold, shell.ICONS.hold, () => { stage.hold = !store.hold; });

@@ -88,7 +88,7 @@ export const words = {
     failure: "missed",
     unknown: "–",
     loading: (progress: number | null) =>
-      progress === null ? "The episode is played again …" : `The episode is played again … ${whole(100 * progress)} %`,
+      progress === null ? "The episode is played again …" : `The episode is played again … step ${progress}`,
     kind: { bench: "benchmark", live: "recording", robot: "robot" } as Record<string, string>,
     count: (done: number | null, all: number | null) =>
       all === null ? "" : done !== null && done < all ? `${done} of ${all} episodes` : `${all} episode${all === 1 ? "" : "s"}`,

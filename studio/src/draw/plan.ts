@@ -6,6 +6,7 @@ import { font, sheetOf, themed } from "./canvas";
 
 export interface Ground {
   plan: Plan | null;
+  others: { path: number[][]; colour: string }[]; // the ways of other methods
   path: number[][]; // positions in the world, metres
   heading: number; // of the camera in the world, radians
   gaze: { azimuth: number; wide: number }; // in the world
@@ -60,6 +61,15 @@ export function drawPlan(canvas: HTMLCanvasElement, ground: Ground): void {
     for (const line of ground.plan.walls) line.forEach((p, i) => (i ? context.lineTo(...at(p)) : context.moveTo(...at(p))));
     context.stroke();
     if (ground.plan.walls.every((line) => closed(line))) context.fill("evenodd");
+  }
+  for (const { path, colour } of ground.others) {
+    if (path.length < 2) continue;
+    outline(path);
+    context.strokeStyle = colour;
+    context.lineWidth = 1.8 * u;
+    context.setLineDash([4 * u, 3 * u]);
+    context.stroke();
+    context.setLineDash([]);
   }
   const here = ground.path.at(-1);
   if (here) {

@@ -34,6 +34,8 @@ export interface Scene {
   calibration: Calibration | null;
   methods: Method[];
   region: number;
+  paths?: Record<string, number[][]>; // where each method walked, metres
+  method?: string; // whose belief a stored episode holds
   perception?: string;
   attitude?: { yaw: number; pitch: number; roll: number };
 }
@@ -163,6 +165,7 @@ export interface Picture {
   height: number;
   width: number;
   frames: number;
+  warnings?: string[];
 }
 
 /** Where the words of a binary message end, its parts begin. */
