@@ -21,8 +21,8 @@ from eagor.worlds.painted import painted_room
 
 SAMPLE = {
     "time": 0.0, "status": "tracking", "presence": 0.9, "azimuth": 0.5, "cone": 0.1, "distance": 2.0,
-    "doing": "walking", "words": "on its way", "wanted": [0.3, 0, 0], "sent": None, "stops": 0, "mode": "armed", "reasons": [],
-    "speed": 0.3, "turn": 0.0, "xy": [1.0, 2.0], "yaw": 0.25, "true_xy": None, "error": 0.1,
+    "doing": "walking", "words": "on its way", "wanted": [0.3, 0, 0], "sent": None, "stops": 0, "mode": "armed",
+    "reasons": [], "speed": 0.3, "turn": 0.0, "xy": [1.0, 2.0], "yaw": 0.25, "true_xy": None, "error": 0.1,
 }  # fmt: skip
 
 
