@@ -59,6 +59,7 @@ const session = new Session(store, {
   scene() {
     problems.clear("session");
     if (store.scene && document.activeElement !== shell.query) shell.query.value = store.scene.query;
+    shell.targets.replaceChildren(...(store.scene?.targets ?? []).map((value) => h("option", { value })));
     view?.scene?.();
   },
 });
@@ -78,7 +79,10 @@ function badge(text: string): void {
 
 store.on("panorama", () => { if (store.panorama) empty(); });
 store.on("step", () => {
-  if (store.step) badge(store.step.goal?.words ?? "");
+  if (!store.step) return;
+  badge(store.step.goal?.words || store.scene?.words || "");
+  if (store.step.faults?.length) problems.tell("faults", { problem: store.step.faults.join(" "), change: "" });
+  else problems.clear("faults");
 });
 
 const hold = tool(words.panorama.hold, shell.ICONS.hold, () => { stage.hold = !store.hold; });

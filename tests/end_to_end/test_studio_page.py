@@ -217,7 +217,7 @@ def test_a_large_screen_is_used(open_page: Callable[..., Watched], page: Watched
     large.goto(page.url)
     large.until("window.eagorStudio?.summary.stats.firstPicture")
     assert large.evaluate("parseFloat(getComputedStyle(document.body).fontSize)") >= 22
-    assert large.locator(".look").bounding_box()["height"] > 1000
+    assert large.locator(".look").bounding_box()["height"] > 850
     large.kept("export-4k")
     assert large.errors == []
     large.context.close()

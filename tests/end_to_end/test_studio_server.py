@@ -3,6 +3,8 @@
 import io
 import json
 import math
+import os
+import signal
 import socket
 from pathlib import Path
 
@@ -11,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from processes import wait_for
-from studio_serving import children, studio
+from studio_serving import ancestors, children, studio
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
@@ -124,6 +126,18 @@ def test_what_nobody_knows_is_said_in_words(served):
         assert "unicorn" in said["problem"]
         assert not said["fatal"]
         page.say(type="query", text="bed")
+        page.until(lambda header: header["type"] == "step" and header["look"]["fresh"])
+
+
+def test_an_eye_that_dies_is_replaced_and_the_view_begins_anew(served):
+    with served.page() as page:
+        page.say(type="open", view="walk", query="sofa", perception="truth", drive="person")
+        page.until(lambda header: header["type"] == "step" and header["look"]["fresh"])
+        os.kill(max(children(served.process.pid), key=lambda each: len(ancestors(each))), signal.SIGKILL)
+        while (said := page.hear())["type"] != "problem":
+            pass
+        assert not said["fatal"]
+        page.until("scene")
         page.until(lambda header: header["type"] == "step" and header["look"]["fresh"])
 
 

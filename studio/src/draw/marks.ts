@@ -87,9 +87,15 @@ export function pieces(to: Projection, line: Vector[]): [number, number][][] {
   return found;
 }
 
+/** A smooth line through the middles between the points. */
 function trace(context: CanvasRenderingContext2D, piece: [number, number][]): void {
   context.beginPath();
-  piece.forEach(([x, y], i) => (i ? context.lineTo(x, y) : context.moveTo(x, y)));
+  context.moveTo(...piece[0]);
+  for (let i = 1; i + 1 < piece.length; i++) {
+    const [a, b] = [piece[i], piece[i + 1]];
+    context.quadraticCurveTo(a[0], a[1], (a[0] + b[0]) / 2, (a[1] + b[1]) / 2);
+  }
+  context.lineTo(...piece.at(-1)!);
 }
 
 function strokeTwice(context: CanvasRenderingContext2D, to: Projection, line: Vector[], colour: string, width: number): void {

@@ -55,12 +55,11 @@ export function drawPlan(canvas: HTMLCanvasElement, ground: Ground): void {
         context.stroke();
       }
     }
-    context.strokeStyle = context.fillStyle = themed("wall");
+    context.strokeStyle = themed("wall");
     context.lineWidth = 1.4 * u;
     context.beginPath();
     for (const line of ground.plan.walls) line.forEach((p, i) => (i ? context.lineTo(...at(p)) : context.moveTo(...at(p))));
     context.stroke();
-    if (ground.plan.walls.every((line) => closed(line))) context.fill("evenodd");
   }
   for (const { path, colour } of ground.others) {
     if (path.length < 2) continue;
@@ -119,11 +118,6 @@ export function drawPlan(canvas: HTMLCanvasElement, ground: Ground): void {
   context.font = font(sheet, 11);
   context.textBaseline = "middle";
   context.fillText(words.plan.metre, margin + scale + 5 * u, height - 8 * u);
-}
-
-function closed(line: number[][]): boolean {
-  const [first, last] = [line[0], line.at(-1)!];
-  return line.length > 3 && Math.hypot(first[0] - last[0], first[1] - last[1]) < 1e-3;
 }
 
 function drawAnswer(
