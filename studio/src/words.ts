@@ -223,7 +223,7 @@ export const words = {
 
   plan: {
     label: "Ground plan",
-    hint: "Path so far; the wedge shows the answer and how far it may be.",
+    hint: "The way so far. The line leads to the answer; where it is thick, the thing is likely to be.",
     text: (walked: number, far: string) =>
       `The camera has walked ${walked.toFixed(1)} m.${far ? ` The answer is ${far} away.` : ""}`,
     none: "No positions: a plan needs a camera that knows where it is.",

@@ -30,9 +30,10 @@ export function drawPlan(canvas: HTMLCanvasElement, ground: Ground): void {
   const u = rem / 16;
   const [low, high] = bounds(ground);
   const margin = 14 * u;
-  const scale = Math.min((width - 2 * margin) / (high[0] - low[0]), (height - 2 * margin) / (high[1] - low[1]));
+  const foot = 12 * u; // for the length of a metre
+  const scale = Math.min((width - 2 * margin) / (high[0] - low[0]), (height - foot - 2 * margin) / (high[1] - low[1]));
   const at = (p: number[]): [number, number] => [
-    width / 2 + (p[0] - (low[0] + high[0]) / 2) * scale, height / 2 - (p[1] - (low[1] + high[1]) / 2) * scale,
+    width / 2 + (p[0] - (low[0] + high[0]) / 2) * scale, (height - foot) / 2 - (p[1] - (low[1] + high[1]) / 2) * scale,
   ];
   const outline = (line: number[][]) => {
     context.beginPath();

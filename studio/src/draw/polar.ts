@@ -96,7 +96,9 @@ export function drawPolar(canvas: HTMLCanvasElement, polar: Polar): void {
     glow.addColorStop(0, themed("heat-low"));
     glow.addColorStop(1, themed("heat-high"));
     context.fillStyle = glow;
+    context.globalAlpha = 0.2 + 0.8 * (1 - 1 / (BINS * most)); // a belief that is nearly uniform hardly glows
     context.fill("evenodd");
+    context.globalAlpha = 1;
   }
   context.textAlign = "center";
   context.textBaseline = "middle";
