@@ -25,6 +25,7 @@ PACKAGE = Path(__file__).parents[2] / "src" / "eagor"
 # From the top down. Modules that begin with an underscore are helpers; they belong to the lowest floor.
 FLOORS = {
     "cli": ("cli",),
+    "studio": ("studio",),
     "evaluation": ("evaluation",),
     "tasks": ("tasks",),
     "drawing": ("drawing",),
@@ -42,6 +43,7 @@ FLOORS = {
 }
 SAID = {
     "cli": "commands and their options",
+    "studio": "the web page's server",
     "evaluation": "runs, tables, reports",
     "tasks": "simulated and published tasks",
     "drawing": "pictures and charts",

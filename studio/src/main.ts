@@ -59,11 +59,12 @@ const session = new Session(store, {
   scene() {
     problems.clear("session");
     if (store.scene && document.activeElement !== shell.query) shell.query.value = store.scene.query;
+    shell.targets.replaceChildren(...(store.scene?.targets ?? []).map((value) => h("option", { value })));
     view?.scene?.();
   },
 });
 
-const page: Page = { store, shell, stage, session, player, problems, state: () => state, empty };
+const page: Page = { store, shell, stage, session, player, problems, state: () => state, empty, badge };
 const handlers: Record<View, ViewHandler> = { walk: walk(page), run: run(page), picture: picture(page), live: live(page) };
 
 function empty(...content: (Node | string)[]): void {
@@ -78,8 +79,10 @@ function badge(text: string): void {
 
 store.on("panorama", () => { if (store.panorama) empty(); });
 store.on("step", () => {
-  const goal = store.step?.goal;
-  badge(goal?.words ?? "");
+  if (!store.step) return;
+  badge(store.step.goal?.words || store.scene?.words || "");
+  if (store.step.faults?.length) problems.tell("faults", { problem: store.step.faults.join(" "), change: "" });
+  else problems.clear("faults");
 });
 
 const hold = tool(words.panorama.hold, shell.ICONS.hold, () => { stage.hold = !store.hold; });

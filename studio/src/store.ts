@@ -41,6 +41,7 @@ export class Store {
   density: Density | null = null;
   heat: Heat | null = null;
   beliefFrame: "world" | "body" = "body";
+  beliefMode: Vector | null = null; // where the server finds the maximum
   beliefPose: Matrix | null = null; // world_R_camera of the step that the belief came with
   evidence: Field | null = null;
   panorama: { image: TexImageSource; head: PanoramaHead } | null = null;
@@ -141,7 +142,7 @@ export class Store {
     this.stats.received++;
     const other = this.method === null ? null : step.methods?.[this.method];
     const head = other ? (other.belief ?? null) : step.belief;
-    if (head !== undefined) this.believe(densityOf(head, other ? undefined : blobs.belief), head?.frame ?? "body");
+    if (head !== undefined) this.believe(densityOf(head, other ? undefined : blobs.belief), head?.frame ?? "body", head?.mode ?? null);
     if (blobs.evidence || step.evidence?.coefficients) this.observe(step, blobs.evidence);
     if (step.evidence === null) this.evidence = null;
     if (index === null) {
@@ -152,9 +153,10 @@ export class Store {
     this.emit("step");
   }
 
-  private believe(density: Density | null, frame: "world" | "body"): void {
+  private believe(density: Density | null, frame: "world" | "body", mode: Vector | null): void {
     this.density = density;
     this.beliefFrame = frame;
+    this.beliefMode = mode;
     this.beliefPose = this.step?.world_R_camera ?? null;
     const begun = performance.now();
     this.heat = density ? heatOf(density, this.rows) : null;

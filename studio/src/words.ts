@@ -88,7 +88,7 @@ export const words = {
     failure: "missed",
     unknown: "–",
     loading: (progress: number | null) =>
-      progress === null ? "The episode is played again …" : `The episode is played again … ${whole(100 * progress)} %`,
+      progress === null ? "The episode is played again …" : `The episode is played again … step ${progress}`,
     kind: { bench: "benchmark", live: "recording", robot: "robot" } as Record<string, string>,
     count: (done: number | null, all: number | null) =>
       all === null ? "" : done !== null && done < all ? `${done} of ${all} episodes` : `${all} episode${all === 1 ? "" : "s"}`,
@@ -223,7 +223,7 @@ export const words = {
 
   plan: {
     label: "Ground plan",
-    hint: "Path so far; the wedge shows the answer and how far it may be.",
+    hint: "The way so far. The line leads to the answer; where it is thick, the thing is likely to be.",
     text: (walked: number, far: string) =>
       `The camera has walked ${walked.toFixed(1)} m.${far ? ` The answer is ${far} away.` : ""}`,
     none: "No positions: a plan needs a camera that knows where it is.",

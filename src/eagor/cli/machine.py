@@ -15,6 +15,7 @@ from eagor.perception.vlm.families import FAMILIES, Checkpoint
 USES = {
     "sim": "simulated worlds, tasks and the scout",
     "photos": "photographs and videos",
+    "studio": "the page in the browser",
     "vlm": "local models",
     "endpoint": "models on servers",
 }

@@ -99,6 +99,7 @@ def _listening(host: str, port: int) -> socket.socket:
         taken = socket.socket(family, socket.SOCK_STREAM)
         taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         taken.bind((host, port))
+        taken.listen(128)  # whoever reads the address may connect at once
     except OSError as error:
         raise terminal.UsageError(
             f"--host {host} --port {port} cannot be used ({error.strerror or error}); another studio may be running "

@@ -83,8 +83,9 @@ def density_of(reading: Reading, degree: int = DEGREE) -> Density:
             for lobe in _lobes(patch, directions[own], above):
                 terms.append(lobe)
                 found += lobe(directions)
+    terms = [term for term in terms if term.weight > LEAST]
     total = sum(term.weight for term in terms)
-    terms = [replace(term, weight=term.weight / total) for term in terms if term.weight > LEAST * total]
+    terms = [replace(term, weight=term.weight / total) for term in terms]
     order = np.argsort(-found, kind="stable")
     reached = np.cumsum(mass[order]) - mass[order] / 2
     place = min(int(np.searchsorted(reached, MASS)), len(order) - 1)

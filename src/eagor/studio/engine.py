@@ -29,6 +29,7 @@ __all__ = ["serve"]
 
 EYE = "eagor.studio.eye:serve"
 SHARE = 0.6  # of a core for computing beliefs
+LEARNT = 0.05  # weight of the newest in a running mean
 KINDS = {"walk": WalkSession, "picture": PictureSession, "video": VideoSession}
 
 
@@ -70,7 +71,7 @@ class _Engine:
         self._line, self._eyes = line, eyes
         self._sessions: dict[int, Session] = {}
         self._out = Outbox(self._send, self._order)
-        self._cost = 0.0  # seconds of one computation of a belief, a running mean
+        self._cost = 0.0  # CPU seconds of one computation of a belief, a running mean
         self._ready = False
 
     def turn(self) -> None:
@@ -80,17 +81,16 @@ class _Engine:
         for ready in wait([self._line, self._eyes.line, self._eyes.process.sentinel], timeout):
             if ready is self._line:
                 self._obey(self._line.recv())
-            elif ready is self._eyes.line:
-                self._hear()
-            else:
+            elif ready is not self._eyes.line or not self._hear():
                 self._blind()
+                break
         now = time.monotonic()
         soonest = max(SOONEST, self._cost * len(self._sessions) / SHARE)
         late = sorted((each for each in self._sessions.values() if each.due <= now), key=lambda each: each.due)
         for session in late[: max(4, len(late) // 2)]:  # the rest next time, after what has come meanwhile
-            began = time.perf_counter()
-            self._safely(session, session.tick, time.monotonic(), soonest)
-            self._cost += 0.05 * (time.perf_counter() - began - self._cost)
+            took = self._safely(session, session.tick, time.monotonic(), soonest)
+            if took:
+                self._cost += LEARNT * (took - self._cost)
 
     def _obey(self, order: tuple[Any, ...]) -> None:
         what, number, *rest = order
@@ -105,33 +105,33 @@ class _Engine:
         elif (session := self._sessions.get(number)) is not None:
             self._safely(session, session.told, rest[0], time.monotonic())
 
-    def _hear(self) -> None:
+    def _hear(self) -> bool:
+        """Pass on what the eye says; whether it lives."""
         try:
             said = self._eyes.line.recv()
         except (EOFError, OSError):
-            self._blind()
-            return
+            return False
         if said == ("warm",):
             if not self._ready:
                 self._ready = True
                 self._send(0, Message({"type": "ready"}))
-            return
-        if (session := self._sessions.get(said.session)) is not None:
+        elif (session := self._sessions.get(said.session)) is not None:
             self._safely(session, session.saw, said, time.monotonic())
+        return True
 
     def _blind(self) -> None:
         """The eye has died: every session begins anew with another one."""
         self._eyes.process.join(1.0)
         self._eyes.start()
         for number, session in list(self._sessions.items()):
-            text = "The process that sees has ended unexpectedly; it starts anew, and so does this walk."
+            text = "The process that sees has ended unexpectedly; it starts anew, and so does this view."
             self._out.problem(number, text, "If this goes on, choose another perception.")
-            self._obey(("open", number, session.opening))  # type: ignore[attr-defined]
+            self._obey(("open", number, session.opening))
 
-    def _safely(self, session: Session, call: Any, *arguments: Any) -> None:
-        """A session that fails is closed; the others go on."""
+    def _safely(self, session: Session, call: Any, *arguments: Any) -> Any:
+        """What the call returns. A session that fails is closed; the others go on."""
         try:
-            call(*arguments)
+            return call(*arguments)
         except Exception as error:
             self._sessions.pop(session.number, None)
             text = f"{type(error).__name__}: {error}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -34,6 +35,7 @@ class Following:
     belief: dict[str, Any] = field(default_factory=dict)
     coefficients: bytes = b""
     news: bool = False
+    took: float = 0.0  # CPU seconds of the newest answer, if it was a computation
     _fresh: bool = True
     _at: np.ndarray | None = None
     _stamp: float = -math.inf
@@ -55,11 +57,14 @@ class Following:
         pose, position = self.tracker.pose_at(stamp)
         moved = position is not None and self._at is not None and float(np.linalg.norm(position - self._at)) > MOVED
         due = self.estimate is None or self._fresh or moved or stamp - self._stamp >= max(LATEST, soonest)
+        self.took = 0.0
         if self.estimate is None or (due and stamp - self._stamp >= soonest):
+            began = time.process_time()
             self.estimate = self.tracker.estimate(stamp)
             self.entropy = self.estimate.posterior.entropy()
             self.belief, self.coefficients = belief_of(self.estimate, stamp, self.config.degree)
             self._fresh, self._at, self._stamp, self.news = False, position, stamp, True
+            self.took = time.process_time() - began
             return self.estimate
         return self.estimate.turned(stamp, pose)
 

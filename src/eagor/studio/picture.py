@@ -80,6 +80,7 @@ class PictureSession:
             return
         elif kind == "query":
             self._query = message["text"]
+            self.opening = replace(self.opening, query=self._query)
             self._follow(now)
         elif kind == "degree":
             self._degree = message["L"]
@@ -92,11 +93,11 @@ class PictureSession:
         if self._opened is not None:
             self.due = min(self.due, now + SOON)  # drags come in bursts
 
-    def tick(self, now: float, soonest: float = SOONEST) -> None:
+    def tick(self, now: float, soonest: float = SOONEST) -> float:
         """Turn, look if that is worth it, answer."""
         self.due = math.inf
         if self._opened is None or self._paused:
-            return
+            return 0.0
         self._stamp += TICK
         pose = self._pose()
         self._following.pose(self._stamp, pose, None)
@@ -122,6 +123,7 @@ class PictureSession:
             self._following.news = False
         self._out.step(self.number, Message(header, self._blobs))
         self._parts, self._blobs = {}, {}
+        return self._following.took
 
     def _pose(self) -> np.ndarray:
         yaw, pitch, roll = self._angles

@@ -60,10 +60,11 @@ class Session(Protocol):
     """One page's view of something. `due`: when `tick` wants to be called, on `time.monotonic`."""
 
     number: int
+    opening: Opening
     due: float
 
-    def tick(self, now: float, soonest: float) -> None:
-        """Go on; `soonest`: seconds between two computations of the belief."""
+    def tick(self, now: float, soonest: float) -> float:
+        """Go on; `soonest`: seconds between two computations of the belief. Returns the CPU seconds of one, or 0."""
         ...
 
     def saw(self, said: Any, now: float) -> None:

@@ -78,21 +78,23 @@ class VideoSession:
             return
         elif kind in ("query", "degree"):
             self._query = message.get("text", self._query)
+            self.opening = replace(self.opening, query=self._query)
             self._degree = message.get("L", self._degree)
             self._refused = None
             self._follow()
             self._scene()
         self.due = min(self.due, now) if self._opened is not None else self.due
 
-    def tick(self, now: float, soonest: float = SOONEST) -> None:
+    def tick(self, now: float, soonest: float = SOONEST) -> float:
         """Ask for the next frame; one frame is shown after a seek even while the video is paused."""
         self.due = math.inf
         wanted = self._start is not None or not (self._paused or self._over)
         if self._opened is None or self._asking or not wanted:
-            return
+            return 0.0
         query = None if self._refused == self._query else self._query
         self._out.eye(Turn(self.number, self._path, self.opening.perception, query, self._start))
         self._start, self._asking = None, True
+        return 0.0
 
     def _seek(self, seconds: float) -> None:
         """Go to a time; the belief begins anew there."""

@@ -80,6 +80,7 @@ class WalkSession:
                 self._walker.steer(message["forward"], message["turn"])
         elif kind == "query":
             self._query = message["text"]
+            self.opening = replace(self.opening, query=self._query)
             self._follow(now)
         elif kind == "degree":
             self._degree = message["L"]
@@ -90,11 +91,11 @@ class WalkSession:
             self._begin(now)
         self.due = min(self.due, now)
 
-    def tick(self, now: float, soonest: float = SOONEST) -> None:
+    def tick(self, now: float, soonest: float = SOONEST) -> float:
         """Move, look, answer; `soonest`: seconds between two computations of the belief, as all sessions can bear."""
         if self.house is None or self._paused:
             self.due = math.inf
-            return
+            return 0.0
         stamp = now - self._begun
         body, before = self._walker.body, self._estimate
         known = None if before is None else before.direction
@@ -107,6 +108,7 @@ class WalkSession:
         self._step(stamp, estimate)
         self._see(stamp)
         self.due = now + (PERIOD if moved or self._rested < 1.0 else RESTING)
+        return self._following.took
 
     def _begin(self, now: float) -> None:
         """Stand where the episode begins."""

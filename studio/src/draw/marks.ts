@@ -41,12 +41,39 @@ export function drawMarks(context: CanvasRenderingContext2D, to: Projection, mar
       ring(context, x, y, 19 * u, TRUTH, 2.4 * u);
       for (const turn of [0.25, 0.75, 1.25, 1.75]) tick(context, x, y, 19 * u, 25 * u, turn * Math.PI, TRUTH, 2.4 * u);
     }
+  if (marks.answer) pointer(context, to, apply(marks.view_R_body, marks.answer), u);
   if (marks.answer)
     for (const [x, y] of place(marks.answer)) {
       if (marks.held) ring(context, x, y, 7 * u, ANSWER, 2.6 * u);
       else spot(context, x, y, 6.5 * u, ANSWER, u);
       for (const turn of [0, 0.5, 1, 1.5]) tick(context, x, y, 9.5 * u, 14 * u, turn * Math.PI, ANSWER, 2.2 * u);
     }
+}
+
+/** An arrow at the border of a view from inside, towards an answer that lies outside of it. */
+function pointer(context: CanvasRenderingContext2D, to: Projection, d: Vector, u: number): void {
+  const at = to.project(d);
+  const margin = 30 * u;
+  if (to.seam !== null || (at && at[0] > 0 && at[0] < to.width && at[1] > 0 && at[1] < to.height)) return;
+  const length = Math.hypot(d[1], d[2]) || 1;
+  const [x, y] = [-d[1] / length, -d[2] / length];
+  const reach = Math.min(
+    (to.width / 2 - margin) / Math.max(1e-6, Math.abs(x)), (to.height / 2 - margin) / Math.max(1e-6, Math.abs(y)));
+  context.save();
+  context.translate(to.width / 2 + reach * x, to.height / 2 + reach * y);
+  context.rotate(Math.atan2(y, x));
+  context.beginPath();
+  context.moveTo(13 * u, 0);
+  context.lineTo(-8 * u, 10 * u);
+  context.lineTo(-3 * u, 0);
+  context.lineTo(-8 * u, -10 * u);
+  context.closePath();
+  context.fillStyle = ANSWER;
+  context.fill();
+  context.strokeStyle = DARK;
+  context.lineWidth = 2 * u;
+  context.stroke();
+  context.restore();
 }
 
 /** Where a direction is drawn: twice if it lies on the seam of a flat panorama. */
@@ -87,9 +114,15 @@ export function pieces(to: Projection, line: Vector[]): [number, number][][] {
   return found;
 }
 
+/** A smooth line through the middles between the points. */
 function trace(context: CanvasRenderingContext2D, piece: [number, number][]): void {
   context.beginPath();
-  piece.forEach(([x, y], i) => (i ? context.lineTo(x, y) : context.moveTo(x, y)));
+  context.moveTo(...piece[0]);
+  for (let i = 1; i + 1 < piece.length; i++) {
+    const [a, b] = [piece[i], piece[i + 1]];
+    context.quadraticCurveTo(a[0], a[1], (a[0] + b[0]) / 2, (a[1] + b[1]) / 2);
+  }
+  context.lineTo(...piece.at(-1)!);
 }
 
 function strokeTwice(context: CanvasRenderingContext2D, to: Projection, line: Vector[], colour: string, width: number): void {

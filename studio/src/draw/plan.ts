@@ -6,6 +6,7 @@ import { font, sheetOf, themed } from "./canvas";
 
 export interface Ground {
   plan: Plan | null;
+  others: { path: number[][]; colour: string }[]; // the ways of other methods
   path: number[][]; // positions in the world, metres
   heading: number; // of the camera in the world, radians
   gaze: { azimuth: number; wide: number }; // in the world
@@ -29,9 +30,10 @@ export function drawPlan(canvas: HTMLCanvasElement, ground: Ground): void {
   const u = rem / 16;
   const [low, high] = bounds(ground);
   const margin = 14 * u;
-  const scale = Math.min((width - 2 * margin) / (high[0] - low[0]), (height - 2 * margin) / (high[1] - low[1]));
+  const foot = 12 * u; // for the length of a metre
+  const scale = Math.min((width - 2 * margin) / (high[0] - low[0]), (height - foot - 2 * margin) / (high[1] - low[1]));
   const at = (p: number[]): [number, number] => [
-    width / 2 + (p[0] - (low[0] + high[0]) / 2) * scale, height / 2 - (p[1] - (low[1] + high[1]) / 2) * scale,
+    width / 2 + (p[0] - (low[0] + high[0]) / 2) * scale, (height - foot) / 2 - (p[1] - (low[1] + high[1]) / 2) * scale,
   ];
   const outline = (line: number[][]) => {
     context.beginPath();
@@ -54,12 +56,20 @@ export function drawPlan(canvas: HTMLCanvasElement, ground: Ground): void {
         context.stroke();
       }
     }
-    context.strokeStyle = context.fillStyle = themed("wall");
+    context.strokeStyle = themed("wall");
     context.lineWidth = 1.4 * u;
     context.beginPath();
     for (const line of ground.plan.walls) line.forEach((p, i) => (i ? context.lineTo(...at(p)) : context.moveTo(...at(p))));
     context.stroke();
-    if (ground.plan.walls.every((line) => closed(line))) context.fill("evenodd");
+  }
+  for (const { path, colour } of ground.others) {
+    if (path.length < 2) continue;
+    outline(path);
+    context.strokeStyle = colour;
+    context.lineWidth = 1.8 * u;
+    context.setLineDash([4 * u, 3 * u]);
+    context.stroke();
+    context.setLineDash([]);
   }
   const here = ground.path.at(-1);
   if (here) {
@@ -109,11 +119,6 @@ export function drawPlan(canvas: HTMLCanvasElement, ground: Ground): void {
   context.font = font(sheet, 11);
   context.textBaseline = "middle";
   context.fillText(words.plan.metre, margin + scale + 5 * u, height - 8 * u);
-}
-
-function closed(line: number[][]): boolean {
-  const [first, last] = [line[0], line.at(-1)!];
-  return line.length > 3 && Math.hypot(first[0] - last[0], first[1] - last[1]) < 1e-3;
 }
 
 function drawAnswer(

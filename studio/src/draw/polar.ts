@@ -7,7 +7,7 @@ import { font, sheetOf, themed } from "./canvas";
 import { shaped } from "./marks";
 import { RIVALS } from "./palette";
 
-export const BINS = 90;
+export const BINS = 64; // a power of two, as the columns are: a uniform belief then is a circle
 
 export interface Polar {
   share: Float32Array | null; // of the belief, by bins of azimuth from 0 to 360 degrees left
@@ -31,7 +31,10 @@ export function byAzimuth(heat: Heat, body_R_belief: Matrix): Float32Array {
     for (let j = 0; j < columns; j++) {
       const mass = values[i * columns + j] * weight;
       const azimuth = azimuthOf(apply(body_R_belief, direction(lattice.azimuths[j], lattice.elevations[i])));
-      share[Math.floor((azimuth / (2 * Math.PI) + 1) * BINS + 0.5) % BINS] += mass;
+      const place = (azimuth / (2 * Math.PI) + 1) * BINS; // shared out between the two bins around it
+      const part = place - Math.floor(place);
+      share[Math.floor(place) % BINS] += (1 - part) * mass;
+      share[(Math.floor(place) + 1) % BINS] += part * mass;
       all += mass;
     }
   }
@@ -79,17 +82,23 @@ export function drawPolar(canvas: HTMLCanvasElement, polar: Polar): void {
   if (polar.share) {
     const most = polar.share.reduce((a, b) => Math.max(a, b), 1e-9);
     context.beginPath();
-    for (let k = 0; k <= BINS; k++) {
-      const radius = inner + (outer - inner) * 0.94 * Math.sqrt(polar.share[k % BINS] / most);
-      context.lineTo(...at(((k % BINS) / BINS) * 2 * Math.PI, radius));
-    }
+    const edge = Array.from(polar.share, (share, k) =>
+      at((k / BINS) * 2 * Math.PI, inner + (outer - inner) * 0.94 * Math.sqrt(share / most)));
+    const middle = (k: number): [number, number] => {
+      const [a, b] = [edge[k % BINS], edge[(k + 1) % BINS]];
+      return [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2];
+    };
+    context.moveTo(...middle(0));
+    for (let k = 1; k <= BINS; k++) context.quadraticCurveTo(...edge[k % BINS], ...middle(k));
     context.closePath();
     context.arc(cx, cy, inner, 0, 2 * Math.PI, true);
     const glow = context.createRadialGradient(cx, cy, inner, cx, cy, outer);
     glow.addColorStop(0, themed("heat-low"));
     glow.addColorStop(1, themed("heat-high"));
     context.fillStyle = glow;
+    context.globalAlpha = 0.2 + 0.8 * (1 - 1 / (BINS * most)); // a belief that is nearly uniform hardly glows
     context.fill("evenodd");
+    context.globalAlpha = 1;
   }
   context.textAlign = "center";
   context.textBaseline = "middle";
@@ -105,10 +114,10 @@ export function drawPolar(canvas: HTMLCanvasElement, polar: Polar): void {
   context.textAlign = "center";
   if (polar.worldX !== null) {
     context.font = font(sheet, 11, 600);
-    context.fillText("x", ...at(polar.worldX, inner - 10 * u));
+    context.fillText("x", ...at(polar.worldX, inner - 9 * u));
     context.beginPath();
-    context.moveTo(...at(polar.worldX, inner - 1));
-    context.lineTo(...at(polar.worldX, inner - 4 * u));
+    context.moveTo(...at(polar.worldX, inner - 2 * u));
+    context.lineTo(...at(polar.worldX, inner + 3 * u));
     context.strokeStyle = themed("quiet");
     context.lineWidth = 1.5 * u;
     context.stroke();

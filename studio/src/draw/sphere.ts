@@ -184,7 +184,7 @@ export interface HeatTexture {
 /** Heat as bytes: the root of the share of the highest density above the uniform one, as in the library's pictures. */
 export function heatTexture(heat: Heat): HeatTexture {
   const most = Math.max(4 * Math.PI * heat.highest, 1 + 1e-9);
-  const contrast = 1 - 1 / most; // a belief that is nearly uniform hardly glows
+  const contrast = (1 - 1 / most) ** 2; // a belief that is nearly uniform hardly glows
   const bytes = (values: Float32Array) =>
     Uint8Array.from(values, (value) => {
       const share = (4 * Math.PI * value - 1) / (most - 1);

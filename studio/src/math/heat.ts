@@ -31,7 +31,7 @@ export interface Heat {
 
 const NEAR = 0.02; // of the border's level: cells above this are within the fine window
 const MOST = 0.35; // of the sphere's cells: with a larger window nothing is gained
-const EXACT = 600; // points of the border that are moved onto the exact line
+const EXACT = 8; // times the rows: so many points of the border at most are moved onto the exact line
 const wholes = new Map<number, Lattice>();
 
 function wholeOf(rows: number): Lattice {
@@ -54,7 +54,7 @@ export function heatOf(density: Density, rows: number): Heat {
   const peak = climb(density, highest(best.values, best.lattice), fine ? step / 4 : step);
   const raw = contours(best.values, best.lattice, density.level, fine === null);
   const points = raw.reduce((sum, line) => sum + line.length, 0);
-  const border = points > EXACT ? raw : raw.map((line) => line.map((d) => onto(density, density.level, d, step)));
+  const border = points > EXACT * rows ? raw : raw.map((line) => line.map((d) => onto(density, density.level, d, step)));
   return {
     coarse,
     fine,

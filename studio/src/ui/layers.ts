@@ -52,8 +52,8 @@ export function layers(store: Store, shell: Shell, actions: LayerActions): void 
   const renew = () => {
     const { scene } = store;
     LAYERS.forEach((name, i) => { chips[i].querySelector("span")!.textContent = text(name); });
-    const choices = [...new Set([...(scene?.degrees ?? [3, 7, 15, 23, 31]), ...(scene ? [scene.degree] : [])])].sort((a, b) => a - b);
-    degree.replaceChildren(...choices.map((L) => h("option", { value: L, selected: L === scene?.degree }, String(L))));
+    const choices = [...new Set([...(scene?.degrees ?? [3, 7, 15, 23, 31]), scene?.degree ?? 15])].sort((a, b) => a - b);
+    degree.replaceChildren(...choices.map((L) => h("option", { value: L, selected: L === (scene?.degree ?? 15) }, String(L))));
     degree.disabled = !scene || actions.stored();
     const methods = scene?.methods ?? [];
     rivals.hidden = methods.length === 0;

@@ -2,6 +2,7 @@
 
 import { remSize } from "../draw/canvas";
 import { drawPlan, interval } from "../draw/plan";
+import { RIVALS } from "../draw/palette";
 import { around, BINS, byAzimuth, drawPolar } from "../draw/polar";
 import { drawSeries, span, type Strip } from "../draw/series";
 import type { Stage } from "../draw/stage";
@@ -145,6 +146,10 @@ export class Panels {
     drawPlan(shell.plan.canvas, {
       plan: store.scene?.plan ?? null,
       path,
+      others: (store.scene?.methods ?? []).flatMap(({ name }, index) => {
+        const way = store.scene?.paths?.[name];
+        return way && store.rivals.has(name) ? [{ path: way, colour: RIVALS[index % RIVALS.length].colour }] : [];
+      }),
       heading: azimuthOf(apply(world_R_body, [1, 0, 0])),
       gaze: { azimuth: azimuthOf(view), wide: gaze.wide },
       answer: inWorld && {

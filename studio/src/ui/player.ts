@@ -32,7 +32,7 @@ export class Player {
     );
     this.playButton.addEventListener("click", () => (this.playing ? this.stop() : this.play()));
     this.slider.addEventListener("input", () => this.go(Number(this.slider.value)));
-    this.method.addEventListener("change", () => this.choose(this.method.value || null));
+    this.method.addEventListener("change", () => this.choose(this.method.value === this.episode?.scene.method ? null : this.method.value));
   }
 
   get active(): boolean {
@@ -47,7 +47,8 @@ export class Player {
     const scene = { ...episode.scene, methods: names.map((name) => known.get(name) ?? { name, words: name }) };
     this.store.method = null;
     this.store.begin(scene);
-    const shown = names.filter((name) => episode.steps.some((step) => step.methods?.[name]?.belief));
+    const main = episode.scene.method;
+    const shown = names.filter((name) => name === main || episode.steps.some((step) => step.methods?.[name]?.belief));
     this.method.replaceChildren(
       ...shown.map((name) => h("option", { value: name }, known.get(name)?.words || name)));
     this.methodField.hidden = shown.length < 2;

@@ -35,9 +35,11 @@ export function shell(root: HTMLElement) {
 
   const query = h("input", {
     id: "query", type: "text", name: "query", autocomplete: "off", enterkeyhint: "search", maxlength: 200, placeholder: words.ask.placeholder,
+    list: "targets",
   });
+  const targets = h("datalist", { id: "targets" });
   const ask = h("form", { class: "ask" },
-    h("label", { for: "query" }, words.ask.label), query, h("button", { type: "submit", class: "primary" }, words.ask.submit));
+    h("label", { for: "query" }, words.ask.label), query, targets, h("button", { type: "submit", class: "primary" }, words.ask.submit));
   const controls = h("div", { class: "controls" });
 
   const insideView = h("canvas", { class: "scene", "aria-hidden": "true" });
@@ -92,7 +94,7 @@ export function shell(root: HTMLElement) {
     news,
   );
   return {
-    tabs, theme, problems, news, ask, query, controls, stage, look, insideView, insideMarks, empty, badge, tools, stick, keys, looking,
+    tabs, theme, problems, news, ask, query, targets, controls, stage, look, insideView, insideMarks, empty, badge, tools, stick, keys, looking,
     told, legend, player, flat, flatView, flatMarks, series, polar, plan, status, sentence, means, facts, choice, candidates, list,
     calibration, calibrationFacts, calibrationWords, ICONS,
   };

@@ -16,7 +16,9 @@ export interface Page {
   player: Player;
   problems: Problems;
   state(): ServerState | null;
-  /** Words over the panorama while there is nothing to see; null takes them away. */
+  /** A few words in the corner of the panorama. */
+  badge(text: string): void;
+  /** Words over the panorama while there is nothing to see; none take them away. */
   empty(...content: (Node | string)[]): void;
 }
 

@@ -1,6 +1,6 @@
 /** A photograph or a video of a person's own. */
 
-import { pose, RADIANS } from "../math/rotation";
+import { IDENTITY, pose, RADIANS } from "../math/rotation";
 import { field, h, say, segmented } from "../ui/dom";
 import type { Page, ViewHandler } from "../ui/view";
 import { Refused, upload } from "../wire/api";
@@ -66,8 +66,14 @@ export function picture(page: Page): ViewHandler {
       Object.assign(attitude, { yaw: 0, pitch: 0, roll: 0 });
       frames.hidden = known.kind !== "video";
       slider.max = String(Math.max(0, known.frames - 1));
-      page.empty(words.panorama.waiting);
-      open();
+      const warnings = known.warnings ?? [];
+      if (warnings.length) page.problems.tell("picture", { problem: warnings.join(" "), change: "" });
+      session.close();
+      store.begin(null);
+      page.empty(h("strong", {}, words.picture.ready));
+      if (known.kind === "photo") await showAtOnce(chosen);
+      if (shell.query.value.trim()) open();
+      else shell.query.focus();
     } catch (problem) {
       if (!(problem instanceof Refused)) throw problem;
       page.problems.tell("picture", problem);
@@ -78,8 +84,19 @@ export function picture(page: Page): ViewHandler {
     }
   }
 
+  /** The photograph is shown before anything is asked: nothing of the server is needed for it. */
+  async function showAtOnce(chosen: File): Promise<void> {
+    const image = await createImageBitmap(chosen, { resizeWidth: 2048, resizeHeight: 1024, resizeQuality: "medium" }).catch(() => null);
+    if (!image) return;
+    store.panorama = { image, head: { stamp: 0, world_R_camera: IDENTITY } };
+    store.emit("panorama");
+    page.badge(words.picture.ready);
+  }
+
   function open(): void {
     if (!known) return;
+    if (!store.panorama) page.empty(words.panorama.waiting);
+    page.badge("");
     paused = false;
     const request: Record<string, unknown> = { view: "picture", id: known.id, query: shell.query.value.trim() };
     if (perception.value) request.perception = perception.value;
@@ -110,7 +127,7 @@ export function picture(page: Page): ViewHandler {
       shell.stage.addEventListener("dragover", over);
       shell.stage.addEventListener("dragleave", out);
       shell.stage.addEventListener("drop", drop);
-      if (known) open();
+      if (known && shell.query.value.trim()) open();
       else invite();
     },
     leave() {
@@ -125,12 +142,12 @@ export function picture(page: Page): ViewHandler {
         page.problems.tell("picture", { problem: words.picture.drop, change: words.picture.dropMore });
         return;
       }
-      if (!session.send({ type: "query", text: query })) open();
+      if (!session.active || !session.send({ type: "query", text: query })) open();
     },
     scene() {
       if (store.scene?.attitude) Object.assign(attitude, store.scene.attitude);
     },
-    turnsCamera: () => turns === "camera" && known !== null,
+    turnsCamera: () => turns === "camera" && session.active,
     turnCamera(yaw, pitch) {
       attitude.yaw = yaw;
       attitude.pitch = Math.max(-STEEPEST, Math.min(STEEPEST, pitch));

@@ -51,8 +51,9 @@ export function walk(page: Page): ViewHandler {
     enter() {
       const state = page.state();
       const usable = (state?.perceptions ?? []).filter(({ views }) => !views || views.includes("walk"));
+      const chosen = perception.value || state?.default?.perception;
       perception.replaceChildren(...usable.map(({ name, words: told, ready, problem }) =>
-        h("option", { value: name, disabled: !ready, title: problem ?? told, selected: name === state?.default?.perception }, name)));
+        h("option", { value: name, disabled: !ready, title: problem ?? told, selected: name === chosen }, name)));
       if (state?.houses) {
         [seed.min, seed.max] = [String(state.houses.first), String(state.houses.last)];
         offered.replaceChildren(...state.houses.offered.map((value) => h("option", { value })));

@@ -34,7 +34,10 @@ export interface Scene {
   calibration: Calibration | null;
   methods: Method[];
   region: number;
+  paths?: Record<string, number[][]>; // where each method walked, metres
+  method?: string; // whose belief a stored episode holds
   perception?: string;
+  words?: string; // what is missing in this scene
   attitude?: { yaw: number; pitch: number; roll: number };
 }
 
@@ -104,6 +107,7 @@ export interface Step {
   rivals?: Record<string, { direction: Vector | null; error_deg: number | null }>;
   truth?: { direction: Vector | null } | null;
   error_deg: number | null;
+  faults?: string[]; // of a live source
   drive?: "policy" | "person";
   goal?: { position: number[] | null; words?: string; metres?: number | null; reached?: boolean } | null;
   frame?: { n: number; of: number } | null;
@@ -163,6 +167,7 @@ export interface Picture {
   height: number;
   width: number;
   frames: number;
+  warnings?: string[];
 }
 
 /** Where the words of a binary message end, its parts begin. */

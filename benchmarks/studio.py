@@ -1,0 +1,201 @@
+"""The studio's server, measured from outside: updates per second, how old they are, the first picture, many pages.
+
+    python benchmarks/studio.py                            one page, and the bytes of the page
+    python benchmarks/studio.py --pages 20 --seconds 300   twenty pages, one of which reads one message in two seconds
+
+Each page walks in the built-in apartment, steered by the policy or turned by the person. Ages are from the moment at
+which the server makes a step to the moment at which this program has it, on one clock. CPU times are of the processes
+of the server, so they hold on a busy machine, too. Prints one JSON object.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import re
+import signal
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+from urllib.request import urlopen
+
+import numpy as np
+from websockets.asyncio.client import connect
+
+TICKS = os.sysconf("SC_CLK_TCK")
+SLOW = 2.0  # seconds between two messages that the slow page reads
+PROBE = 0.5  # seconds between two questions to the server's loop
+
+
+class Seen:
+    """What one page has received."""
+
+    def __init__(self) -> None:
+        self.arrivals: list[float] = []
+        self.ages: list[float] = []
+        self.numbers: list[int] = []
+        self.beliefs = self.pictures = self.looks = self.bytes = 0
+        self.first: float | None = None
+        self.problems: list[str] = []
+
+
+async def page(address: str, opening: dict[str, Any], until: float, seen: Seen, rest: float = 0.0) -> None:
+    """Open a view and read until a time; `rest`: seconds between two messages."""
+    # A slow page keeps its messages in the network, too: small buffers make it slow for the server.
+    async with connect(address, max_size=None, max_queue=1 if rest else 16, compression=None) as line:
+        begun = time.monotonic()
+        await line.send(json.dumps(opening))
+        if opening["drive"] == "person":
+            await line.send(json.dumps({"type": "drive", "by": "person", "turn": 0.5}))
+        while (left := until - time.monotonic()) > 0:
+            try:
+                frame = await asyncio.wait_for(line.recv(), left)
+            except TimeoutError:
+                return
+            assert isinstance(frame, bytes)
+            (length,) = struct.unpack("<I", frame[:4])
+            header = json.loads(frame[4 : 4 + length])
+            seen.bytes += len(frame)
+            if header["type"] == "problem":
+                seen.problems.append(header["problem"])
+            if header["type"] != "step":
+                continue
+            seen.arrivals.append(time.monotonic())
+            seen.ages.append(time.time() - header["sent"])
+            seen.numbers.append(header["number"])
+            seen.beliefs += "belief" in header
+            seen.looks += header["look"]["fresh"]
+            if "panorama" in header:
+                seen.pictures += 1
+                seen.first = seen.first or time.monotonic() - begun
+            if rest:
+                await asyncio.sleep(rest)
+
+
+async def probe(address: str, until: float, found: list[float]) -> None:
+    """How long the server's loop takes to answer, again and again."""
+    while time.monotonic() < until:
+        begun = time.monotonic()
+        await asyncio.to_thread(lambda: urlopen(f"{address}api/state").read())
+        found.append(time.monotonic() - begun)
+        await asyncio.sleep(PROBE)
+
+
+async def measure(address: str, pages: int, seconds: float, drive: str) -> dict[str, Any]:
+    """So many pages at once; the last of several reads slowly."""
+    socket = address.replace("http:", "ws:") + "ws"
+    opening = {"type": "open", "view": "walk", "drive": drive}
+    seen = [Seen() for _ in range(pages)]
+    answers: list[float] = []
+    until = time.monotonic() + seconds
+    slow = pages > 1
+    tasks = [
+        page(socket, opening, until, each, SLOW if slow and index == pages - 1 else 0.0)
+        for index, each in enumerate(seen)
+    ]
+    await asyncio.gather(*tasks, probe(address, until, answers))
+    quick = seen[:-1] if slow else seen
+    ages = np.concatenate([each.ages for each in quick])
+    gaps = np.concatenate([np.diff(each.arrivals) for each in quick])
+    found = {
+        "pages": pages,
+        "seconds": seconds,
+        "drive": drive,
+        "updates_per_second": spread([len(each.arrivals) / seconds for each in quick]),
+        "beliefs_per_second": spread([each.beliefs / seconds for each in quick]),
+        "looks_per_second": spread([each.looks / seconds for each in quick]),
+        "pictures_per_second": spread([each.pictures / seconds for each in quick]),
+        "kilobytes_per_second": spread([each.bytes / seconds / 1e3 for each in quick]),
+        "first_picture_s": spread([each.first or float("nan") for each in quick]),
+        "age_ms": quantiles(1e3 * ages),
+        "gap_ms": quantiles(1e3 * gaps),
+        "loop_answers_ms": quantiles(1e3 * np.array(answers)),
+        "problems": sorted({text for each in seen for text in each.problems}),
+    }
+    if slow:
+        last = seen[-1]
+        skipped = int(np.sum(np.diff(last.numbers) - 1)) if len(last.numbers) > 1 else 0
+        found["slow_page"] = {"messages": len(last.arrivals), "steps_skipped": skipped, "age_ms": quantiles(
+            1e3 * np.array(last.ages))}  # fmt: skip
+    return found
+
+
+def spread(values: list[float]) -> dict[str, float]:
+    """Least, mean and most."""
+    return {"least": round(min(values), 2), "mean": round(float(np.mean(values)), 2), "most": round(max(values), 2)}
+
+
+def quantiles(values: np.ndarray) -> dict[str, float]:
+    """Median, 95 % and worst."""
+    if not len(values):
+        return {}
+    return {name: round(float(np.quantile(values, q)), 1) for name, q in (("p50", 0.5), ("p95", 0.95), ("worst", 1.0))}
+
+
+def family(process: int) -> list[int]:
+    """A process and all that it has started."""
+    found = [process]
+    for task in Path(f"/proc/{process}/task").glob("*/children"):
+        for child in map(int, task.read_text().split()):
+            found += family(child)
+    return found
+
+
+def cost(process: int) -> dict[int, tuple[float, float]]:
+    """CPU seconds and megabytes in memory of each process of a family, by its number."""
+    found = {}
+    for each in family(process):
+        fields = Path(f"/proc/{each}/stat").read_text().rpartition(")")[2].split()
+        found[each] = (int(fields[11]) + int(fields[12])) / TICKS, int(fields[21]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+    return found
+
+
+def page_bytes(address: str) -> dict[str, int]:
+    """The bytes of the page and of what it loads, uncompressed."""
+    try:
+        text = urlopen(address).read()
+    except OSError:
+        return {}  # not built
+    found = {"/": len(text)}
+    for name in re.findall(r'(?:src|href)="\./(assets/[^"]+)"', text.decode()):
+        found[name] = len(urlopen(address + name).read())
+    return found | {"all": sum(found.values())}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--pages", type=int, default=1)
+    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--drive", choices=("policy", "person"), default="person", help="person: it turns all the time")
+    options = parser.parse_args()
+    command = [sys.executable, "-m", "eagor", "studio", "--port", "0", "--json"]
+    begun = time.monotonic()
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert server.stdout is not None
+        address = json.loads(server.stdout.readline())["address"]
+        while not json.load(urlopen(f"{address}api/state"))["ready"]:
+            time.sleep(0.1)
+        warm, before, load = time.monotonic() - begun, cost(server.pid), os.getloadavg()[0]
+        found = {"warm_s": round(warm, 1), "load_before": round(load, 1), "page_bytes": page_bytes(address)}
+        found |= asyncio.run(measure(address, options.pages, options.seconds, options.drive))
+        after = cost(server.pid)
+        names = ("server", "engine", "eye", "runs")
+        found["cpu_share"] = {
+            name: round((after[each][0] - before.get(each, (0.0, 0.0))[0]) / options.seconds, 3)
+            for name, each in zip(names, sorted(after), strict=False)
+        }
+        found["memory_mb"] = {name: round(after[each][1]) for name, each in zip(names, sorted(after), strict=False)}
+        print(json.dumps(found, indent=1))
+    finally:
+        server.send_signal(signal.SIGINT)
+        server.wait(60)
+
+
+if __name__ == "__main__":
+    main()

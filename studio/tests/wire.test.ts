@@ -1,0 +1,116 @@
+/** Messages of the server, and the connection that comes back by itself. */
+
+import { afterEach, beforeEach, expect, it, vi } from "vitest";
+import { decode, densityOf, type Decoded } from "../src/wire/decode";
+import { merged, Socket, type Connection } from "../src/wire/socket";
+
+function message(words: Record<string, unknown>, ...blobs: [string, Uint8Array][]): ArrayBuffer {
+  const told = { ...words, blobs: blobs.map(([name, bytes]) => ({ name, type: "float32", bytes: bytes.length })) };
+  const text = new TextEncoder().encode(JSON.stringify(told));
+  const all = new Uint8Array(4 + text.length + blobs.reduce((sum, [, bytes]) => sum + bytes.length, 0));
+  new DataView(all.buffer).setUint32(0, text.length, true);
+  all.set(text, 4);
+  let at = 4 + text.length;
+  for (const [, bytes] of blobs) {
+    all.set(bytes, at);
+    at += bytes.length;
+  }
+  return all.buffer;
+}
+
+const coefficients = (count: number) => new Uint8Array(Float32Array.from({ length: count }, (_, i) => i).buffer);
+
+it("takes a message apart", () => {
+  const { message: told, blobs } = decode(message({ type: "step", stamp: 2 }, ["belief", coefficients(4)], ["panorama", Uint8Array.of(7)]));
+  expect(told.type).toBe("step");
+  expect([...new Float32Array(blobs.belief)]).toEqual([0, 1, 2, 3]);
+  expect([...new Uint8Array(blobs.panorama)]).toEqual([7]);
+  const density = densityOf({ frame: "world", terms: [{ weight: 1, degree: 1 }], level: 0.5 }, blobs.belief)!;
+  expect(density.terms[0].coefficients.length).toBe(4);
+});
+
+it("refuses a message whose parts do not add up", () => {
+  const whole = message({ type: "step" }, ["belief", coefficients(4)]);
+  expect(() => decode(whole.slice(0, -1))).toThrow("wanted");
+});
+
+it("merges steps that pile up: the newest words, the newest of each part", () => {
+  const step = (number: number, more: Record<string, unknown>, ...blobs: [string, Uint8Array][]): Decoded =>
+    decode(message({ type: "step", number, ...more }, ...blobs));
+  const older = step(1, { belief: { level: 1 }, panorama: { stamp: 1 } }, ["belief", coefficients(4)], ["panorama", Uint8Array.of(1)]);
+  const newer = step(2, { panorama: { stamp: 2 } }, ["panorama", Uint8Array.of(2)]);
+  const both = merged(older, newer);
+  expect(both.message).toMatchObject({ number: 2, belief: { level: 1 }, panorama: { stamp: 2 } });
+  expect([...new Uint8Array(both.blobs.panorama)]).toEqual([2]);
+  expect(both.blobs.belief.byteLength).toBe(16);
+});
+
+class FakeSocket {
+  static readonly OPEN = 1;
+  static made: FakeSocket[] = [];
+  readyState = 0;
+  sent: string[] = [];
+  binaryType = "";
+  onopen = () => {};
+  onclose = () => {};
+  onmessage = (_: { data: unknown }) => {};
+  constructor(readonly address: string) {
+    FakeSocket.made.push(this);
+  }
+  send(text: string): void {
+    this.sent.push(text);
+  }
+  close(): void {
+    this.readyState = 3;
+  }
+  opens(): void {
+    this.readyState = 1;
+    this.onopen();
+  }
+  breaks(): void {
+    this.readyState = 3;
+    this.onclose();
+  }
+}
+
+beforeEach(() => {
+  vi.useFakeTimers();
+  FakeSocket.made = [];
+  vi.stubGlobal("WebSocket", FakeSocket);
+  vi.stubGlobal("window", globalThis);
+});
+afterEach(() => {
+  vi.useRealTimers();
+  vi.unstubAllGlobals();
+});
+
+it("comes back by itself and asks again for what was open", () => {
+  const states: [Connection, number][] = [];
+  const socket = new Socket("ws://here/ws", { message: () => {}, connection: (...state) => states.push(state) });
+  socket.open({ type: "open", view: "walk" });
+  FakeSocket.made[0].opens();
+  FakeSocket.made[0].breaks();
+  expect(states.at(-1)).toEqual(["lost", 0.5]);
+  vi.advanceTimersByTime(500);
+  expect(FakeSocket.made.length).toBe(2);
+  FakeSocket.made[1].breaks();
+  expect(states.at(-1)).toEqual(["lost", 1]);
+  vi.advanceTimersByTime(1000);
+  FakeSocket.made[2].opens();
+  expect(states.at(-1)).toEqual(["open", 0]);
+  expect(FakeSocket.made[2].sent).toEqual(['{"type":"open","view":"walk"}']);
+  socket.close();
+  FakeSocket.made[2].breaks();
+  vi.advanceTimersByTime(60_000);
+  expect(FakeSocket.made.length).toBe(3);
+});
+
+it("hands on one step where several have piled up", () => {
+  const told: Decoded[] = [];
+  const socket = new Socket("ws://here/ws", { message: (one) => told.push(one), connection: () => {} });
+  socket.open({});
+  FakeSocket.made[0].opens();
+  for (const number of [1, 2, 3]) FakeSocket.made[0].onmessage({ data: message({ type: "step", number }) });
+  vi.advanceTimersByTime(1);
+  expect(told.map(({ message: one }) => (one as unknown as { number: number }).number)).toEqual([3]);
+});

@@ -1,0 +1,328 @@
+"""Parts of the studio's server, each alone: messages, slots, plans, who may speak, names of runs, how a body walks."""
+
+import asyncio
+import json
+import math
+import struct
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from starlette.datastructures import Headers
+
+from eagor.errors import EagorError
+from eagor.studio import runs
+from eagor.studio.channel import Channel
+from eagor.studio.export import page_of
+from eagor.studio.guard import Gate
+from eagor.studio.houses import outlines
+from eagor.studio.messages import LONGEST, PageError, read
+from eagor.studio.replays import Redrawn
+from eagor.studio.slots import Slot
+from eagor.studio.walking import Body, Walker
+from eagor.studio.wire import Blob, Message, merged, packed, rounded
+
+
+def unpacked(frame):
+    (length,) = struct.unpack("<I", frame[:4])
+    header, rest = json.loads(frame[4 : 4 + length]), frame[4 + length :]
+    blobs = {}
+    for each in header["blobs"]:
+        blobs[each["name"]], rest = rest[: each["bytes"]], rest[each["bytes"] :]
+    assert rest == b""
+    return header, blobs
+
+
+def step(number, **parts):
+    blobs = {name: Blob("float32", content) for name, content in parts.items()}
+    return Message({"type": "step", "number": number} | {name: {"of": number} for name in parts}, blobs)
+
+
+def test_a_frame_holds_its_header_and_its_blobs():
+    message = step(3, belief=b"12345678", panorama=b"")
+    header, blobs = unpacked(packed(message))
+    assert header["number"] == 3
+    assert blobs == {"belief": b"12345678", "panorama": b""}
+
+
+def test_numbers_that_json_lacks_are_refused_and_rounding_removes_them():
+    with pytest.raises(ValueError, match="JSON"):
+        packed(Message({"type": "step", "number": math.nan}))
+    assert rounded({"a": [math.inf, np.array([1.0000004, math.nan])]}) == {"a": [None, [1.0, None]]}
+
+
+def test_a_slow_client_misses_steps_but_no_picture_and_no_belief():
+    found = merged(merged(step(1, panorama=b"p1", belief=b"b1"), step(2, belief=b"b2")), step(3))
+    assert found.header["number"] == 3
+    assert found.header["panorama"] == {"of": 1}
+    assert {name: blob.content for name, blob in found.blobs.items()} == {"panorama": b"p1", "belief": b"b2"}
+
+
+def test_a_slot_never_grows_and_gives_words_before_steps():
+    async def scenario():
+        slot = Slot()
+        for number in range(1000):
+            slot.put(step(number, belief=bytes(100)))
+            slot.put(Message({"type": "status", "words": str(number)}))
+        got = [await slot.get() for _ in range(33)]
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(slot.get(), 0.01)
+        return got
+
+    got = asyncio.run(scenario())
+    assert [message.header["words"] for message in got[:-1]] == [str(number) for number in range(968, 1000)]
+    assert got[-1].header["number"] == 999
+
+
+def test_a_new_scene_drops_the_steps_of_the_old_one():
+    async def scenario():
+        slot = Slot()
+        slot.put(step(1))
+        slot.put(Message({"type": "scene"}))
+        slot.put(step(2))
+        return [(await slot.get()).header for _ in range(2)]
+
+    assert [(header["type"], header.get("number")) for header in asyncio.run(scenario())] == [
+        ("scene", None),
+        ("step", 2),
+    ]
+
+
+def test_a_page_that_reads_nothing_delays_no_other():
+    from eagor.studio.hub import Page
+    from eagor.studio.server import _send
+
+    class Web:
+        def __init__(self, blocked):
+            self.sent, self.blocked = [], blocked
+
+        async def send_bytes(self, frame):
+            if self.blocked:
+                await asyncio.Event().wait()
+            self.sent.append(unpacked(frame)[0]["number"])
+
+    async def scenario():
+        pages, webs = [Page(), Page()], [Web(True), Web(False)]
+        tasks = [asyncio.create_task(_send(page, web)) for page, web in zip(pages, webs, strict=True)]
+        for number in range(50):
+            for page in pages:
+                page.slot.put(step(number, panorama=bytes(1000)))
+            await asyncio.sleep(0)
+            await asyncio.sleep(0)
+        for task in tasks:
+            task.cancel()
+        return webs
+
+    slow, quick = asyncio.run(scenario())
+    assert slow.sent == []
+    assert quick.sent == list(range(50))
+
+
+def test_who_comes_late_to_a_live_source_gets_all_that_is_needed():
+    async def scenario():
+        channel, slot = Channel(), Slot()
+        for message in (Message({"type": "scene"}), step(1, panorama=b"p"), step(2, belief=b"b"), step(3)):
+            channel.put(message)
+        channel.join(slot)
+        return [await slot.get() for _ in range(2)]
+
+    scene, found = asyncio.run(scenario())
+    assert scene.header["type"] == "scene"
+    assert found.header["number"] == 3
+    assert set(found.blobs) == {"panorama", "belief"}
+
+
+# --- what a page may say ---
+
+
+def test_a_message_gets_the_defaults_of_its_fields():
+    found = read('{"type":"open","view":"walk","query":" red   chair "}')
+    assert found["query"] == "red chair"
+    assert (found["drive"], found["seed"], found["methods"]) == ("policy", None, [])
+    assert read('{"type":"drive","turn":1}') == {"type": "drive", "by": "person", "forward": 0.0, "turn": 1.0}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "null", "[]", "{}", '"open"', "{", '{"type":1}', '{"type":["open"]}', '{"type":"no"}', '{"type":"open"}',
+        '{"type":"open","view":"attic"}', '{"type":"open","view":"walk","seed":-1}',
+        '{"type":"open","view":"walk","seed":1.5}', '{"type":"open","view":"walk","seed":true}',
+        '{"type":"query","text":"' + "x" * 300 + '"}', '{"type":"query","text":"..."}',
+        '{"type":"query","text":"a\\u0000"}',
+        '{"type":"drive","forward":NaN}', '{"type":"drive","forward":1e999}', '{"type":"camera","yaw":"up"}',
+        '{"type":"degree","L":64}', '{"type":"methods","names":"vmf"}', '{"type":"pause","on":1}',
+        '{"type":"seek","frame":' + "9" * 400 + "}", "[" * 300 + "]" * 300, "x" * (LONGEST + 1),
+    ],
+)  # fmt: skip
+def test_rubbish_is_refused_with_what_was_wanted(text):
+    with pytest.raises(PageError) as refused:
+        read(text)
+    assert refused.value.problem
+    assert refused.value.change
+
+
+@given(st.one_of(st.text(max_size=200), st.binary(max_size=200)))
+def test_no_text_breaks_the_reader(text):
+    with suppress(PageError):
+        assert read(text)["type"]
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@given(
+    st.sampled_from(["open", "query", "drive", "camera", "pause", "seek", "degree", "methods", "restart"]),
+    st.dictionaries(
+        st.sampled_from(["view", "query", "seed", "text", "forward", "yaw", "on", "L", "names", "id"]), JSON
+    ),
+)
+def test_no_field_breaks_the_reader(kind, fields):
+    with suppress(PageError):
+        assert read(json.dumps({**fields, "type": kind}))["type"] == kind
+
+
+# --- who may speak ---
+
+
+def scope(query=""):
+    return {"query_string": query.encode()}
+
+
+def test_without_a_token_only_this_machine_is_spoken_to():
+    gate = Gate("127.0.0.1")
+    assert gate.names("127.0.0.1:8360")
+    assert gate.names("localhost:8360")
+    assert gate.names("[::1]:8360")
+    for host in ("evil.example", "127.0.0.1.evil.example", "", "192.168.0.7:8360"):
+        assert not gate.names(host)
+
+
+def test_pages_of_other_sites_are_refused():
+    gate = Gate("127.0.0.1")
+    here = {"host": "127.0.0.1:8360"}
+    assert gate.from_here(Headers(here))  # no page at all
+    assert gate.from_here(Headers(here | {"origin": "http://127.0.0.1:8360"}))
+    for origin in ("http://evil.example", "http://127.0.0.1:9999", "null", "http://127.0.0.1:8360.evil.example"):
+        assert not gate.from_here(Headers(here | {"origin": origin}))
+
+
+def test_the_token_is_known_from_the_address_the_cookie_or_a_header():
+    gate = Gate("0.0.0.0", "a-long-enough-token")
+    assert gate.knows(scope("token=a-long-enough-token"), Headers({}))
+    assert gate.knows(scope(), Headers({"cookie": "other=1; eagor_token=a-long-enough-token"}))
+    assert gate.knows(scope(), Headers({"authorization": "Bearer a-long-enough-token"}))
+    for query, headers in (("", {}), ("token=wrong", {}), ("", {"cookie": "eagor_token=ä"}), ("token=", {})):
+        assert not gate.knows(scope(query), Headers(headers))
+
+
+# --- the plan ---
+
+
+def area(line):
+    x, y = line[:, 0].astype(float), line[:, 1].astype(float)
+    return 0.5 * float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
+
+
+@given(st.lists(st.lists(st.booleans(), min_size=5, max_size=5), min_size=1, max_size=7))
+def test_outlines_enclose_exactly_the_cells(cells):
+    mask = np.array(cells)
+    lines = outlines(mask)
+    assert sum(area(line) for line in lines) == pytest.approx(mask.sum())  # holes count negative
+    for line in lines:
+        assert (line[0] == line[-1]).all()
+        steps = np.diff(line, axis=0)
+        assert ((steps == 0).sum(axis=1) == 1).all()  # along the axes
+        assert (np.sign(steps) != np.sign(np.roll(steps, 1, axis=0))).any(axis=1).all()  # corners alone
+
+
+# --- names of runs ---
+
+
+@given(st.text(max_size=30), st.text(max_size=30))
+def test_keys_are_safe_in_an_address_and_tell_cases_apart(a, b):
+    assert not {*runs.key_of(a)} & {*"/%?#\\"}
+    assert (runs.key_of(a) == runs.key_of(b)) == (a == b)
+
+
+def test_a_run_is_found_by_its_name_alone(tmp_path):
+    root, outside = tmp_path / "runs", tmp_path / "outside"
+    for folder in (root / "mine", outside):
+        folder.mkdir(parents=True)
+        (folder / "run.json").write_text("{}")
+    (root / "link").symlink_to(outside)
+    (root / ".hidden").mkdir()
+    (root / ".hidden" / "run.json").write_text("{}")
+    (root / "empty").mkdir()
+    assert list(runs.runs_in(root)) == ["mine"]
+    assert runs.folder_of(root, "mine") == root / "mine"
+    for name in ("..", "../outside", "/etc", "link", ".hidden", "empty", "", "mine/", "mine/../../outside", "\0"):
+        with pytest.raises(EagorError, match="no run"):
+            runs.folder_of(root, name)
+    assert list(runs.runs_in(outside)) == ["."]
+    assert runs.runs_in(tmp_path / "nowhere") == {}
+
+
+# --- the body ---
+
+
+class Hall:
+    """An empty floor, with a wall at x = 1."""
+
+    def move(self, xy, step, slide=True):
+        there = xy + step
+        return (np.array([min(there[0], 1.0), there[1]]), there[0] > 1.0)
+
+    def height(self, xy):
+        return 0.0
+
+
+def test_the_person_steers_and_cannot_be_faster_than_allowed():
+    walker = Walker(Body(Hall(), np.zeros(2), 0.0), "person")
+    walker.steer(100.0, 0.0)
+    assert walker.move(0.1, None, False)
+    assert 0 < walker.body.xy[0] <= 0.2
+    walker.move(60.0, None, False)  # a late tick is no leap
+    assert walker.body.xy[0] < 1.0
+    for _ in range(20):
+        walker.move(0.1, None, False)
+    assert walker.body.xy[0] == 1.0
+    walker.steer(0.0, 0.0)
+    assert not walker.move(0.1, None, False)
+
+
+def test_the_policy_walks_to_the_answer_and_stops_on_arrival():
+    walker = Walker(Body(Hall(), np.array([-4.0, 0.0]), 2.0))
+    for _ in range(100):
+        ahead = walker.body.world_R_body.T @ np.array([1.0, 0.0, 0.0])
+        walker.move(0.1, ahead, False)
+    assert walker.body.xy[0] > -2.0
+    assert not walker.move(0.1, np.array([1.0, 0.0, 0.0]), True)
+    yaw = walker.body.yaw
+    walker.drive("person")
+    walker.drive("policy")
+    assert walker.move(0.1, None, False)  # nothing is known: it looks around
+    assert walker.body.yaw != yaw
+
+
+# --- the file of an episode ---
+
+
+def test_words_from_outside_cannot_leave_their_place_in_the_page(monkeypatch, tmp_path):
+    template = tmp_path / "export.html"
+    template.write_text('<p>page</p><script type="application/json" id="episode"></script><p>end</p>')
+    monkeypatch.setattr("eagor.studio.export._template", lambda: template)
+    scene = {"title": "</script><script>alert(1)</script><!--\u2028", "methods": [{"name": "eagor"}], "method": "eagor"}
+    text = page_of(Redrawn(scene, [{"stamp": 0.0, "world_R_camera": [], "error_deg": math.nan}], {0: b"\xff\xd8"}))
+    assert text.count("</script>") == 1
+    assert text.count("<!--") == 0
+    held = json.loads(text.split('id="episode">')[1].split("</script>")[0])
+    assert held["scene"]["title"] == scene["title"]
+    assert held["steps"][0]["error_deg"] is None
+    assert held["steps"][0]["panorama"]["url"].startswith("data:image/jpeg;base64,")

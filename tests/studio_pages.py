@@ -1,0 +1,204 @@
+"""A browser on the studio's page: Debian's Chromium, driven by Playwright; and an episode whose belief is known."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import math
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from eagor import Belief
+from eagor.grids import ErpGrid
+from eagor.sphere import world_R_body
+
+CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
+PICTURES = Path("runs/studio-page")  # screenshots, to be looked at
+STATIC = Path(str(files("eagor.studio") / "static"))
+AXE = Path(__file__).parent.parent / "studio/node_modules/axe-core/axe.min.js"
+PATIENCE = 90.0  # seconds: a busy machine draws slowly
+MARK = '<script type="application/json" id="episode"></script>'
+
+
+def need_browser() -> None:
+    """Skip, and say why, where there is no browser or no page."""
+    pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: pip install playwright")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium to look at the page with: apt-get install chromium")
+    if not (STATIC / "index.html").is_file():
+        pytest.skip("the page is not built: npm ci && npm run build in studio/")
+
+
+class Watched:
+    """A page, with what went wrong in it and what it asked for."""
+
+    def __init__(self, page: Any) -> None:
+        self.page, self.errors, self.asked = page, [], []
+        page.set_default_timeout(1000 * PATIENCE)
+        page.on("console", lambda told: told.type == "error" and self.errors.append(told.text))
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.on("request", lambda request: self.asked.append(request.url))
+        page.on("websocket", lambda socket: self.asked.append(socket.url))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.page, name)
+
+    def until(self, script: str, seconds: float = PATIENCE) -> Any:
+        """Wait until `script` gives something true (the page's policy forbids Playwright's own way to wait for it)."""
+        end = time.monotonic() + seconds
+        while not (found := self.page.evaluate(script)):
+            assert time.monotonic() < end, f"never true: {script}; errors: {self.errors}"
+            self.page.wait_for_timeout(50)
+        return found
+
+    def summary(self) -> dict[str, Any]:
+        """What the page shows, in numbers."""
+        return self.page.evaluate("window.eagorStudio.summary")
+
+    def at_rest(self) -> None:
+        """Wait until the newest change is drawn at full resolution."""
+        self.until("window.eagorStudio.summary.scale === 1")
+
+    def kept(self, name: str, **options: Any) -> Path:
+        """A screenshot under `name`."""
+        PICTURES.mkdir(parents=True, exist_ok=True)
+        path = PICTURES / f"{name}.png"
+        self.page.screenshot(path=str(path), timeout=1000 * PATIENCE, **options)
+        return path
+
+
+@contextmanager
+def browser() -> Iterator[Callable[..., Watched]]:
+    """A browser; what it gives opens a page in a fresh context with the options of Playwright's `new_context`."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        launched = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox"] if os.geteuid() == 0 else [], timeout=1000 * PATIENCE
+        )
+
+        def opened(width: int = 1280, height: int = 800, **options: Any) -> Watched:
+            return Watched(launched.new_context(viewport={"width": width, "height": height}, **options).new_page())
+
+        yield opened
+        launched.close()
+
+
+def serious(page: Watched) -> list[str]:
+    """What axe-core finds that is serious or worse."""
+    if not AXE.is_file():
+        pytest.skip("axe-core is not installed: npm ci in studio/")
+    page.evaluate(AXE.read_text(encoding="utf-8") + "; 0")
+    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")
+    return [
+        f"{one['id']}: {one['help']} ({', '.join(node['html'][:120] for node in one['nodes'][:3])})"
+        for one in found["violations"]
+        if one["impact"] in ("serious", "critical")
+    ]
+
+
+# --- an episode with a known belief ---
+
+DEGREE = 15
+STEPS = 6
+POSES = [world_R_body(math.radians(10 * step)) for step in range(STEPS)]
+
+
+def bump(azimuth: float, elevation: float, height: float, width: float) -> np.ndarray:
+    """Coefficients ``((DEGREE + 1)^2,)`` of a Gaussian-like bump in the log density, degrees."""
+    from eagor import RealHarmonics
+    from eagor.sphere import direction
+
+    basis = RealHarmonics(DEGREE)
+    grid = basis.quadrature()
+    angle = np.arccos(np.clip(grid.directions @ direction(math.radians(azimuth), math.radians(elevation)), -1, 1))
+    return basis.analyse(height * np.exp(-0.5 * (angle / math.radians(width)) ** 2), grid)
+
+
+BELIEF = Belief(bump(64, 22, 6.5, 16) + bump(-60, -12, 4.6, 14) + bump(150, -30, 2.0, 25))
+
+
+def known_episode() -> dict[str, Any]:
+    """An EPISODE of a camera that turns left by 10 degrees a step, with `BELIEF` in the axes of the world."""
+    region = BELIEF.credible_region(0.9)
+    coefficients = np.array(BELIEF.coefficients)
+    total = float(BELIEF.log_ratio(np.array([1.0, 0, 0])) - BELIEF.log_density(np.array([1.0, 0, 0])))
+    coefficients[0] -= total * math.sqrt(4 * math.pi)
+    mode, entropy = np.asarray(BELIEF.mode()), float(BELIEF.entropy())
+    steps = []
+    for index, pose in enumerate(POSES):
+        body = (mode @ pose).tolist()
+        estimate = {
+            "direction": body, "azimuth": math.atan2(body[1], body[0]), "elevation": math.asin(body[2]),
+            "credible_angle": 0.5, "presence": 0.9, "entropy": entropy, "distance": 2.5 - 0.2 * index,
+            "distance_spread": 0.3, "moving": None, "status": "tracking", "held": False, "words": "to the left",
+        }  # fmt: skip
+        step: dict[str, Any] = {
+            "stamp": 0.5 * index, "number": index, "world_R_camera": pose.reshape(-1).tolist(),
+            "position": [0.3 * index, 0.1 * index, 1.2], "look": {"age": 0.1, "fresh": True}, "estimate": estimate,
+            "modes": [{"direction": body, "weight": 0.6}], "rivals": {}, "error_deg": 4.0 - 0.3 * index,
+            "truth": {"direction": body}, "goal": None,
+            "methods": {"eagor": {"estimate": estimate, "error_deg": 4.0}, "centroid": {"direction": [1, 0, 0],
+                                                                                       "error_deg": 40.0}},
+        }  # fmt: skip
+        if index == 0:  # what does not change is not repeated
+            step["belief"] = {
+                "frame": "world", "terms": [{"weight": 1.0, "degree": DEGREE}], "level": math.exp(region.threshold),
+                "coefficients": base64.b64encode(coefficients.astype(np.float32).tobytes()).decode(),
+            }  # fmt: skip
+            step["panorama"] = {"stamp": 0.0, "world_R_camera": pose.reshape(-1).tolist(), "url": chequered()}
+        steps.append(step)
+    methods = [{"name": "eagor", "words": "our tracker"}, {"name": "centroid", "words": "the centroid"}]
+    scene = {
+        "view": "run", "title": "a known belief", "query": "white sofa", "targets": [], "degree": DEGREE, "region": 0.9,
+        "plan": {"walls": [[[-1, -2], [4, -2], [4, 2], [-1, 2], [-1, -2]]], "floor": [], "things": []},
+        "calibration": {"words": "None: the belief is made up.", "numbers": {"temperature": 1.0}}, "methods": methods,
+    }  # fmt: skip
+    return {"scene": scene, "methods": ["eagor", "centroid"], "steps": steps}
+
+
+def chequered() -> str:
+    """A grey panorama with a field every 15 degrees, as a data URL."""
+    grid = ErpGrid(256, 512)
+    azimuth, elevation = np.degrees(grid.longitudes)[None, :], np.degrees(grid.latitudes)[:, None]
+    grey = 96 + 24 * ((np.floor(azimuth / 15) + np.floor(elevation / 15)) % 2)
+    file = io.BytesIO()
+    Image.fromarray(np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)).save(file, "PNG")
+    return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
+
+
+def exported(path: Path, episode: dict[str, Any]) -> Path:
+    """The one-file page of an episode."""
+    page = (STATIC / "export.html").read_text(encoding="utf-8")
+    assert page.count(MARK) == 1
+    told = json.dumps(episode, allow_nan=False).replace("<", "\\u003c")
+    path.write_text(page.replace(MARK, MARK.replace("></", f">{told}</")), encoding="utf-8")
+    return path
+
+
+def inside(line: np.ndarray, points: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Whether `points` ``(n, 3)`` lie within a closed line ``(m, 3)`` around `centre`, as seen in a stereographic map."""
+    axes = np.linalg.svd(centre[None])[2][1:]
+
+    def mapped(d: np.ndarray) -> np.ndarray:
+        return (d @ axes.T) / (1 + d @ centre)[:, None]
+
+    x, y = mapped(points).T
+    a, b = mapped(line), np.roll(mapped(line), -1, axis=0)
+    crossed = np.zeros(len(points), dtype=int)
+    for (x0, y0), (x1, y1) in zip(a, b, strict=True):
+        between = (y0 > y) != (y1 > y)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossed += between & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
+    return crossed % 2 == 1
