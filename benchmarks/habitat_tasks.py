@@ -3,9 +3,9 @@
     python benchmarks/habitat_tasks.py --out FILE.jsonl [--seeds 8500 8501 ...] [--perceptions truth:moderate scout]
 
 Needs Habitat-Sim. Episodes of each task (`--each` per apartment) are planned in our world, and played in both. Each
-played episode is a line of FILE.jsonl; the same command goes on where it was stopped. Prints for each method the means in both
-worlds, with 95 % intervals (Wilson's for successes, else a bootstrap over apartments), and of the paired difference,
-Habitat minus ours. `--table` prints what FILE.jsonl holds, and plays nothing: that needs no Habitat-Sim.
+played episode is a line of FILE.jsonl; the same command goes on where it was stopped. Prints for each method the means
+in both worlds, with 95 % intervals (Wilson's for successes, else a bootstrap over apartments), and of the paired
+difference, Habitat minus ours. `--table` prints what FILE.jsonl holds, and plays nothing: that needs no Habitat-Sim.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ SHOWN = {
     "tracking": ("error", "time_lost", "coverage"),
     "navigation": ("success", "spl", "steps", "mae"),
 }
-SCALE = {"coverage": 100, "time_lost": 100, "success": 100, "spl": 100}
+SCALE = {"coverage": 100, "success": 100, "spl": 100}  # to per cent
 
 Record = dict[str, Any]
 Key = tuple[str, str, int, int]  # task, perception, seed of the apartment, index of the episode in it
