@@ -2,10 +2,10 @@
 
     python benchmarks/habitat_tasks.py --out FILE.jsonl [--seeds 8500 8501 ...] [--perceptions truth:moderate scout]
 
-Needs Habitat-Sim. One episode of each task is planned in each apartment, in our world, and played in both. Each played
-episode is a line of FILE.jsonl; the same command goes on where it was stopped. Prints for each method the means in both
-worlds, with 95 % intervals (Wilson's for successes, else a bootstrap over apartments), and of the paired difference,
-Habitat minus ours. `--table` prints what FILE.jsonl holds, and plays nothing: that needs no Habitat-Sim.
+Needs Habitat-Sim. Episodes of each task (`--each` per apartment) are planned in our world, and played in both. Each
+played episode is a line of FILE.jsonl; the same command goes on where it was stopped. Prints for each method the means
+in both worlds, with 95 % intervals (Wilson's for successes, else a bootstrap over apartments), and of the paired
+difference, Habitat minus ours. `--table` prints what FILE.jsonl holds, and plays nothing: that needs no Habitat-Sim.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ SHOWN = {
     "tracking": ("error", "time_lost", "coverage"),
     "navigation": ("success", "spl", "steps", "mae"),
 }
-SCALE = {"coverage": 100, "time_lost": 100, "success": 100, "spl": 100}
+SCALE = {"coverage": 100, "success": 100, "spl": 100}  # to per cent
 
 Record = dict[str, Any]
-Key = tuple[str, str, int]  # task, perception, seed
+Key = tuple[str, str, int, int]  # task, perception, seed of the apartment, index of the episode in it
 
 
 def key_of(record: Record) -> Key:
-    return record["task"], record["perception"], record["seed"]
+    return record["task"], record["perception"], record["seed"], record["index"]
 
 
 def read(file: Path) -> list[Record]:
@@ -67,7 +67,7 @@ def read(file: Path) -> list[Record]:
     return found
 
 
-def played(both: Both, task: str, perception: str, number: int) -> Record:
+def played(both: Both, task: str, perception: str, index: int, number: int) -> Record:
     """One episode, planned in our world and played in both.
 
     Starts are moved onto the mesh if they lie beside it. `WorldError` if there is no episode, or no way in one world.
@@ -75,10 +75,10 @@ def played(both: Both, task: str, perception: str, number: int) -> Record:
     kind = tasks.load(task)
     config = {"task": task, "perception": perception, "camera": as_dict(Camera()), "rows": ROWS}
     player = Player(config | {"rules": as_dict(kind.rules()), "disturbances": as_dict(Disturbances())})
-    slot = Slot(task, APARTMENT, both.seed, 0, number)
+    slot = Slot(task, APARTMENT, both.seed, index, number)
     _at(both.ours)
     planned = player.plan(slot)
-    record: Record = {"task": task, "perception": perception, "seed": both.seed, "query": planned.query, "worlds": {}}
+    record: Record = {"query": planned.query, "worlds": {}}
     for world, place in zip(WORLDS, (both.ours, both.theirs), strict=True):
         _at(place)
         episode = replace(planned, scene_hash=place.scene.hash)
@@ -121,23 +121,29 @@ def _judged(player: Player, episode: Episode, slot: Slot) -> dict[str, Any]:
     return found | {"visible": [int(seen) for seen in recording.truth["visible"]]}
 
 
-def play_all(file: Path, seeds: list[int], names: list[str], perceptions: list[str]) -> None:
+def play_all(file: Path, seeds: list[int], each: int, names: list[str], perceptions: list[str]) -> None:
     """Play what the file does not hold yet, one apartment after the other."""
     done = {key_of(record) for record in read(file)}
-    for number, seed in enumerate(seeds):
-        wanted = [(t, p, seed) for p in perceptions for t in names if (t, p, seed) not in done]
+    for place, seed in enumerate(seeds):
+        every = [(task, perception, seed, k) for perception in perceptions for task in names for k in range(each)]
+        wanted = [key for key in every if key not in done]
         if not wanted:
             continue
         with tempfile.TemporaryDirectory() as folder:
             both = opened(seed, Path(folder))
-            for task, perception, _ in wanted:
+            for task, perception, _, index in wanted:
+                record: Record = {"task": task, "perception": perception, "seed": seed, "index": index}
                 try:
-                    record = played(both, task, perception, number)
+                    record |= played(both, task, perception, index, place * each + index)
                 except EagorError as error:
-                    record = {"task": task, "perception": perception, "seed": seed, "failed": str(error)}
+                    record["failed"] = str(error)
                 with file.open("a") as stream:
                     stream.write(json.dumps(record) + "\n")
-                print(f"  {task} {perception} {seed}: {record.get('failed', 'played')}", file=sys.stderr, flush=True)
+                print(
+                    f"  {task} {perception} {seed}-{index}: {record.get('failed', 'played')}",
+                    file=sys.stderr,
+                    flush=True,
+                )
             both.theirs.scene.close()  # pyright: ignore[reportAttributeAccessIssue]
 
 
@@ -159,31 +165,32 @@ def table(records: list[Record]) -> Iterator[str]:
         yield from _visibility(kept)
 
 
-def _values(records: list[Record], world: str, method: str, name: str) -> dict[int, float]:
-    """By seed, what a method reached where the metric applies."""
-    found = {record["seed"]: record["worlds"][world][method][name] for record in records}
-    return {seed: SCALE.get(name, 1) * value for seed, value in found.items() if value is not None}
+def _values(records: list[Record], world: str, method: str, name: str) -> dict[Key, float]:
+    """By episode, what a method reached where the metric applies."""
+    found = {key_of(record): record["worlds"][world][method][name] for record in records}
+    return {key: SCALE.get(name, 1) * value for key, value in found.items() if value is not None}
 
 
 def _mean(records: list[Record], world: str, method: str, name: str) -> str:
-    values = list(_values(records, world, method, name).values())
-    if len(values) < 2:
-        return "-"
+    found = _values(records, world, method, name)
+    values, seeds = list(found.values()), [key[2] for key in found]
+    if len(set(seeds)) < 2:  # one apartment says nothing about the spread
+        return f"{np.mean(values):.1f}" if values else "-"
     if name == "success":
         ends = wilson_interval(round(sum(values) / 100), len(values))
         return _cell(float(np.mean(values)), 100 * ends.low, 100 * ends.high)
-    ends = bootstrap_interval(values, np.random.default_rng(0))
+    ends = bootstrap_interval(values, np.random.default_rng(0), groups=seeds)
     return _cell(float(np.mean(values)), ends.low, ends.high)
 
 
 def _gap(records: list[Record], method: str, name: str) -> str:
     ours, habitat = (_values(records, world, method, name) for world in WORLDS)
-    common = [seed for seed in ours if seed in habitat]
-    if len(common) < 2:
-        return "-"
-    found = paired_difference(
-        [habitat[seed] for seed in common], [ours[seed] for seed in common], np.random.default_rng(0)
-    )
+    common = [key for key in ours if key in habitat]
+    seeds = [key[2] for key in common]
+    theirs, mine = ([world[key] for key in common] for world in (habitat, ours))
+    if len(set(seeds)) < 2:
+        return f"{np.mean(theirs) - np.mean(mine):.1f}" if common else "-"
+    found = paired_difference(theirs, mine, np.random.default_rng(0), seeds)
     return _cell(found.difference, found.interval.low, found.interval.high)
 
 
@@ -210,13 +217,14 @@ def main() -> int:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--out", type=Path, required=True)
     options.add_argument("--seeds", nargs="+", type=int, default=list(range(8500, 8510)))
+    options.add_argument("--each", type=int, default=1, help="episodes of each task in each apartment")
     options.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS))
     options.add_argument("--perceptions", nargs="+", default=["truth:moderate", "scout"])
     options.add_argument("--table", action="store_true", help="print what FILE.jsonl holds")
     given = options.parse_args()
     if not given.table:
         need_habitat()
-        play_all(given.out, given.seeds, given.tasks, given.perceptions)
+        play_all(given.out, given.seeds, given.each, given.tasks, given.perceptions)
     print("\n".join(table(read(given.out))))
     return 0
 
