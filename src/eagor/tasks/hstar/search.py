@@ -61,7 +61,7 @@ class SearchRules:
     repeats: float = 0.48
     tilt: float = 40.0
     height: float = -15.0
-    elsewhere: float = 0.5
+    elsewhere: float = 0.3
     shift: float = 1.44
     slope: float = 1.24
 
