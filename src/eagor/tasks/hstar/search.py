@@ -59,9 +59,9 @@ class SearchRules:
     hit: float = 0.7
     alarm: float = 0.2
     repeats: float = 0.48
-    tilt: float = 40.0
+    tilt: float = 20.0
     height: float = -15.0
-    elsewhere: float = 0.3
+    elsewhere: float = 0.5
     shift: float = 1.44
     slope: float = 1.24
 
