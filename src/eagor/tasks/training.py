@@ -60,7 +60,7 @@ class WithEstimate(_Wrapper, gymnasium.utils.RecordConstructorArgs):
                 f"the perception {self._called or self._perception!r} sees panoramas; set panorama to its rows"
             )
         method_for(method, self._perception, self._called, np.random.default_rng(0))  # an unknown name fails here
-        self.observation_space = with_spaces(env, estimate=spaces.Box(-1.0, 1.0, (3,), np.float32))
+        self.observation_space: spaces.Space[Any] = with_spaces(env, estimate=spaces.Box(-1.0, 1.0, (3,), np.float32))
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
         observation, info = self.env.reset(seed=seed, options=options)
@@ -117,7 +117,7 @@ class ForTraining(_Wrapper, gymnasium.utils.RecordConstructorArgs):
             changed["waypoint"] = _signed(3)
         if "range" in own.spaces:
             changed["range"] = spaces.Box(0, 255, (*own["range"].shape, 1), np.uint8)  # type: ignore[misc]
-        self.observation_space = with_spaces(env, **changed)
+        self.observation_space: spaces.Space[Any] = with_spaces(env, **changed)
         self._bounds: tuple[np.ndarray, np.ndarray] | None = None
         if isinstance(env.action_space, spaces.Box):
             self._bounds = env.action_space.low.astype(np.float64), env.action_space.high.astype(np.float64)
