@@ -134,8 +134,9 @@ def fit(episodes: Sequence[Episode], noise: Noise, looks: int, trials: int) -> N
             temperature = (silent + full) / math.log((1 + floor) / (noise.floor + floor))
             neutral = (noise.floor + floor) * math.exp(silent / temperature) - floor
             calibration = Calibration(*(round(value, 3) for value in (floor, neutral, temperature)))
-            repeats, tilt, height = rng.uniform(0.15, 0.6), rng.uniform(15, 32), rng.uniform(-20, -8)
-            rules = replace(rules, repeats=round(repeats, 2), tilt=round(tilt), height=round(height))
+            repeats, tilt, height = rng.uniform(0.15, 0.6), rng.uniform(20, 50), rng.uniform(-20, -8)
+            even = round(rng.uniform(0.1, 0.6), 2)
+            rules = replace(rules, repeats=round(repeats, 2), tilt=round(tilt), height=round(height), elsewhere=even)
         records = []
         for repetition in range(looks):
             for episode in episodes:

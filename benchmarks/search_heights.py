@@ -6,8 +6,8 @@
 Episodes of H*Bench's kind (ten views of 100 degrees, strict success). The sets:
 
 - balls: coloured balls before a grey wall, 2.5 to 5 degrees in radius, whose elevations are even from -65 to 55
-  degrees; three in each scene, each searched for from three starts. The perceptions: `truth:ideal` (finds all that is in view),
-  `truth` (30 % misses, a false alarm in every fifth view, 8 degrees of error), and `colour`, which sees the pictures.
+  degrees; three in each scene, each searched for from three starts. The perceptions: `truth:ideal` (no errors), `truth`
+  (30 % misses, a false alarm in every fifth view, 8 degrees of error), and `colour`, which sees the pictures.
 - photographs: the labelled ones in the folder --samples, among them a chandelier; with both kinds of `truth`.
 - indoors: --indoors apartments, in which rugs, ceiling lamps, paintings, books and vases are targets, too.
 

@@ -51,8 +51,8 @@ for place in np.unique(places).tolist():
         for name, choose in ways.items():
             found[name].append(success(env, seed, choose))
 for name, wins in found.items():
-    low, high = wilson_interval(int(sum(wins)), len(wins))[:2]
-    print(f"{name} reaches the target in {100 * np.mean(wins):.0f} % ({100 * low:.0f} to {100 * high:.0f})")
+    ends = wilson_interval(int(sum(wins)), len(wins))
+    print(f"{name} reaches the target in {100 * np.mean(wins):.0f} % ({100 * ends.low:.0f} to {100 * ends.high:.0f})")
 gain = paired_difference(found["trained"], found["random"], np.random.default_rng(0), groups=places)
-low, high = (100 * value for value in gain.interval[:2])
+low, high = 100 * gain.interval.low, 100 * gain.interval.high
 print(f"gain: {100 * gain.difference:.0f} points, 95 % interval {low:.0f} to {high:.0f} (apartments resampled)")

@@ -30,6 +30,7 @@ from eagor.tasks.hstar.lmms import process_results
 from eagor.tasks.hstar.play import CAUSES, cause_of, play, work
 from eagor.tasks.hstar.prompts import first_text, system_text
 from eagor.tasks.hstar.rules import window_of
+from eagor.tasks.hstar.search import SearchRules
 from eagor.tasks.hstar.words import head_of, phrase_of, tag_of, thing_of
 
 MINI = Path(__file__).parents[2] / ".." / "shared" / "bench_samples" / "hstar_mini"
@@ -198,6 +199,13 @@ def test_the_oracle_finds_everything_in_the_shared_samples():
     assert {record["level"] for record in found} == {"easy", "medium", "hard"}
 
 
+def test_the_prior_of_the_search_is_a_setting_of_the_run(tmp_path):
+    folder = hstar_data.write(tmp_path)
+    found = settings(folder, agent="eagor", perception="truth", tilt="35", height="5")
+    assert SearchRules.of(found) == SearchRules(tilt=35.0, height=5.0)
+    assert SearchRules.of({"degree": 7}) == SearchRules(degree=7), "runs from before had no such settings"
+
+
 def test_what_cannot_be_played_is_refused_before_anything_is_played(tmp_path):
     folder = hstar_data.write(tmp_path)
     for more, words in (
@@ -212,6 +220,9 @@ def test_what_cannot_be_played_is_refused_before_anything_is_played(tmp_path):
         ({"turns": True}, "turns = True; wanted 1, 2"),
         ({"turns": float("inf")}, "turns = inf; wanted 1, 2"),
         ({"sure": 0.0}, "sure"),
+        ({"tilt": -1.0}, r"tilt = -1\.0; wanted degrees, 0 or more"),
+        ({"height": 100.0}, "height = 100.0; wanted degrees from -90 to 90"),
+        ({"elsewhere": 0.0}, "elsewhere = 0.0; wanted a share above 0"),
         ({"sure": "nan"}, "sure = 'nan'; wanted something like 0.95"),
         ({"resolution": 17}, "resolution = 17; wanted rows of a picture, 18 to 8640"),
         ({"resolution": 1080.5}, "resolution = 1080.5; wanted something like 1080"),

@@ -19,7 +19,6 @@ from eagor.tasks.hstar.rules import submit_succeeds
 from eagor.tasks.hstar.search import CELLS, PITCHES, YAWS, Search, SearchRules, _information, _prior, _weights
 
 poses = st.tuples(st.integers(0, 359), st.sampled_from(PITCHES))
-boxes = st.tuples(st.integers(0, 359), st.integers(-50, 40))
 
 
 def empty(floor=0.02):
@@ -92,11 +91,34 @@ def test_the_next_view_looks_where_nobody_has_looked():
         seen.append(now)
 
 
-@given(boxes, st.integers(0, 359))
+@pytest.mark.parametrize("elsewhere", [0.05, 0.3, 1.0])
+def test_the_prior_is_even_by_the_share_elsewhere(elsewhere):
+    even = CELLS.weights / CELLS.weights.sum()
+    prior = _prior(SearchRules(tilt=5, height=80, elsewhere=elsewhere), "hos")
+    assert prior.sum() == pytest.approx(1)
+    assert float((prior / even).min()) == pytest.approx(elsewhere), "far from the mean only the even part is left"
+    top = np.degrees(CELLS.latitudes) > 60
+    assert prior[top].sum() == pytest.approx(1 - elsewhere * (1 - even[top].sum()), abs=1e-3)
+    np.testing.assert_allclose(_prior(SearchRules(), "hps"), CELLS.weights)
+
+
+@pytest.mark.parametrize("pitch", [-60, -30, 0, 30, 50])
+@pytest.mark.parametrize("size", [4, 10, 24])
+def test_one_clear_look_outweighs_what_was_not_looked_at(pitch, size):
+    """However small the thing is in the picture: a sharp report must not say less than a broad one."""
+    half = size / 2 / math.cos(math.radians(pitch))
+    item = {"yaw": [(200 - half) % 360, (200 + half) % 360], "pitch": [pitch - size / 2, pitch + size / 2]}
+    eye = TruthEye((item["yaw"][0], item["yaw"][1]), (item["pitch"][0], item["pitch"][1]), Noise.ideal(), 0)
+    view = View(210.0, float(pitch))
+    answer = Search.begin("hos").seen(eye.look(view), view.world_R_view, view).answer()
+    assert submit_succeeds(item, answer.yaw, answer.pitch, "strict")
+
+
+@given(st.tuples(st.integers(0, 359), st.integers(-65, 50)), st.integers(0, 359))
 @settings(max_examples=10)
 def test_an_ideal_eye_finds_what_is_there(box, start):
     yaw, pitch = box
-    item = {"yaw": [yaw, (yaw + 20) % 360], "pitch": [pitch, pitch + 15]}
+    item = {"yaw": [yaw, (yaw + 8) % 360], "pitch": [pitch, pitch + 6]}
     eye = TruthEye((item["yaw"][0], item["yaw"][1]), (item["pitch"][0], item["pitch"][1]), Noise.ideal(), 0)
     search, view = Search.begin("hos"), View(float(start), 0.0)
     beginning = search.answer().probability

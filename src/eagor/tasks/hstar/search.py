@@ -59,7 +59,7 @@ class SearchRules:
     hit: float = 0.7
     alarm: float = 0.2
     repeats: float = 0.48
-    tilt: float = 40.0
+    tilt: float = 20.0
     height: float = -15.0
     elsewhere: float = 0.5
     shift: float = 1.44
@@ -256,8 +256,9 @@ def _prior(rules: SearchRules, kind: str) -> np.ndarray:
     """Prior probability of each cell, up to a factor."""
     if rules.tilt <= 0 or kind == "hps":
         return CELLS.weights
-    latitude = (np.degrees(CELLS.latitudes) - rules.height) / rules.tilt
-    usual = np.exp(-0.5 * latitude**2)[:, None] * CELLS.weights
+    squared = (np.degrees(CELLS.latitudes) - rules.height) ** 2
+    beyond = squared - squared.min()  # so that the nearest row keeps its weight, however narrow the density is
+    usual = np.exp(-0.5 * beyond / max(rules.tilt, 1e-3) ** 2)[:, None] * CELLS.weights
     even = CELLS.weights / CELLS.weights.sum()
     return (1 - rules.elsewhere) * usual / usual.sum() + rules.elsewhere * even
 
