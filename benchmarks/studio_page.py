@@ -79,7 +79,7 @@ def measured(browser: Browser, page: Page, address: str, seconds: float) -> dict
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--size", default="1280x800", help="of the window, pixels")
     parser.add_argument("--browser", default=shutil.which("chromium"))

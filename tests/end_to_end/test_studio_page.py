@@ -71,8 +71,8 @@ def test_the_heat_is_brightest_where_the_belief_has_its_mode(page: Watched) -> N
     from scipy import ndimage
 
     added = ndimage.gaussian_filter((glow - without)[..., 1], 2)
-    height, width = added.shape
-    row, column = divmod(int(added.argmax()), width)
+    height, width = (int(size) for size in glow.shape[:2])
+    row, column = divmod(int(np.argmax(added)), width)
     azimuth, elevation = math.pi - 2 * math.pi * (column + 0.5) / width, math.pi / 2 - math.pi * (row + 0.5) / height
     level = math.cos(elevation)
     shown = np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
