@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from eagor.studio.hub import LiveSource, Settings
 
 SHORTEST = 16  # letters of a token
-WAITING = 1 << 16  # bytes on their way to a page
+WAITING = 1 << 14  # bytes on their way to a page
 RATE = 10.0  # answers per second of a live source
 LAST_SEED = 9999
 FOR_EXPORT = ("out", "episode", "methods")
