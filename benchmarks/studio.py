@@ -16,18 +16,21 @@ import json
 import os
 import re
 import signal
+import socket
 import struct
 import subprocess
 import sys
 import time
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 from urllib.request import urlopen
 
 import numpy as np
 from websockets.asyncio.client import connect
 
 TICKS = os.sysconf("SC_CLK_TCK")
+NARROW = 8192  # bytes that wait in the network for the slow page
 SLOW = 2.0  # seconds between two messages that the slow page reads
 PROBE = 0.5  # seconds between two questions to the server's loop
 
@@ -47,11 +50,14 @@ class Seen:
 async def page(address: str, opening: dict[str, Any], until: float, seen: Seen, rest: float = 0.0) -> None:
     """Open a view and read until a time; `rest`: seconds between two messages."""
     # A slow page keeps its messages in the network, too: small buffers make it slow for the server.
-    async with connect(address, max_size=None, max_queue=1 if rest else 16, compression=None) as line:
+    place = urlsplit(address)
+    pipe = socket.socket()
+    if rest:
+        pipe.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, NARROW)
+    pipe.connect((place.hostname, place.port))
+    async with connect(address, sock=pipe, max_size=None, max_queue=1 if rest else 16, compression=None) as line:
         begun = time.monotonic()
         await line.send(json.dumps(opening))
-        if opening["drive"] == "person":
-            await line.send(json.dumps({"type": "drive", "by": "person", "turn": 0.5}))
         while (left := until - time.monotonic()) > 0:
             try:
                 frame = await asyncio.wait_for(line.recv(), left)
@@ -63,6 +69,8 @@ async def page(address: str, opening: dict[str, Any], until: float, seen: Seen, 
             seen.bytes += len(frame)
             if header["type"] == "problem":
                 seen.problems.append(header["problem"])
+            if header["type"] == "scene" and opening["drive"] == "person":
+                await line.send(json.dumps({"type": "drive", "by": "person", "turn": 0.5}))
             if header["type"] != "step":
                 continue
             seen.arrivals.append(time.monotonic())
@@ -88,14 +96,14 @@ async def probe(address: str, until: float, found: list[float]) -> None:
 
 async def measure(address: str, pages: int, seconds: float, drive: str) -> dict[str, Any]:
     """So many pages at once; the last of several reads slowly."""
-    socket = address.replace("http:", "ws:") + "ws"
+    line = address.replace("http:", "ws:") + "ws"
     opening = {"type": "open", "view": "walk", "drive": drive}
     seen = [Seen() for _ in range(pages)]
     answers: list[float] = []
     until = time.monotonic() + seconds
     slow = pages > 1
     tasks = [
-        page(socket, opening, until, each, SLOW if slow and index == pages - 1 else 0.0)
+        page(line, opening, until, each, SLOW if slow and index == pages - 1 else 0.0)
         for index, each in enumerate(seen)
     ]
     await asyncio.gather(*tasks, probe(address, until, answers))
@@ -111,10 +119,12 @@ async def measure(address: str, pages: int, seconds: float, drive: str) -> dict[
         "looks_per_second": spread([each.looks / seconds for each in quick]),
         "pictures_per_second": spread([each.pictures / seconds for each in quick]),
         "kilobytes_per_second": spread([each.bytes / seconds / 1e3 for each in quick]),
-        "first_picture_s": spread([each.first or float("nan") for each in quick]),
+        "first_picture_s": spread([seconds if each.first is None else each.first for each in quick]),
         "age_ms": quantiles(1e3 * ages),
         "gap_ms": quantiles(1e3 * gaps),
         "loop_answers_ms": quantiles(1e3 * np.array(answers)),
+        "steps": sum(each.numbers[-1] - each.numbers[0] for each in seen if each.numbers),
+        "looks": sum(each.looks for each in seen),
         "problems": sorted({text for each in seen for text in each.problems}),
     }
     if slow:
@@ -150,6 +160,8 @@ def cost(process: int) -> dict[int, tuple[float, float]]:
     """CPU seconds and megabytes in memory of each process of a family, by its number."""
     found = {}
     for each in family(process):
+        if b"resource_tracker" in Path(f"/proc/{each}/cmdline").read_bytes():
+            continue
         fields = Path(f"/proc/{each}/stat").read_text().rpartition(")")[2].split()
         found[each] = (int(fields[11]) + int(fields[12])) / TICKS, int(fields[21]) * os.sysconf("SC_PAGE_SIZE") / 1e6
     return found
@@ -185,12 +197,16 @@ def main() -> None:
         found = {"warm_s": round(warm, 1), "load_before": round(load, 1), "page_bytes": page_bytes(address)}
         found |= asyncio.run(measure(address, options.pages, options.seconds, options.drive))
         after = cost(server.pid)
-        names = ("server", "engine", "eye", "runs")
-        found["cpu_share"] = {
-            name: round((after[each][0] - before.get(each, (0.0, 0.0))[0]) / options.seconds, 3)
-            for name, each in zip(names, sorted(after), strict=False)
+        names = dict(zip(("server", "engine", "eye", "runs"), sorted(after), strict=False))
+        spent = {name: after[each][0] - before.get(each, (0.0, 0.0))[0] for name, each in names.items()}
+        steps, looks = found.pop("steps"), found.pop("looks")
+        found["cpu_share"] = {name: round(seconds / options.seconds, 3) for name, seconds in spent.items()}
+        found["cpu_ms"] = {
+            "server, per update": round(1e3 * spent["server"] / max(steps, 1), 2),
+            "engine, per update": round(1e3 * spent["engine"] / max(steps, 1), 2),
+            "eye, per look": round(1e3 * spent["eye"] / max(looks, 1), 1),
         }
-        found["memory_mb"] = {name: round(after[each][1]) for name, each in zip(names, sorted(after), strict=False)}
+        found["memory_mb"] = {name: round(after[each][1]) for name, each in names.items()}
         print(json.dumps(found, indent=1))
     finally:
         server.send_signal(signal.SIGINT)

@@ -188,7 +188,7 @@ def exported(path: Path, episode: dict[str, Any]) -> Path:
 
 
 def inside(line: np.ndarray, points: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Whether `points` ``(n, 3)`` lie within a closed line ``(m, 3)`` around `centre`, as seen in a stereographic map."""
+    """Whether `points` ``(n, 3)`` lie within a closed line ``(m, 3)`` around `centre`, in a stereographic map."""
     axes = np.linalg.svd(centre[None])[2][1:]
 
     def mapped(d: np.ndarray) -> np.ndarray:

@@ -20,9 +20,8 @@ directions = np.concatenate([directions / np.linalg.norm(directions, axis=1, kee
 def case(degree: int) -> dict[str, object]:
     """The basis at some directions, and a random belief: its field on a grid, its density, its mode, its region."""
     basis = RealHarmonics(degree)
-    coefficients = rng.normal(size=basis.size) * np.repeat(
-        2.0 / (1 + np.arange(degree + 1)), 2 * np.arange(degree + 1) + 1
-    )
+    width = np.repeat(2.0 / (1 + np.arange(degree + 1)), 2 * np.arange(degree + 1) + 1)
+    coefficients = rng.normal(size=basis.size) * width
     coefficients = coefficients.astype(np.float32).astype(np.float64)
     belief = Belief(coefficients)
     region = belief.credible_region(0.9)

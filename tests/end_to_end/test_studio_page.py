@@ -1,4 +1,4 @@
-"""The studio's page as a person sees it, from a file: what is drawn is where the maths says, by hand and by keyboard."""
+"""The studio's page as a person sees it, from a file: what is drawn is where the maths says, by hand and by keys."""
 
 from __future__ import annotations
 
@@ -70,9 +70,9 @@ def test_the_heat_is_brightest_where_the_belief_has_its_mode(page: Watched) -> N
     # What the heat added; only a blurred maximum counts, not one pixel.
     from scipy import ndimage
 
-    added = ndimage.gaussian_filter((glow - without)[..., 1], 2, mode=["nearest", "wrap"])
-    row, column = np.unravel_index(int(added.argmax()), added.shape)
-    height, width = added.shape
+    added = ndimage.gaussian_filter((glow - without)[..., 1], 2)
+    height, width = (int(size) for size in glow.shape[:2])
+    row, column = divmod(int(np.argmax(added)), width)
     azimuth, elevation = math.pi - 2 * math.pi * (column + 0.5) / width, math.pi / 2 - math.pi * (row + 0.5) / height
     level = math.cos(elevation)
     shown = np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
@@ -115,12 +115,10 @@ def test_dragging_keeps_what_was_grabbed_under_the_pointer(page: Watched) -> Non
     half = 40
     row, column = round(box["height"] / 2), round(box["width"] / 2)
     patch = seen[row - half : row + half, column - half : column + half]
-    away = {
-        shift: float(
-            np.abs(moved[row - half : row + half, column + shift - half : column + shift + half] - patch).mean()
-        )
-        for shift in range(round(across) - 120, round(across) + 121, 4)
-    }
+    away = {}
+    for shift in range(round(across) - 120, round(across) + 121, 4):
+        there = moved[row - half : row + half, column + shift - half : column + shift + half]
+        away[shift] = float(np.abs(there - patch).mean())
     assert abs(min(away, key=away.__getitem__) - across) <= 12
 
 
@@ -142,7 +140,8 @@ def test_everything_can_be_done_by_keyboard(page: Watched) -> None:
         told = page.evaluate(
             "(() => { const one = document.activeElement; const style = getComputedStyle(one);"
             "if (one === document.body) return ['', true];"
-            "return [(one.getAttribute('aria-label') || one.textContent.trim() || one.name || one.tagName).slice(0, 60),"
+            "return [(one.getAttribute('aria-label') || one.textContent.trim() || one.name || one.tagName)"
+            ".slice(0, 60),"
             "style.outlineStyle !== 'none' || one.matches('.segments input')]; })()"
         )
         if told[0] in names:

@@ -260,8 +260,6 @@ def test_a_server_that_goes_is_said_so(studio: Studio) -> None:
     page = go(studio, "walk")
     page.until("window.eagorStudio.store.step")
     studio.process.terminate()
-    page.until(
-        "[...document.querySelectorAll('[role=alert]')].some((one) => one.textContent.includes('does not answer'))"
-    )
+    page.until("document.querySelector('.problems').textContent.includes('does not answer')")
     assert page.get_by_role("button", name="Try now").count() == 1
     page.kept("server-gone")

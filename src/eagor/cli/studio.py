@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from eagor.studio.hub import LiveSource, Settings
 
 SHORTEST = 16  # letters of a token
+WAITING = 1 << 14  # bytes on their way to a page
 RATE = 10.0  # answers per second of a live source
 LAST_SEED = 9999
 FOR_EXPORT = ("out", "episode", "methods")
@@ -98,6 +99,8 @@ def _listening(host: str, port: int) -> socket.socket:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
         taken = socket.socket(family, socket.SOCK_STREAM)
         taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        # What waits in the network for a slow page cannot be replaced by newer steps any more: keep that little.
+        taken.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WAITING)
         taken.bind((host, port))
         taken.listen(128)  # whoever reads the address may connect at once
     except OSError as error:

@@ -17,6 +17,7 @@ from typing import Any
 import eagor
 from eagor.errors import FormatError
 
+LEFT_OUT = {"__pycache__", "static"}  # the studio's page is built anew at times; it decides no result
 READ = (".json", ".jsonl", ".csv", ".tsv", ".txt")  # annotations: their content counts, of other files the size
 
 
@@ -75,7 +76,9 @@ def _places(text: str) -> Iterator[Path]:
 def _code() -> str:
     """All of this package, weights included: its version alone does not tell one checkout from another."""
     home = Path(eagor.__file__).parent
-    files = (path for path in sorted(home.rglob("*")) if path.is_file() and "__pycache__" not in path.parts)
+    files = (
+        path for path in sorted(home.rglob("*")) if path.is_file() and not LEFT_OUT & {*path.relative_to(home).parts}
+    )
     return _digest(part for path in files for part in (_name(path, home), path))
 
 

@@ -28,7 +28,7 @@ from eagor.tasks.methods import BASE
 __all__ = ["serve"]
 
 EYE = "eagor.studio.eye:serve"
-SHARE = 0.6  # of a core for computing beliefs
+SHARE = 0.6  # of the time for computing beliefs
 LEARNT = 0.05  # weight of the newest in a running mean
 KINDS = {"walk": WalkSession, "picture": PictureSession, "video": VideoSession}
 
@@ -71,7 +71,7 @@ class _Engine:
         self._line, self._eyes = line, eyes
         self._sessions: dict[int, Session] = {}
         self._out = Outbox(self._send, self._order)
-        self._cost = 0.0  # CPU seconds of one computation of a belief, a running mean
+        self._cost = 0.0  # seconds of one computation of a belief, a running mean; more on a busy machine
         self._ready = False
 
     def turn(self) -> None:

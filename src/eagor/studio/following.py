@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from eagor.errors import PoseError, TimeError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid
 from eagor.studio.steps import belief_of, estimate_json
@@ -18,6 +20,7 @@ __all__ = ["Following", "warm"]
 
 SOONEST = 0.2  # seconds between two computations, at least
 LATEST = 1.0  # seconds after which the belief is computed anew without news: targets may come and go
+HISTORY = 60.0  # seconds by which a look may be late: many pages share one eye
 MOVED = 0.02  # metres of the camera that are worth a computation
 
 
@@ -35,22 +38,23 @@ class Following:
     belief: dict[str, Any] = field(default_factory=dict)
     coefficients: bytes = b""
     news: bool = False
-    took: float = 0.0  # CPU seconds of the newest answer, if it was a computation
+    took: float = 0.0  # seconds of the newest answer, if it was a computation
     _fresh: bool = True
     _at: np.ndarray | None = None
     _stamp: float = -math.inf
 
     def __post_init__(self) -> None:
-        self.tracker = DirectionTracker(self.config)
+        self.tracker = DirectionTracker(replace(self.config, history=max(self.config.history, HISTORY)))
 
     def pose(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
         """A pose of the camera; once for every stamp, in order."""
         self.tracker.add_pose(stamp, world_R_body, position)
 
     def look(self, evidence: Evidence) -> None:
-        """A look, stamped with the time of a pose."""
-        self.tracker.observe(evidence)
-        self._fresh = True
+        """A look, stamped with the time of a pose. One that comes later than the history reaches is left out."""
+        with suppress(PoseError, TimeError):
+            self.tracker.observe(evidence)
+            self._fresh = True
 
     def answer(self, stamp: float, soonest: float = SOONEST) -> Estimate:
         """The estimate at the newest pose, computed anew not more often than every `soonest` seconds."""
@@ -59,12 +63,12 @@ class Following:
         due = self.estimate is None or self._fresh or moved or stamp - self._stamp >= max(LATEST, soonest)
         self.took = 0.0
         if self.estimate is None or (due and stamp - self._stamp >= soonest):
-            began = time.process_time()
+            began = time.perf_counter()
             self.estimate = self.tracker.estimate(stamp)
             self.entropy = self.estimate.posterior.entropy()
             self.belief, self.coefficients = belief_of(self.estimate, stamp, self.config.degree)
             self._fresh, self._at, self._stamp, self.news = False, position, stamp, True
-            self.took = time.process_time() - began
+            self.took = time.perf_counter() - began
             return self.estimate
         return self.estimate.turned(stamp, pose)
 

@@ -16,6 +16,7 @@ from typing import Any
 from urllib.parse import quote, unquote
 
 from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
@@ -91,7 +92,7 @@ def create_app(studio: Studio) -> Starlette:
         Route("/api/runs/{name}/episodes/{key}/panorama/{number:int}", panorama),
         Route("/api/pictures", pictures, methods=["POST"]),
         WebSocketRoute("/ws", socket),
-        Mount("/assets", StaticFiles(directory=str(assets() / "assets"), check_dir=False)),
+        Mount("/assets", _Assets(directory=str(assets() / "assets"), check_dir=False)),
     ]
     handlers: dict[Any, Any] = {PageError: _refused, 404: _missing, 405: _missing, 500: _broken}
     return Starlette(
@@ -100,6 +101,15 @@ def create_app(studio: Studio) -> Starlette:
         middleware=[Middleware(Guard, gate=studio.settings.gate)],
         exception_handlers=handlers,
     )
+
+
+class _Assets(StaticFiles):
+    """The built files; none, while the page has not been built."""
+
+    async def check_config(self) -> None:
+        if not (assets() / "assets").is_dir():
+            raise HTTPException(404)
+        await super().check_config()
 
 
 def assets() -> Path:

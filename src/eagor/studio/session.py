@@ -64,7 +64,7 @@ class Session(Protocol):
     due: float
 
     def tick(self, now: float, soonest: float) -> float:
-        """Go on; `soonest`: seconds between two computations of the belief. Returns the CPU seconds of one, or 0."""
+        """Go on; `soonest`: seconds between two computations of the belief. Returns the seconds of one, or 0."""
         ...
 
     def saw(self, said: Any, now: float) -> None:

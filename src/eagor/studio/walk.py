@@ -36,7 +36,7 @@ class WalkSession:
         self.due = math.inf
         self.house: House | None = None
         self._paused = False
-        self._seeing = self._fine = False  # a look is under way; the panorama is a fine one
+        self._seeing = self._looking = self._fine = False  # something is under way, with a look; the picture is fine
         self._degree = BASE.degree
         out.eye(("house", number, opening.seed, opening.perception))
         out.status(number, f"Building apartment {opening.seed}. The first time takes some seconds.")
@@ -48,6 +48,7 @@ class WalkSession:
             self._query = self.opening.query or said.house.query
             self._begin(now)
         elif isinstance(said, Panorama) and self.house is not None:
+            self._seeing = self._seeing and self._looking  # the look is still to come
             if said.stamp < self._since:
                 return
             where = {"stamp": rounded(said.stamp), "world_R_camera": rounded(said.world_R_body.reshape(9), 6)}
@@ -216,8 +217,12 @@ class WalkSession:
         if here == self._seen_from and rested and not self._fine:
             rows = FINE
         self._fine = rows == FINE or (rows == 0 and self._fine)
-        query = None if self._refused == self._query else self._query
-        self._seen_from, self._looked, self._seeing = here, stamp, query is not None
+        first = self._seen_from is None  # a picture at once; looks take their turns with those of other pages
+        query = None if first or self._refused == self._query else self._query
+        self._seen_from, self._looked = here, -math.inf if first else stamp
+        if query is None and not rows:
+            return
+        self._seeing, self._looking = True, query is not None
         self._poses = {stamp: (body.world_R_body, body.position)}
         job = See(
             self.number, stamp, body.world_R_body, body.position, self.opening.perception, query, rows,

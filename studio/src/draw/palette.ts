@@ -13,6 +13,8 @@ export const RIVALS = [
   { shape: "down", colour: "#ff8a65" },
   { shape: "plus", colour: "#b4de7a" },
   { shape: "cross", colour: "#b0bec5" },
+  { shape: "left", colour: "#f4e06d" },
+  { shape: "right", colour: "#9fb4ff" },
 ] as const;
 
 export type Shape = (typeof RIVALS)[number]["shape"];

@@ -1,13 +1,14 @@
 /** The belief by azimuth, seen from above: ahead is at the top, left on the left. */
 
 import type { Heat } from "../math/heat";
-import { apply, azimuthOf, direction, type Matrix, type Vector } from "../math/rotation";
+import { azimuthOf, type Matrix, type Vector } from "../math/rotation";
 import { words } from "../words";
 import { font, sheetOf, themed } from "./canvas";
 import { shaped } from "./marks";
 import { RIVALS } from "./palette";
 
 export const BINS = 64; // a power of two, as the columns are: a uniform belief then is a circle
+const FAINT = 1e-6; // of the highest density: what is less is left out
 
 export interface Polar {
   share: Float32Array | null; // of the belief, by bins of azimuth from 0 to 360 degrees left
@@ -24,17 +25,21 @@ export interface Polar {
 export function byAzimuth(heat: Heat, body_R_belief: Matrix): Float32Array {
   const { lattice, values } = heat.fine ?? heat.coarse;
   const columns = lattice.azimuths.length;
+  const [cosines, sines] = [lattice.azimuths.map(Math.cos), lattice.azimuths.map(Math.sin)];
+  const m = body_R_belief;
   const share = new Float32Array(BINS);
   let all = 0;
   for (let i = 0; i < lattice.elevations.length; i++) {
-    const weight = Math.cos(lattice.elevations[i]);
+    const [level, z] = [Math.cos(lattice.elevations[i]), Math.sin(lattice.elevations[i])];
     for (let j = 0; j < columns; j++) {
-      const mass = values[i * columns + j] * weight;
-      const azimuth = azimuthOf(apply(body_R_belief, direction(lattice.azimuths[j], lattice.elevations[i])));
-      const place = (azimuth / (2 * Math.PI) + 1) * BINS; // shared out between the two bins around it
-      const part = place - Math.floor(place);
-      share[Math.floor(place) % BINS] += (1 - part) * mass;
-      share[(Math.floor(place) + 1) % BINS] += part * mass;
+      const mass = values[i * columns + j] * level;
+      if (mass < FAINT * heat.highest) continue;
+      const x = level * (m[0] * cosines[j] + m[1] * sines[j]) + m[2] * z;
+      const y = level * (m[3] * cosines[j] + m[4] * sines[j]) + m[5] * z;
+      const place = (Math.atan2(y, x) / (2 * Math.PI) + 1) * BINS; // shared out between the two bins around it
+      const first = Math.floor(place);
+      share[first % BINS] += (1 - place + first) * mass;
+      share[(first + 1) % BINS] += (place - first) * mass;
       all += mass;
     }
   }

@@ -8,6 +8,7 @@ import type { Shell } from "./shell";
 
 const OUTLINES: Record<string, string> = {
   square: "M4 4h8v8H4z", diamond: "M8 2.5L13 8l-5 5.5L3 8z", up: "M8 3l5 9H3z", down: "M8 13l5-9H3z",
+  left: "M3 8l9-5v10z", right: "M13 8L4 3v10z",
   plus: "M6.3 3h3.4v3.3H13v3.4H9.7V13H6.3V9.7H3V6.3h3.3z", cross: "M5.2 3L8 5.8 10.8 3 13 5.2 10.2 8l2.8 2.8-2.2 2.2L8 10.2 5.2 13 3 10.8 5.8 8 3 5.2z",
 };
 
@@ -24,8 +25,8 @@ function glyph(name: LayerName): SVGElement {
   return svg("svg", { viewBox: "0 0 16 16", class: "glyph", "aria-hidden": "true" }, ...parts[name].map(([tag, props]) => svg(tag, props)));
 }
 
-function chip(text: string, mark: SVGElement, on: boolean, flip: (on: boolean) => void): HTMLButtonElement {
-  const button = h("button", { type: "button", class: "chip", "aria-pressed": String(on) }, mark, h("span", {}, text));
+function chip(text: string | (string | Node)[], mark: SVGElement, on: boolean, flip: (on: boolean) => void): HTMLButtonElement {
+  const button = h("button", { type: "button", class: "chip", "aria-pressed": String(on) }, mark, h("span", {}, ...[text].flat()));
   button.addEventListener("click", () => {
     const now = button.getAttribute("aria-pressed") !== "true";
     button.setAttribute("aria-pressed", String(now));
@@ -60,7 +61,7 @@ export function layers(store: Store, shell: Shell, actions: LayerActions): void 
     rivals.querySelector(".chips")!.replaceChildren(...methods.map(({ name, words: told }, index) => {
       const { shape, colour } = RIVALS[index % RIVALS.length];
       const mark = svg("svg", { viewBox: "0 0 16 16", class: "glyph", "aria-hidden": "true" }, svg("path", { d: OUTLINES[shape], fill: colour, class: "g-rival" }));
-      return chip(told || name, mark, store.rivals.has(name), (on) => {
+      return chip([name, told && told !== name ? h("small", {}, told) : ""], mark, store.rivals.has(name), (on) => {
         if (on) store.rivals.add(name);
         else store.rivals.delete(name);
         actions.methods([...store.rivals]);

@@ -13,6 +13,7 @@ import { h, say } from "./dom";
 import type { Shell } from "./shell";
 
 const SLOW = 3; // seconds since the newest look: from here on the page says so
+const PLOTS = 150; // milliseconds between two drawings of the plots: the panorama comes first
 const TALK = 900; // milliseconds between two changes of the words that stand for plots
 const NEWS = 4000; // milliseconds between two announcements to screen readers
 
@@ -21,6 +22,8 @@ export class Panels {
   private talked = 0;
   private announced = 0;
   private lastNews = "";
+  private plotted = 0;
+  private later = 0;
   private share: { heat: object; pose: object; share: Float32Array } | null = null;
 
   constructor(private readonly store: Store, private readonly shell: Shell, private readonly stage: Stage) {
@@ -38,7 +41,9 @@ export class Panels {
       this.scheduled = false;
       this.answer();
       this.modes();
-      this.plots();
+      const wait = PLOTS - (performance.now() - this.plotted);
+      if (wait <= 0) this.plots();
+      else if (!this.later) this.later = window.setTimeout(() => this.plots(), wait);
       if (performance.now() - this.talked > TALK) this.talk();
       else setTimeout(() => performance.now() - this.talked > TALK && this.talk(), TALK);
     });
@@ -124,6 +129,9 @@ export class Panels {
   }
 
   private plots(): void {
+    clearTimeout(this.later);
+    this.later = 0;
+    this.plotted = performance.now();
     const { store, stage, shell } = this;
     const world_R_body = stage.world_R_body;
     const { gaze } = stage;
