@@ -28,6 +28,7 @@ from urllib.request import urlopen
 
 import numpy as np
 from websockets.asyncio.client import connect
+from websockets.exceptions import ConnectionClosed
 
 TICKS = os.sysconf("SC_CLK_TCK")
 NARROW = 8192  # bytes that wait in the network for the slow page
@@ -55,13 +56,17 @@ async def page(address: str, opening: dict[str, Any], until: float, seen: Seen, 
     if rest:
         pipe.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, NARROW)
     pipe.connect((place.hostname, place.port))
-    async with connect(address, sock=pipe, max_size=None, max_queue=1 if rest else 16, compression=None) as line:
+    async with connect(address, sock=pipe, max_size=None, max_queue=1 if rest else 16, compression=None,
+                       ping_interval=None) as line:  # fmt: skip
         begun = time.monotonic()
         await line.send(json.dumps(opening))
         while (left := until - time.monotonic()) > 0:
             try:
                 frame = await asyncio.wait_for(line.recv(), left)
             except TimeoutError:
+                return
+            except ConnectionClosed as closed:
+                seen.problems.append(f"the connection was closed: {closed}")
                 return
             assert isinstance(frame, bytes)
             (length,) = struct.unpack("<I", frame[:4])
