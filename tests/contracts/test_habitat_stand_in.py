@@ -22,7 +22,7 @@ from eagor.tasks.task import load as load_task
 from eagor.worlds.checking import check_world
 from eagor.worlds.glb import export_glb
 from eagor.worlds.ground import Ground
-from eagor.worlds.habitat import probe, world
+from eagor.worlds.habitat import probe, sessions, world
 from eagor.worlds.habitat.frames import Frames
 from eagor.worlds.habitat.options import parse
 from eagor.worlds.habitat.view import euclidean
