@@ -53,8 +53,8 @@ from eagor.tasks.hstar.looking import CALIBRATION, TruthEye, annotated, open_eye
 from eagor.tasks.hstar.play import play
 from eagor.tasks.hstar.search import SearchRules
 
-FIRST = {"dev": 1200, "report": 2200}  # apartment
-LUCK = {"dev": 0, "report": 1_000_000}
+FIRST = {"dev": 1200, "report": 8600}  # apartment
+LUCK = {"dev": 0, "report": 2_000_000}
 AGENTS = ("eagor", "grid", "sweep", "centroid", "single")
 RESAMPLES = 2000
 
