@@ -112,8 +112,8 @@ def test_the_source_archive_is_complete(dist):
                  "src/eagor/perception/scout/scout.onnx"):  # fmt: skip
         assert name in files, name
     tops = {name.partition("/")[0] for name in files}
-    assert tops <= {"src", "tests", "training", "benchmarks", "docs", "examples", "ros2", "pyproject.toml", "README.md",
-                    "LICENSE", "CHANGELOG.md", "CITATION.cff", "Makefile", "PKG-INFO", ".gitignore",
+    assert tops <= {"src", "tests", "training", "benchmarks", "docs", "examples", "ros2", "studio", "pyproject.toml",
+                    "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "Makefile", "PKG-INFO", ".gitignore",
                     "mkdocs.yml"}  # fmt: skip
     assert not [name for name in files if "__pycache__" in name or name.endswith((".pyc", ".so", ".pickle"))]
 

@@ -48,13 +48,17 @@ def export(options: Studio) -> int:
 def beside_report(folder: Path, out: Path) -> str | None:
     """Write ``episode.html`` of a run's worst episode into `out`; its name, or None where that cannot be.
 
-    A report is not lost for it: what is wrong is said as a warning.
+    A report is not lost for it: what is wrong is said as a warning. A run with a model gets none: to play it again
+    would load the model, or ask its server.
     """
+    from eagor.evaluation import studies
+    from eagor.perception import is_model
     from eagor.studio.export import built, export
     from eagor.studio.runs import opened
+    from eagor.tasks.eyes import release
 
     try:
-        if not opened(folder)["playable"]:
+        if is_model(str(studies.read(folder).settings.get("perception", ""))) or not opened(folder)["playable"]:
             return None
     except (EagorError, OSError, KeyError, IndexError, TypeError, AttributeError):  # the report says what is wrong
         return None
@@ -67,4 +71,6 @@ def beside_report(folder: Path, out: Path) -> str | None:
     except (EagorError, ImportError, OSError, KeyError, IndexError, TypeError) as error:
         terminal.warning(f"no {EPISODE}: {error if isinstance(error, EagorError) else repr(error)}")
         return None
+    finally:
+        release()
     return EPISODE
