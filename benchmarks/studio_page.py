@@ -27,6 +27,8 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 STATS = "window.eagorStudio?.summary.stats ?? null"
 
+QUANTILES = (("p50", 50), ("p95", 95), ("max", 100))
+
 
 def warm(address: str) -> None:
     """Wait until the server has built its apartment."""
@@ -64,7 +66,7 @@ def measured(browser: Browser, page: Page, address: str, seconds: float) -> dict
     begun, used = time.monotonic(), cpu(browser)
     page.wait_for_timeout(1000 * seconds)
     took, used, found = time.monotonic() - begun, since(used, cpu(browser)), page.evaluate(STATS)
-    ages = 1000 * np.array(found["ages"] or [np.nan])
+    ages = 1000 * np.array(found["ages"])
     return {
         "first_picture_ms": round(first),
         "cpu_ms_until_first_picture": {kind: round(1000 * time) for kind, time in spent.items()},
@@ -73,7 +75,7 @@ def measured(browser: Browser, page: Page, address: str, seconds: float) -> dict
         "evaluation_ms": round(found["evaluation"], 1),
         "drawings_per_second": round(found["drawn"] / took, 1),
         "cpu_ms_per_drawing": {kind: round(1000 * time / max(1, found["drawn"]), 1) for kind, time in used.items()},
-        "age_ms": {name: round(float(np.percentile(ages, q))) for name, q in (("p50", 50), ("p95", 95), ("max", 100))},
+        "age_ms": {name: round(float(np.percentile(ages, q))) for name, q in QUANTILES} if len(ages) else None,
         "scale": page.evaluate("window.eagorStudio.summary.scale"),
     }
 
