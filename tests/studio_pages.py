@@ -67,8 +67,11 @@ class Watched:
         return self.page.evaluate("window.eagorStudio.summary")
 
     def at_rest(self) -> None:
-        """Wait until the newest change is drawn at full resolution."""
-        self.until("window.eagorStudio.summary.scale === 1")
+        """Wait until the newest change is drawn with all pixels; a machine too busy for that is asked again."""
+        end = time.monotonic() + PATIENCE
+        while self.until("window.eagorStudio.summary.rests") and self.summary()["drawn"] < 1:
+            assert time.monotonic() < end, f"never drawn finely: {self.summary()}"
+            self.page.evaluate("window.eagorStudio.store.emit('style')")
 
     def kept(self, name: str, **options: Any) -> Path:
         """A screenshot under `name`."""

@@ -202,7 +202,8 @@ window.eagorStudio = {
     return {
       yaw_deg: degrees(look.yaw), pitch_deg: degrees(look.pitch), field_deg: degrees(look.field),
       peak: heat?.peak ?? null, mass: heat?.mass ?? null, border: heat?.border ?? [], frame: store.beliefFrame,
-      world_R_camera: store.step?.world_R_camera ?? null, stats, scale: stage.pace.current, number: store.step?.number ?? null,
+      world_R_camera: store.step?.world_R_camera ?? null, stats, number: store.step?.number ?? null,
+      scale: stage.pace.current, drawn: stage.pace.drawn, rests: stage.pace.rests,
     };
   },
 };

@@ -13,6 +13,8 @@ from eagor.robots.node.driving import BASE, TWIST, TwistGate, body_of
 from eagor.robots.safety.gate import Mode
 from eagor.sphere import world_R_body
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 WAIT = 20.0  # seconds, for what takes a tenth of one
 
 

@@ -15,6 +15,8 @@ from eagor.robots.dds import Link
 from eagor.robots.dds.ros_types import _struct, encoded_type, store, topic_name
 from eagor.robots.dds.settings import free_domain
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 LONG = 20.0  # seconds to wait for what comes at once
 
 

@@ -34,6 +34,8 @@ from eagor.robots.go2.wire_settings import WireSettings
 from eagor.sphere import world_R_body
 from eagor.worlds.ball import Ball
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 SMALL = CameraSettings(rows=32, rate=5.0, latency=0.15)
 
 

@@ -15,6 +15,8 @@ from eagor.robots.ros.bags import BagWriter
 from eagor.sphere import angular_distance, direction, world_R_body
 from eagor.worlds.painted import Room, bearing, paint
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 START = 1_700_000_000.125
 ROOM = Room()
 MOUNT = world_R_body(math.radians(40), 0, 0), np.array([0.05, 0.0, 0.3])  # of the camera on the body

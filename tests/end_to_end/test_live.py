@@ -14,6 +14,8 @@ from processes import alive, sessions_of, wait_for
 from eagor.cli import main
 from eagor.worlds.painted import painted_room
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 pytest.importorskip("cv2")
 WIDTH, STEP = 256, 4  # pixels, and columns by which each picture of the film is turned to the left
 

@@ -11,6 +11,8 @@ from eagor.cli import main
 from eagor.robots.dds.settings import free_domain
 from eagor.worlds.painted import painted_room
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 pytest.importorskip("cyclonedds")
 pytest.importorskip("rosbags")
 TURN = 0.5  # radians per second

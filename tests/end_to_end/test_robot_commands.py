@@ -24,6 +24,8 @@ from eagor.robots.go2.plant import Plant, PlantSettings
 from eagor.robots.go2.sim_server import Go2Server
 from eagor.robots.go2.wire_settings import WireSettings
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "go2.md"
 
 

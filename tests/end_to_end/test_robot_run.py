@@ -17,6 +17,8 @@ from processes import alive, sessions_of, wait_for
 from eagor.cli import main
 from eagor.robots.dds.settings import free_domain
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 pytest.importorskip("cyclonedds")
 pytest.importorskip("rosbags")
 pytest.importorskip("onnxruntime")
@@ -69,14 +71,16 @@ def test_a_dry_run_moves_nothing(tmp_path):
     (signal.SIGINT, True), (signal.SIGINT, False), (signal.SIGTERM, False), (signal.SIGKILL, False),
 ])  # fmt: skip
 def test_a_walk_that_is_ended_leaves_no_process(tmp_path, how, everyone):
-    words = command("white sofa", "--sim", "--arm", "--report", str(tmp_path / "walk"))
+    words = command("white sofa", "--sim", "--arm", "--stay", "--seconds", "600", "--report", str(tmp_path / "walk"))
     child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True)
     assert child.stderr is not None
+    said = ""
     for line in child.stderr:
+        said += line
         if " armed, " in line:
             break
     sessions = sessions_of(child.pid)
-    assert len(alive(sessions)) >= 4  # the command, the robot, its camera, the perception, the guard
+    assert len(alive(sessions)) >= 4, said  # the command, the robot, its camera, the perception, the guard
     if everyone:  # as a terminal does at Ctrl-C
         os.killpg(child.pid, how)
     else:

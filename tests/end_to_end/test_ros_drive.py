@@ -13,6 +13,8 @@ import pytest
 from eagor.cli import main
 from eagor.robots.dds.settings import free_domain
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 LONG = 120.0
 BASE = """
 import json, math, sys, time

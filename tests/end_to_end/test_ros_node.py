@@ -23,6 +23,8 @@ from eagor.robots.ros import messages as m
 from eagor.sphere import angular_distance
 from eagor.worlds.painted import Room, bearing
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 LONG = 60.0
 ROBOT = """
 import math, sys, time

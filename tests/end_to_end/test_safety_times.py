@@ -21,6 +21,8 @@ from eagor.errors import DeviceError
 from eagor.robots.safety.guard import Guard, GuardState
 from eagor.robots.safety.limits import Limits
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 ZERO = 0.5  # seconds from a fault to the command being zero, at most; 0.25 for a stale command
 QUICK = Limits(acceleration=4.0, turn_acceleration=4.0, settle=0.1)  # so that the tests are quick
 COASTING = 1.0  # seconds that the body needs after that: 0.15 dead time, then a third of the speed each 0.33 s

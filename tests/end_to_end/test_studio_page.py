@@ -26,6 +26,8 @@ from tests.studio_pages import (
     serious,
 )
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 
 @pytest.fixture(scope="module")
 def open_page() -> Iterator[Callable[..., Watched]]:
@@ -177,6 +179,19 @@ def test_other_methods_are_drawn_by_choice(page: Watched) -> None:
     page.get_by_role("button", name="the centroid").click()
     page.locator(".rivals summary").click()
     assert np.abs(pixels(page, ".flat-frame") - before).max() > 60
+
+
+def test_a_graphics_driver_that_starts_anew_is_survived(page: Watched) -> None:
+    before = pixels(page, ".flat-frame")
+    page.evaluate("""() => Promise.all(Array.from(document.querySelectorAll("canvas"), (canvas) => {
+        const lost = canvas.getContext("webgl2")?.getExtension("WEBGL_lose_context");
+        if (!lost) return null;
+        const back = new Promise((done) => canvas.addEventListener("webglcontextrestored", done, { once: true }));
+        lost.loseContext();
+        return new Promise((done) => setTimeout(done, 200)).then(() => lost.restoreContext()).then(() => back);
+    }))""")
+    assert np.abs(pixels(page, ".flat-frame") - before).mean() < 0.5
+    assert page.errors == []
 
 
 def test_axe_finds_nothing_serious_in_both_schemes(page: Watched) -> None:

@@ -21,6 +21,8 @@ from PIL import Image
 from eagor.sphere import angular_distance, world_R_body
 from tests.studio_pages import PATIENCE, Watched, browser, need_browser, serious
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 COMMAND = (sys.executable, "-m", "eagor")
 
 

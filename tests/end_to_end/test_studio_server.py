@@ -21,6 +21,8 @@ from eagor.cli import main
 from eagor.studio.export import built
 from eagor.worlds.painted import painted_room
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 SAMPLE = {
     "time": 0.0, "status": "tracking", "presence": 0.9, "azimuth": 0.5, "cone": 0.1, "distance": 2.0,
     "doing": "walking", "words": "on its way", "wanted": [0.3, 0, 0], "sent": None, "stops": 0, "mode": "armed",

@@ -16,6 +16,8 @@ from eagor.robots.dds.settings import free_domain
 from eagor.robots.safety.deadman import REPEAT, HeldKey, checked_deadman
 from eagor.robots.safety.guard import Guard
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 
 def test_a_key_is_held_from_its_first_repeat_until_it_no_longer_comes():
     key = HeldKey()

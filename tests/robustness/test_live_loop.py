@@ -38,6 +38,8 @@ from eagor.robots.live.loop import LiveLoop
 from eagor.robots.live.replay import Replay
 from eagor.tracking import TrackerConfig
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them")
 CONFIG = TrackerConfig(degree=7)
 LONGEST = 60.0  # seconds that anything may take

@@ -7,6 +7,8 @@
 const AIM = 55; // milliseconds for a drawing while things move
 const PATIENCE = 700; // milliseconds for the fine drawing after things came to rest
 const REST = 350; // milliseconds without a change
+const GIVEN_UP = 5000; // milliseconds after which a drawing counts as finished: its end may never be told
+const HELD_BACK = 500; // milliseconds
 const SCALES = [0.2, 0.27, 0.35, 0.5, 0.7, 1];
 
 export class Pace {
@@ -15,6 +17,8 @@ export class Pace {
   private scale = 0.5;
   private cost = 0; // milliseconds at scale 1, by the newest drawings
   private underWay = 0;
+  private begun = 0;
+  private newest = 0;
   private sharp = false;
 
   /**
@@ -27,6 +31,8 @@ export class Pace {
       this.turn();
     };
     requestAnimationFrame(turn);
+    // A browser may hold animation frames back for as long as it is busy; what is new is drawn all the same.
+    setInterval(() => !document.hidden && this.turn(), HELD_BACK);
   }
 
   /** Something changed. */
@@ -36,13 +42,25 @@ export class Pace {
     this.sharp = false;
   }
 
+  /** The scale of drawings while things move. */
   get current(): number {
-    return this.sharp ? 1 : this.scale;
+    return this.scale;
+  }
+
+  /** The scale of the newest drawing. */
+  get drawn(): number {
+    return this.newest;
+  }
+
+  /** Whether the newest change is drawn, as finely as it will be. */
+  get rests(): boolean {
+    return this.sharp && this.underWay === 0;
   }
 
   private turn(): void {
     if (this.underWay > 0) {
-      const took = this.finished();
+      const passed = performance.now() - this.begun;
+      const took = this.finished() ?? (passed > GIVEN_UP ? passed : null);
       if (took === null) return;
       this.learn(took, this.underWay);
       this.underWay = 0;
@@ -58,7 +76,8 @@ export class Pace {
   }
 
   private start(scale: number): void {
-    this.underWay = scale;
+    this.underWay = this.newest = scale;
+    this.begun = performance.now();
     this.draw(scale);
   }
 

@@ -59,8 +59,8 @@ export interface Camera {
 
 export class Sphere {
   private readonly gl: WebGL2RenderingContext;
-  private readonly places = new Map<string, WebGLUniformLocation | null>();
-  private readonly textures: WebGLTexture[] = [];
+  private places = new Map<string, WebGLUniformLocation | null>();
+  private textures: WebGLTexture[] = [];
   private hasPanorama = false;
   private window: Window | null = null;
   private fence: WebGLSync | null = null;
@@ -72,10 +72,13 @@ export class Sphere {
     this.gl = gl;
     this.build();
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    canvas.addEventListener("webglcontextrestored", () => this.build());
   }
 
+  /** Makes program and textures: at the start, and after a graphics driver was started anew and all of them are gone. */
   private build(): void {
     const gl = this.gl;
+    [this.places, this.textures, this.fence] = [new Map(), [], null];
     const program = gl.createProgram();
     for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]] as const) {
       const shader = gl.createShader(kind)!;
@@ -162,8 +165,8 @@ export class Sphere {
   /** Whether the last drawing is on the canvas; null while it is under way. */
   finished(): true | null {
     if (!this.fence) return true;
-    const state = this.gl.getSyncParameter(this.fence, this.gl.SYNC_STATUS);
-    if (state !== this.gl.SIGNALED && !this.gl.isContextLost()) return null;
+    // A lost context, or a fence of one that is gone, tells neither.
+    if (this.gl.getSyncParameter(this.fence, this.gl.SYNC_STATUS) === this.gl.UNSIGNALED && !this.gl.isContextLost()) return null;
     this.gl.deleteSync(this.fence);
     this.fence = null;
     return true;

@@ -44,7 +44,7 @@ export class Stage {
     this.pace = new Pace((scale) => this.draw(scale), () => this.finished());
     for (const { canvas } of [this.inside, this.flat])
       canvas.addEventListener("webglcontextrestored", () => {
-        this.textures = null;
+        this.textures = null; // all that was uploaded is gone
         store.emit("panorama");
       });
     for (const topic of ["scene", "step", "look", "layers", "style"] as const) store.on(topic, () => this.pace.request());
