@@ -27,8 +27,9 @@ UNKNOWN, FLOOR, CONTACT = range(3)
 class FloorSeen:
     """A growing grid of square cells: `state` ``(rows, cols)``, x along columns, low corner at `origin` ``(2,)``.
 
-    `nearest` ``(rows, cols)``: metres from which a cell was seen best. `worth` ``(rows, cols)``: probability that a
-    thing that stands there would have been worth by all looks so far.
+    `nearest` ``(rows, cols)``: metres from which a cell was seen best. `worth` ``(rows, cols)``: probability that all
+    looks so far would have missed a thing that stands there. `held` ``(rows, cols)``: how often the body was held up on
+    its way there.
     """
 
     origin: np.ndarray = field(default_factory=lambda: np.zeros(2))
@@ -71,11 +72,10 @@ class FloorSeen:
     def look(self, floor: np.ndarray, world_R_body: np.ndarray, position: np.ndarray) -> None:
         """Take in a look from `position` ``(3,)``, metres above the floor's plane z = 0.
 
-        `floor` ``(H, W)`` bool: which pixels of an equirectangular picture show the floor. `recall`: the probability
-        that the perception would have found the target in what this look shows anew.
+        `floor` ``(H, W)`` bool: which pixels of an equirectangular picture show the floor.
         """
         here = position[:2]
-        reach = self._reach(floor, world_R_body, position)
+        reach = _reach(floor, position[2])
         self.cover(here - reach - MARGIN, here + reach + MARGIN)
         cells = self._around(here, reach)
         away = self.centres(cells) - here
@@ -94,14 +94,6 @@ class FloorSeen:
             kept = which & better
             self.state[rows[kept], cols[kept]] = state
             self.nearest[rows[kept], cols[kept]] = np.minimum(self.nearest[rows[kept], cols[kept]], metres[kept])
-
-    def _reach(self, floor: np.ndarray, world_R_body: np.ndarray, position: np.ndarray) -> float:
-        rows = np.flatnonzero(floor.any(axis=1))
-        if not len(rows):
-            return 1.0
-        depression = (rows[0] + 0.5) / floor.shape[0] * math.pi - math.pi / 2
-        far = position[2] / math.tan(depression) if depression > 0.02 else FARTHEST
-        return min(max(far + THICK, 1.0), FARTHEST)
 
     def _around(self, here: np.ndarray, reach: float) -> np.ndarray:
         low, high = self.cells(here - reach), self.cells(here + reach) + 1
@@ -122,6 +114,16 @@ class FloorSeen:
         cells = np.unique(self.cells(points), axis=0)
         rows, cols = cells[self.inside(cells)].T
         self.held[rows, cols] += 1
+
+
+def _reach(floor: np.ndarray, height: float) -> float:
+    """Metres to the farthest floor that a look from this height shows, and a little more; `FARTHEST` at most."""
+    rows = np.flatnonzero(floor.any(axis=1))
+    if not len(rows):
+        return 1.0
+    depression = (rows[0] + 0.5) / floor.shape[0] * math.pi - math.pi / 2
+    far = height / math.tan(depression) if depression > 0.02 else FARTHEST
+    return min(max(far + THICK, 1.0), FARTHEST)
 
 
 def _shows(floor: np.ndarray, world_R_body: np.ndarray, away: np.ndarray, height: float) -> np.ndarray:

@@ -144,9 +144,8 @@ class Player:
         observation, info, eye = self._begin(episode)
         method = None if name == ORACLE else self.method(name, episode.slot)
         trace: dict[str, list[Any]] = defaultdict(list)
-        steering, near = steering_for(self.rules, self.camera), math.radians(getattr(self.rules, "sure_within", 0.0))
-        looks_down = getattr(self.rules, "policy", "follow") == "search"
-        floors = floors_of(self.env.labels, episode.scene) if looks_down else None
+        steering = steering_for(self.rules, self.camera)
+        floors = floors_of(self.env.labels, episode.scene) if steering.looks_down else None
         waiting: list[Evidence | None] = []
         directions, said, poses, places, over = [], [], [], [], False
         path = [self._feet()]
@@ -165,7 +164,7 @@ class Player:
                 watch(Seen(stamp, method, observation.get("panorama"), pose[:3], directions[-1]))
             now = Situation(
                 azimuth=float(azimuth_elevation(direction)[0]),
-                share=1.0 if method is None or floors is None else method.share(near),
+                share=1.0 if method is None or floors is None else method.share(steering.near),
                 distance=along_floor(
                     info["truth"]["distance"] if method is None else method.sure_distance(), direction
                 ),

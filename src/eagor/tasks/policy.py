@@ -69,10 +69,10 @@ class Policy:
             self._walls, self._extra = self._walls[~crossed], {}
             for wall in self._walls:
                 self._note(wall)
-        lost = meant - moved
-        size, into = float(np.hypot(*lost)), float(lost @ meant)
-        if size <= TOUCH * self.step or into <= 0:
+        lost = held_back(before, meant, here, self.step)
+        if lost is None:
             return
+        size, into = float(np.hypot(*lost)), float(lost @ meant)
         # The body goes straight, then slides along the wall, which removes the component of each step normal to it.
         normal, slid = lost / size, min(size * size / into, 1.0)
         along = np.array([-normal[1], normal[0]])
@@ -152,6 +152,16 @@ class Policy:
         while way[-1] in came:
             way.append(came[way[-1]])
         return way[::-1]
+
+
+def held_back(before: np.ndarray, meant: np.ndarray, here: np.ndarray, step: float) -> np.ndarray | None:
+    """The part ``(2,)`` of the movement `meant` that a body could not make on its way to `here`; None: no collision.
+
+    Metres; `step`: the length of a whole step.
+    """
+    lost = meant - (here - before)
+    collided = float(np.hypot(*lost)) > TOUCH * step and float(lost @ meant) > 0
+    return lost if collided else None
 
 
 def _node(point: np.ndarray) -> Node:

@@ -17,10 +17,10 @@ import numpy as np
 from eagor.sphere import heading
 from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, FloorSeen
 from eagor.tasks.floor_ways import Ways
+from eagor.tasks.policy import held_back
 from eagor.tasks.situation import Situation
 
 SURE = 0.5  # of a method's belief: if so much lies about its answer, the body walks there
-TOUCH = 0.07  # a step that falls short by more than this share collided
 HALF = 0.1  # metres to each side of the way on which it was held up: there it would be, too
 RAYS, SIGHT = 24, 3.0  # rays about a place from which it may look, and how far they go, metres
 PAD = math.ceil(SIGHT / CELL) + 1  # cells around the grid
@@ -37,13 +37,18 @@ EVERY = 3  # cells between the places that are weighed
 
 @dataclass
 class Searcher:
-    """Chooses headings for one episode. `step` and `radius` in metres; `recall`: probability that a look finds."""
+    """Chooses headings for one episode. `step` and `radius` in metres; `recall`: probability that a look finds.
+
+    `near`: radians about an answer within which half of a belief makes it worth walking to.
+    """
 
     step: float
     radius: float = 0.18
+    near: float = math.radians(20)
     recall: float = 0.5
     known: FloorSeen = field(default_factory=FloorSeen)
     searching: bool = True
+    looks_down: bool = True
     _goal: np.ndarray | None = None
     _promise: float = 0.0
     _last: tuple[np.ndarray, np.ndarray] | None = None
@@ -109,11 +114,10 @@ class Searcher:
 
     def _feel(self, before: np.ndarray, meant: np.ndarray, here: np.ndarray) -> None:
         """Learn from a step: something stands where the body was held up."""
-        lost = meant - (here - before)
-        size, into = float(np.hypot(*lost)), float(lost @ meant)
-        if size <= TOUCH * self.step or into <= 0:
+        lost = held_back(before, meant, here, self.step)
+        if lost is None:
             return
-        normal = lost / size
+        normal = lost / float(np.hypot(*lost))
         along = np.array([-normal[1], normal[0]])
         ahead = np.linspace(0.5, 1.2, 3)[:, None, None] * self.step * normal
         beside = np.linspace(-HALF, HALF, 3)[None, :, None] * along
@@ -133,7 +137,8 @@ class Searcher:
         kept = (rows % EVERY == 0) & (cols % EVERY == 0) & np.isfinite(metres[rows, cols])
         cells = np.stack([rows[kept], cols[kept]], axis=-1)
         if not len(cells):
-            return tuple(known.cells(here + ahead))  # type: ignore[return-value]
+            row, col = known.cells(here + ahead)
+            return int(row), int(col)
         gains = self._gains(cells)
         ratios = gains / (metres[cells[:, 0], cells[:, 1]] + NEAREST_GOAL)
         best = int(ratios.argmax())
@@ -171,7 +176,7 @@ class Searcher:
 
 @lru_cache(maxsize=2)
 def _rays(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets ``(RAYS, n, 2)`` of the cells along rays, and the square metres ``(n,)`` for which each stands."""
+    """Offsets ``(count, n, 2)`` of the cells along rays, and the square metres ``(n,)`` for which each stands."""
     metres = (np.arange(int(SIGHT / CELL)) + 0.5) * CELL
     angles = (np.arange(count) + 0.5) * 2 * math.pi / count
     offsets = np.stack([np.sin(angles)[:, None] * metres, np.cos(angles)[:, None] * metres], axis=-1)

@@ -33,9 +33,15 @@ class Situation:
 
 
 class Steering(Protocol):
-    """Chooses headings for one episode."""
+    """Chooses headings for one episode.
 
-    searching: bool  # whether the last heading was one of a search
+    `searching`: whether the last heading was one of a search. `looks_down`: whether it wants to know the floor of each
+    look, and the share of the belief within `near` radians of the answer; without that, `Situation.share` is 1.
+    """
+
+    searching: bool
+    looks_down: bool
+    near: float
 
     def heading(self, now: Situation) -> float:
         """The heading to walk in, radians from straight ahead, positive left, in (-pi, pi]."""

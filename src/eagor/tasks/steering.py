@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +24,8 @@ class Following:
 
     policy: Policy
     searching: bool = False
+    looks_down: bool = False
+    near: float = 0.0
 
     def heading(self, now: Situation) -> float:
         return self.policy.heading(now.azimuth, now.position[:2], heading(now.world_R_body))
@@ -32,4 +35,4 @@ def steering_for(rules: Any, camera: Camera) -> Steering:
     """The steering that the rules ask for; a task whose rules do not speak of it follows."""
     if getattr(rules, "policy", "follow") == "follow":
         return Following(Policy(camera.step, getattr(rules, "detour", True)))
-    return Searcher(camera.step, camera.radius)
+    return Searcher(camera.step, camera.radius, math.radians(rules.sure_within))
