@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -90,14 +91,23 @@ def _extent(sim: Any) -> np.ndarray:
     return np.array(box.max, dtype=np.float64) - np.array(box.min, dtype=np.float64)
 
 
-def _check_upright(name: str, height: float, extent: np.ndarray) -> None:
-    """Raise `WorldError` if a scene with rooms of this height and this `extent` ``(3,)`` seems to lie on its side."""
+def _check_upright(name: str, height: float, extent: np.ndarray, up: str | None) -> None:
+    """Judge whether a scene with rooms of this height and this `extent` ``(3,)`` seems to lie on its side.
+
+    Raises `WorldError` if nobody has said which way is up; who has said it is warned.
+    """
     narrow, upwards = float(extent[[0, 2]].min()), float(extent[1])
-    if TALL < height < math.inf or (narrow < NARROW and narrow < upwards):
+    if not (TALL < height < math.inf or (narrow < NARROW and narrow < upwards)):
+        return
+    seems = (
+        f"{name} seems to lie on its side (it is {extent[0]:.1f} x {extent[2]:.1f} m large and {upwards:.1f} m high)"
+    )
+    if up is None:
         raise WorldError(
-            f"{name} seems to lie on its side (it is {extent[0]:.1f} x {extent[2]:.1f} m large and {upwards:.1f} m "
-            "high): Habitat takes z for up in a bare GLB file, glTF says y; say which with habitat:SCENE?up=y or ?up=z"
+            f"{seems}: Habitat takes z for up in a bare GLB file, glTF says y; say which with habitat:SCENE?up=y or "
+            "?up=z"
         )
+    warnings.warn(f"{seems} with up={up}; if it does, say up={'z' if up == 'y' else 'y'}", UserWarning, stacklevel=2)
 
 
 def roofed(view: HabitatView, feet: np.ndarray) -> float:
@@ -108,7 +118,8 @@ def roofed(view: HabitatView, feet: np.ndarray) -> float:
 def true_floor(view: HabitatView, pathfinder: Any, storey: Storey, name: str, options: Options) -> float:
     """The height of the true floor, Habitat's y: what lies below points of the mesh.
 
-    Raises `WorldError` if the mesh does not lie on what is drawn, or if the scene seems to lie on its side.
+    Raises `WorldError` if the mesh does not lie on what is drawn, or if the scene seems to lie on its side and nothing
+    says which way is up.
     """
     mesh = NavMesh(pathfinder, storey, Frames(), 0.18, source=name)
     level = np.abs(mesh.surface.heights[mesh.free] - storey.level) <= 0.1
@@ -121,7 +132,7 @@ def true_floor(view: HabitatView, pathfinder: Any, storey: Storey, name: str, op
             f"under most of the navigation mesh of {name} there is no floor within {SUNK:g} m: mesh and scene do not "
             "have the same way up, or belong to different scenes; try habitat:SCENE?up=y or ?up=z, or leave out navmesh"
         )
-    if is_bare(options):
-        _check_upright(name, float(np.median(above)) + EYE, _extent(view.session.sim))
+    if is_bare(options) or options.up is not None:
+        _check_upright(name, float(np.median(above)) + EYE, _extent(view.session.sim), options.up)
     floor = float(np.median(feet[:, 1] - gap))
     return 0.0 if abs(floor) < FLAT else floor

@@ -127,10 +127,10 @@ def _try(scene_id: str, dataset: str, device: int, name: str) -> str | None:
         return None
     words = [line.strip() for line in err.splitlines() if line.strip()]
     last = f"it took longer than {PATIENCE:.0f} s" if late else words[-1][:300] if words else "it ended without a word"
-    return _sentence(stage, name or scene_id, device, last)
+    return _sentence(stage, name or scene_id, dataset, device, last)
 
 
-def _sentence(stage: str, scene_id: str, device: int, last: str) -> str:
+def _sentence(stage: str, scene_id: str, dataset: str, device: int, last: str) -> str:
     """What failed after `stage`, whose process last said `last`, and what to do."""
     if stage == "":
         return _broken(last)
@@ -143,6 +143,11 @@ def _sentence(stage: str, scene_id: str, device: int, last: str) -> str:
         return (
             f"Habitat-Sim cannot draw on the CPU ({last}): it needs EGL with Mesa's software renderer (Debian, Ubuntu: "
             "libegl1, libgl1-mesa-dri), and a headless build of Habitat-Sim"
+        )
+    if "No Stage Attributes exists" in last:
+        return (
+            f"the scene dataset {dataset} has no scene {scene_id!r}; wanted one that its stages or scene instances list, "
+            "or the scene's own file"
         )
     return f"Habitat-Sim cannot open the scene {scene_id!r} ({last}); is it complete, and does the dataset list it?"
 
