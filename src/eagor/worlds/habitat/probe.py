@@ -146,8 +146,8 @@ def _sentence(stage: str, scene_id: str, dataset: str, device: int, last: str) -
         )
     if "No Stage Attributes exists" in last:
         return (
-            f"the scene dataset {dataset} has no scene {scene_id!r}; wanted one that its stages or scene instances list, "
-            "or the scene's own file"
+            f"the scene dataset {dataset} has no scene {scene_id!r}; wanted one that its stages or scene instances "
+            "list, or the scene's own file"
         )
     return f"Habitat-Sim cannot open the scene {scene_id!r} ({last}); is it complete, and does the dataset list it?"
 
