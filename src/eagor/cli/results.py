@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from eagor._extras import need
 from eagor.cli import terminal
 from eagor.cli.options import BenchCompare, BenchExport, BenchFailures, BenchReport, pairs_of
 
+if TYPE_CHECKING:
+    from eagor.evaluation.study import Told
+
 
 def report(options: BenchReport) -> int:
     """``eagor bench report``. Raises `StorageError` if it cannot be written."""
     from eagor.cli.looking import checked_folder
+    from eagor.evaluation import studies
     from eagor.evaluation.report import write_report
 
     need("a report page", "sim", "jinja2")
@@ -22,12 +26,13 @@ def report(options: BenchReport) -> int:
     if options.out is not None:
         checked_folder(options.out)
     episode, out = None, options.out or options.folders[0]
+    runs = [studies.read(folder) for folder in options.folders]
     if len(options.folders) == 1 and not options.without_episode:
         from eagor.cli.studio_export import beside_report
 
-        episode = beside_report(options.folders[0], out)
+        episode = beside_report(runs[0], out)
     page = write_report(options.folders, out=options.out, episode=episode)
-    counts = [_counted(folder) for folder in options.folders]
+    counts = [_counted(folder, run) for folder, run in zip(options.folders, runs, strict=True)]
     if options.json:
         terminal.emit({"report": str(page), "episode": None if episode is None else str(out / episode), "runs": counts})
     else:
@@ -37,11 +42,8 @@ def report(options: BenchReport) -> int:
     return terminal.OK
 
 
-def _counted(folder: Path) -> dict[str, Any]:
+def _counted(folder: Path, run: Told) -> dict[str, Any]:
     """How many records a run has, and how many it is to have; said, if these are fewer."""
-    from eagor.evaluation import studies
-
-    run = studies.read(folder)
     planned, there = run.study.planned(run.settings), len(run.records)
     if planned is not None and there < planned:
         terminal.warning(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from eagor._extras import need
 from eagor.cli import terminal
@@ -10,6 +11,9 @@ from eagor.cli.looking import checked_out
 from eagor.cli.shared_options import given
 from eagor.cli.studio_options import Studio
 from eagor.errors import EagorError
+
+if TYPE_CHECKING:
+    from eagor.evaluation.study import Told
 
 __all__ = ["beside_report", "export"]
 
@@ -45,20 +49,19 @@ def export(options: Studio) -> int:
     return terminal.OK
 
 
-def beside_report(folder: Path, out: Path) -> str | None:
+def beside_report(run: Told, out: Path) -> str | None:
     """Write ``episode.html`` of a run's worst episode into `out`; its name, or None where that cannot be.
 
     A report is not lost for it: what is wrong is said as a warning. A run with a model gets none: to play it again
     would load the model, or ask its server.
     """
-    from eagor.evaluation import studies
     from eagor.perception import is_model
-    from eagor.studio.export import built, export
-    from eagor.studio.runs import opened
+    from eagor.studio.export import built, write
+    from eagor.studio.runs import episode_of, episodes_of
     from eagor.tasks.eyes import release
 
     try:
-        if is_model(str(studies.read(folder).settings.get("perception", ""))) or not opened(folder)["playable"]:
+        if is_model(str(run.settings.get("perception", ""))) or not episodes_of(run)["playable"]:
             return None
     except (EagorError, OSError, KeyError, IndexError, TypeError, AttributeError):  # the report says what is wrong
         return None
@@ -67,7 +70,7 @@ def beside_report(folder: Path, out: Path) -> str | None:
         return None
     try:
         with terminal.progress("playing the worst episode again", None) as advance:
-            export(folder, out / EPISODE, advance=lambda _: advance())
+            write(episode_of(run, None, lambda _: advance()), out / EPISODE)
     except (EagorError, ImportError, OSError, KeyError, IndexError, TypeError) as error:
         terminal.warning(f"no {EPISODE}: {error if isinstance(error, EagorError) else repr(error)}")
         return None

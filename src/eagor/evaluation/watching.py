@@ -9,11 +9,12 @@ from typing import Any
 from eagor.drawing.rerun_log import RerunLog
 from eagor.errors import EagorError
 from eagor.evaluation.study import Told, Worst
+from eagor.tasks.episodes import Slot
 from eagor.tasks.listed import slot_of
 from eagor.tasks.methods import TrackerMethod
 from eagor.tasks.play import Player, Seen
 
-__all__ = ["log_case"]
+__all__ = ["log_case", "player_of"]
 
 ROWS = 256  # of panoramas, where the perception needs none
 
@@ -27,11 +28,8 @@ def log_case(run: Told, worst: Worst, name: str | None, path: str | Path) -> str
     Raises `EagorError` for a benchmark of still pictures, an unknown case, or another method.
     """
     case = _named(run, worst, name)
-    unit = case.get("unit")
-    if unit is None:
-        raise EagorError(f"only episodes of simulated tasks can be played again, and {run.study.name} has none")
-    slot, (method,) = slot_of(unit["slot"]), unit["methods"]
-    player = Player(dict(run.settings), rows=ROWS)
+    player, slot = player_of(run, case)
+    (method,) = case["unit"]["methods"]
     if not isinstance(player.method(method, slot), TrackerMethod):
         raise EagorError(f"{method} keeps no belief that could be logged; give --method eagor, or a variant of it")
     with RerunLog(path, f"{run.study.name} {case['case']}: {case['query']}") as log:
@@ -45,6 +43,13 @@ def log_case(run: Told, worst: Worst, name: str | None, path: str | Path) -> str
 
         player.play(slot, [method], add)
     return str(case["case"])
+
+
+def player_of(run: Told, case: Mapping[str, Any]) -> tuple[Player, Slot]:
+    """What plays a case of a run again, with panoramas. Raises `EagorError` for a benchmark of still pictures."""
+    if case.get("unit") is None:
+        raise EagorError(f"only episodes of simulated tasks can be played again, and {run.study.name} has none")
+    return Player(dict(run.settings), rows=ROWS), slot_of(case["unit"]["slot"])
 
 
 def _named(run: Told, worst: Worst, name: str | None) -> Mapping[str, Any]:

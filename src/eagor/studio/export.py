@@ -13,7 +13,7 @@ from eagor.studio.replays import Advance, Redrawn
 from eagor.studio.runs import again
 from eagor.studio.wire import rounded
 
-__all__ = ["built", "export", "page_of"]
+__all__ = ["built", "export", "page_of", "write"]
 
 TEMPLATE = "export.html"  # the built page, with a place for the episode
 PLACE = '<script type="application/json" id="episode"></script>'
@@ -45,8 +45,13 @@ def export(
     found = again(Path(folder), episode, advance)
     if methods:
         only(found, methods)
-    written(path, page_of(found))
+    write(found, path)
     return found
+
+
+def write(found: Redrawn, path: Path) -> None:
+    """Write an episode to `path`. Raises `EagorError` if the page has not been built, `StorageError`."""
+    written(path, page_of(found))
 
 
 def check_built() -> None:

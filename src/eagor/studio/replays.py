@@ -20,20 +20,19 @@ from eagor.errors import EagorError
 from eagor.evaluation.published import OURS
 from eagor.evaluation.samples import case_of, finished
 from eagor.evaluation.study import Told
+from eagor.evaluation.watching import player_of
 from eagor.sphere import direction
 from eagor.studio.houses import plan_of
 from eagor.studio.pictures import jpeg
 from eagor.studio.steps import belief_of, calibration_of, error_deg, estimate_json, modes_json, stage
 from eagor.studio.wire import rounded
 from eagor.tasks.episodes import Episode
-from eagor.tasks.listed import slot_of
 from eagor.tasks.methods import DESCRIPTIONS, TrackerMethod
 from eagor.tasks.places import Place, load_place
-from eagor.tasks.play import Player, Seen
+from eagor.tasks.play import Seen
 
 __all__ = ["Redrawn", "redraw"]
 
-ROWS = 256  # of panoramas
 STEPS = 60  # steps with a panorama, at most: the page of an export is to be sent by mail
 Advance = Callable[[int], object]
 
@@ -69,11 +68,9 @@ def redraw(run: Told, case: str, advance: Advance = lambda _: None) -> Redrawn:
     for record in records:
         methods |= {name: entry | {"record": record} for name, entry in record.get("methods", {}).items()}
     shown = _believer(run, case, methods)
-    unit = next((each["unit"] for each in run.study.worst(run, shown).cases if each["case"] == case), None)
-    if unit is None:
-        raise EagorError(f"only episodes of simulated tasks can be played again, and {run.study.name} has none")
-    player = Player(dict(run.settings), rows=ROWS)
-    slot = slot_of(unit["slot"])
+    player, slot = player_of(
+        run, next((each for each in run.study.worst(run, shown).cases if each["case"] == case), {})
+    )
     episode = player.plan(slot)
     place = load_place(slot.world, slot.seed, player.camera.radius)
     made = player.method(shown, slot)

@@ -25,7 +25,9 @@ from eagor.studio.recordings import recorded, report_of, walked
 from eagor.studio.replays import Redrawn, redraw
 from eagor.studio.wire import rounded
 
-__all__ = ["again", "folder_of", "key_of", "kind_of", "listed", "opened", "runs_in"]
+__all__ = [
+    "again", "episode_of", "episodes_of", "folder_of", "key_of", "kind_of", "listed", "opened", "runs_in",
+]  # fmt: skip
 
 MOST = 200  # runs that are listed
 LARGEST = 1 << 22  # bytes of a run.json that is listed
@@ -109,7 +111,11 @@ def opened(folder: Path) -> dict[str, Any]:
         return _single(kind, WALK, f"Walk: {report.get('ended') or 'it did not end'}", str(report.get("query", "")))
     if kind is None:
         raise FormatError(f"{folder.name} holds no run: no {ledger.RUN} and no recording")
-    run = studies.read(folder)
+    return episodes_of(studies.read(folder))
+
+
+def episodes_of(run: Told) -> dict[str, Any]:
+    """The episodes of a bench run, as `opened` gives them."""
     methods = list(run.methods)
     episodes: dict[str, dict[str, Any]] = {}
     for record in finished(run.records):
@@ -124,7 +130,7 @@ def opened(folder: Path) -> dict[str, Any]:
     playable = bool(methods)
     problem = "" if playable else "Episodes of a benchmark of still pictures cannot be played again; see its report."
     failed = run.summary.get("failed", 0)
-    return {"kind": kind, "task": run.study.name, "methods": methods, "episodes": order, "failed": failed,
+    return {"kind": "bench", "task": run.study.name, "methods": methods, "episodes": order, "failed": failed,
             "playable": playable, "problem": problem}  # fmt: skip
 
 
@@ -161,9 +167,13 @@ def again(folder: Path, key: str | None, advance: Callable[[int], object] = lamb
         return recorded(folder, None, advance)
     if kind == "robot":
         return walked(folder)
-    run: Told = studies.read(folder)
+    return episode_of(studies.read(folder), key, advance)
+
+
+def episode_of(run: Told, key: str | None, advance: Callable[[int], object] = lambda _: None) -> Redrawn:
+    """One episode of a bench run, as `again` gives it."""
     if key is None:
-        key = opened(folder)["episodes"][0]["key"]
+        key = episodes_of(run)["episodes"][0]["key"]
     cases = {key_of(case): case for record in finished(run.records) for case in (case_of(record),)}
     cases |= {case: case for case in cases.values()}
     if key not in cases:

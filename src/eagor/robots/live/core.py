@@ -70,8 +70,8 @@ class LiveCore:
         self._first = math.inf  # stamp of the first pose
         self._looks: dict[str, float] = {}
         self._early: list[tuple[str, Evidence]] = []  # of the next moments: stamps may be a little ahead of ours
-        self._full: dict[str, Estimate] = {}
-        self._from: dict[str, np.ndarray | None] = {}  # where the camera was then
+        # What was computed last, with all of its belief, and where the camera was then.
+        self._full: dict[str, tuple[Estimate, np.ndarray | None]] = {}
         self._fresh: set[str] = set()
         self._taken: dict[str, float] = {}  # when looks were taken in last
         self._faults: dict[tuple[Part, str], Fault] = {}
@@ -113,7 +113,6 @@ class LiveCore:
         for gone in {*self.queries} - {*queries}:
             self._faults.pop(("perception", gone), None)
             self._full.pop(gone, None)
-            self._from.pop(gone, None)
             self._looks.pop(gone, None)
             self._fresh.discard(gone)
             if gone in self._tracker.targets:
@@ -234,7 +233,7 @@ class LiveCore:
         faults = tuple(self._wrong(now))
         answers = []
         due = [query for query in self.queries if self._is_due(query, now)]
-        due.sort(key=lambda query: self._full[query].stamp if query in self._full else -math.inf)
+        due.sort(key=lambda query: self._full[query][0].stamp if query in self._full else -math.inf)
         # The same work in each round: a belief that waits is turned meanwhile.
         most = math.ceil(len(self.queries) * min(since / TOGETHER, 1.0) - 1e-9)
         computed = {query: self._computed(query, now) for query in due[: max(1, most)]}
@@ -252,12 +251,14 @@ class LiveCore:
         return answers
 
     def _is_due(self, query: str, now: float) -> bool:
-        full = self._full.get(query)
-        if full is None or now < full.stamp or now - full.stamp >= REFRESHED:
+        if query not in self._full:
+            return True
+        full, before = self._full[query]
+        if now < full.stamp or now - full.stamp >= REFRESHED:
             return True
         if query in self._fresh and now - self._taken.get(query, -math.inf) >= TOGETHER:
             return True
-        before, here = self._from[query], self._tracker.pose_at(now)[1]
+        here = self._tracker.pose_at(now)[1]
         return before is not None and here is not None and math.dist(before, here) >= MOVED
 
     def _computed(self, query: str, now: float) -> Estimate:
@@ -266,14 +267,13 @@ class LiveCore:
             self._taken[query] = now
         known = query in self._tracker.targets
         estimate = self._tracker.estimate(now, query) if known else self._unknown(now)
-        self._full[query], self._from[query] = estimate, self._tracker.pose_at(now)[1]
+        self._full[query] = estimate, self._tracker.pose_at(now)[1]
         return estimate
 
     def _turned(self, query: str, now: float) -> Estimate:
-        full = self._full.get(query)
-        if full is None:
+        if query not in self._full:
             return self._computed(query, now)
-        return full.turned(now, self._tracker.pose_at(now)[0])
+        return self._full[query][0].turned(now, self._tracker.pose_at(now)[0])
 
     def _unknown(self, now: float) -> Estimate:
         """The estimate of a target without evidence."""
