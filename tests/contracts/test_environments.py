@@ -10,13 +10,13 @@ from dataclasses import replace
 import gymnasium
 import numpy as np
 import pytest
+from flat_world import loaders, the_flat
 from gymnasium.utils.env_checker import check_env
-from rooms import two_rooms
 
 import eagor.tasks
 from eagor.errors import EagorError, WorldError
 from eagor.sphere import angular_distance
-from eagor.tasks import environments, navigation, place_env, places, tracking, waypoint
+from eagor.tasks import environments, tracking, waypoint
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.play import Player
 from eagor.tasks.rules import (
@@ -28,8 +28,6 @@ from eagor.tasks.rules import (
     as_dict,
     from_dict,
 )
-from eagor.worlds.ground import Ground
-from eagor.worlds.render import Renderer
 
 SHORT_LEGS = WaypointRules(leg_steps=6)
 SETTINGS = {"waypoint": {"rules": SHORT_LEGS}}
@@ -37,15 +35,13 @@ SETTINGS = {"waypoint": {"rules": SHORT_LEGS}}
 
 @pytest.fixture(scope="module")
 def flat():
-    scene = two_rooms()
-    return places.Place(scene, Ground.from_scene(scene), Renderer(scene))
+    return the_flat()
 
 
 @pytest.fixture(autouse=True)
 def _in_the_flat(flat, monkeypatch):
-    """Every world is the little flat of boxes: the environments, not the apartments, are looked at here."""
-    for module in (places, navigation, waypoint, tracking, place_env):
-        monkeypatch.setattr(module, "load_place", lambda *_: flat)
+    for module, load in loaders(flat):
+        monkeypatch.setattr(module, "load_place", load)
 
 
 def make(task, **settings):

@@ -9,20 +9,17 @@ from dataclasses import replace
 import gymnasium
 import numpy as np
 import pytest
+from flat_world import loaders, the_flat
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordEpisodeStatistics
 from gymnasium.wrappers.vector import RecordEpisodeStatistics as RecordVectorStatistics
-from rooms import two_rooms
 
 import eagor.tasks  # noqa: F401 (registers the environments)
 from eagor.errors import EagorError, WorldError
 from eagor.sphere import angular_distance, direction
-from eagor.tasks import navigation, place_env, places, tracking, waypoint
 from eagor.tasks.actions import AZIMUTHS, ELEVATIONS, answer_from_indices, indices_of_answer
 from eagor.tasks.rules import Disturbances, NavigationRules, TrackingRules, WaypointRules
 from eagor.tasks.training import LEVEL, REACH, WORDS, ForTraining, WithEstimate
-from eagor.worlds.ground import Ground
-from eagor.worlds.render import Renderer
 
 stable_baselines3 = pytest.importorskip("stable_baselines3")
 check_for_stable_baselines = pytest.importorskip("stable_baselines3.common.env_checker").check_env
@@ -44,23 +41,14 @@ ROWS = 36  # the least that the network of Stable-Baselines3 takes
 STEPS = 256
 
 
-def the_flat(flat=None):
-    """Let every world be the little flat of boxes, also in other processes; the modules and their new function."""
-    if flat is None:
-        scene = two_rooms()
-        flat = places.Place(scene, Ground.from_scene(scene), Renderer(scene))
-    return [(module, lambda *_: flat) for module in (places, navigation, waypoint, tracking, place_env)]
-
-
 @pytest.fixture(scope="module")
 def flat():
-    scene = two_rooms()
-    return places.Place(scene, Ground.from_scene(scene), Renderer(scene))
+    return the_flat()
 
 
 @pytest.fixture(autouse=True)
 def _in_the_flat(flat, monkeypatch):
-    for module, load in the_flat(flat):
+    for module, load in loaders(flat):
         monkeypatch.setattr(module, "load_place", load)
 
 
@@ -70,7 +58,7 @@ def make(name, **settings):
 
 def make_elsewhere():
     """An environment in a process of its own, where nothing is patched yet."""
-    for module, load in the_flat():
+    for module, load in loaders(the_flat()):
         module.load_place = load
     return ForTraining(make("TargetTracking", panorama=16))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import re
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from clips import clip
 from PIL import Image
 
 from eagor.sphere import angular_distance, world_R_body
@@ -56,6 +58,8 @@ def studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
         capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
+    (folder / "runs" / "half").mkdir()
+    (folder / "runs" / "half" / "run.json").write_text((folder / "runs" / "short" / "run.json").read_text())
     (folder / "frames").mkdir()
     for index in range(3):
         room(70).save(folder / "frames" / f"{index:03}.png")
@@ -98,6 +102,12 @@ def go(studio: Studio, view: str) -> Watched:
 
 def pose(page: Watched) -> np.ndarray:
     return np.array(page.summary()["world_R_camera"]).reshape(3, 3)
+
+
+def drawn(page: Watched) -> np.ndarray:
+    """What the flat panorama shows ``(H, W, 3)``."""
+    page.at_rest()
+    return np.asarray(Image.open(io.BytesIO(page.locator(".flat-frame").screenshot())).convert("RGB")).astype(float)
 
 
 def watch_turn(page: Watched, before: np.ndarray) -> None:
@@ -222,6 +232,80 @@ def test_a_picture_is_dropped_and_the_belief_stays_with_it(studio: Studio) -> No
     assert math.degrees(float(angular_distance(np.array(page.summary()["peak"]), peak))) < 1.0
     assert serious(page) == []
     page.kept("picture")
+
+
+def test_the_newest_look_is_a_layer(studio: Studio) -> None:
+    """What the evidence of one look says is highest where the ball is; drawn, it is another picture than the belief."""
+    page = studio.page
+    assert page.evaluate("window.eagorStudio.store.evidence !== null")
+    azimuth, elevation = page.evaluate(
+        "(() => { const { values, columns, rows } = window.eagorStudio.store.evidence;"
+        "const best = values.indexOf(Math.max(...values));"
+        "return [Math.PI - (best % columns + 0.5) / columns * 2 * Math.PI,"
+        "Math.PI / 2 - (Math.floor(best / columns) + 0.5) / rows * Math.PI]; })()"
+    )
+    frame = page.evaluate("window.eagorStudio.store.evidence.frame")
+    d = np.array(
+        [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
+    )
+    ball = world_R_body(math.radians(40)) @ np.array([math.cos(math.radians(10)), 0, -math.sin(math.radians(10))])
+    assert math.degrees(float(angular_distance(d if frame == "world" else pose(page) @ d, ball))) < 6
+    before = drawn(page)
+    page.get_by_role("button", name="Newest look", exact=True).click()
+    page.until("window.eagorStudio.store.showsEvidence")
+    assert np.abs(drawn(page) - before).mean() > 1
+    page.kept("newest-look")
+    page.get_by_role("button", name="Newest look", exact=True).click()
+
+
+def test_the_degree_is_changed_and_the_belief_with_it(studio: Studio) -> None:
+    page = studio.page
+    before = page.evaluate("window.eagorStudio.store.density.degree ?? window.eagorStudio.store.scene.degree")
+    page.get_by_label("Degree L").select_option("7")
+    page.until("window.eagorStudio.store.scene?.degree === 7 && window.eagorStudio.summary.peak")
+    assert before == 15
+    page.get_by_label("Degree L").select_option("15")
+    page.until("window.eagorStudio.store.scene?.degree === 15 && window.eagorStudio.summary.peak")
+
+
+def test_a_video_is_dropped_paused_and_sought(studio: Studio, tmp_path: Path) -> None:
+    page = go(studio, "picture")
+    frames = [np.asarray(room(60)) for _ in range(40)]
+    page.set_input_files("#file", str(clip(tmp_path / "walk.mp4", frames, rate=10)))
+    page.get_by_label("Where is the").fill("red ball")
+    page.keyboard.press("Enter")
+    page.until("window.eagorStudio.store.step?.frame?.of > 1 && window.eagorStudio.summary.peak")
+    page.get_by_role("button", name="Pause").click()
+    slider = page.get_by_role("slider", name="Frame")
+    count = page.evaluate("window.eagorStudio.store.step.frame.of")
+    slider.fill(str(count - 1))
+    page.until(f"window.eagorStudio.store.step.frame.n >= {count - 2}")
+    page.until("window.eagorStudio.summary.peak")
+    ball = world_R_body(math.radians(60)) @ np.array([math.cos(math.radians(10)), 0, -math.sin(math.radians(10))])
+    found = pose(page).T @ np.array(page.summary()["peak"])  # the camera does not turn; its axes may drift a little
+    assert math.degrees(float(angular_distance(found, ball))) < 8
+    page.kept("video")
+
+
+def test_a_run_that_is_empty_is_said_so(studio: Studio) -> None:
+    page = go(studio, "run")
+    page.until("document.querySelectorAll('.controls option').length >= 2")
+    half = page.locator(".controls option", has_text="half").first
+    assert "no records yet" in half.inner_text()
+    page.locator(".controls select").first.select_option("half")
+    page.until("document.querySelector('[role=alert]')")
+    assert len(page.locator("[role=alert]").first.inner_text()) > 20
+    page.errors[:] = [error for error in page.errors if "status of 4" not in error]
+
+
+def test_a_folder_without_runs_says_how_to_make_one(studio: Studio) -> None:
+    page = studio.page
+    empty = json.dumps({"folder": "/nowhere/runs", "runs": []})
+    page.route("**/api/runs*", lambda route: route.fulfill(status=200, content_type="application/json", body=empty))
+    page.get_by_role("button", name="Look for new runs").click()
+    page.until("document.body.textContent.includes('eagor bench run navigation --out runs/first')")
+    page.unroute("**/api/runs*")
+    page.kept("no-runs")
 
 
 def test_what_is_no_panorama_is_refused_in_words(studio: Studio, tmp_path: Path) -> None:

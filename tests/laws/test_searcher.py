@@ -13,7 +13,8 @@ from eagor.tasks.navigation import undone
 from eagor.tasks.rules import Camera, NavigationRules
 from eagor.tasks.searcher import Searcher
 from eagor.tasks.situation import Situation, floors_of
-from eagor.tasks.steering import steering_for
+from eagor.tasks.steering import seeking, steering_for
+from eagor.tracking import TrackerConfig
 from eagor.worlds.ground import Ground
 from eagor.worlds.render import Renderer
 
@@ -40,9 +41,11 @@ class World:
         )
         return found.ids
 
-    def situation(self, azimuth=0.0, share=0.0, distance=None):
+    def situation(self, azimuth=0.0, progress=0.0, distance=None, presence=1.0):
         position = np.array([*self.xy, HEIGHT])
-        return Situation(azimuth, share, distance, position, self.rotation, np.isin(self.ids(), self.floors))
+        return Situation(
+            azimuth, progress, presence, distance, position, self.rotation, np.isin(self.ids(), self.floors)
+        )
 
     def step(self, heading):
         self.yaw = math.remainder(self.yaw + heading, 2 * math.pi)
@@ -119,6 +122,30 @@ def test_what_is_believed_is_walked_to_through_the_door():
         assert not searcher.searching
     assert np.hypot(*(goal - world.xy)) < 0.5
     assert collisions <= 12  # of some forty steps: it brushes along the jamb and the wardrobe
+
+
+@pytest.mark.parametrize(("goal", "goes_on"), [((6.0, 1.0), True), ((1.0, 5.5), False)])
+def test_looks_that_miss_a_thing_count_where_it_would_be_in_sight(goal, goes_on):
+    """One place is behind the wall, the other in the same room. The body walks there; then the presence sinks."""
+    world, searcher = World(TWO_ROOMS, (3.2, 1.0)), Searcher(STEP)
+    for step in range(4):
+        to = np.array(goal) - world.xy
+        azimuth = math.remainder(math.atan2(to[1], to[0]) - world.yaw, 2 * math.pi)
+        presence = 1.0 if step < 3 else 0.01
+        world.step(searcher.heading(world.situation(azimuth, 1.0, float(np.hypot(*to)), presence)))
+        assert searcher.searching == (step == 3 and not goes_on)
+
+
+def test_a_thing_that_was_never_likely_is_not_walked_to():
+    world, searcher = World(TWO_ROOMS, (3.2, 1.0)), Searcher(STEP)
+    searcher.heading(world.situation(0.0, 1.0, 3.0, presence=0.05))
+    assert searcher.searching
+
+
+def test_our_tracker_expects_what_is_hidden_to_appear_while_the_body_searches():
+    base = TrackerConfig()
+    assert seeking(NavigationRules(policy="search", appears=0.2), base).target_motion.birth == 0.2
+    assert seeking(NavigationRules(), base) is base
 
 
 def test_a_place_where_the_thing_is_not_is_not_walked_to_for_ever():

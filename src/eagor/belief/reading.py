@@ -73,6 +73,10 @@ class Reading:
         """The probability of the cone of half-angle `angle` (radians) about a direction ``(3,)``."""
         return float(self.mass[self.parts[2] @ about >= math.cos(min(angle, math.pi))].sum())
 
+    def cosine(self, about: np.ndarray) -> float:
+        """The expected cosine of the angle to a direction ``(3,)``: -1 to 1."""
+        return float(self.mass @ (self.parts[2] @ about))
+
     def cone(self, mass: float, about: np.ndarray) -> float:
         """Half-angle (radians) of the cone that is centred on a direction ``(3,)`` and holds `mass`."""
         cosine = self.parts[2] @ about

@@ -18,7 +18,7 @@ from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 
 __all__ = ["Following", "warm"]
 
-SOONEST = 0.2  # seconds between two computations, at least
+SOONEST = 0.05  # seconds between two computations, at least: every step, where the machine can bear it
 LATEST = 1.0  # seconds after which the belief is computed anew without news: targets may come and go
 HISTORY = 60.0  # seconds by which a look may be late: many pages share one eye
 MOVED = 0.02  # metres of the camera that are worth a computation

@@ -90,8 +90,12 @@ class Steers(Method, Protocol):
         """`distance`, but None unless its logarithm is known to within `SURE_DISTANCE`."""
         ...
 
-    def share(self, angle: float) -> float:
-        """The share of the belief within `angle` radians of `direction`, if the target is here; 1 without a belief."""
+    def progress(self) -> float:
+        """Metres nearer to the target, if it is here, per metre walked along `direction`; 1 without a belief."""
+        ...
+
+    def presence(self) -> float:
+        """Probability that the target is here; 1 for methods that take that for granted."""
         ...
 
 
@@ -159,12 +163,15 @@ class FilterMethod:
     def sure_distance(self) -> float | None:
         return None
 
-    def share(self, angle: float) -> float:
+    def progress(self) -> float:
         density = getattr(self.filter, "log_density", None)
         if density is None:
             return 1.0
         mass = np.exp(density(GRID.directions)) * GRID.weights
-        return float(mass[GRID.directions @ self.direction() >= math.cos(angle)].sum())
+        return float(np.sum(mass * (GRID.directions @ self.direction())))
+
+    def presence(self) -> float:
+        return 1.0
 
 
 def _carried(state: DirectionFilter, last: _Step, world_R_body: np.ndarray, position: np.ndarray | None) -> Any:
@@ -212,9 +219,11 @@ class TrackerMethod:
         spread = self.estimate.distance_spread
         return None if spread is None or spread > SURE_DISTANCE else self.estimate.distance
 
-    def share(self, angle: float) -> float:
-        found = self.estimate
-        return 0.0 if found.direction is None else found.within(angle) / max(found.presence, 1e-300)
+    def progress(self) -> float:
+        return self.estimate.progress
+
+    def presence(self) -> float:
+        return self.estimate.presence
 
 
 def default_methods(perception: str) -> tuple[str, ...]:

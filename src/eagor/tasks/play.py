@@ -26,7 +26,7 @@ from eagor.tasks.methods import BASE, ORACLE, Method, Steers, method_for, told
 from eagor.tasks.place_env import PlaceEnv
 from eagor.tasks.rules import Camera, Disturbances, from_dict
 from eagor.tasks.situation import Situation, along_floor, floors_of
-from eagor.tasks.steering import steering_for
+from eagor.tasks.steering import seeking, steering_for
 from eagor.tasks.task import Played
 
 MASS = 0.9  # of the credible regions whose coverage is measured
@@ -102,6 +102,7 @@ class Player:
         if given := config.get("calibrated"):
             found = from_json(given, "the run's calibration")
             self.ours = BASE.fitted(found.calibration, found.detector, found.forgetting)
+        self.ours = seeking(self.rules, self.ours)
         rows = rows if is_privileged(perception) else int(config["rows"])
         self.env: PlaceEnv = self.task.environment(
             rules=self.rules, camera=self.camera, disturbances=self.disturbances, panorama=rows
@@ -164,7 +165,8 @@ class Player:
                 watch(Seen(stamp, method, observation.get("panorama"), pose[:3], directions[-1]))
             now = Situation(
                 azimuth=float(azimuth_elevation(direction)[0]),
-                share=1.0 if method is None or floors is None else method.share(steering.near),
+                progress=1.0 if method is None or floors is None else method.progress(),
+                presence=1.0 if method is None or floors is None else method.presence(),
                 distance=along_floor(
                     info["truth"]["distance"] if method is None else method.sure_distance(), direction
                 ),

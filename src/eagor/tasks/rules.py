@@ -116,8 +116,10 @@ class NavigationRules(_Rules):
     - `detour`: a blocked body feels its way around (`eagor.tasks.policy`), for every method alike; otherwise it pushes
       on along the estimate, as published.
     - `policy`: "follow" the estimate always, as published, or "search" while too little is believed, and walk by the
-      floor that looks show (`eagor.tasks.searcher`); for every method alike. `sure_within`: a search hands over when
-      half of a method's belief lies within this many degrees of its answer.
+      floor that looks show (`eagor.tasks.searcher`); for every method alike. `handover`: a search ends while each
+      metre along the estimate brings the body this many metres nearer, as the method believes. `appears`: with
+      "search", the rate (per second) at which a thing that is hidden comes into sight, for a method that doubts that it
+      is here.
     - `nearest`, `farthest`: geodesic metres from the start to the target's footprint.
     - `ratio`: largest ratio of geodesic to straight distance at the start; `winding` starts have more than
       `winding_above`.
@@ -132,7 +134,8 @@ class NavigationRules(_Rules):
     sliding: bool = _rule(True, _BOOL)
     detour: bool = _rule(True, _BOOL)
     policy: PolicyName = _rule("follow", _POLICY)  # noqa: RUF009 (it is a field)
-    sure_within: float = _rule(20.0, ((lambda value: above(value, 0, 180)), "degrees above 0 and up to 180"))
+    handover: float = _rule(0.2, ((lambda value: above(value, 0, 1)), "a number above 0 and up to 1"))
+    appears: float = _rule(0.1, _from(0, "a rate per second, from 0 on"))
     nearest: float = _rule(2.0, _from(0, "metres from 0 on"))
     farthest: float = _rule(8.0, _METRES)
     ratio: float = _rule(1.5, _from(1, "a number from 1 on: no path is shorter than the straight line"))

@@ -4,6 +4,9 @@ It uses odometry, touch, and the floor that looks show (`floor_seen`); no map is
 worth going to for what could be seen from there: ground that no look has shown, as far as it may go on, and ground that
 was looked at but where the perception may have missed the thing. The best ratio of that to the way is the next goal
 (a frontier search; Yamauchi, 1997, with expected information as in Bourgault et al., 2002).
+
+The body begins to walk to the thing when that is likely to bring it nearer. It goes on although looks miss the thing,
+as long as that may be hidden from here, by the floor that is known.
 """
 
 from __future__ import annotations
@@ -15,17 +18,18 @@ from functools import lru_cache
 import numpy as np
 
 from eagor.sphere import heading
-from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, FloorSeen
+from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, THICK, UNKNOWN, FloorSeen
 from eagor.tasks.floor_ways import Ways
 from eagor.tasks.policy import held_back
 from eagor.tasks.situation import Situation
 
-SURE = 0.5  # of a method's belief: if so much lies about its answer, the body walks there
 HALF = 0.1  # metres to each side of the way on which it was held up: there it would be, too
 RAYS, SIGHT = 24, 3.0  # rays about a place from which it may look, and how far they go, metres
 PAD = math.ceil(SIGHT / CELL) + 1  # cells around the grid
 FINE = 160  # rays about the body itself
 OPEN = 1.5  # metres: how far one sees on average into what is unknown
+VEIL = np.array([CELL / OPEN, 0.0, 50.0])  # log of the share of sight that is lost in a cell: unknown, floor, contact
+OPEN_SIGHT = 0.5  # of sight that is left: looks that miss the thing then count
 NEAREST_GOAL = 0.8  # metres added to the way to a goal: a goal next to the body is not worth everything
 REACHED = 0.3  # metres from a goal
 WORTH = 0.4  # a goal is given up when less of what it promised is left
@@ -39,12 +43,12 @@ EVERY = 3  # cells between the places that are weighed
 class Searcher:
     """Chooses headings for one episode. `step` and `radius` in metres; `recall`: probability that a look finds.
 
-    `near`: radians about an answer within which half of a belief makes it worth walking to.
+    `handover`: metres nearer, as believed, per metre walked along the answer that make it worth following.
     """
 
     step: float
     radius: float = 0.18
-    near: float = math.radians(20)
+    handover: float = 0.2
     recall: float = 0.5
     known: FloorSeen = field(default_factory=FloorSeen)
     searching: bool = True
@@ -58,7 +62,7 @@ class Searcher:
     def heading(self, now: Situation) -> float:
         """The heading to walk in, radians from straight ahead, in (-pi, pi]."""
         here = np.array(now.position[:2], dtype=np.float64)
-        yaw, sure = heading(now.world_R_body), now.share >= SURE
+        yaw = heading(now.world_R_body)
         assert now.floor is not None
         self.known.look(now.floor, now.world_R_body, now.position)
         self.known.walked(here, self.radius)
@@ -67,7 +71,7 @@ class Searcher:
         self._looked(here)
         bearing = now.azimuth + yaw
         ahead = np.array([math.cos(bearing), math.sin(bearing)])
-        target = self._target(now, here, ahead) if sure else None
+        target = self._target(now, here, ahead) if self._believes(now, here, ahead) else None
         self.searching = target is None
         if target is not None:
             self._goal = None
@@ -79,6 +83,28 @@ class Searcher:
         way = ways.first(end)
         self._last = here, way * (self.step / max(np.hypot(*way), 1e-9))
         return math.remainder(math.atan2(way[1], way[0]) - yaw, 2 * math.pi)
+
+    def _believes(self, now: Situation, here: np.ndarray, ahead: np.ndarray) -> bool:
+        """Whether the body goes where the thing should be.
+
+        It begins to when the thing is likely there, and goes on while the thing would be there if it is here at all,
+        and cannot be seen from here: looks that miss it then say nothing about it.
+        """
+        if now.progress * now.presence >= self.handover:
+            return True
+        kept = None if self.searching else self._kept
+        if kept is None or now.progress < self.handover or not self._agrees(now, kept - here, ahead):
+            return False
+        return self._sight(here, kept) < OPEN_SIGHT
+
+    def _sight(self, here: np.ndarray, there: np.ndarray) -> float:
+        """The probability that nothing hides `there` ``(2,)`` from `here`, by the floor that is known."""
+        away = float(np.hypot(*(there - here)))
+        at = np.arange(CELL, max(away - THICK, 0.0), CELL)[:, None] / max(away, CELL)
+        cells = self.known.cells(here + at * (there - here))
+        inside = self.known.inside(cells)
+        rows, cols = cells[inside].T
+        return float(np.exp(-VEIL[self.known.state[rows, cols]].sum() - VEIL[UNKNOWN] * (~inside).sum()))
 
     def _target(self, now: Situation, here: np.ndarray, ahead: np.ndarray) -> np.ndarray | None:
         """Where the thing should be ``(2,)``, as believed; None if the body has been there in vain.
@@ -156,8 +182,7 @@ class Searcher:
         All ``(n, count, k)``.
         """
         known, (rays, _) = self.known, _rays(count)
-        step = SIGHT / rays.shape[1]
-        veil = np.array([step / OPEN, 0.0, 50.0])[np.pad(known.state, PAD)]
+        veil = VEIL[np.pad(known.state, PAD)]
         width = veil.shape[1]
         flat = np.array([width, 1])
         index = ((cells + PAD) @ flat)[:, None, None] + rays @ flat

@@ -18,14 +18,16 @@ FLOORS = ("floor", "rug")  # categories that one walks on
 class Situation:
     """What is known at a step.
 
-    - `azimuth` of the estimate, radians, body frame; `share`: how much of the method's belief lies about it, 0 to 1;
-      `distance` to the thing along the floor, metres, None if not known.
+    - `azimuth` of the estimate, radians, body frame; `progress`: metres nearer to the thing, as believed, per metre
+      walked that way, at most 1, if it is here; `presence`: probability of that; `distance` to the thing along the
+      floor, metres, None if not known.
     - `position` ``(3,)``: of the camera by odometry, z in metres above the floor; `world_R_body` ``(3, 3)``.
     - `floor` ``(H, W)`` bool: which pixels of an equirectangular look show the floor; None if the policy needs none.
     """
 
     azimuth: float
-    share: float
+    progress: float
+    presence: float
     distance: float | None
     position: np.ndarray
     world_R_body: np.ndarray
@@ -36,12 +38,11 @@ class Steering(Protocol):
     """Chooses headings for one episode.
 
     `searching`: whether the last heading was one of a search. `looks_down`: whether it wants to know the floor of each
-    look, and the share of the belief within `near` radians of the answer; without that, `Situation.share` is 1.
+    look, and what is believed; without that, `Situation.progress` and `presence` are 1.
     """
 
     searching: bool
     looks_down: bool
-    near: float
 
     def heading(self, now: Situation) -> float:
         """The heading to walk in, radians from straight ahead, positive left, in (-pi, pi]."""

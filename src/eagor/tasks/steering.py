@@ -7,8 +7,7 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from eagor.sphere import heading
@@ -16,6 +15,7 @@ from eagor.tasks.policy import Policy
 from eagor.tasks.rules import Camera
 from eagor.tasks.searcher import Searcher
 from eagor.tasks.situation import Situation, Steering
+from eagor.tracking import TrackerConfig
 
 
 @dataclass
@@ -25,14 +25,20 @@ class Following:
     policy: Policy
     searching: bool = False
     looks_down: bool = False
-    near: float = 0.0
 
     def heading(self, now: Situation) -> float:
         return self.policy.heading(now.azimuth, now.position[:2], heading(now.world_R_body))
+
+
+def seeking(rules: Any, tracker: TrackerConfig) -> TrackerConfig:
+    """The tracker's configuration for a body that searches: what is out of sight may come into sight at any step."""
+    if getattr(rules, "policy", "follow") == "follow":
+        return tracker
+    return replace(tracker, target_motion=replace(tracker.target_motion, birth=rules.appears))
 
 
 def steering_for(rules: Any, camera: Camera) -> Steering:
     """The steering that the rules ask for; a task whose rules do not speak of it follows."""
     if getattr(rules, "policy", "follow") == "follow":
         return Following(Policy(camera.step, getattr(rules, "detour", True)))
-    return Searcher(camera.step, camera.radius, math.radians(rules.sure_within))
+    return Searcher(camera.step, camera.radius, rules.handover)

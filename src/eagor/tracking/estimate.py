@@ -124,6 +124,14 @@ class Estimate:
         return self.presence * self.posterior.within(angle, self._about)
 
     @property
+    def progress(self) -> float:
+        """Metres by which the target, if it is present and far, comes nearer per metre walked to the answer.
+
+        It is the expected cosine of the angle between the answer and the target; 0 while nothing is known.
+        """
+        return 0.0 if self.direction is None else self.posterior.cosine(self._about)
+
+    @property
     def _about(self) -> np.ndarray:
         """The answer in world axes, or forward if there is none."""
         return self.world_R_body[:, 0] if self.direction is None else self.world_R_body @ self.direction

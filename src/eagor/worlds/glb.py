@@ -25,6 +25,7 @@ from eagor._files import written
 from eagor.conventions import to_gltf
 from eagor.worlds.glb_reader import import_glb
 from eagor.worlds.gltf import FORMAT, material_name, node_name, split_at_seams, to_pbr, write_exactly
+from eagor.worlds.habitat_mesh import voxel_for
 from eagor.worlds.scene import Scene
 from eagor.worlds.semantic_glb import FIRST_ID, semantic_glb, semantic_text
 
@@ -44,8 +45,9 @@ def export_glb(
 
     `target`: a file name that ends in .glb, or a folder, in which the file is named after `scene.source`. Each material
     of each instance is a node, `<category>_<id>`, or `<category>_<id>_m<material>` if the instance has several.
-    `cell`, `radius`, `height` and `climb` (metres, as in `Ground.from_scene`) go into `<name>.navmesh.json`. Existing
-    files are overwritten. Raises `StorageError` if a file cannot be written.
+    `cell`, `radius`, `height` and `climb` (metres, as in `Ground.from_scene`) go into `<name>.navmesh.json`; its voxels
+    are of about the size of a cell and fit the radius. Existing files are overwritten. Raises `StorageError` if a file
+    cannot be written.
     """
     need("a GLB file", "sim", "trimesh")
     import trimesh
@@ -83,7 +85,7 @@ def export_glb(
             "nav_asset": target.with_suffix(".navmesh").name,
         }  # fmt: skip
     navmesh = {
-        "cell_size": cell, "cell_height": 0.05, "agent_height": height, "agent_radius": radius,
+        "cell_size": voxel_for(radius, cell), "cell_height": 0.05, "agent_height": height, "agent_radius": radius,
         "agent_max_climb": climb, "agent_max_slope": 45.0,
     }  # fmt: skip
     semantic = {

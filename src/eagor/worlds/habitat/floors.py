@@ -21,6 +21,7 @@ from eagor.worlds.habitat.options import Options, existing, is_bare
 from eagor.worlds.habitat.probe import import_habitat
 from eagor.worlds.habitat.storeys import Storey
 from eagor.worlds.habitat.view import HabitatView
+from eagor.worlds.habitat_mesh import voxel_for
 
 __all__ = ["EYE", "ROWS", "mesh_for", "roofed", "true_floor"]
 
@@ -48,7 +49,7 @@ def mesh_for(options: Options, file: Path | None, sim: Any, radius: float) -> tu
             return own, "the scene's"
     settings = habitat_sim.NavMeshSettings()
     settings.set_defaults()
-    settings.cell_size, settings.cell_height = CELL, CELL_HEIGHT
+    settings.cell_size, settings.cell_height = voxel_for(radius, CELL), CELL_HEIGHT
     settings.agent_height, settings.agent_max_climb = HEIGHT, CLIMB
     wanted = file.with_suffix(".navmesh.json") if file is not None else None
     if wanted is not None and wanted.is_file():
