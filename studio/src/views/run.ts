@@ -12,6 +12,7 @@ export function run(page: Page): ViewHandler {
   const refresh = h("button", { type: "button", onclick: () => void list() }, words.run.refresh);
   let loading = new AbortController();
   let chosen = "";
+  let asked = 0; // counts what was asked for: an answer to an older question, or of a view that was left, comes too late
 
   function failed(problem: unknown): void {
     if (problem instanceof DOMException && problem.name === "AbortError") return;
@@ -21,9 +22,11 @@ export function run(page: Page): ViewHandler {
   }
 
   async function list(): Promise<void> {
+    const mine = ++asked;
     problems.clear("run");
     try {
       const { folder, runs } = await fetchRuns();
+      if (mine !== asked) return;
       if (!runs.length) {
         shell.choice.hidden = true;
         page.empty(h("strong", {}, words.run.none), h("p", {}, words.run.noneChange(folder)));
@@ -34,16 +37,20 @@ export function run(page: Page): ViewHandler {
       chooser.value = first.name;
       await choose(first.name);
     } catch (problem) {
-      failed(problem);
+      if (mine === asked) failed(problem);
     }
   }
 
   async function choose(name: string): Promise<void> {
+    const mine = ++asked;
     chosen = name;
+    loading.abort();
     problems.clear("run");
     try {
-      fill(name, await fetchRun(name));
+      const told = await fetchRun(name);
+      if (mine === asked) fill(name, told);
     } catch (problem) {
+      if (mine !== asked) return;
       shell.choice.hidden = true;
       failed(problem);
     }
@@ -98,6 +105,7 @@ export function run(page: Page): ViewHandler {
       void list();
     },
     leave() {
+      asked++;
       loading.abort();
       player.unload();
       shell.choice.hidden = true;
