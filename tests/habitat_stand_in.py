@@ -95,6 +95,13 @@ class PathFinder:
     def try_step_no_sliding(self, start, end):
         return self.try_step(start, end, slide=False)
 
+    def distance_to_closest_obstacle(self, point, most=2.0):
+        """To the nearest square of a cell that is not free; the border of the plan is none."""
+        ground = self.ground
+        centres = ground.origin + (np.argwhere(~ground.free)[:, ::-1] + 0.5) * ground.cell
+        off = np.maximum(np.abs(centres - [point[0], -point[2]]) - ground.cell / 2, 0)
+        return min(most, float(np.hypot(*off.T).min()))
+
     def find_path(self, path):
         start, end = path.requested_start, path.requested_end
         if not (self._free(start) and self._free(end)):

@@ -101,7 +101,7 @@ shell.tools.append(
 handle(stage, shell.look, {
   turnsCamera: () => view?.turnsCamera?.() ?? false,
   turnCamera: (yaw, pitch) => view?.turnCamera?.(yaw, pitch),
-  steer: (key, down) => view?.steer?.(key, down) ?? false,
+  steer: (key, down, at) => view?.steer?.(key, down, at) ?? false,
 });
 shell.flatMarks.addEventListener("click", (event) => stage.lookAt(stage.under("flat", [event.offsetX, event.offsetY])));
 shell.series.canvas.addEventListener("click", (event) => { if (player.active) player.go(panels.momentAt(event.offsetX)); });

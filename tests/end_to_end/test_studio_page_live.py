@@ -115,7 +115,7 @@ def watch_turn(page: Watched, before: np.ndarray) -> None:
     left = before[:, 1].tolist()
     page.evaluate(
         f"(() => {{ window.firstTurn = undefined; const left = {left}; const timer = setInterval(() => {{"
-        "const m = window.eagorStudio.summary.world_R_camera;"
+        "const m = window.eagorStudio.summary.world_R_camera; if (!m) return;"
         "const sine = left[0] * m[0] + left[1] * m[3] + left[2] * m[6];"
         "if (Math.abs(sine) > 0.02) { window.firstTurn = sine; clearInterval(timer); } }, 10); })()"
     )
@@ -168,13 +168,7 @@ def test_a_person_steers_with_the_arrow_keys_and_the_stick(studio: Studio) -> No
     page.until("window.firstTurn !== undefined")
     assert page.evaluate("window.firstTurn") > 0, "the left arrow turns left"
     watch_turn(page, at_rest(page))
-    button = page.get_by_role("button", name="Turn right")
-    box = button.bounding_box()
-    assert box is not None
-    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    page.mouse.down()
-    page.wait_for_timeout(400)
-    page.mouse.up()
+    page.get_by_role("button", name="Turn right").click(delay=400)
     page.until("window.firstTurn !== undefined")
     assert page.evaluate("window.firstTurn") < 0, "the right button turns right"
     page.kept("walk-steered")
@@ -261,6 +255,11 @@ def test_the_newest_look_is_a_layer(studio: Studio) -> None:
 def test_the_degree_is_changed_and_the_belief_with_it(studio: Studio) -> None:
     page = studio.page
     before = page.evaluate("window.eagorStudio.store.density.degree ?? window.eagorStudio.store.scene.degree")
+    state = page.evaluate(
+        "JSON.stringify({ scene: window.eagorStudio.store.scene, view: location.hash,"
+        "player: !document.querySelector('.player').hidden })"
+    )
+    assert not page.evaluate("document.querySelector('.legend select').disabled"), state
     page.get_by_label("Degree L").select_option("7")
     page.until("window.eagorStudio.store.scene?.degree === 7 && window.eagorStudio.summary.peak")
     assert before == 15

@@ -86,14 +86,14 @@ def test_a_walk_shows_a_scene_a_picture_and_a_belief_and_the_person_steers(serve
         sizes = [(term["degree"] + 1) ** 2 for term in told["belief"]["terms"]]
         assert len(page.blobs["belief"]) == 4 * sum(sizes)
         assert np.isfinite(np.frombuffer(page.blobs["belief"], "<f4")).all()
-        page.say(type="drive", by="person", turn=1.0)
+        page.say(type="drive", by="person", turn=1.0, seconds=0.4)
         start = np.array(told["world_R_camera"]).reshape(3, 3)
         turned = page.until(lambda header: np.array(header["world_R_camera"])[0] < start[0, 0] - 0.05 or
                             np.array(header["world_R_camera"])[0] > start[0, 0] + 0.05)  # fmt: skip
         left = start.T @ np.array(turned["world_R_camera"]).reshape(3, 3)[:, 0]
         assert left[1] > 0  # a positive turn is to the left
         assert turned["position"][:2] == pytest.approx(told["position"][:2])
-        page.say(type="drive", by="person", forward=0.5)
+        page.say(type="drive", by="person", forward=0.5, seconds=0.5)
         page.until(lambda header: math.dist(header["position"][:2], told["position"][:2]) > 0.1)
         page.say(type="methods", names=["vmf", "nonsense"])
         answered = page.until(lambda header: header["rivals"])

@@ -76,6 +76,20 @@ def test_a_slot_never_grows_and_gives_words_before_steps():
     assert got[-1].header["number"] == 999
 
 
+def test_a_slot_that_is_cleared_as_its_reader_wakes_waits_on():
+    async def scenario():
+        slot = Slot()
+        reader = asyncio.create_task(slot.get())
+        await asyncio.sleep(0)  # it waits
+        slot.put(step(1))
+        slot.clear()  # another view is opened before the reader has its turn
+        await asyncio.sleep(0)
+        slot.put(step(2))
+        return (await reader).header["number"]
+
+    assert asyncio.run(scenario()) == 2
+
+
 def test_a_new_scene_drops_the_steps_of_the_old_one():
     async def scenario():
         slot = Slot()
@@ -141,7 +155,13 @@ def test_a_message_gets_the_defaults_of_its_fields():
     found = read('{"type":"open","view":"walk","query":" red   chair "}')
     assert found["query"] == "red chair"
     assert (found["drive"], found["seed"], found["methods"]) == ("policy", None, [])
-    assert read('{"type":"drive","turn":1}') == {"type": "drive", "by": "person", "forward": 0.0, "turn": 1.0}
+    assert read('{"type":"drive","turn":1}') == {
+        "type": "drive",
+        "by": "person",
+        "forward": 0.0,
+        "turn": 1.0,
+        "seconds": 0.0,
+    }
 
 
 @pytest.mark.parametrize(
@@ -152,7 +172,8 @@ def test_a_message_gets_the_defaults_of_its_fields():
         '{"type":"open","view":"walk","seed":1.5}', '{"type":"open","view":"walk","seed":true}',
         '{"type":"query","text":"' + "x" * 300 + '"}', '{"type":"query","text":"..."}',
         '{"type":"query","text":"a\\u0000"}',
-        '{"type":"drive","forward":NaN}', '{"type":"drive","forward":1e999}', '{"type":"camera","yaw":"up"}',
+        '{"type":"drive","forward":NaN}', '{"type":"drive","forward":1e999}', '{"type":"drive","seconds":9}',
+        '{"type":"camera","yaw":"up"}',
         '{"type":"degree","L":64}', '{"type":"methods","names":"vmf"}', '{"type":"pause","on":1}',
         '{"type":"seek","frame":' + "9" * 400 + "}", "[" * 300 + "]" * 300, "x" * (LONGEST + 1),
     ],
@@ -285,16 +306,27 @@ class Hall:
 
 def test_the_person_steers_and_cannot_be_faster_than_allowed():
     walker = Walker(Body(Hall(), np.zeros(2), 0.0), "person")
-    walker.steer(100.0, 0.0)
-    assert walker.move(0.1, None, False)
+    assert not walker.move(60.0, None, False)  # nothing is steered
+    walker.steer(100.0, 0.0, 0.1)
     assert 0 < walker.body.xy[0] <= 0.2
-    walker.move(60.0, None, False)  # a late tick is no leap
-    assert walker.body.xy[0] < 1.0
+    assert walker.move(0.1, None, False)
     for _ in range(20):
-        walker.move(0.1, None, False)
+        walker.steer(100.0, 0.0, 0.1)
     assert walker.body.xy[0] == 1.0
-    walker.steer(0.0, 0.0)
+    walker.steer(0.0, 1.0, 0.4)
+    assert walker.body.yaw == pytest.approx(0.4), "as far as the key was held, however late that is read"
+    assert walker.move(0.1, None, False)
+    walker.steer(0.0, 0.0, 0.1)
     assert not walker.move(0.1, None, False)
+    walker.drive("policy")
+    walker.steer(100.0, 1.0, 0.5)  # a late message
+    assert walker.body.yaw == pytest.approx(0.4)
+
+
+def test_the_policy_makes_no_leap_after_a_late_tick():
+    walker = Walker(Body(Hall(), np.array([-4.0, 0.0]), 0.0))
+    walker.move(60.0, np.array([1.0, 0.0, 0.0]), False)
+    assert -4.0 < walker.body.xy[0] < -3.5
 
 
 def test_the_policy_walks_to_the_answer_and_stops_on_arrival():

@@ -8,9 +8,10 @@ from typing import Any
 from eagor._json import number, parsed, shown, whole
 from eagor.errors import EagorError
 
-__all__ = ["LONGEST", "PageError", "read"]
+__all__ = ["LATE", "LONGEST", "PageError", "read"]
 
 LONGEST = 16_384  # bytes of a message
+LATE = 0.5  # seconds of steering that one message tells at most
 QUERY = 200  # characters
 NAMES = 16  # methods
 
@@ -90,6 +91,7 @@ _FIELDS: dict[str, dict[str, tuple[Any, ...]]] = {
         "by": (_one_of("policy", "person"), "person"),
         "forward": (_between(-10.0, 10.0), 0.0),
         "turn": (_between(-100.0, 100.0), 0.0),
+        "seconds": (_between(0.0, LATE), 0.0),
     },
     "camera": {"yaw": (_ANGLE, 0.0), "pitch": (_ANGLE, 0.0), "roll": (_ANGLE, 0.0)},
     "pause": {"on": (_flag,)},

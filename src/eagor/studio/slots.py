@@ -38,7 +38,8 @@ class Slot:
 
     async def get(self) -> Message:
         """The next message, once there is one: words before steps."""
-        await self._news.wait()
+        while not self._said and self._step is None:  # cleared, perhaps, since it was woken
+            await self._news.wait()
         if self._said:
             message = self._said.popleft()
         else:

@@ -78,7 +78,7 @@ class WalkSession:
         elif kind == "drive":
             self._walker.drive(message["by"])
             if message["by"] == "person":
-                self._walker.steer(message["forward"], message["turn"])
+                self._walker.steer(message["forward"], message["turn"], message["seconds"])
         elif kind == "query":
             self._query = message["text"]
             self.opening = replace(self.opening, query=self._query)

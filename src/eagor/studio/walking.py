@@ -1,4 +1,4 @@
-"""How the body of a walk moves: by the person's speeds, or step by step as the policy says."""
+"""How the body of a walk moves: as the person says, or step by step as the policy says."""
 
 from __future__ import annotations
 
@@ -50,37 +50,36 @@ class Body:
 
 @dataclass
 class Walker:
-    """Moves a body as time passes; `by` the policy, or the person with `forward` (m/s) and `turn` (rad/s, left)."""
+    """Moves a body: `by` the policy as time passes, or by the person, who says how."""
 
     body: Body
     by: str = "policy"
-    forward: float = 0.0
-    turn: float = 0.0
     policy: Policy = field(default_factory=lambda: Policy(Camera().step))
     _heading: float | None = None  # of the policy's step that is under way
     _left: float = 0.0  # metres of that step
+    _stood: tuple[float, ...] = field(init=False)  # where it stood when it was last asked
 
-    def steer(self, forward: float, turn: float) -> None:
-        """The person's speeds; what is too fast is limited."""
-        self.forward = min(max(forward, -FASTEST), FASTEST)
-        self.turn = min(max(turn, -QUICKEST), QUICKEST)
+    def __post_init__(self) -> None:
+        self._stood = (*self.body.xy, self.body.yaw)
+
+    def steer(self, forward: float, turn: float, seconds: float) -> None:
+        """What the person has steered: m/s and rad/s (left), limited, and how long. The body stands without it."""
+        if self.by == "person":
+            self._turned(min(max(turn, -QUICKEST), QUICKEST) * seconds)
+            self.body.advance(min(max(forward, -FASTEST), FASTEST) * seconds)
 
     def drive(self, by: str) -> None:
-        """Hand over to "policy" or "person"; the body stands until either says otherwise."""
+        """Hand over to "policy" or "person"."""
         if by != self.by:
-            self.by, self.forward, self.turn, self._heading = by, 0.0, 0.0, None
+            self.by, self._heading = by, None
             self.policy = Policy(self.policy.step)
 
     def move(self, seconds: float, direction: np.ndarray | None, arrived: bool) -> bool:
-        """Let time pass; `direction` ``(3,)``: the estimate, body frame. Returns whether the body has moved."""
-        seconds = min(seconds, LONGEST)
-        before = *self.body.xy, self.body.yaw
-        if self.by == "person":
-            self._turned(self.turn * seconds)
-            self.body.advance(self.forward * seconds)
-        elif not arrived:
-            self._walk(seconds, direction)
-        return before != (*self.body.xy, self.body.yaw)
+        """Let time pass; `direction` ``(3,)``: the estimate, body frame. Returns whether the body has moved since."""
+        if self.by == "policy" and not arrived:
+            self._walk(min(seconds, LONGEST), direction)
+        before, self._stood = self._stood, (*self.body.xy, self.body.yaw)
+        return before != self._stood
 
     def _walk(self, seconds: float, direction: np.ndarray | None) -> None:
         if direction is None:  # nothing is known: look around

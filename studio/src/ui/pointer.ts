@@ -9,8 +9,8 @@ export interface Hands {
   turnsCamera(): boolean;
   /** A person wants the camera to point there in the world, radians; pitch is positive up. */
   turnCamera(yaw: number, pitch: number): void;
-  /** Keys that steer: returns whether this one does. */
-  steer(key: string, down: boolean): boolean;
+  /** Keys that steer, and when (an event's `timeStamp`): returns whether this one does. */
+  steer(key: string, down: boolean, at: number): boolean;
 }
 
 const STEP = 5 * RADIANS;
@@ -71,11 +71,13 @@ export function handle(stage: Stage, element: HTMLElement, hands: Hands): void {
     stage.zoom(Math.exp(Math.max(-60, Math.min(60, event.deltaY)) / 400));
   }, { passive: false });
 
+  const held = new Set<string>(); // keys that steer: a button's press is not let go with them
   element.addEventListener("keydown", (event) => {
     if (event.altKey || event.metaKey || event.ctrlKey || event.target !== element) return;
     const way = KEYS[event.key];
     if (way) {
-      if (event.shiftKey || !hands.steer(event.key, true)) {
+      if (!event.shiftKey && hands.steer(event.key, true, event.timeStamp)) held.add(event.key);
+      else {
         const ahead = apply(stage.world_R_body, [1, 0, 0]);
         if (hands.turnsCamera()) hands.turnCamera(azimuthOf(ahead) + way[0] * STEP, elevationOf(ahead) + way[1] * STEP);
         else stage.turn(way[0] * STEP, way[1] * STEP);
@@ -86,8 +88,11 @@ export function handle(stage: Stage, element: HTMLElement, hands: Hands): void {
     else return;
     event.preventDefault();
   });
-  element.addEventListener("keyup", (event) => hands.steer(event.key, false));
-  element.addEventListener("blur", () => {
-    for (const key of Object.keys(KEYS)) hands.steer(key, false);
+  const letGo = (key: string, at: number) => {
+    if (held.delete(key)) hands.steer(key, false, at);
+  };
+  element.addEventListener("keyup", (event) => letGo(event.key, event.timeStamp));
+  element.addEventListener("blur", (event) => {
+    for (const key of held) letGo(key, event.timeStamp);
   });
 }

@@ -5,7 +5,8 @@ import { h } from "./dom";
 
 const SPEED = 0.8; // metres per second
 const TURN = 1.0; // radians per second
-const EVERY = 100; // milliseconds between two messages while steering
+const EVERY = 50; // milliseconds between two messages while steering
+const LONGEST = 500; // milliseconds that one message tells at most: a page that was held up makes no leap
 
 const WAYS: Record<string, readonly [forward: number, turn: number]> = {
   ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, 1], ArrowRight: [0, -1],
@@ -17,16 +18,17 @@ export class Stick {
   private readonly held = new Set<string>();
   private drag: readonly [number, number] = [0, 0];
   private timer = 0;
+  private since = 0; // on `performance.now`: what was steered before has been told
 
-  /** `send` takes metres per second forward and radians per second to the left. */
-  constructor(private readonly send: (forward: number, turn: number) => void) {
+  /** `send` takes metres per second forward, radians per second to the left, and for how many seconds both were held. */
+  constructor(private readonly send: (forward: number, turn: number, seconds: number) => void) {
     const { forward, back, left, right, stick, stickHint } = words.walk;
     const way = (key: string, name: string, kind: string) => {
       const button = h("button", { type: "button", class: `way ${kind}`, "aria-label": name, title: name });
       const hold = (on: boolean) => (event: Event) => {
         if (event instanceof KeyboardEvent && event.key !== " " && event.key !== "Enter") return;
         if (event instanceof KeyboardEvent) event.preventDefault();
-        this.key(key, on);
+        this.key(key, on, event.timeStamp);
       };
       for (const name of ["pointerdown", "keydown"]) button.addEventListener(name, hold(true));
       for (const name of ["pointerup", "pointercancel", "pointerleave", "keyup", "blur"]) button.addEventListener(name, hold(false));
@@ -41,50 +43,58 @@ export class Stick {
       let [x, y] = [(event.clientX - box.left) / box.width - 0.5, (event.clientY - box.top) / box.height - 0.5];
       const length = Math.max(1, Math.hypot(x, y) / 0.32);
       [x, y] = [x / length / 0.32, y / length / 0.32];
+      this.tell(event.timeStamp);
       this.drag = [-y, -x];
       this.knob.style.translate = `${x * 32}cqi ${y * 32}cqi`;
-      this.update();
+      this.update(event.timeStamp);
     });
     for (const name of ["lostpointercapture", "pointercancel"] as const)
-      this.knob.addEventListener(name, () => {
+      this.knob.addEventListener(name, (event) => {
+        this.tell(event.timeStamp);
         this.drag = [0, 0];
         this.knob.style.translate = "";
-        this.update();
+        this.update(event.timeStamp);
       });
     window.addEventListener("blur", () => this.stop());
   }
 
-  /** A key goes down or up; returns whether it steers. */
-  key(key: string, down: boolean): boolean {
+  /** A key goes down or up, `at` milliseconds as events have it; returns whether it steers. */
+  key(key: string, down: boolean, at: number): boolean {
     if (!(key in WAYS)) return false;
+    this.tell(at);
     if (down) this.held.add(key);
     else this.held.delete(key);
-    this.update();
+    this.update(at);
     return true;
   }
 
   stop(): void {
+    const now = performance.now();
+    this.tell(now);
     this.held.clear();
     this.drag = [0, 0];
-    this.update();
+    this.update(now);
   }
 
-  private update(): void {
+  private update(at: number): void {
     const moves = this.held.size > 0 || this.drag[0] !== 0 || this.drag[1] !== 0;
     if (moves && !this.timer) {
-      this.timer = window.setInterval(() => this.tell(), EVERY);
-      this.tell();
+      this.since = at;
+      this.timer = window.setInterval(() => this.tell(performance.now()), EVERY);
     } else if (!moves && this.timer) {
       clearInterval(this.timer);
       this.timer = 0;
-      this.tell();
     }
   }
 
-  private tell(): void {
+  /** Tell what was steered until `at`: however late the page or the server is, the way is as long as the press. */
+  private tell(at: number): void {
+    if (!this.timer) return;
+    const seconds = Math.min(at - this.since, LONGEST) / 1000;
+    this.since = Math.max(this.since, at);
     let [forward, turn] = this.drag;
     for (const key of this.held) [forward, turn] = [forward + WAYS[key][0], turn + WAYS[key][1]];
     const cut = (x: number) => Math.max(-1, Math.min(1, x));
-    this.send(SPEED * cut(forward), TURN * cut(turn));
+    if (seconds > 0) this.send(SPEED * cut(forward), TURN * cut(turn), seconds);
   }
 }

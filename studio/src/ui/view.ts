@@ -29,7 +29,7 @@ export interface ViewHandler {
   ask?(query: string): void;
   /** The scene of the session has come. */
   scene?(): void;
-  steer?(key: string, down: boolean): boolean;
+  steer?(key: string, down: boolean, at: number): boolean;
   turnsCamera?(): boolean;
   turnCamera?(yaw: number, pitch: number): void;
 }

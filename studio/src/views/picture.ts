@@ -17,6 +17,7 @@ export function picture(page: Page): ViewHandler {
   let paused = false;
   const attitude = { yaw: 0, pitch: 0, roll: 0 };
   let sending = 0;
+  let asked = 0; // counts the files that were taken, and leaves: what is uploaded for an older one changes nothing
   const file = h("input", { type: "file", accept: "image/*,video/*", class: "in-words", id: "file", onchange: () => take(file.files?.[0]) });
   const chooser = (text: string) => h("label", { for: "file", class: "button primary" }, text);
   const perception = h("select", { onchange: () => known && open() });
@@ -54,6 +55,7 @@ export function picture(page: Page): ViewHandler {
 
   async function take(chosen: File | undefined): Promise<void> {
     if (!chosen) return;
+    const mine = ++asked;
     page.problems.clear("picture");
     try {
       const most = page.state()?.limits.upload_bytes;
@@ -62,7 +64,9 @@ export function picture(page: Page): ViewHandler {
       if (most && chosen.size > most)
         throw new Refused(words.picture.tooLarge(chosen.size / 1e6, most / 1e6), words.picture.tooLargeChange);
       page.empty(words.picture.uploading);
-      known = await upload(chosen);
+      const told = await upload(chosen);
+      if (mine !== asked) return;
+      known = told;
       Object.assign(attitude, { yaw: 0, pitch: 0, roll: 0 });
       frames.hidden = known.kind !== "video";
       slider.max = String(Math.max(0, known.frames - 1));
@@ -71,11 +75,13 @@ export function picture(page: Page): ViewHandler {
       session.close();
       store.begin(null);
       page.empty(h("strong", {}, words.picture.ready));
-      if (known.kind === "photo") await showAtOnce(chosen);
+      if (known.kind === "photo") await showAtOnce(chosen, () => mine === asked && !session.active);
+      if (mine !== asked || session.active) return; // it was asked for something meanwhile
       if (shell.query.value.trim()) open();
       else shell.query.focus();
     } catch (problem) {
       if (!(problem instanceof Refused)) throw problem;
+      if (mine !== asked) return;
       page.problems.tell("picture", problem);
       if (known) page.empty();
       else invite();
@@ -85,9 +91,9 @@ export function picture(page: Page): ViewHandler {
   }
 
   /** The photograph is shown before anything is asked: nothing of the server is needed for it. */
-  async function showAtOnce(chosen: File): Promise<void> {
+  async function showAtOnce(chosen: File, wanted: () => boolean): Promise<void> {
     const image = await createImageBitmap(chosen, { resizeWidth: 2048, resizeHeight: 1024, resizeQuality: "medium" }).catch(() => null);
-    if (!image) return;
+    if (!image || !wanted()) return;
     store.panorama = { image, head: { stamp: 0, world_R_camera: IDENTITY } };
     store.emit("panorama");
     page.badge(words.picture.ready);
@@ -131,6 +137,7 @@ export function picture(page: Page): ViewHandler {
       else invite();
     },
     leave() {
+      asked++;
       shell.stage.removeEventListener("dragover", over);
       shell.stage.removeEventListener("dragleave", out);
       shell.stage.removeEventListener("drop", drop);

@@ -91,6 +91,7 @@ export function run(page: Page): ViewHandler {
     try {
       const told = await fetchEpisode(name, key, (progress) => { if (!signal.aborted) page.empty(words.run.loading(progress)); }, signal);
       for (const step of told.steps) if (step.panorama?.url && !step.panorama.url.startsWith("data:")) step.panorama.url = address(step.panorama.url);
+      if (signal.aborted) return; // another was chosen, or the view left, while the answer was read
       page.empty();
       player.load(told);
     } catch (problem) {

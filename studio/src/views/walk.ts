@@ -12,11 +12,11 @@ export function walk(page: Page): ViewHandler {
   const seed = h("input", { type: "number", step: 1, list: "houses", class: "short", onchange: () => open() });
   const offered = h("datalist", { id: "houses" });
   const perception = h("select", { onchange: () => open() });
-  const stick = new Stick((forward, turn) => session.send({ type: "drive", by: "person", forward, turn }));
+  const stick = new Stick((forward, turn, seconds) => session.send({ type: "drive", by: "person", forward, turn, seconds }));
   const steering = segmented(words.walk.drive, [["policy", words.walk.policy], ["person", words.walk.person]], drive, (by) => {
     drive = by;
     stick.stop();
-    session.send({ type: "drive", by, forward: 0, turn: 0 });
+    session.send({ type: "drive", by });
     mark();
   });
   const pause = h("button", { type: "button", onclick: () => {
@@ -76,6 +76,6 @@ export function walk(page: Page): ViewHandler {
     scene() {
       if (store.scene?.seed !== undefined) seed.value = String(store.scene.seed);
     },
-    steer: (key, down) => drive === "person" && stick.key(key, down),
+    steer: (key, down, at) => drive === "person" && stick.key(key, down, at),
   };
 }

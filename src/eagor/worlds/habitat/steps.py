@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from eagor.errors import WorldError
@@ -10,7 +12,8 @@ from eagor.worlds.habitat.surface import Surface
 __all__ = ["stepped"]
 
 HELD = 1e-4  # metres by which a step falls short that has collided: the mesh is in single precision
-SHORT = 1e-3  # metres before the edge at which a step without sliding ends: no step leads away from the edge itself
+SHORT = 1e-3  # metres off the edge at which a step without sliding ends: no step leads away from the edge itself
+FAR = 2.0  # metres within which an edge is looked for
 
 
 def stepped(surface: Surface, xy: np.ndarray, step: np.ndarray, slide: bool) -> tuple[np.ndarray, bool]:
@@ -36,7 +39,20 @@ def stepped(surface: Surface, xy: np.ndarray, step: np.ndarray, slide: bool) -> 
     # Freely moved, the body is where the step led, not where single precision has put it.
     if np.hypot(*(moved - way)) <= HELD:
         return start + way, False
-    if not slide:
-        length = float(np.hypot(*moved))
-        end = start + moved * max(0.0, 1 - SHORT / max(length, SHORT))
-    return end, True
+    return (end if slide else _off_the_edge(surface, start, moved)), True
+
+
+def _off_the_edge(surface: Surface, start: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """The first place ``(2,)`` on the way that comes within about `SHORT` of an edge.
+
+    Habitat's own step can cross a notch of the mesh and end behind it, so the way is followed from its start: each time
+    as far as nothing can be met.
+    """
+    length, gone, clear = float(np.hypot(*moved)), 0.0, math.inf
+    if length == 0:
+        return start.copy()
+    while gone < length and clear > SHORT + HELD:
+        here = surface.feet(start + moved * (gone / length))
+        clear = float(surface.pathfinder.distance_to_closest_obstacle(here, FAR))
+        gone += max(0.0, clear - SHORT)
+    return start + moved * min(1.0, gone / length)
