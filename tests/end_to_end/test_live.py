@@ -1,6 +1,7 @@
 """``eagor live`` from the shell: lines of JSON, ends as it should, errors in a sentence; and a recording again."""
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -91,6 +92,38 @@ def test_a_run_is_recorded_and_played_again(film, tmp_path, capsys):
     assert f"{len(first)} answers, {len(first)} of them equal to the recorded ones bit for bit" in captured.err
     assert main(["live", "replay", str(tmp_path / "run"), "--perception", "colour", "--json"]) == 0
     assert len(lines(capsys)) == len(first)
+
+
+def test_a_recording_is_a_run_of_the_studio(film, tmp_path, capsys):
+    """Each query is an episode; its last step is the last answer of the recording, with its picture and its belief."""
+    pytest.importorskip("rosbags")
+    runs = pytest.importorskip("eagor.studio.runs")
+    from eagor.errors import FormatError
+
+    folder = tmp_path / "runs" / "film"
+    words = ["red chair", "blue ball", "--record", str(folder), "--json", "--poses", "level"]
+    assert main(["live", str(film), *words]) == 0
+    told = lines(capsys)
+    (line,) = runs.listed(tmp_path / "runs")
+    assert (line["name"], line["kind"], line["problem"]) == ("film", "live", "")
+    found = runs.opened(folder)
+    assert [one["query"] for one in found["episodes"]] == ["red chair", "blue ball"]
+    for episode in found["episodes"]:
+        drawn = runs.again(folder, episode["key"])
+        assert drawn.scene["query"] == episode["query"]
+        assert drawn.scene["targets"] == ["red chair", "blue ball"]
+        assert len(drawn.steps) >= 3
+        assert drawn.pictures
+        answers = {round(one["stamp"], 3): one for one in told if one["query"] == episode["query"]}
+        begun = min(answers)
+        last = drawn.steps[-1]
+        answer = answers[min(answers, key=lambda stamp: abs(stamp - begun - last["stamp"]))]
+        assert math.degrees(last["estimate"]["azimuth"]) == pytest.approx(answer["azimuth_deg"], abs=0.1)
+        assert last["estimate"]["status"] == answer["status"]
+        assert last["belief"]["coefficients"]
+    assert runs.again(folder, None).scene["query"] == "red chair"
+    with pytest.raises(FormatError, match="has no query 'green cup'"):
+        runs.again(folder, "green cup")
 
 
 def test_a_run_is_logged_for_the_rerun_viewer(film, tmp_path):

@@ -21,7 +21,7 @@ from eagor.evaluation.published import OURS
 from eagor.evaluation.samples import case_of, finished
 from eagor.evaluation.study import Told
 from eagor.robots.bag_files import is_bag
-from eagor.studio.recordings import recorded, report_of, walked
+from eagor.studio.recordings import queries_of, recorded, report_of, walked
 from eagor.studio.replays import Redrawn, redraw
 from eagor.studio.wire import rounded
 
@@ -32,7 +32,7 @@ __all__ = [
 MOST = 200  # runs that are listed
 LARGEST = 1 << 22  # bytes of a run.json that is listed
 ITSELF = "."  # the name of a folder that is a run itself
-WALK, LIVE = "walk", "recording"  # the only case of a robot's report, and of a recording
+WALK = "walk"  # the only case of a robot's report
 
 
 def key_of(case: str) -> str:
@@ -105,10 +105,11 @@ def opened(folder: Path) -> dict[str, Any]:
     """The episodes of a run: those that failed first, then by error, the worst first. Raises `EagorError`."""
     kind = kind_of(folder)
     if kind == "live":
-        return _single(kind, LIVE, f"Recording {folder.name}", "")
+        return _few(kind, [(query, f"Recording {folder.name}", query) for query in queries_of(folder)])
     if kind == "robot":
         report = report_of(folder)
-        return _single(kind, WALK, f"Walk: {report.get('ended') or 'it did not end'}", str(report.get("query", "")))
+        title = f"Walk: {report.get('ended') or 'it did not end'}"
+        return _few(kind, [(WALK, title, str(report.get("query", "")))])
     if kind is None:
         raise FormatError(f"{folder.name} holds no run: no {ledger.RUN} and no recording")
     return episodes_of(studies.read(folder))
@@ -134,9 +135,11 @@ def episodes_of(run: Told) -> dict[str, Any]:
             "playable": playable, "problem": problem}  # fmt: skip
 
 
-def _single(kind: str, case: str, title: str, query: str) -> dict[str, Any]:
-    entry = {"key": case, "title": title, "query": query, "error_deg": None, "success": None, "methods": {}}
-    return {"kind": kind, "task": kind, "methods": [OURS], "episodes": [entry], "failed": 0, "playable": True,
+def _few(kind: str, cases: list[tuple[str, str, str]]) -> dict[str, Any]:
+    """Cases without a figure: a case, its title and its query each."""
+    unknown = {"error_deg": None, "success": None, "methods": {}}
+    entries = [{"key": key_of(case), "title": title, "query": query, **unknown} for case, title, query in cases]
+    return {"kind": kind, "task": kind, "methods": [OURS], "episodes": entries, "failed": 0, "playable": True,
             "problem": ""}  # fmt: skip
 
 
@@ -164,7 +167,8 @@ def again(folder: Path, key: str | None, advance: Callable[[int], object] = lamb
     """One episode of a run, for the page; `key` None: the worst one. Raises `EagorError`."""
     kind = kind_of(folder)
     if kind == "live":
-        return recorded(folder, None, advance)
+        query = next((query for query in queries_of(folder) if key in (query, key_of(query))), key)
+        return recorded(folder, query, advance)
     if kind == "robot":
         return walked(folder)
     return episode_of(studies.read(folder), key, advance)
