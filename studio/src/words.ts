@@ -1,6 +1,8 @@
 /** All words of the page, in one place. */
 
 const whole = (x: number) => Math.round(x).toString();
+/** With one digit; never "-0.0". */
+export const tenths = (x: number) => (Math.round(10 * x) / 10 + 0).toFixed(1);
 
 /** An azimuth in degrees, in words: "64° left". */
 function side(azimuth: number): string {
@@ -196,7 +198,7 @@ export const words = {
     distance: "Distance",
     moving: "It moves",
     entropy: "Entropy",
-    nats: (x: number) => `${x.toFixed(1)} nats`,
+    nats: (x: number) => `${tenths(x)} nats`,
     look: "Newest look",
     degrees: (x: number) => `${x < 10 ? x.toFixed(1) : whole(x)}°`,
     seconds: (x: number) => (x < 10 ? `${x.toFixed(1)} s ago` : `${whole(x)} s ago`),

@@ -279,6 +279,8 @@ def test_a_video_is_dropped_paused_and_sought(studio: Studio, tmp_path: Path) ->
     count = page.evaluate("window.eagorStudio.store.step.frame.of")
     slider.fill(str(count - 1))
     page.until(f"window.eagorStudio.store.step.frame.n >= {count - 2}")
+    shown, said = "document.querySelector('.frames .count').textContent", "`${frame.n + 1} / ${frame.of}`"
+    page.until(f"(({{ frame }}) => {shown} === {said})(window.eagorStudio.store.step)")
     page.until("window.eagorStudio.summary.peak")
     ball = world_R_body(math.radians(60)) @ np.array([math.cos(math.radians(10)), 0, -math.sin(math.radians(10))])
     found = pose(page).T @ np.array(page.summary()["peak"])  # the camera does not turn; its axes may drift a little

@@ -8,7 +8,7 @@ import { drawSeries, span, type Strip } from "../draw/series";
 import type { Stage } from "../draw/stage";
 import { apply, azimuthOf, degrees, elevationOf, IDENTITY, inverse, times, wrapped, type Vector } from "../math/rotation";
 import type { Store } from "../store";
-import { words } from "../words";
+import { tenths, words } from "../words";
 import { h, say } from "./dom";
 import type { Shell } from "./shell";
 
@@ -186,7 +186,7 @@ export class Panels {
     const known = entropies.filter((value) => value !== null);
     strips.push({
       name: words.series.entropy, values: entropies, low: Math.min(-4, ...known.slice(-500)), high: 2.6, colour: "heat-line",
-      format: (x) => x.toFixed(1),
+      format: tenths,
     });
     return strips;
   }

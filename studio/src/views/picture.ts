@@ -40,10 +40,10 @@ export function picture(page: Page): ViewHandler {
 
   store.on("step", () => {
     const frame = store.step?.frame;
-    if (!known || known.kind !== "video" || !frame || document.activeElement === slider) return;
-    slider.value = String(frame.n);
-    slider.max = String(Math.max(0, frame.of - 1));
+    if (!known || known.kind !== "video" || !frame) return;
     say(count, `${frame.n + 1} / ${frame.of}`);
+    slider.max = String(Math.max(0, frame.of - 1));
+    if (document.activeElement !== slider) slider.value = String(frame.n); // a hand on it leads
   });
 
   function invite(): void {
