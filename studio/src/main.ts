@@ -108,7 +108,7 @@ shell.series.canvas.addEventListener("click", (event) => { if (player.active) pl
 layers(store, shell, {
   degree: (L) => session.send({ type: "degree", L }),
   methods: (names) => session.send({ type: "methods", names }),
-  stored: () => player.active,
+  fixed: () => player.active || root.dataset.view === "live",
 });
 shell.ask.addEventListener("submit", (event) => {
   event.preventDefault();

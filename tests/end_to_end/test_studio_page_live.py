@@ -322,6 +322,7 @@ def test_a_live_source_is_watched(studio: Studio) -> None:
     page = go(studio, "live")
     page.until("window.eagorStudio.store.panorama && window.eagorStudio.summary.peak")
     page.at_rest()
+    assert page.get_by_label("Degree L").is_disabled(), "others watch the source, too"
     assert serious(page) == []
     page.kept("live")
 

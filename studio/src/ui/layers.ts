@@ -38,7 +38,7 @@ function chip(text: string | (string | Node)[], mark: SVGElement, on: boolean, f
 export interface LayerActions {
   degree(L: number): void;
   methods(names: string[]): void;
-  stored(): boolean; // a stored episode: its degree is what it is
+  fixed(): boolean; // the degree is what it is: a stored episode, or a source that others watch, too
 }
 
 export function layers(store: Store, shell: Shell, actions: LayerActions): void {
@@ -55,7 +55,7 @@ export function layers(store: Store, shell: Shell, actions: LayerActions): void 
     LAYERS.forEach((name, i) => { chips[i].querySelector("span")!.textContent = text(name); });
     const choices = [...new Set([...(scene?.degrees ?? [3, 7, 15, 23, 31]), scene?.degree ?? 15])].sort((a, b) => a - b);
     degree.replaceChildren(...choices.map((L) => h("option", { value: L, selected: L === (scene?.degree ?? 15) }, String(L))));
-    degree.disabled = !scene || actions.stored();
+    degree.disabled = !scene || actions.fixed();
     const methods = scene?.methods ?? [];
     rivals.hidden = methods.length === 0;
     rivals.querySelector(".chips")!.replaceChildren(...methods.map(({ name, words: told }, index) => {
