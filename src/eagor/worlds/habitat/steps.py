@@ -19,7 +19,7 @@ FAR = 2.0  # metres within which an edge is looked for
 def stepped(surface: Surface, xy: np.ndarray, step: np.ndarray, slide: bool) -> tuple[np.ndarray, bool]:
     """The end of a step ``(2,)`` from a free point ``(2,)``, and whether it collided: Habitat's ``try_step``.
 
-    A blocked step slides along the edge of the mesh (`slide`), or the body stops there, a millimetre short of it: for
+    A blocked step slides along the edge of the mesh (`slide`), or the body stops a millimetre off every edge: for
     Habitat-Sim 0.3.4 every step of a body that stands on the edge crosses it. It never leaves the storey. Raises
     `WorldError` if the start is not free or the step not finite.
     """
