@@ -4,6 +4,9 @@
 .hypothesis and tried first the next time. Without it: hypothesis' own profile `ci`, the same cases each time.
 """
 
+import signal
+import threading
+
 import pytest
 from hypothesis import HealthCheck, settings
 
@@ -13,6 +16,10 @@ from eagor.perception.coco.store import COCO, install
 settings.register_profile(
     "long", max_examples=2000, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large]
 )
+
+# A shell that starts a job with "&" may let it ignore Ctrl-C, and so would each command that a test starts and ends.
+if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="module")
