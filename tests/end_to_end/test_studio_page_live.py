@@ -175,6 +175,15 @@ def test_a_person_steers_with_the_arrow_keys_and_the_stick(studio: Studio) -> No
     page.get_by_role("radio", name="policy").check(force=True)
 
 
+def test_the_degree_is_changed_and_the_belief_with_it(studio: Studio) -> None:
+    page = go(studio, "walk")
+    page.until("window.eagorStudio.store.scene?.degree === 15 && window.eagorStudio.summary.peak")
+    page.get_by_label("Degree L").select_option("7")
+    page.until("window.eagorStudio.store.scene?.degree === 7 && window.eagorStudio.summary.peak")
+    page.get_by_label("Degree L").select_option("15")
+    page.until("window.eagorStudio.store.scene?.degree === 15 && window.eagorStudio.summary.peak")
+
+
 def test_an_episode_of_a_run_is_chosen_and_scrubbed(studio: Studio) -> None:
     page = go(studio, "run")
     page.until("window.eagorStudio.store.scene && window.eagorStudio.store.panorama")
@@ -231,7 +240,7 @@ def test_a_picture_is_dropped_and_the_belief_stays_with_it(studio: Studio) -> No
 def test_the_newest_look_is_a_layer(studio: Studio) -> None:
     """What the evidence of one look says is highest where the ball is; drawn, it is another picture than the belief."""
     page = studio.page
-    assert page.evaluate("window.eagorStudio.store.evidence !== null")
+    page.until("window.eagorStudio.store.evidence !== null && window.eagorStudio.summary.peak")
     azimuth, elevation = page.evaluate(
         "(() => { const { values, columns, rows } = window.eagorStudio.store.evidence;"
         "const best = values.indexOf(Math.max(...values));"
@@ -250,21 +259,6 @@ def test_the_newest_look_is_a_layer(studio: Studio) -> None:
     assert np.abs(drawn(page) - before).mean() > 1
     page.kept("newest-look")
     page.get_by_role("button", name="Newest look", exact=True).click()
-
-
-def test_the_degree_is_changed_and_the_belief_with_it(studio: Studio) -> None:
-    page = studio.page
-    before = page.evaluate("window.eagorStudio.store.density.degree ?? window.eagorStudio.store.scene.degree")
-    state = page.evaluate(
-        "JSON.stringify({ scene: window.eagorStudio.store.scene, view: location.hash,"
-        "player: !document.querySelector('.player').hidden })"
-    )
-    assert not page.evaluate("document.querySelector('.legend select').disabled"), state
-    page.get_by_label("Degree L").select_option("7")
-    page.until("window.eagorStudio.store.scene?.degree === 7 && window.eagorStudio.summary.peak")
-    assert before == 15
-    page.get_by_label("Degree L").select_option("15")
-    page.until("window.eagorStudio.store.scene?.degree === 15 && window.eagorStudio.summary.peak")
 
 
 def test_a_video_is_dropped_paused_and_sought(studio: Studio, tmp_path: Path) -> None:
