@@ -239,7 +239,9 @@ def test_an_episode_is_played_again_with_the_recorded_figures(served, runs):
 
 def test_a_robots_report_is_a_run_of_one_episode(served):
     (entry,) = served.http.get("/api/runs/walk").json()["episodes"]
-    episode = served.http.get(f"/api/runs/walk/episodes/{entry['key']}").json()
+    while (answer := served.http.get(f"/api/runs/walk/episodes/{entry['key']}")).status_code == 202:
+        assert answer.json()["progress"] >= 0
+    episode = answer.json()
     assert 60 < len(episode["steps"]) <= 120
     assert episode["steps"][0]["error_deg"] == pytest.approx(math.degrees(0.1), abs=0.01)
     assert "panorama" not in episode["steps"][0]

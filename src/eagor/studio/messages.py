@@ -11,7 +11,7 @@ from eagor.errors import EagorError
 __all__ = ["LATE", "LONGEST", "PageError", "read"]
 
 LONGEST = 16_384  # bytes of a message
-LATE = 0.5  # seconds of steering that one message tells at most
+LATE = 0.5  # seconds that a body moves at once at most: what was held up makes no leap
 QUERY = 200  # characters
 NAMES = 16  # methods
 

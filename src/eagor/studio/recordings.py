@@ -22,7 +22,7 @@ from eagor.studio.steps import belief_of, calibration_of, estimate_json, modes_j
 from eagor.studio.wire import rounded
 from eagor.worlds.photograph import Photograph
 
-__all__ = ["REPORT", "queries_of", "recorded", "walked"]
+__all__ = ["REPORT", "recorded", "walked"]
 
 REPORT = "run.json"  # of a robot's walk
 KEPT = 120  # steps of a recording or of a walk that are shown
@@ -31,18 +31,12 @@ ROWS = 256  # of panoramas
 STILL = (0.0, 0.0, 0.0)
 
 
-def queries_of(folder: Path) -> tuple[str, ...]:
-    """The queries of a recording of ``eagor live --record``. Raises `FormatError` for another folder."""
-    return tuple(Replay(folder).settings.queries)
-
-
-def recorded(folder: Path, query: str | None = None, advance: Advance = lambda _: None) -> Redrawn:
+def recorded(replay: Replay, query: str | None = None, advance: Advance = lambda _: None) -> Redrawn:
     """A recording of ``eagor live --record``, played again. `query`: one of its queries (default: the first).
 
-    Raises `FormatError` for another folder, an unknown query, or a recording without an answer.
+    Raises `FormatError` for an unknown query, or a recording without an answer.
     """
-    replay = Replay(folder)
-    queries = replay.settings.queries
+    folder, queries = replay.path, replay.settings.queries
     asked = query or queries[0]
     if asked not in queries:
         raise FormatError(f"{folder} has no query {asked!r}; it has {', '.join(map(repr, queries))}")

@@ -21,7 +21,8 @@ from eagor.evaluation.published import OURS
 from eagor.evaluation.samples import case_of, finished
 from eagor.evaluation.study import Told
 from eagor.robots.bag_files import is_bag
-from eagor.studio.recordings import queries_of, recorded, report_of, walked
+from eagor.robots.live.replay import Replay
+from eagor.studio.recordings import recorded, report_of, walked
 from eagor.studio.replays import Redrawn, redraw
 from eagor.studio.wire import rounded
 
@@ -105,7 +106,7 @@ def opened(folder: Path) -> dict[str, Any]:
     """The episodes of a run: those that failed first, then by error, the worst first. Raises `EagorError`."""
     kind = kind_of(folder)
     if kind == "live":
-        return _few(kind, [(query, f"Recording {folder.name}", query) for query in queries_of(folder)])
+        return _few(kind, [(query, f"Recording {folder.name}", query) for query in Replay(folder).settings.queries])
     if kind == "robot":
         report = report_of(folder)
         title = f"Walk: {report.get('ended') or 'it did not end'}"
@@ -167,8 +168,9 @@ def again(folder: Path, key: str | None, advance: Callable[[int], object] = lamb
     """One episode of a run, for the page; `key` None: the worst one. Raises `EagorError`."""
     kind = kind_of(folder)
     if kind == "live":
-        query = next((query for query in queries_of(folder) if key in (query, key_of(query))), key)
-        return recorded(folder, query, advance)
+        replay = Replay(folder)
+        query = next((query for query in replay.settings.queries if key in (query, key_of(query))), key)
+        return recorded(replay, query, advance)
     if kind == "robot":
         return walked(folder)
     return episode_of(studies.read(folder), key, advance)

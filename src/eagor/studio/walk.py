@@ -77,7 +77,7 @@ class WalkSession:
             return
         elif kind == "drive":
             self._walker.drive(message["by"])
-            if message["by"] == "person":
+            if message["by"] == "person" and not self._paused:
                 self._walker.steer(message["forward"], message["turn"], message["seconds"])
         elif kind == "query":
             self._query = message["text"]

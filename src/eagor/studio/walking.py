@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from eagor.sphere import azimuth_elevation, world_R_body
+from eagor.studio.messages import LATE
 from eagor.tasks.policy import Policy
 from eagor.tasks.rules import Camera
 from eagor.worlds.walkable import Walkable
@@ -16,7 +17,6 @@ __all__ = ["Body", "Walker"]
 
 SPEED, TURN = 0.5, math.radians(75)  # metres and radians per second, of the policy
 FASTEST, QUICKEST = 1.2, math.radians(150)  # of the person
-LONGEST = 0.5  # seconds that one movement covers at most: a late tick is no leap
 
 
 @dataclass
@@ -77,7 +77,7 @@ class Walker:
     def move(self, seconds: float, direction: np.ndarray | None, arrived: bool) -> bool:
         """Let time pass; `direction` ``(3,)``: the estimate, body frame. Returns whether the body has moved since."""
         if self.by == "policy" and not arrived:
-            self._walk(min(seconds, LONGEST), direction)
+            self._walk(min(seconds, LATE), direction)
         before, self._stood = self._stood, (*self.body.xy, self.body.yaw)
         return before != self._stood
 
