@@ -29,7 +29,7 @@ class FloorSeen:
 
     `nearest` ``(rows, cols)``: metres from which a cell was seen best. `worth` ``(rows, cols)``: probability that all
     looks so far would have missed a thing that stands there. `held` ``(rows, cols)``: how often the body was held up on
-    its way there.
+    its way there. `stood` ``(rows, cols)``: how often it stood there.
     """
 
     origin: np.ndarray = field(default_factory=lambda: np.zeros(2))
@@ -37,6 +37,7 @@ class FloorSeen:
     nearest: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     worth: np.ndarray = field(default_factory=lambda: np.ones((0, 0)))
     held: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int32))
+    stood: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int32))
 
     def cells(self, points: np.ndarray) -> np.ndarray:
         """Rows and columns ``(..., 2)`` of points ``(..., 2)``."""
@@ -67,6 +68,7 @@ class FloorSeen:
         self.nearest = np.pad(self.nearest, pads, constant_values=math.inf)
         self.worth = np.pad(self.worth, pads, constant_values=1.0)
         self.held = np.pad(self.held, pads)
+        self.stood = np.pad(self.stood, pads)
         self.origin = first * CELL
 
     def look(self, floor: np.ndarray, world_R_body: np.ndarray, position: np.ndarray) -> None:
@@ -74,37 +76,40 @@ class FloorSeen:
 
         `floor` ``(H, W)`` bool: which pixels of an equirectangular picture show the floor.
         """
-        here = position[:2]
-        reach = _reach(floor, position[2])
-        self.cover(here - reach - MARGIN, here + reach + MARGIN)
-        cells = self._around(here, reach)
-        away = self.centres(cells) - here
+        here, height = position[:2], position[2]
+        reach = _reach(floor, height)
+        places = self.centres(self._around(here, reach))
+        away = places - here
         metres = np.hypot(*away.T)
-        near = (metres < FARTHEST) & (metres > 0.05)
-        cells, away, metres = cells[near], away[near], metres[near]
-        height, row = position[2], math.pi / len(floor)
+        near = (metres < min(reach, FARTHEST)) & (metres > 0.05)
+        places, away, metres = places[near], away[near], metres[near]
+        row = math.pi / len(floor)
         # A thing stands where the floor has just ended: nearer by this much (at least a row of pixels) there is floor.
         back = np.maximum(THICK, 1.2 * row * (height + metres**2 / height))
         is_floor = _shows(floor, world_R_body, away, height)
         before = away * np.maximum(1 - back / metres, 0.0)[:, None]
         contact = ~is_floor & _shows(floor, world_R_body, before, height)
-        rows, cols = cells.T
-        better = metres <= self.nearest[rows, cols] + 0.2
+        shown = np.concatenate([places[is_floor | contact], here[None]])
+        self.cover(shown.min(axis=0) - MARGIN, shown.max(axis=0) + MARGIN)
         for which, state in ((is_floor, FLOOR), (contact, CONTACT)):
-            kept = which & better
-            self.state[rows[kept], cols[kept]] = state
-            self.nearest[rows[kept], cols[kept]] = np.minimum(self.nearest[rows[kept], cols[kept]], metres[kept])
+            rows, cols = self.cells(places[which]).T
+            better = metres[which] <= self.nearest[rows, cols] + 0.2
+            rows, cols = rows[better], cols[better]
+            self.state[rows, cols] = state
+            self.nearest[rows, cols] = np.minimum(self.nearest[rows, cols], metres[which][better])
 
     def _around(self, here: np.ndarray, reach: float) -> np.ndarray:
+        """The cells ``(n, 2)`` about a place, also those off the grid."""
         low, high = self.cells(here - reach), self.cells(here + reach) + 1
-        low, high = np.maximum(low, 0), np.minimum(high, self.state.shape)
         rows, cols = np.arange(low[0], high[0]), np.arange(low[1], high[1])
         return np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
 
     def walked(self, here: np.ndarray, radius: float) -> None:
         """A body of this radius stands here: nothing else does."""
+        self.cover(here - radius, here + radius)
         cells = self._around(here, radius)
         rows, cols = cells[np.hypot(*(self.centres(cells) - here).T) <= radius].T
+        self.stood[rows, cols] += 1
         self.state[rows, cols], self.nearest[rows, cols] = FLOOR, 0.0
         row, col = self.cells(here)
         self.state[row, col], self.nearest[row, col], self.held[row, col] = FLOOR, 0.0, 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -17,8 +18,11 @@ from eagor.tasks.floor_seen import CELL, CONTACT, FloorSeen
 # seen a cell off, so it is no wall.
 COSTS = np.array([2.0, 1.0, 15.0])
 HELD = 20.0  # ... and more for each time that the body was held up there
+STOOD = 1.0  # ... and for each time that it stood there: a way that led to and fro is not the way (Korf, 1990)
 TIGHT, CLOSE = 4.0, 1.5  # ... times more within the body's radius of what stands, and within `SPARE` metres more
 SPARE = 0.15
+BESIDE = 1.2  # metres from a thing: close enough to have come to it
+NEAR = 0.5  # metres between two places that are one
 LOOK = 1.5  # metres: longest straight stretch of a way
 
 
@@ -44,7 +48,7 @@ class Ways:
         costs = COSTS[known.state]
         costs[~stands & (away < radius + SPARE)] *= CLOSE
         costs[~stands & (away < radius)] *= TIGHT
-        costs += HELD * known.held
+        costs += HELD * known.held + STOOD * known.stood
         row, col = known.cells(here)
         one, other, lengths, order = _lattice(costs.shape)
         flat = costs.reshape(-1)
@@ -53,12 +57,21 @@ class Ways:
         metres, before = dijkstra(graph, indices=start, return_predecessors=True)
         return cls(known, here, costs, metres.reshape(costs.shape), before)
 
-    def nearest(self, goal: np.ndarray) -> tuple[int, int]:
-        """The cell to go to for a goal ``(2,)`` in which something may stand."""
+    def nearest(self, goal: np.ndarray, but: Sequence[np.ndarray] = ()) -> tuple[int, int] | None:
+        """The cell to go to for a goal ``(2,)`` in which something may stand.
+
+        If the body has been at places `but` ``(2,)`` for it: another one beside it, None if there is none.
+        """
         cells = np.moveaxis(np.indices(self.metres.shape), 0, -1)
-        away = np.hypot(*np.moveaxis(self.known.centres(cells) - goal, -1, 0))
-        best = int((3 * away + 0.2 * self.metres).argmin())
-        return divmod(best, self.metres.shape[1])
+        places = self.known.centres(cells)
+        away = np.hypot(*np.moveaxis(places - goal, -1, 0))
+        cost = 3 * away + 0.2 * self.metres
+        if len(but):
+            cost[away > BESIDE] = math.inf
+        for place in but:
+            cost[np.hypot(*np.moveaxis(places - place, -1, 0)) < NEAR] = math.inf
+        best = int(cost.argmin())
+        return divmod(best, self.metres.shape[1]) if math.isfinite(cost.flat[best]) else None
 
     def first(self, end: tuple[int, int]) -> np.ndarray:
         """The direction ``(2,)``, of any length, in which the way to a cell begins: to its farthest point in a line."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from eagor.sphere import heading
 from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, THICK, UNKNOWN, FloorSeen
-from eagor.tasks.floor_ways import Ways
+from eagor.tasks.floor_ways import NEAR, Ways
 from eagor.tasks.policy import held_back
 from eagor.tasks.situation import Situation
 
@@ -32,10 +32,9 @@ VEIL = np.array([CELL / OPEN, 0.0, 50.0])  # log of the share of sight that is l
 OPEN_SIGHT = 0.5  # of sight that is left: looks that miss the thing then count
 NEAREST_GOAL = 0.8  # metres added to the way to a goal: a goal next to the body is not worth everything
 REACHED = 0.3  # metres from a goal
-WORTH = 0.4  # a goal is given up when less of what it promised is left
+WORTH = 0.4  # a goal is given up when it is worth less than this share of what it promised, per metre left
 RANGE = 5.0  # metres to a target whose distance is unknown
 ALIKE, FARTHER = math.radians(25), 0.3  # a belief that changes by less (distance: its logarithm) means the same place
-NEAR = 0.5  # metres between two places that are one
 EVERY = 3  # cells between the places that are weighed
 
 
@@ -57,6 +56,7 @@ class Searcher:
     _promise: float = 0.0
     _last: tuple[np.ndarray, np.ndarray] | None = None
     _kept: np.ndarray | None = None  # where the thing should be
+    _tried: list[np.ndarray] = field(default_factory=list)  # where the body stood beside that place, and was not there
     _vain: list[np.ndarray] = field(default_factory=list)  # where it should have been, and was not
 
     def heading(self, now: Situation) -> float:
@@ -77,10 +77,8 @@ class Searcher:
             self._goal = None
             self.known.cover(np.minimum(here, target) - 1.0, np.maximum(here, target) + 1.0)
         ways = Ways.over(self.known, self.radius, here)
-        end = self._search(ways.metres, here, ahead) if target is None else ways.nearest(target)
-        if target is not None and float(np.hypot(*(self.known.centres(np.array(end)) - here))) < REACHED:
-            self._vain.append(target)  # it should be here, and is not
-        way = ways.first(end)
+        end = None if target is None else self._beside(target, ways, here, now.distance is not None)
+        way = ways.first(self._search(ways.metres, here, ahead) if end is None else end)
         self._last = here, way * (self.step / max(np.hypot(*way), 1e-9))
         return math.remainder(math.atan2(way[1], way[0]) - yaw, 2 * math.pi)
 
@@ -113,11 +111,26 @@ class Searcher:
         """
         kept = self._kept if self._kept is not None and self._agrees(now, self._kept - here, ahead) else None
         if kept is None:
+            self._tried = []
             kept = here + (now.distance if now.distance is not None else self._free(here, ahead)) * ahead
         if self._in_vain(kept) and now.distance is None:
             kept = here + RANGE * ahead  # not in front of the next obstacle: behind it
         self._kept = kept
         return None if self._in_vain(kept) else kept
+
+    def _beside(self, target: np.ndarray, ways: Ways, here: np.ndarray, sure: bool) -> tuple[int, int] | None:
+        """The cell from which to come to the target: another one than where the body stood and did not meet it.
+
+        None if there is no other: where the target's distance is not `sure`, or nothing stands between it and here.
+        """
+        end = ways.nearest(target, self._tried)
+        if end is not None and float(np.hypot(*(self.known.centres(np.array(end)) - here))) < REACHED:
+            self._tried.append(here)
+            there = sure and self._sight(here, target) < OPEN_SIGHT
+            end = ways.nearest(target, self._tried) if there else None
+        if end is None:
+            self._vain.append(target)
+        return end
 
     def _in_vain(self, place: np.ndarray) -> bool:
         return any(float(np.hypot(*(place - other))) < NEAR for other in self._vain)
@@ -155,9 +168,9 @@ class Searcher:
         known = self.known
         if self._goal is not None:
             cell = known.cells(self._goal)
-            left = self._gains(cell[None])[0]
-            away = float(np.hypot(*(self._goal - here)))
-            if away > REACHED and left > WORTH * self._promise and known.state[tuple(cell)] <= FLOOR:
+            if float(np.hypot(*(self._goal - here))) < REACHED:
+                self._looked(self._goal)  # as good as there: steps end a little beside it
+            elif self._worth(cell[None], metres)[0] > WORTH * self._promise and known.state[tuple(cell)] <= FLOOR:
                 return int(cell[0]), int(cell[1])
         rows, cols = np.nonzero(known.state == FLOOR)
         kept = (rows % EVERY == 0) & (cols % EVERY == 0) & np.isfinite(metres[rows, cols])
@@ -165,11 +178,14 @@ class Searcher:
         if not len(cells):
             row, col = known.cells(here + ahead)
             return int(row), int(col)
-        gains = self._gains(cells)
-        ratios = gains / (metres[cells[:, 0], cells[:, 1]] + NEAREST_GOAL)
-        best = int(ratios.argmax())
-        self._goal, self._promise = known.centres(cells[best]), float(gains[best])
+        worth = self._worth(cells, metres)
+        best = int(worth.argmax())
+        self._goal, self._promise = known.centres(cells[best]), float(worth[best])
         return int(cells[best, 0]), int(cells[best, 1])
+
+    def _worth(self, cells: np.ndarray, metres: np.ndarray) -> np.ndarray:
+        """Square metres ``(n,)`` that a look from each of the cells ``(n, 2)`` is expected to search, per metre."""
+        return self._gains(cells) / (metres[cells[:, 0], cells[:, 1]] + NEAREST_GOAL)
 
     def _gains(self, cells: np.ndarray) -> np.ndarray:
         """Square metres ``(n,)`` that a look from each of the cells ``(n, 2)`` is expected to search."""
