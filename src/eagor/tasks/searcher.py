@@ -61,14 +61,10 @@ class Searcher:
 
     def heading(self, now: Situation) -> float:
         """The heading to walk in, radians from straight ahead, in (-pi, pi]."""
-        here = np.array(now.position[:2], dtype=np.float64)
-        yaw = heading(now.world_R_body)
-        assert now.floor is not None
-        self.known.look(now.floor, now.world_R_body, now.position)
-        self.known.walked(here, self.radius)
+        here, yaw = np.array(now.position[:2], dtype=np.float64), heading(now.world_R_body)
+        self.look(now)
         if self._last is not None:
             self._feel(*self._last, here)
-        self._looked(here)
         bearing = now.azimuth + yaw
         ahead = np.array([math.cos(bearing), math.sin(bearing)])
         target = self._target(now, here, ahead) if self._believes(now, here, ahead) else None
@@ -81,6 +77,14 @@ class Searcher:
         way = ways.first(self._search(ways.metres, here, ahead) if end is None else end)
         self._last = here, way * (self.step / max(np.hypot(*way), 1e-9))
         return math.remainder(math.atan2(way[1], way[0]) - yaw, 2 * math.pi)
+
+    def look(self, now: Situation) -> None:
+        """Take in what a look shows of the floor, and that it had its chance to find the thing."""
+        here = np.array(now.position[:2], dtype=np.float64)
+        assert now.floor is not None
+        self.known.look(now.floor, now.world_R_body, now.position)
+        self.known.walked(here, self.radius)
+        self._looked(here)
 
     def _believes(self, now: Situation, here: np.ndarray, ahead: np.ndarray) -> bool:
         """Whether the body goes where the thing should be.
