@@ -20,6 +20,7 @@ import numpy as np
 from eagor.sphere import heading
 from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, THICK, UNKNOWN, FloorSeen
 from eagor.tasks.floor_ways import NEAR, Ways
+from eagor.tasks.looks import information
 from eagor.tasks.policy import held_back
 from eagor.tasks.situation import Situation
 
@@ -188,13 +189,14 @@ class Searcher:
         return int(cells[best, 0]), int(cells[best, 1])
 
     def _worth(self, cells: np.ndarray, metres: np.ndarray) -> np.ndarray:
-        """Square metres ``(n,)`` that a look from each of the cells ``(n, 2)`` is expected to search, per metre."""
-        return self._gains(cells) / (metres[cells[:, 0], cells[:, 1]] + NEAREST_GOAL)
+        """Nats ``(n,)`` that a look from each of the cells ``(n, 2)`` is expected to tell, per metre of the way."""
+        return self._tells(cells) / (metres[cells[:, 0], cells[:, 1]] + NEAREST_GOAL)
 
-    def _gains(self, cells: np.ndarray) -> np.ndarray:
-        """Square metres ``(n,)`` that a look from each of the cells ``(n, 2)`` is expected to search."""
+    def _tells(self, cells: np.ndarray) -> np.ndarray:
+        """What a look from each of the cells ``(n, 2)`` is expected to tell, nats ``(n,)``: the thing is somewhere."""
         _, worth, reached = self._reached(cells, RAYS)
-        return np.einsum("nrk,nrk,k->n", reached, worth, _rays(RAYS)[1])
+        here = worth * (_rays(RAYS)[1] / (self.known.worth.sum() * CELL**2))
+        return information(here.reshape(len(cells), -1), self.recall * reached.reshape(len(cells), -1))
 
     def _reached(self, cells: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Along `count` rays from cells ``(n, 2)``: padded cells (flat), their worth, and how likely one sees them.

@@ -24,6 +24,7 @@ from eagor.harmonics.peaks import decoding_grid
 from eagor.perception.partial import coverage
 from eagor.tasks.hstar.camera import HFOV_DEG, View, size_of
 from eagor.tasks.hstar.rules import PITCH_TOLERANCE, YAW_TOLERANCE
+from eagor.tasks.looks import information
 
 STEP = 5  # degrees: cells of the map for planning and decisions
 CELLS = PatchGrid(180 // STEP, 360 // STEP)
@@ -190,33 +191,14 @@ class Search:
 def _information(p: np.ndarray, new: np.ndarray, shown: np.ndarray, hit: float, alarm: float) -> np.ndarray:
     """Mutual information (nats) of a look, for each of `YAWS`; `shown`: the fraction of each cell in view from yaw 0.
 
-    The outcome of a look is a report somewhere in view, or none. A target at cell i in view is reported there with
-    probability h_i; otherwise there is a false report with probability `alarm`, uniform over the view.
-    I = H(outcome) - sum_i p_i H(outcome | target at i).
+    A target in view is reported there with the probability `hit`, less where the look repeats another; otherwise there
+    is a false report with probability `alarm`, uniform over the view.
     """
     rows, columns = np.nonzero(shown)
     places = (columns[None] + (YAWS // STEP)[:, None]) % CELLS.width  # cells in view, for each yaw
     here, share = p[rows[None], places], hit * shown[rows, columns] * new[rows[None], places]
     area = CELLS.weights[rows, columns]
-    even = np.log(area / area.sum())  # of a false report
-    reported = (here * share).sum(axis=1, keepdims=True)
-    there = here * share + (1 - reported) * alarm * np.exp(even)
-    silent = (1 - reported[:, 0]) * (1 - alarm)
-    outcome = -(there * np.log(there)).sum(axis=1) - silent * np.log(silent)
-    spread = -float((np.exp(even) * even).sum())  # entropy of a false report's place
-
-    def without(left: np.ndarray) -> np.ndarray:
-        """Entropy of the outcome without a true report, which has the probability `left`: no report, or a false one."""
-        return -_xlog(left * (1 - alarm)) - _xlog(left * alarm) + left * alarm * spread
-
-    false = (1 - share) * alarm * np.exp(even[None])  # in the cell of the true report
-    given = without(1 - share) + (-_xlog(share + false) + _xlog(false))
-    out = 1.0 - here.sum(axis=1)
-    return outcome - (here * given).sum(axis=1) - out * float(without(np.ones(1))[0])
-
-
-def _xlog(x: np.ndarray) -> np.ndarray:
-    return x * np.log(np.maximum(x, 1e-300))
+    return information(here, share, alarm, area / area.sum())
 
 
 def _shares(pitch: int) -> np.ndarray:
