@@ -35,6 +35,7 @@ SIMULATED = [
     ("methods/eagor/trace/error_deg", []), ("methods/eagor/trace/error_deg/0", {}), ("truth", [1]),
     ("truth/pose/0", [1, 2]), ("truth/pose/0", [0, 0, 0, 0, 0, 0, 0]), ("truth/visible/1", "yes"), ("truth/leg", [{}]),
     ("truth/azimuth_deg", [1.0]), ("seconds", "long"), ("looked", {"looks": 1}), ("truth", GONE), ("truth/leg", GONE),
+    ("methods/eagor/trace/searching", [1, 0]), ("methods/eagor/trace/searching", "yes"),
 ]  # fmt: skip
 PUBLISHED = [
     ("case", GONE), ("case", []), ("cluster", {}), ("score", "x"), ("score", 7), ("tags", None), ("tags", [3]),

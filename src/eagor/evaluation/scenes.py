@@ -15,6 +15,7 @@ from eagor.evaluation.charts import blank, colour_of, look_of, style_of
 from eagor.evaluation.charts import finished as drawn
 from eagor.evaluation.published import OURS, is_rival, ordered
 from eagor.evaluation.samples import Record, played_by
+from eagor.evaluation.searched import WIDTH, Search, draw_way, shaded
 
 if TYPE_CHECKING:
     from eagor.tasks.places import Place
@@ -72,8 +73,11 @@ def moments_of(record: Record) -> list[int]:
     return sorted({round(k * (count - 1) / (MOMENTS - 1)) for k in range(MOMENTS)})
 
 
-def floor_map(place: Place, record: Record, others: Sequence[Record]) -> str:
-    """The episode from above: free floor, the target, and the way; in navigation each method's own (`others`)."""
+def floor_map(place: Place, record: Record, others: Sequence[Record], search: Search | None = None) -> str:
+    """The episode from above: free floor, the target, and the way; in navigation each method's own (`others`).
+
+    With a `search`: also where it had looked, and in which steps it searched.
+    """
     from matplotlib.patches import Rectangle
 
     ground = place.ground
@@ -99,7 +103,10 @@ def floor_map(place: Place, record: Record, others: Sequence[Record]) -> str:
         look = style_of(look_of(name), marker="")
         axes.plot(*_poses(other, name)[:, :2].T, linewidth=1.7, **look)
     way = _poses(record)[:, :2]
-    axes.plot(*way.T, linewidth=3.2, **style_of(OURS, marker=""))
+    if search is None:
+        axes.plot(*way.T, linewidth=WIDTH, **style_of(OURS, marker=""))
+    else:
+        draw_way(axes, way, search.searching)
     frame = {
         "boxstyle": "round,pad=0.25,rounding_size=0.6",
         "fc": colour_of("paper"),
@@ -111,7 +118,11 @@ def floor_map(place: Place, record: Record, others: Sequence[Record]) -> str:
     box = slice(rows.min(), rows.max() + 1), slice(cols.min(), cols.max() + 1)
     words = f"{len(way)} steps; the target is outlined; the numbers are the moments shown beside"
     title = f"From above: {record['episode']['query']}, episode {record['episode']['id']}"
-    return drawn(figure, title, words, _plan(ground.free[box], ground.structure[box]))
+    plan = _plan(ground.free, ground.structure)
+    if search is not None:
+        words += f"; {search.in_words(ground.free)}"
+        plan = plan if search.found is None else shaded(plan, search.found)
+    return drawn(figure, title, words, _png(plan[box][::-1]))
 
 
 def strip(place: Place, record: Record) -> list[tuple[str, str]]:
@@ -197,12 +208,12 @@ def _places(azimuth: float, elevation: float) -> list[tuple[float, float]]:
     return [(x, y), *near]
 
 
-def _plan(free: np.ndarray, structure: np.ndarray) -> str:
-    """The floor as a small picture, north up: walls dark, furniture lighter, free floor transparent."""
+def _plan(free: np.ndarray, structure: np.ndarray) -> np.ndarray:
+    """The floor as a picture ``(rows, cols, 4)``: walls dark, furniture lighter, free floor transparent."""
     picture = np.zeros((*free.shape, 4), dtype=np.uint8)
     picture[~free] = (128, 132, 140, 70)
     picture[structure] = (110, 114, 122, 255)
-    return _png(picture[::-1])
+    return picture
 
 
 def _png(pixels: np.ndarray, colours: int | None = None) -> str:

@@ -82,7 +82,7 @@ SIMULATED: Shape = {
                 "azimuth_deg": NUMBERS, "elevation_deg": NUMBERS, "error_deg": FIGURES, "inside?": _or_null(FIGURES),
                 "mass_above?": _or_null(FIGURES), "distance_m?": _or_null(FIGURES), "pose?": POSES,
                 "true_azimuth_deg?": NUMBERS, "true_elevation_deg?": NUMBERS, "true_range_m?": NUMBERS,
-                "visible?": FLAGS,
+                "visible?": FLAGS, "searching?": FLAGS,
             },
             "looked?": _LOOKED,
         }

@@ -9,7 +9,7 @@ from typing import Any
 from eagor import worlds
 from eagor._version import __version__
 from eagor.errors import EagorError
-from eagor.evaluation import export, figures, scenes, sheets, tables
+from eagor.evaluation import export, figures, scenes, searched, sheets, tables
 from eagor.evaluation.charts import legend
 from eagor.evaluation.page import Facts, Folded, Heading, Part, Pictures, Section, Sheet, Text, could_not
 from eagor.evaluation.published import OURS, PAPERS, is_ablation, is_rival, ordered
@@ -238,7 +238,7 @@ def _episodes(
         parts.append(Text(_said(record, task)))
         try:
             place = scenes.open_episode(record, radius, open_place)
-            parts += _pictures(place, record, records, task)
+            parts += _pictures(place, record, records, task, searched.search_of(place, record, _camera(config)))
         except (EagorError, ImportError, OSError) as error:
             parts.append(Text(f"No pictures: {error}", "note"))
         except (KeyError, IndexError) as error:  # only pictures need it: its place, its balls
@@ -247,15 +247,26 @@ def _episodes(
     return parts
 
 
-def _pictures(place: Any, record: Record, records: Sequence[Record], task: Task) -> list[Part]:
-    """The map and the strip of one episode, with a legend."""
+def _camera(config: Settings) -> Camera | None:
+    """The camera of a run; None if it is one of another version."""
+    try:
+        return from_dict(Camera, dict(config.get("camera", {})))
+    except EagorError:
+        return None
+
+
+def _pictures(
+    place: Any, record: Record, records: Sequence[Record], task: Task, search: searched.Search | None
+) -> list[Part]:
+    """The map and the strip of one episode, with a legend; with a key to its `search`, if it was one."""
     others = []
     if task.walked:
         same = [r for r in records if r["episode"]["id"] == record["episode"]["id"]]
         others = [r for r in same if (name := next(iter(r["methods"]))) != OURS and not is_ablation(name)]
     names = ordered([*(next(iter(r["methods"])) for r in others), *(n for n in record["methods"] if is_rival(n))])
     above = [
-        (scenes.floor_map(place, record, others), "From above; numbers: the moments."),
+        (scenes.floor_map(place, record, others, search), "From above; numbers: the moments."),
+        *([(searched.key(search, str(record["key"])), search.caption)] if search is not None else []),
         (legend(names, OURS, str(record["key"])), "Each method's line and mark."),
     ]
     caption = "White ring: the truth. Marks: what each method says. The middle is straight ahead, the edges are behind."

@@ -1,0 +1,51 @@
+"""Where a body had looked: the looks of an episode made again, from the poses in its record."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eagor.conventions import rotation_from_wxyz
+from eagor.tasks.floor_seen import FloorSeen
+from eagor.tasks.searcher import Searcher
+from eagor.tasks.situation import Situation, floors_of
+
+if TYPE_CHECKING:
+    from eagor.tasks.places import Place
+    from eagor.tasks.rules import Camera
+
+MOST = 1000  # looks that are made again, some 3 ms each; of a longer way, so many of its poses
+
+
+def looked_along(place: Place, poses: np.ndarray, camera: Camera) -> FloorSeen:
+    """What the looks from `poses` showed of the floor of `place`, to a body that searches.
+
+    `poses` ``(n, 7)``: x, y, z (metres) of the camera in the world, and its orientation ``world_R_body`` as a
+    quaternion w, x, y, z. They are the true ones: where odometry drifted, the body itself took the floor to be
+    elsewhere. Raises `WorldError` if nothing in the place is called a floor.
+    """
+    floors = floors_of(place.scene.instances, place.scene.source)
+    searcher = Searcher(camera.step, camera.radius)
+    for x, y, z, *quaternion in _spread(poses):
+        world_R_body = rotation_from_wxyz(np.array(quaternion) / np.linalg.norm(quaternion))
+        ids = place.ids(np.array([x, y, z]), world_R_body)
+        searcher.look(
+            Situation(
+                azimuth=0.0,  # nothing is believed here: only what a look shows is taken in
+                progress=0.0,
+                presence=0.0,
+                distance=None,
+                position=np.array([x, y, z - place.ground.height(np.array([x, y]))]),
+                world_R_body=world_R_body,
+                floor=np.isin(ids, floors),
+            )
+        )
+    return searcher.known
+
+
+def _spread(poses: np.ndarray) -> np.ndarray:
+    """All poses, or `MOST` of them, evenly spread, the first and the last among them."""
+    if len(poses) <= MOST:
+        return poses
+    return poses[np.linspace(0, len(poses) - 1, MOST).round().astype(np.intp)]

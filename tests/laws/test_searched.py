@@ -1,0 +1,208 @@
+"""A report's map of a search shows where looks had shown the floor, and where the body searched; others stay as is."""
+
+import base64
+import io
+import re
+
+import numpy as np
+import pytest
+import synthetic_runs as runs
+from box_scenes import scene_of, shell, thing
+from PIL import Image
+
+from eagor.conventions import wxyz_from_rotation
+from eagor.errors import WorldError
+from eagor.evaluation import scenes, searched
+from eagor.evaluation.report import write_report
+from eagor.sphere import world_R_body
+from eagor.tasks import looked
+from eagor.tasks.floor_seen import CONTACT, FLOOR, UNKNOWN
+from eagor.tasks.places import Place
+from eagor.tasks.rules import Camera
+from eagor.worlds.opened import ground_of, view_of
+
+CAMERA = Camera()
+WALL = thing("wall", (5.0, 0, 0), (5.1, 6, 2.5))  # without a door: nobody sees the room behind it
+STEPS = 8
+
+
+def place_of(things):
+    scene = scene_of(things)
+    return Place(scene, ground_of(scene, CAMERA.radius), view_of(scene))
+
+
+@pytest.fixture(scope="module")
+def rooms():
+    return place_of([*shell(9.0, 6.0), WALL, thing("chair", (1.0, 1.0, 0), (1.5, 1.5, 0.9))])
+
+
+def poses(height=CAMERA.height):
+    """A straight way through the first room."""
+    turn = wxyz_from_rotation(world_R_body(0.4))
+    return [[1.0 + 0.25 * k, 3.0, height, *turn] for k in range(STEPS)]
+
+
+def record_of(searching=None):
+    trace = {"pose": poses()} | ({} if searching is None else {"searching": searching})
+    return {"episode": {"id": "1-0", "query": "chair", "targets": [6]}, "methods": {"eagor": {"trace": trace}}}
+
+
+HALF = [True] * 4 + [False] * 4
+
+
+def drawn(place, record):
+    return scenes.floor_map(place, record, [], searched.search_of(place, record, CAMERA))
+
+
+def pixels(svg):
+    data = re.search(r'href="data:image/png;base64,([^"]+)"', svg)[1]
+    return np.array(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGBA"))[::-1].astype(int)
+
+
+def at(place, xy):
+    """The pixel of a map where a point is: a map shows what is free or structure."""
+    ground = place.ground
+    rows, cols = np.nonzero(ground.free | ground.structure)
+    col, row = ((np.array(xy) - ground.origin) / ground.cell).astype(int)
+    return row - rows.min(), col - cols.min()
+
+
+def cell(known, xy):
+    return tuple(known.cells(np.array(xy)))
+
+
+def test_the_looks_of_a_record_show_the_floor_again(rooms):
+    known = looked.looked_along(rooms, np.array(poses()), CAMERA)
+    for xy in [(1.0, 3.0), (4.0, 4.0), (2.0, 5.0)]:
+        assert known.state[cell(known, xy)] == FLOOR
+        assert known.worth[cell(known, xy)] < 0.1
+    assert CONTACT in known.state
+    row, col = cell(known, (7.5, 3.0))
+    assert not known.inside(np.array([row, col])) or known.state[row, col] == UNKNOWN
+
+
+def test_heights_are_above_the_floor_wherever_that_is():
+    """The same rooms two metres higher show the same."""
+
+    def lifted(up):
+        lift = np.array([0, 0, up])
+        things = [*shell(5.0, 6.0), thing("chair", (1.0, 1.0, 0), (1.5, 1.5, 0.9))]
+        place = place_of([thing(each.category, each.low + lift, each.high + lift) for each in things])
+        return looked.looked_along(place, np.array(poses(CAMERA.height + up)), CAMERA)
+
+    low, high = lifted(0.0), lifted(2.0)
+    assert (low.state == high.state).mean() > 0.99
+    assert (high.state == FLOOR).sum() > 500
+
+
+def test_a_long_way_is_looked_along_in_so_many_places(rooms, monkeypatch):
+    monkeypatch.setattr(looked, "MOST", 3)
+    way = np.array(poses())
+    known = looked.looked_along(rooms, way, CAMERA)
+    assert [known.stood[cell(known, pose[:2])] > 0 for pose in way[[0, -1]]] == [True, True]
+    assert known.stood.max() < STEPS / 2
+
+
+def test_a_search_is_shaded_where_it_looked_and_nowhere_else(rooms):
+    plain, svg = drawn(rooms, record_of()), drawn(rooms, record_of(HALF))
+    before, after = pixels(plain), pixels(svg)
+    assert before.shape == after.shape
+    red, _, blue, cover = after[at(rooms, (1.0, 3.0))]
+    assert before[at(rooms, (1.0, 3.0))][3] == 0
+    assert cover > 60
+    assert blue > red
+    unseen = after[:, at(rooms, (5.3, 3.0))[1] :]
+    assert (unseen == before[:, -unseen.shape[1] :]).all()
+    walls = rooms.ground.structure
+    rows, cols = np.nonzero(rooms.ground.free | walls)
+    walls = walls[rows.min() : rows.max() + 1, cols.min() : cols.max() + 1]
+    assert (after[walls] == before[walls]).all()
+
+
+def test_slivers_behind_walls_are_not_shaded(rooms, monkeypatch):
+    def with_sliver(*given):
+        known = looked.looked_along(*given)
+        known.cover(np.array([5.0, 2.0]), np.array([6.0, 4.0]))
+        row, col = cell(known, (5.3, 3.0))
+        known.state[row : row + 5, col : col + 2] = FLOOR
+        return known
+
+    plain = pixels(drawn(rooms, record_of(HALF)))
+    monkeypatch.setattr(searched, "looked_along", with_sliver)
+    assert (pixels(drawn(rooms, record_of(HALF))) == plain).all()
+
+
+def test_where_looks_find_a_thing_more_surely_the_shade_is_stronger(rooms):
+    found = np.full(rooms.ground.free.shape, np.nan)
+    found[10], found[11], found[12] = 0.0, 0.5, 1.0
+    blank = np.zeros((*found.shape, 4), dtype=np.uint8)
+    covers = searched.shaded(blank, found)[9:14, 5, 3].astype(int)
+    assert covers[0] == covers[-1] == 0
+    assert 0 < covers[1] < covers[2] < covers[3] < 128
+
+
+def test_the_way_is_dashed_where_the_body_searched(rooms):
+    plain, svg = drawn(rooms, record_of()), drawn(rooms, record_of(HALF))
+    assert "dasharray" not in plain
+    assert svg.count("dasharray") == 1
+    assert drawn(rooms, record_of([False] * STEPS)).count("dasharray") == 0
+    to_and_fro = drawn(rooms, record_of([True, False] * (STEPS // 2)))
+    assert to_and_fro.count("dasharray") == STEPS // 2
+
+
+def test_a_way_of_one_step_has_no_line_and_is_no_problem(rooms):
+    record = record_of([True])
+    record["methods"]["eagor"]["trace"]["pose"] = poses()[:1]
+    assert "searched in 1 of its steps" in drawn(rooms, record)
+
+
+def test_what_is_shaded_and_dashed_is_said(rooms):
+    said = re.search('aria-label="([^"]*)"', drawn(rooms, record_of(HALF)))[1]
+    assert "eagor searched in 4 of its steps, whose line is dashed" in said
+    share = int(re.search(r"its looks showed (\d+) % of the free floor", said)[1])
+    assert 80 < share <= 100  # only this room is free ground
+    search = searched.search_of(rooms, record_of(HALF), CAMERA)
+    key = searched.key(search, "this one")
+    assert all(
+        words in key for words in (">searching<", ">going to where it believed the thing<", "looks would find it")
+    )
+
+
+def test_without_a_search_a_map_is_as_it_was(rooms):
+    record = record_of()
+    assert searched.search_of(rooms, record, CAMERA) is None
+    assert drawn(rooms, record) == scenes.floor_map(rooms, record, [])
+    assert "search" not in drawn(rooms, record)
+
+
+@pytest.mark.parametrize("camera", [CAMERA, None])
+def test_where_nobody_can_say_what_was_looked_at_nothing_is_shaded(rooms, camera):
+    place = rooms
+    if camera is not None:
+        things = [thing("parquet" if t.category == "floor" else t.category, t.low, t.high) for t in shell(5.0, 6.0)]
+        place = place_of([*things, WALL, thing("chair", (1.0, 1.0, 0), (1.5, 1.5, 0.9))])
+        with pytest.raises(WorldError, match="names no floor"):
+            looked.looked_along(place, np.array(poses()), camera)
+    search = searched.search_of(place, record_of(HALF), camera)
+    svg = scenes.floor_map(place, record_of(HALF), [], search)
+    assert (pixels(svg) == pixels(drawn(place, record_of()))).all()
+    assert "dasharray" in svg
+    assert "looks showed" not in svg + searched.key(search, "it") + search.caption
+
+
+@pytest.mark.parametrize("policy", ["follow", "search"])
+def test_a_report_has_a_key_to_each_map_of_a_search(rooms, tmp_path, policy):
+    records = [r for r in runs.navigation(apartments=3, each=1, methods=("vmf", "eagor")) if r["status"] == "ok"]
+    for record in records:
+        record["episode"]["scene_hash"] = rooms.scene.hash
+        for entry in record["methods"].values():
+            trace = entry["trace"]
+            trace["pose"] = (poses() * 10)[: len(trace["pose"])]
+            if policy == "search":
+                trace["searching"] = [k % 3 > 0 for k in range(len(trace["pose"]))]
+    folder = runs.write_run(tmp_path, records)
+    text = write_report(folder, lambda *which: rooms).read_text()
+    assert "No pictures" not in text
+    maps = text.count("From above; numbers")
+    assert maps >= 2
+    assert text.count("How eagor searched.") == text.count("Key to the search") / 2 == maps * (policy == "search")
