@@ -40,16 +40,16 @@ def main() -> int:
     given = options.parse_args()
     spent: list[float] = []
     largest = [0.0, 0.0]
-    plain = Searcher.heading
+    plain = Searcher.walk
 
-    def timed(self: Searcher, now: Situation) -> float:
+    def timed(self: Searcher, now: Situation) -> tuple[float, float]:
         begun = time.process_time()
         found = plain(self, now)
         spent.append(1000 * (time.process_time() - begun))
         largest[:] = max(largest, [CELL * size for size in self.known.state.shape])
         return found
 
-    Searcher.heading = timed
+    Searcher.walk = timed
     rules = {"rules": as_dict(NavigationRules(policy="search")), "disturbances": as_dict(Disturbances())}
     player = Player({"task": "navigation", "perception": "truth", "camera": as_dict(Camera()), "rows": 256} | rules)
     kind = tasks.load("navigation")

@@ -47,9 +47,10 @@ class World:
             azimuth, progress, presence, distance, position, self.rotation, np.isin(self.ids(), self.floors)
         )
 
-    def step(self, heading):
-        self.yaw = math.remainder(self.yaw + heading, 2 * math.pi)
-        ahead = STEP * np.array([math.cos(self.yaw), math.sin(self.yaw)])
+    def step(self, walk):
+        turn, metres = walk
+        self.yaw = math.remainder(self.yaw + turn, 2 * math.pi)
+        ahead = metres * np.array([math.cos(self.yaw), math.sin(self.yaw)])
         self.xy, collided = self.ground.move(self.xy, ahead)
         return collided
 
@@ -97,7 +98,7 @@ def test_a_search_sees_both_rooms_and_does_not_go_to_and_fro():
     world, searcher = World(TWO_ROOMS, (1.0, 1.0), 0.3), Searcher(STEP)
     places = [world.xy]
     for _ in range(60):
-        world.step(searcher.heading(world.situation()))
+        world.step(searcher.walk(world.situation()))
         places.append(world.xy)
     places = np.array(places)
     assert places[:, 0].max() > 4.5  # it went through the door
@@ -118,7 +119,7 @@ def test_what_is_believed_is_walked_to_through_the_door():
         if np.hypot(*to) < 0.5:
             break
         azimuth = math.remainder(math.atan2(to[1], to[0]) - world.yaw, 2 * math.pi)
-        collisions += world.step(searcher.heading(world.situation(azimuth, 1.0, float(np.hypot(*to)))))
+        collisions += world.step(searcher.walk(world.situation(azimuth, 1.0, float(np.hypot(*to)))))
         assert not searcher.searching
     assert np.hypot(*(goal - world.xy)) < 0.5
     assert collisions <= 12  # of some forty steps: it brushes along the jamb and the wardrobe
@@ -132,13 +133,13 @@ def test_looks_that_miss_a_thing_count_where_it_would_be_in_sight(goal, goes_on)
         to = np.array(goal) - world.xy
         azimuth = math.remainder(math.atan2(to[1], to[0]) - world.yaw, 2 * math.pi)
         presence = 1.0 if step < 3 else 0.01
-        world.step(searcher.heading(world.situation(azimuth, 1.0, float(np.hypot(*to)), presence)))
+        world.step(searcher.walk(world.situation(azimuth, 1.0, float(np.hypot(*to)), presence)))
         assert searcher.searching == (step == 3 and not goes_on)
 
 
 def test_a_thing_that_was_never_likely_is_not_walked_to():
     world, searcher = World(TWO_ROOMS, (3.2, 1.0)), Searcher(STEP)
-    searcher.heading(world.situation(0.0, 1.0, 3.0, presence=0.05))
+    searcher.walk(world.situation(0.0, 1.0, 3.0, presence=0.05))
     assert searcher.searching
 
 
@@ -155,7 +156,7 @@ def test_a_place_where_the_thing_is_not_is_not_walked_to_for_ever():
     for _ in range(60):
         to = wrong - world.xy
         azimuth = math.remainder(math.atan2(to[1], to[0]) - world.yaw, 2 * math.pi)
-        world.step(searcher.heading(world.situation(azimuth, 1.0, float(np.hypot(*to)))))
+        world.step(searcher.walk(world.situation(azimuth, 1.0, float(np.hypot(*to)))))
         searched += searcher.searching
     assert searched > 20
     assert shown(searcher.known, (6.0, 3.0)) == FLOOR

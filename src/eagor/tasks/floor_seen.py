@@ -71,10 +71,13 @@ class FloorSeen:
         self.stood = np.pad(self.stood, pads)
         self.origin = first * CELL
 
-    def look(self, floor: np.ndarray, world_R_body: np.ndarray, position: np.ndarray) -> None:
+    def look(
+        self, floor: np.ndarray, world_R_body: np.ndarray, position: np.ndarray, seen: np.ndarray | None = None
+    ) -> None:
         """Take in a look from `position` ``(3,)``, metres above the floor's plane z = 0.
 
-        `floor` ``(H, W)`` bool: which pixels of an equirectangular picture show the floor.
+        `floor` ``(H, W)`` bool: which pixels of an equirectangular picture show the floor. `seen` ``(H, W)`` bool:
+        which of them the camera shows at all; None: all.
         """
         here, height = position[:2], position[2]
         reach = _reach(floor, height)
@@ -89,6 +92,8 @@ class FloorSeen:
         is_floor = _shows(floor, world_R_body, away, height)
         before = away * np.maximum(1 - back / metres, 0.0)[:, None]
         contact = ~is_floor & _shows(floor, world_R_body, before, height)
+        if seen is not None:
+            contact &= _shows(seen, world_R_body, away, height)
         shown = np.concatenate([places[is_floor | contact], here[None]])
         self.cover(shown.min(axis=0) - MARGIN, shown.max(axis=0) + MARGIN)
         for which, state in ((is_floor, FLOOR), (contact, CONTACT)):

@@ -8,8 +8,11 @@ import numpy as np
 
 from eagor.conventions import rotation_from_wxyz
 from eagor.tasks.floor_seen import FloorSeen
+from eagor.tasks.rules import NavigationRules
 from eagor.tasks.searcher import Searcher
 from eagor.tasks.situation import Situation, floors_of
+from eagor.tasks.steering import steering_for
+from eagor.tasks.views import in_view
 
 if TYPE_CHECKING:
     from eagor.tasks.places import Place
@@ -26,10 +29,12 @@ def looked_along(place: Place, poses: np.ndarray, camera: Camera) -> FloorSeen:
     elsewhere. Raises `WorldError` if nothing in the place is called a floor.
     """
     floors = floors_of(place.scene.instances, place.scene.source)
-    searcher = Searcher(camera.step, camera.radius)
+    searcher = steering_for(NavigationRules(policy="search"), camera)
+    assert isinstance(searcher, Searcher)
     for x, y, z, *quaternion in _spread(poses):
         world_R_body = rotation_from_wxyz(np.array(quaternion) / np.linalg.norm(quaternion))
         ids = place.ids(np.array([x, y, z]), world_R_body)
+        seen = in_view(camera, len(ids))
         searcher.look(
             Situation(
                 azimuth=0.0,  # nothing is believed here: only what a look shows is taken in
@@ -38,7 +43,8 @@ def looked_along(place: Place, poses: np.ndarray, camera: Camera) -> FloorSeen:
                 distance=None,
                 position=np.array([x, y, z - place.ground.height(np.array([x, y]))]),
                 world_R_body=world_R_body,
-                floor=np.isin(ids, floors),
+                floor=np.isin(ids, floors) if seen is None else np.isin(ids, floors) & seen,
+                seen=seen,
             )
         )
     return searcher.known

@@ -21,6 +21,7 @@ from eagor.tasks.task import Played
 
 # (visible at the start, winding path), cyclic: two thirds visible, half winding.
 STRATA = ((True, False), (False, True), (True, True), (True, False), (False, True), (True, False))
+ONLY_TURNED = 1e-4  # metres, as poses are rounded
 TRIES = 40  # starts tried per target and stratum
 
 
@@ -114,8 +115,16 @@ def measure(played: Played) -> dict[str, Any]:
         "path_m": played.walked,
         "shortest_m": played.shortest,
         "collisions": info["collisions"]["count"],
-        "undone": undone(np.array(played.trace["pose"])[:, :2], played.camera.step),
+        "undone": undone(_walked(np.array(played.trace["pose"])[:, :2], played.camera), played.camera.step),
     }
+
+
+def _walked(places: np.ndarray, camera: Camera) -> np.ndarray:
+    """The places ``(n, 2)`` less the steps in which a body that does not see all around only turned."""
+    if camera.around or not len(places):
+        return places
+    moved = np.hypot(*np.diff(places, axis=0).T) > ONLY_TURNED
+    return places[np.concatenate([[True], moved])]
 
 
 def undone(places: np.ndarray, step: float) -> float:

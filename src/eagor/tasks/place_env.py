@@ -28,6 +28,7 @@ from eagor.tasks.carrier import Carrier, Pose
 from eagor.tasks.episodes import PER_PLACE, Episode, Slot
 from eagor.tasks.places import APARTMENT, DEVELOPMENT, LOOK_ROWS, Place, load_place, pixels_of
 from eagor.tasks.rules import Camera, Disturbances
+from eagor.tasks.views import cut
 from eagor.worlds.ball import Ball, with_ball
 from eagor.worlds.render import Frame
 
@@ -152,13 +153,13 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
             self._picture = self._seen(self.rows or LOOK_ROWS, rgb=self.rows is not None, range=True)
 
     def _seen(self, rows: int, rgb: bool = True, range: bool = False, ids: bool = False) -> Frame:
-        """The place from the current camera pose, with the ball, if any."""
+        """The place from the current camera pose, with the ball, if any, as far as the camera shows it."""
         pose, ball = self.body.pose, self._ball()
         range = range or ball is not None  # needed to draw the ball
         frame = self.place.renderer.panorama(pose.position, pose.world_R_body, rows, rgb=rgb, range=range, ids=ids)
-        if ball is None:
-            return frame
-        return with_ball(frame, pose.position, pose.world_R_body, ball, len(self.place.scene.instances))
+        if ball is not None:
+            frame = with_ball(frame, pose.position, pose.world_R_body, ball, len(self.place.scene.instances))
+        return cut(frame, self.camera)
 
     def _observation(self) -> dict[str, np.ndarray]:
         odometry = self.body.odometry

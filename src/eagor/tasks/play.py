@@ -28,7 +28,9 @@ from eagor.tasks.rules import Camera, Disturbances, from_dict
 from eagor.tasks.situation import Situation, along_floor, floors_of
 from eagor.tasks.steering import seeking, steering_for
 from eagor.tasks.task import Played
+from eagor.tasks.views import in_view, mask_of
 
+STANDS = 1e-6  # metres of a step in which the body only turns: no metres at all would call stop
 MASS = 0.9  # of the credible regions whose coverage is measured
 
 
@@ -138,7 +140,9 @@ class Player:
 
     def _look(self, eye: Eye, observation: dict, info: dict, query: str = "") -> Evidence | None:
         """The evidence of this step, stamped with the time of capture; None if an answer could not be read."""
-        return look_around(eye, observation, info, info["num_steps"] * self.camera.seconds, query)
+        found = look_around(eye, observation, info, info["num_steps"] * self.camera.seconds, query)
+        mask = mask_of(self.camera)
+        return found if found is None or mask is None else found.covered(mask)
 
     def _walk(self, episode: Episode, name: str, watch: Watch | None) -> dict[str, Any]:
         """One method through one episode in which it steers the body."""
@@ -173,11 +177,12 @@ class Player:
                 position=np.array([*pose[:2], self.camera.height]),
                 world_R_body=rotation_from_wxyz(pose[3:]),
                 floor=None if floors is None else np.isin(info["instances"]["ids"], floors),
+                seen=in_view(self.camera, len(info["instances"]["ids"])),
             )
-            heading = steering.heading(now)
+            turn, metres = steering.walk(now)
             if floors is not None:
                 trace["searching"].append(steering.searching)
-            observation, _, terminated, truncated, info = self.env.step(np.array([heading, self.camera.step]))
+            observation, _, terminated, truncated, info = self.env.step(np.array([turn, max(metres, STANDS)]))
             path.append(self._feet())
             over = terminated or truncated
         motion = metrics.ego_motion(np.array(poses), np.array(places))

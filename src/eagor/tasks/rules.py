@@ -18,6 +18,7 @@ from eagor.errors import WorldError
 Stop = Literal["reach", "call"]
 Goal = Literal["footprint", "view_points"]
 PolicyName = Literal["follow", "search"]
+AROUND = 360.0  # degrees
 LEGS = ("L1", "L2", "L3", "L4")  # of a route
 
 Fits = Callable[[Any], bool]
@@ -71,6 +72,7 @@ class Camera(_Rules):
     - `height`: of the camera above the floor. `radius`: of the body that carries it.
     - `step`: length of one step; `turn`: the largest turn per step (discrete actions turn by this much).
     - `seconds`: from one step to the next; matters only for forgetting and late responses.
+    - `hfov`: degrees that it sees across. 360: all around; less: straight ahead, in a picture of 4:3.
     """
 
     height: float = _rule(1.25, _METRES)
@@ -78,6 +80,14 @@ class Camera(_Rules):
     step: float = _rule(0.25, _METRES)
     turn: float = _rule(30.0, ((lambda value: above(value, 0, 360)), "degrees above 0 and up to 360"))
     seconds: float = _rule(0.5, _above(0, "seconds above 0"))
+    hfov: float = _rule(
+        AROUND, ((lambda value: value == AROUND or within(value, 10, 170)), "degrees: 10 to 170, or 360")
+    )
+
+    @property
+    def around(self) -> bool:
+        """Whether it sees all around."""
+        return self.hfov == AROUND
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ class Situation:
       floor, metres, None if not known.
     - `position` ``(3,)``: of the camera by odometry, z in metres above the floor; `world_R_body` ``(3, 3)``.
     - `floor` ``(H, W)`` bool: which pixels of an equirectangular look show the floor; None if the policy needs none.
+      `seen` ``(H, W)`` bool: which of them the camera shows; None: all.
     """
 
     azimuth: float
@@ -32,20 +33,21 @@ class Situation:
     position: np.ndarray
     world_R_body: np.ndarray
     floor: np.ndarray | None = None
+    seen: np.ndarray | None = None
 
 
 class Steering(Protocol):
-    """Chooses headings for one episode.
+    """Chooses steps for one episode.
 
-    `searching`: whether the last heading was one of a search. `looks_down`: whether it wants to know the floor of each
+    `searching`: whether the last step was one of a search. `looks_down`: whether it wants to know the floor of each
     look, and what is believed; without that, `Situation.progress` and `presence` are 1.
     """
 
     searching: bool
     looks_down: bool
 
-    def heading(self, now: Situation) -> float:
-        """The heading to walk in, radians from straight ahead, positive left, in (-pi, pi]."""
+    def walk(self, now: Situation) -> tuple[float, float]:
+        """The next step: a turn, radians, positive left, in (-pi, pi], and then so many metres straight ahead."""
         ...
 
 

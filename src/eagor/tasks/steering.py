@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,8 +27,8 @@ class Following:
     searching: bool = False
     looks_down: bool = False
 
-    def heading(self, now: Situation) -> float:
-        return self.policy.heading(now.azimuth, now.position[:2], heading(now.world_R_body))
+    def walk(self, now: Situation) -> tuple[float, float]:
+        return self.policy.heading(now.azimuth, now.position[:2], heading(now.world_R_body)), self.policy.step
 
 
 def seeking(rules: Any, tracker: TrackerConfig) -> TrackerConfig:
@@ -41,4 +42,5 @@ def steering_for(rules: Any, camera: Camera) -> Steering:
     """The steering that the rules ask for; a task whose rules do not speak of it follows."""
     if getattr(rules, "policy", "follow") == "follow":
         return Following(Policy(camera.step, getattr(rules, "detour", True)))
-    return Searcher(camera.step, camera.radius, rules.handover)
+    hfov = 2 * math.pi if camera.around else math.radians(camera.hfov)
+    return Searcher(camera.step, camera.radius, rules.handover, hfov=hfov, turn=math.radians(camera.turn))
