@@ -31,7 +31,7 @@ EXTRAS = {
     },
     "studio": {"starlette": "0.41", "uvicorn": "0.36", "websockets": "14"},
     "rerun": {"rerun-sdk": "0.41"},
-    "vlm": {"torch": "2.6", "transformers": "5.23", "accelerate": "1.10"},
+    "vlm": {"torch": "2.6", "transformers": "5.24", "accelerate": "1.10"},
     "endpoint": {"openai": "1.98", "tenacity": "9"},
     "ray": {"psutil": "6.0", "ray": "2.59"},
     "parquet": {"pyarrow": "18.0"},
@@ -67,3 +67,12 @@ def need(what: str, extra: str, *packages: str) -> None:
     """Raise `MissingExtraError` unless all `packages`, which `what` needs and `extra` brings, are installed."""
     if lacking := [name for name in packages if find_spec(name) is None]:
         raise MissingExtraError(f"{what} needs {' and '.join(lacking)}: {how_to_install(extra)}")
+
+
+def is_older(version: str, least: str) -> bool:
+    """Whether a version such as ``"2.13.0+cpu"`` comes before another; its first three numbers count."""
+    return _numbers(version) < _numbers(least)
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    return tuple(int("".join(c for c in part if c.isdigit()) or 0) for part in version.split("+")[0].split(".")[:3])

@@ -553,11 +553,11 @@ def test_doctor_says_what_to_install(eagor, monkeypatch):
     monkeypatch.setattr(machine, "version_of", lambda name: there.get(name, "1.0"))
     code, out, _ = eagor("doctor")
     assert code == 0
-    assert "local models lack torch, transformers 5.23 or newer (there is 4.57.1): pip install torch==2.13.0" in out
+    assert "local models lack torch, transformers 5.24 or newer (there is 4.57.1): pip install torch==2.13.0" in out
     assert f"models on servers lack openai: {how_to_install('endpoint')}" in out
 
 
 def test_an_old_transformers_is_named(refused, planted, panorama, monkeypatch):
     folder = planted(QWEN)
-    monkeypatch.setattr(sys.modules["transformers"], "__version__", "4.57.1")  # which is not always what was imported
-    assert "transformers 5.23 or newer" in refused(2, "locate", panorama, "red", "--perception", folder)
+    monkeypatch.setattr(sys.modules["transformers"], "__version__", "5.23.0")  # which is not always what was imported
+    assert "transformers 5.24 or newer" in refused(2, "locate", panorama, "red", "--perception", folder)

@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from eagor._extras import EXTRAS, how_to_install
+from eagor._extras import EXTRAS, how_to_install, is_older
 from eagor.perception.vlm.families import FAMILIES, Checkpoint
 
 USES = {
@@ -108,13 +108,9 @@ def lacking(extra: str) -> list[str]:
         number = version_of(name)
         if number is None:
             short.append(name)
-        elif _parts(number) < _parts(least):
+        elif is_older(number, least):
             short.append(f"{name} {least} or newer (there is {number})")
     return short
-
-
-def _parts(number: str) -> tuple[int, ...]:
-    return tuple(int("".join(c for c in part if c.isdigit()) or 0) for part in number.split("+")[0].split(".")[:3])
 
 
 def version_of(name: str) -> str | None:

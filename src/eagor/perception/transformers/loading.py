@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from eagor._checks import within
-from eagor._extras import how_to_install
+from eagor._extras import EXTRAS, how_to_install, is_older
 from eagor._json import whole
 from eagor.errors import EagorError, MissingExtraError
 from eagor.perception.transformers.looker import Looker
@@ -121,9 +121,10 @@ def read_family(name: str, revision: str | None = None) -> tuple[Any, Family]:
             f"{name} needs torch and transformers ({error}). On a CPU machine install torch==2.13.0 first, then "
             f"{how_to_install('vlm')} (and no torchvision)"
         ) from error
-    if int(transformers.__version__.partition(".")[0]) < 5:
+    least = EXTRAS["vlm"]["transformers"]
+    if is_older(transformers.__version__, least):
         raise EagorError(
-            f"{name} needs transformers 5.23 or newer; this is {transformers.__version__}: {how_to_install('vlm')}"
+            f"{name} needs transformers {least} or newer; this is {transformers.__version__}: {how_to_install('vlm')}"
         )
     config = _loaded(name, "config.json", transformers.AutoConfig.from_pretrained, revision)
     return config, family_of(config, name)

@@ -63,7 +63,7 @@ class Running:
             steps = torch.arange(ids.shape[1], device=ids.device) + self.position
             positions["position_ids"] = steps.expand(3, prefix.batch, -1)
             self.position += ids.shape[1]
-        out = prefix.model(input_ids=ids, past_key_values=self.cache, use_cache=True, logits_to_keep=1, **positions)
+        out = prefix.model(input_ids=ids, cache=self.cache, use_cache=True, logits_to_keep=1, **positions)
         return out.logits[:, -1].float()
 
     def ask(self, ids: torch.Tensor, layers: Sequence[int]) -> tuple[torch.Tensor, Capture | None]:
@@ -117,7 +117,7 @@ def share(
         )
         feed["position_ids"] = places
         position = int(places.max()) + 1
-    cache = model.model(**feed, use_cache=True).past_key_values
+    cache = model.model(**feed, use_cache=True).cache
     return Prefix(model, batch, prompt.columns.to(device), position, cache)
 
 
