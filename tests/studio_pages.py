@@ -58,9 +58,13 @@ class Watched:
         """Wait until `script` gives something true (the page's policy forbids Playwright's own way to wait for it)."""
         end = time.monotonic() + seconds
         while not (found := self.page.evaluate(script)):
-            assert time.monotonic() < end, f"never true: {script}; errors: {self.errors}"
+            assert time.monotonic() < end, f"never true: {script}; errors: {self.errors}; {self.said()}"
             self.page.wait_for_timeout(50)
         return found
+
+    def said(self) -> str:
+        """What the page shows and says, for the messages of tests."""
+        return f"{self.summary()}; {self.page.locator('#studio').inner_text()[:1000]!r}"
 
     def summary(self) -> dict[str, Any]:
         """What the page shows, in numbers."""

@@ -40,6 +40,12 @@ export class Session {
     return this.socket.send(message);
   }
 
+  /** Look for something else, also after a reconnection. Returns whether it could be sent. */
+  ask(query: string): boolean {
+    this.socket.amend({ query });
+    return this.socket.send({ type: "query", text: query });
+  }
+
   retry(): void {
     this.socket.retry();
   }

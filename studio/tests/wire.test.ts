@@ -87,8 +87,9 @@ afterEach(() => {
 it("comes back by itself and asks again for what was open", () => {
   const states: [Connection, number][] = [];
   const socket = new Socket("ws://here/ws", { message: () => {}, connection: (...state) => states.push(state) });
-  socket.open({ type: "open", view: "walk" });
+  socket.open({ type: "open", view: "walk", query: "sofa" });
   FakeSocket.made[0].opens();
+  socket.amend({ query: "chair" });
   FakeSocket.made[0].breaks();
   expect(states.at(-1)).toEqual(["lost", 0.5]);
   vi.advanceTimersByTime(500);
@@ -98,7 +99,7 @@ it("comes back by itself and asks again for what was open", () => {
   vi.advanceTimersByTime(1000);
   FakeSocket.made[2].opens();
   expect(states.at(-1)).toEqual(["open", 0]);
-  expect(FakeSocket.made[2].sent).toEqual(['{"type":"open","view":"walk"}']);
+  expect(FakeSocket.made[2].sent).toEqual(['{"type":"open","view":"walk","query":"chair"}']);
   socket.close();
   FakeSocket.made[2].breaks();
   vi.advanceTimersByTime(60_000);

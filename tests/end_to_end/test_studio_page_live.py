@@ -202,14 +202,20 @@ def test_an_episode_of_a_run_is_chosen_and_scrubbed(studio: Studio) -> None:
     page.kept("run")
 
 
-def test_a_picture_is_dropped_and_the_belief_stays_with_it(studio: Studio) -> None:
+def dropped(studio: Studio) -> Watched:
+    """The picture is dropped on its page, and asked for the ball."""
     page = go(studio, "picture")
     page.get_by_label("Where is the").fill("")
     page.set_input_files("#file", str(studio.picture))
-    page.until("window.eagorStudio.store.panorama")
+    page.until("window.eagorStudio.store.scene === null && window.eagorStudio.store.panorama")  # nothing is asked yet
     page.get_by_label("Where is the").fill("red ball")
     page.keyboard.press("Enter")
     page.until("window.eagorStudio.summary.peak")
+    return page
+
+
+def test_a_picture_is_dropped_and_the_belief_stays_with_it(studio: Studio) -> None:
+    page = dropped(studio)
     page.until("window.eagorStudio.store.direction")
     page.at_rest()
     # Where the ball is in the picture, in the axes of the first pose.
@@ -239,8 +245,8 @@ def test_a_picture_is_dropped_and_the_belief_stays_with_it(studio: Studio) -> No
 
 def test_the_newest_look_is_a_layer(studio: Studio) -> None:
     """What the evidence of one look says is highest where the ball is; drawn, it is another picture than the belief."""
-    page = studio.page
-    page.until("window.eagorStudio.store.evidence !== null && window.eagorStudio.summary.peak")
+    page = dropped(studio)
+    page.until("window.eagorStudio.store.evidence !== null")
     azimuth, elevation = page.evaluate(
         "(() => { const { values, columns, rows } = window.eagorStudio.store.evidence;"
         "const best = values.indexOf(Math.max(...values));"

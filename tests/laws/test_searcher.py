@@ -7,18 +7,25 @@ import pytest
 from box_scenes import scene_of, shell, thing
 
 from eagor.errors import WorldError
+from eagor.evidence.repeating import Repeating
 from eagor.sphere import world_R_body
 from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, UNKNOWN, FloorSeen
+from eagor.tasks.looks import Chance
 from eagor.tasks.navigation import undone
+from eagor.tasks.places import Place
 from eagor.tasks.rules import Camera, NavigationRules
 from eagor.tasks.searcher import Searcher
-from eagor.tasks.situation import Situation, floors_of
-from eagor.tasks.steering import seeking, steering_for
+from eagor.tasks.situation import Situation
+from eagor.tasks.steering import Following, seeking, steering_for
+from eagor.tasks.views import in_view
 from eagor.tracking import TrackerConfig
 from eagor.worlds.ground import Ground
 from eagor.worlds.render import Renderer
 
 HEIGHT, STEP = 1.25, 0.25
+CAMERA, CHANCE = Camera(), Chance()
+NARROW = Camera(hfov=100.0)
+HFOV, TURN = math.radians(NARROW.hfov), math.radians(NARROW.turn)
 WALLS = [thing("wall", (3.9, 0, 0), (4.1, 4.6, 2.5)), thing("wall", (3.9, 5.5, 0), (4.1, 6, 2.5))]
 TWO_ROOMS = scene_of([*shell(8.0, 6.0), *WALLS, thing("wardrobe", (6.4, 1.0, 0), (7.0, 1.6, 1.8))])
 
@@ -26,26 +33,27 @@ TWO_ROOMS = scene_of([*shell(8.0, 6.0), *WALLS, thing("wardrobe", (6.4, 1.0, 0),
 class World:
     """A body in a scene, and what its camera shows of the floor."""
 
-    def __init__(self, scene, xy, yaw=0.0, tilt=0.0):
-        self.ground, self.renderer = Ground.from_scene(scene), Renderer(scene)
-        self.floors = floors_of(scene.instances, "the scene")
-        self.xy, self.yaw, self.tilt = np.array(xy, dtype=float), yaw, tilt
+    def __init__(self, scene, xy, yaw=0.0, tilt=0.0, camera=CAMERA):
+        self.ground = Ground.from_scene(scene)
+        self.place = Place(scene, self.ground, Renderer(scene))
+        self.xy, self.yaw, self.tilt, self.camera = np.array(xy, dtype=float), yaw, tilt, camera
 
     @property
     def rotation(self):
         return world_R_body(self.yaw, self.tilt, -self.tilt)
 
-    def ids(self):
-        found = self.renderer.panorama(
-            np.array([*self.xy, HEIGHT]), self.rotation, 64, rgb=False, range=False, ids=True
-        )
-        return found.ids
-
-    def situation(self, azimuth=0.0, progress=0.0, distance=None, presence=1.0):
+    def situation(self, azimuth=0.0, progress=0.0, distance=None, presence=1.0, chance=CHANCE):
         position = np.array([*self.xy, HEIGHT])
-        return Situation(
-            azimuth, progress, presence, distance, position, self.rotation, np.isin(self.ids(), self.floors)
-        )
+        floor = self.place.floor_in(self.place.ids(position, self.rotation), position, self.rotation)
+        seen = in_view(self.camera, len(floor))
+        floor = floor if seen is None else floor & seen
+        return Situation(azimuth, progress, presence, distance, position, self.rotation, floor, seen, chance)
+
+    def towards(self, goal):
+        """The situation of a body that knows where the thing is, and whether it is there."""
+        to = np.array(goal) - self.xy
+        azimuth = math.remainder(math.atan2(to[1], to[0]) - self.yaw, 2 * math.pi)
+        return self.situation(azimuth, 1.0, float(np.hypot(*to)))
 
     def step(self, walk):
         turn, metres = walk
@@ -143,10 +151,104 @@ def test_a_thing_that_was_never_likely_is_not_walked_to():
     assert searcher.searching
 
 
+def test_a_thing_is_come_to_from_another_side():
+    """It is right behind the wall: the nearest place is on this side, and standing there is not enough."""
+    goal = np.array([4.5, 1.0])
+    world, searcher, places = World(TWO_ROOMS, (3.2, 1.0)), Searcher(STEP), []
+    for _ in range(120):
+        if np.hypot(*(goal - world.xy)) < 0.5:
+            break
+        world.step(searcher.walk(world.towards(goal)))
+        places.append(world.xy)
+    assert np.hypot(*(goal - world.xy)) < 0.5
+    assert undone(np.array(places), STEP) < 0.25
+
+
+def test_what_cannot_be_reached_is_given_up():
+    """Behind a wall without a door: the body tries other places beside it, and then searches on."""
+    closed = scene_of([*shell(8.0, 6.0), thing("wall", (3.9, 0, 0), (4.1, 6, 2.5))])
+    world, searcher, searched = World(closed, (1.0, 3.0)), Searcher(STEP), []
+    for _ in range(160):
+        world.step(searcher.walk(world.towards((6.0, 3.0))))
+        searched.append(searcher.searching)
+    assert not any(searched[:5])
+    assert sum(searched[-40:]) > 20
+
+
+def test_a_robot_that_stands_turns_until_it_has_seen_all_around():
+    world, searcher = World(TWO_ROOMS, (2.0, 2.0), 0.3, camera=NARROW), Searcher(0.0, hfov=HFOV, turn=TURN)
+    seen = np.zeros(360, dtype=bool)
+    for _ in range(12):
+        off = np.remainder(np.arange(360) - math.degrees(world.yaw) + 180, 360) - 180
+        seen |= np.abs(off) <= NARROW.hfov / 2
+        turn, metres = searcher.walk(world.situation())
+        assert metres == 0
+        assert abs(turn) <= TURN + 1e-9
+        world.step((turn, metres))
+    assert seen.all()
+    assert all(shown(searcher.known, xy) == FLOOR for xy in [(1.0, 1.0), (1.0, 4.0), (3.0, 1.0), (3.0, 4.0)])
+
+
+def test_a_robot_that_stands_turns_to_what_it_believes():
+    world, searcher = World(TWO_ROOMS, (2.0, 2.0), 0.3, camera=NARROW), Searcher(0.0, hfov=HFOV, turn=TURN)
+    for _ in range(7):
+        turn, metres = searcher.walk(world.towards((0.5, 1.0)))
+        assert metres == 0
+        assert not searcher.searching
+        world.step((turn, metres))
+    assert math.remainder(world.yaw - math.atan2(-1.0, -1.5), 2 * math.pi) == pytest.approx(0, abs=1e-6)
+
+
+def test_with_a_narrow_camera_the_body_turns_first_and_then_walks():
+    world, searcher = World(TWO_ROOMS, (1.0, 1.0), 0.3, camera=NARROW), Searcher(STEP, hfov=HFOV, turn=TURN)
+    walks, places = [], []
+    for _ in range(120):
+        walks.append(searcher.walk(world.situation()))
+        world.step(walks[-1])
+        places.append(world.xy)
+    turns, metres = np.array(walks).T
+    assert (np.abs(turns) <= TURN + 1e-9).all()
+    assert set(metres) == {0.0, STEP}
+    assert metres[:3].sum() == 0  # it looks around before it walks
+    assert np.array(places)[:, 0].max() > 4.5
+    assert shown(searcher.known, (6.0, 3.0)) == FLOOR
+
+
+def test_floor_that_the_camera_does_not_show_stays_unknown():
+    world, searcher = World(TWO_ROOMS, (2.0, 3.0), 0.0, camera=NARROW), Searcher(STEP, hfov=HFOV, turn=TURN)
+    searcher.look(world.situation())
+    assert shown(searcher.known, (3.5, 3.0)) == FLOOR
+    assert shown(searcher.known, (0.5, 3.0)) == UNKNOWN
+    row, col = searcher.known.cells(np.array([1.0, 3.0]))
+    assert searcher.known.worth[row, col] == 1.0
+    row, col = searcher.known.cells(np.array([3.0, 3.0]))
+    assert searcher.known.worth[row, col] < 1.0
+
+
+@pytest.mark.parametrize(("recall", "repeats"), [(0.5, 0.0), (0.4, 0.75), (0.9, 0.5)])
+def test_looks_count_by_their_recall_and_not_again_for_what_they_repeat(recall, repeats):
+    world, searcher = World(TWO_ROOMS, (2.0, 3.0)), Searcher(STEP)
+    missed = []
+    for _ in range(3):
+        searcher.look(world.situation(chance=Chance(recall, Repeating(repeats))))
+        row, col = searcher.known.cells(np.array([2.6, 3.0]))
+        missed.append(searcher.known.worth[row, col])
+    again = (1 - recall) ** (1 - repeats)
+    assert missed == pytest.approx([1 - recall, (1 - recall) * again, (1 - recall) * again**2])
+
+
+def test_mistakes_that_fade_are_not_repeated_later():
+    world, searcher = World(TWO_ROOMS, (2.0, 3.0)), Searcher(STEP)
+    for _ in range(2):
+        searcher.look(world.situation(chance=Chance(0.5, Repeating(0.9, seconds=1.0), elapsed=50.0)))
+    row, col = searcher.known.cells(np.array([2.6, 3.0]))
+    assert searcher.known.worth[row, col] == pytest.approx(0.25)
+
+
 def test_our_tracker_expects_what_is_hidden_to_appear_while_the_body_searches():
     base = TrackerConfig()
-    assert seeking(NavigationRules(policy="search", appears=0.2), base).target_motion.birth == 0.2
-    assert seeking(NavigationRules(), base) is base
+    assert seeking(NavigationRules(appears=0.2), base).target_motion.birth == 0.2
+    assert seeking(NavigationRules(policy="follow"), base) is base
 
 
 def test_a_place_where_the_thing_is_not_is_not_walked_to_for_ever():
@@ -162,11 +264,9 @@ def test_a_place_where_the_thing_is_not_is_not_walked_to_for_ever():
     assert shown(searcher.known, (6.0, 3.0)) == FLOOR
 
 
-def test_the_rule_chooses_and_a_world_without_a_floor_is_said():
-    assert isinstance(steering_for(NavigationRules(policy="search"), Camera()), Searcher)
-    assert not steering_for(NavigationRules(), Camera()).searching
-    with pytest.raises(WorldError, match="names no floor or rug"):
-        floors_of([thing("wall", (0, 0, 0), (1, 1, 1))], "bare.glb")
+def test_the_rule_chooses():
+    assert isinstance(steering_for(NavigationRules(), Camera()), Searcher)
+    assert isinstance(steering_for(NavigationRules(policy="follow"), Camera()), Following)
     with pytest.raises(WorldError, match="follow or search"):
         NavigationRules(policy="wander")
 

@@ -19,8 +19,12 @@ from eagor.studio.export import page_of
 from eagor.studio.guard import Gate
 from eagor.studio.houses import outlines
 from eagor.studio.messages import LONGEST, PageError, read
+from eagor.studio.orders import Opened, Refused, See, Turn
+from eagor.studio.picture import PictureSession
 from eagor.studio.replays import Redrawn
+from eagor.studio.session import Opening, Outbox
 from eagor.studio.slots import Slot
+from eagor.studio.video import VideoSession
 from eagor.studio.walking import Body, Walker
 from eagor.studio.wire import Blob, Message, merged, packed, rounded
 
@@ -358,3 +362,26 @@ def test_words_from_outside_cannot_leave_their_place_in_the_page(monkeypatch, tm
     assert held["scene"]["title"] == scene["title"]
     assert held["steps"][0]["error_deg"] is None
     assert held["steps"][0]["panorama"]["url"].startswith("data:image/jpeg;base64,")
+
+
+@pytest.mark.parametrize("kind", [PictureSession, VideoSession])
+def test_a_refusal_that_comes_late_is_of_the_query_that_was_refused(kind, tmp_path):
+    """While "unicorn" is being looked for, something else is asked: that is looked for, and nothing is said."""
+    orders, said = [], []
+    opening = Opening("picture", "unicorn", "colour", picture=tmp_path / "a.png", frames=8)
+    session = kind(1, opening, Outbox(lambda _, message: said.append(message.header), orders.append))
+
+    def looks():
+        session.tick(0.0)
+        return [order.query for order in orders if isinstance(order, See | Turn)]
+
+    session.saw(Opened(1, b"", (), {}), 0.0)
+    assert looks() == ["unicorn"]
+    session.told({"type": "query", "text": "red ball"}, 0.0)
+    session.saw(Refused(1, "query", "there are no unicorns", "unicorn"), 0.0)
+    if kind is VideoSession:  # it looks again when the frame has come
+        session._asking = False
+    assert looks() == ["unicorn", "red ball"]
+    assert not [one for one in said if one["type"] == "problem"]
+    session.saw(Refused(1, "query", "there are no balls", "red ball"), 0.0)
+    assert [one["problem"] for one in said if one["type"] == "problem"] == ["there are no balls"]

@@ -5,14 +5,12 @@ A record holds no looks. They are made again from its poses (`eagor.tasks.looked
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.ndimage import label, map_coordinates
 
-from eagor.errors import WorldError
 from eagor.evaluation.charts import blank, colour_of, finished, style_of
 from eagor.evaluation.published import OURS
 from eagor.evaluation.samples import Record
@@ -37,7 +35,7 @@ class Search:
 
     `searching` ``(n,)`` bool: in which steps the body searched, and did not go to where it believed the thing. `found`
     ``(rows, cols)`` of the place's plan: the probability that the looks would have found a thing that stands there, NaN
-    where none showed the floor; None if nobody can tell: the place does not say what is floor.
+    where none showed the floor; None if nobody can tell: the record does not name its camera.
     """
 
     searching: np.ndarray
@@ -68,10 +66,8 @@ def search_of(place: Place, record: Record, camera: Camera | None) -> Search | N
     trace = record["methods"][OURS]["trace"]
     if "searching" not in trace:
         return None
-    found = None
-    if camera is not None:
-        with suppress(WorldError):  # nothing in the place is called a floor
-            found = _on_plan(looked_along(place, np.array(trace["pose"], dtype=float), camera), place.ground)
+    poses = np.array(trace["pose"], dtype=float)
+    found = None if camera is None else _on_plan(looked_along(place, poses, camera), place.ground)
     return Search(np.array(trace["searching"], dtype=bool), found)
 
 

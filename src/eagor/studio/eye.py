@@ -135,7 +135,7 @@ def _turn(job: Turn, reels: dict[int, Reel], say: Callable[[Any], None]) -> None
             try:
                 looks = look_if_recorded(_loaded(job.perception), frame.panorama, job.query, frame.stamp, pose)
             except EagorError as error:
-                say(Refused(job.session, "query" if isinstance(error, QueryError) else "look", _said(error)))
+                say(_refusal(job, error))
         rows = min(frame.panorama.shape[0], FIRST_ROWS)
         small = Photograph(frame.panorama).panorama(STILL, np.eye(3), rows).rgb
         assert small is not None
@@ -154,7 +154,11 @@ def _see(job: See, say: Callable[[Any], None]) -> None:
             looks = _looked(job)
             say(Seen(job.session, job.stamp, job.query, looks, time.perf_counter() - began))
     except Exception as error:
-        say(Refused(job.session, "query" if isinstance(error, QueryError) else "look", _said(error)))
+        say(_refusal(job, error))
+
+
+def _refusal(job: See | Turn, error: Exception) -> Refused:
+    return Refused(job.session, "query" if isinstance(error, QueryError) else "look", _said(error), job.query)
 
 
 def _rendered(job: See, rows: int | None = None) -> np.ndarray:

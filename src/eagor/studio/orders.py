@@ -118,8 +118,9 @@ class Seen:
 
 @dataclass(frozen=True)
 class Refused:
-    """Why something cannot be built, opened or looked for. `part`: house, picture, look or query."""
+    """Why something cannot be built, opened or looked for. `part`: house, picture, look or query; `query`: that one."""
 
     session: int
     part: str
     problem: str
+    query: str | None = None

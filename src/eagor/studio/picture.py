@@ -65,7 +65,10 @@ class PictureSession:
             self._seeing = False
             fatal = said.part == "picture"
             if said.part == "query":
-                self._refused = self._query
+                self._refused = said.query
+                if said.query != self._query:
+                    self.due = now
+                    return
             change = "Drop another file." if fatal else "Ask for something else, or choose another perception."
             self._out.problem(self.number, said.problem, change, fatal)
 

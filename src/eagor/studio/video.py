@@ -55,7 +55,9 @@ class VideoSession:
             fatal = said.part == "picture"
             self._asking = self._asking and not fatal
             if said.part == "query":
-                self._refused = self._query
+                self._refused = said.query
+                if said.query != self._query:
+                    return
             change = "Drop another file." if fatal else "Ask for something else, or choose another perception."
             self._out.problem(self.number, said.problem, change, fatal)
 

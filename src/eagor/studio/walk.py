@@ -63,7 +63,9 @@ class WalkSession:
         elif isinstance(said, Refused):
             self._seeing = False
             if said.part == "query":
-                self._refused = self._query
+                self._refused = said.query
+                if said.query != self._query:
+                    return
             change = "Ask for one of the things that are offered." if said.part == "query" else "Choose another one."
             self._out.problem(self.number, said.problem, change, fatal=said.part == "house")
 

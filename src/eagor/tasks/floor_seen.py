@@ -28,7 +28,8 @@ class FloorSeen:
     """A growing grid of square cells: `state` ``(rows, cols)``, x along columns, low corner at `origin` ``(2,)``.
 
     `nearest` ``(rows, cols)``: metres from which a cell was seen best. `worth` ``(rows, cols)``: probability that all
-    looks so far would have missed a thing that stands there. `held` ``(rows, cols)``: how often the body was held up on
+    looks so far would have missed a thing that stands there. `looked` ``(rows, cols)``: how well they saw it, from 0 to
+    1, as far as the next look repeats their mistakes. `held` ``(rows, cols)``: how often the body was held up on
     its way there. `stood` ``(rows, cols)``: how often it stood there.
     """
 
@@ -36,6 +37,7 @@ class FloorSeen:
     state: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int8))
     nearest: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     worth: np.ndarray = field(default_factory=lambda: np.ones((0, 0)))
+    looked: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     held: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int32))
     stood: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int32))
 
@@ -67,6 +69,7 @@ class FloorSeen:
         self.state = np.pad(self.state, pads)
         self.nearest = np.pad(self.nearest, pads, constant_values=math.inf)
         self.worth = np.pad(self.worth, pads, constant_values=1.0)
+        self.looked = np.pad(self.looked, pads)
         self.held = np.pad(self.held, pads)
         self.stood = np.pad(self.stood, pads)
         self.origin = first * CELL

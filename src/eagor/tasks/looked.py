@@ -10,7 +10,7 @@ from eagor.conventions import rotation_from_wxyz
 from eagor.tasks.floor_seen import FloorSeen
 from eagor.tasks.rules import NavigationRules
 from eagor.tasks.searcher import Searcher
-from eagor.tasks.situation import Situation, floors_of
+from eagor.tasks.situation import Situation
 from eagor.tasks.steering import steering_for
 from eagor.tasks.views import in_view
 
@@ -26,24 +26,24 @@ def looked_along(place: Place, poses: np.ndarray, camera: Camera) -> FloorSeen:
 
     `poses` ``(n, 7)``: x, y, z (metres) of the camera in the world, and its orientation ``world_R_body`` as a
     quaternion w, x, y, z. They are the true ones: where odometry drifted, the body itself took the floor to be
-    elsewhere. Raises `WorldError` if nothing in the place is called a floor.
+    elsewhere.
     """
-    floors = floors_of(place.scene.instances, place.scene.source)
     searcher = steering_for(NavigationRules(policy="search"), camera)
     assert isinstance(searcher, Searcher)
     for x, y, z, *quaternion in _spread(poses):
         world_R_body = rotation_from_wxyz(np.array(quaternion) / np.linalg.norm(quaternion))
-        ids = place.ids(np.array([x, y, z]), world_R_body)
-        seen = in_view(camera, len(ids))
+        eye = np.array([x, y, z])
+        floor = place.floor_in(place.ids(eye, world_R_body), eye, world_R_body)
+        seen = in_view(camera, len(floor))
         searcher.look(
             Situation(
                 azimuth=0.0,  # nothing is believed here: only what a look shows is taken in
                 progress=0.0,
                 presence=0.0,
                 distance=None,
-                position=np.array([x, y, z - place.ground.height(np.array([x, y]))]),
+                position=eye - [0.0, 0.0, place.ground.height(eye[:2])],
                 world_R_body=world_R_body,
-                floor=np.isin(ids, floors) if seen is None else np.isin(ids, floors) & seen,
+                floor=floor if seen is None else floor & seen,
                 seen=seen,
             )
         )

@@ -6,7 +6,43 @@ ground around a body that walks (`eagor.tasks.searcher`). A search takes the loo
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
+
+from eagor.evidence import Evidence
+from eagor.evidence.detector import Rates
+from eagor.evidence.repeating import Repeating
+
+
+@dataclass(frozen=True)
+class Chance:
+    """What chance a look has to find what is in sight.
+
+    `recall`: the probability that it reports it. `repeating`: how far it repeats the mistakes of the look before, which
+    was taken `elapsed` seconds earlier: what was overlooked there is overlooked again.
+    """
+
+    recall: float = 0.5
+    repeating: Repeating = field(default_factory=Repeating)
+    elapsed: float = 0.0
+
+    @classmethod
+    def of(cls, evidence: Evidence | None, elapsed: float) -> Chance:
+        """As the evidence itself has it; none if there is none: the look could not be read.
+
+        A detector's model states the recall, or a prior of it. A response takes its log-likelihood ratio away where it
+        reports nothing, which is most of what it covers: 1 - recall is that ratio.
+        """
+        if evidence is None:
+            return cls(0.0, elapsed=elapsed)
+        if evidence.detections is not None:
+            recall = Rates.prior(evidence.detections.model).recall
+        else:
+            logs = np.asarray(evidence.log_ratio, dtype=np.float64)
+            logs = logs if evidence.coverage is None else logs[evidence.coverage > 0.5]
+            recall = -np.expm1(min(float(np.median(logs)), 0.0)) if logs.size else 0.0
+        return cls(recall, evidence.repeating, elapsed)
 
 
 def information(here: np.ndarray, share: np.ndarray, alarm: float = 0.0, falls: np.ndarray | None = None) -> np.ndarray:

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from eagor import worlds
+from eagor._lazy import lazy
+from eagor.grids import ErpGrid
 from eagor.queries import COLOURS, Query
 from eagor.worlds.opened import ground_of, view_of
 from eagor.worlds.scene import STRUCTURE, Scene
@@ -20,6 +22,8 @@ SEEDS = 10_000  # number of apartments
 DEVELOPMENT = range(SEEDS // 5)  # the first fifth is for tuning parameters, never for results
 REPORT = range(SEEDS // 5, SEEDS)
 LOOK_ROWS = 64  # of the id panoramas that decide visibility, and that `truth` reads
+FLOORS = ("floor", "rug")  # categories that one walks on
+LEVEL = 0.02  # metres: where nothing is called a floor, it is what lies as high as the ground, to within this
 UNTARGETED = (*STRUCTURE, "ceiling lamp", "rug", "painting", "vase", "book", "books", "curtain")  # never targets
 
 
@@ -41,6 +45,26 @@ class Place:
         ids = self.renderer.panorama(position, world_R_body, rows, rgb=False, range=False).ids
         assert ids is not None
         return ids
+
+    def floor_in(self, ids: np.ndarray, position: np.ndarray, world_R_body: np.ndarray) -> np.ndarray:
+        """Which pixels of an image of `ids` ``(rows, 2 rows)``, taken from this pose, show what one walks on, bool.
+
+        That is what the scene calls a floor or a rug. In a scene that names neither it is what lies as high as the
+        ground under the camera.
+        """
+        if len(self._floors):
+            return np.isin(ids, self._floors)
+        rows = len(ids)
+        metres = self.renderer.panorama(position, world_R_body, rows, rgb=False, range=True, ids=False).range
+        assert metres is not None
+        up = ErpGrid(rows, 2 * rows).directions @ world_R_body[2]  # how far a ray rises per metre
+        with np.errstate(invalid="ignore"):  # no hit: infinitely far
+            height = position[2] + up * metres - self.ground.height(position[:2])
+        return (ids >= 0) & (np.abs(height) < LEVEL)
+
+    @lazy
+    def _floors(self) -> np.ndarray:
+        return np.flatnonzero([thing.category in FLOORS for thing in self.scene.instances])
 
     def nameable(self) -> dict[int, Query]:
         """The things with a unique query, "[colour] category", by their index in the scene."""

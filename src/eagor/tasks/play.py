@@ -22,10 +22,11 @@ from eagor.tasks import task
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.eyes import Eye, is_privileged, look_around, open_eye, open_for, shared
 from eagor.tasks.listed import Listed, slot_of
+from eagor.tasks.looks import Chance
 from eagor.tasks.methods import BASE, ORACLE, Method, Steers, method_for, told
 from eagor.tasks.place_env import PlaceEnv
 from eagor.tasks.rules import Camera, Disturbances, from_dict
-from eagor.tasks.situation import Situation, along_floor, floors_of
+from eagor.tasks.situation import Situation, along_floor
 from eagor.tasks.steering import seeking, steering_for
 from eagor.tasks.task import Played
 from eagor.tasks.views import in_view, mask_of
@@ -150,12 +151,11 @@ class Player:
         method = None if name == ORACLE else self.method(name, episode.slot)
         trace: dict[str, list[Any]] = defaultdict(list)
         steering = steering_for(self.rules, self.camera)
-        floors = floors_of(self.env.labels, episode.scene) if steering.looks_down else None
         waiting: list[Evidence | None] = []
         directions, said, poses, places, over = [], [], [], [], False
         path = [self._feet()]
         while not over:
-            waiting.append(self._look(eye, observation, info))
+            waiting.append(look := self._look(eye, observation, info))
             due = waiting.pop(0) if len(waiting) > self.disturbances.latency else None
             stamp, pose = info["num_steps"] * self.camera.seconds, observation["pose"]
             direction = info["truth"]["direction"] if method is None else told(method, stamp, pose, due)
@@ -169,18 +169,19 @@ class Player:
                 watch(Seen(stamp, method, observation.get("panorama"), pose[:3], directions[-1]))
             now = Situation(
                 azimuth=float(azimuth_elevation(direction)[0]),
-                progress=1.0 if method is None or floors is None else method.progress(),
-                presence=1.0 if method is None or floors is None else method.presence(),
+                progress=1.0 if method is None or not steering.looks_down else method.progress(),
+                presence=1.0 if method is None or not steering.looks_down else method.presence(),
                 distance=along_floor(
                     info["truth"]["distance"] if method is None else method.sure_distance(), direction
                 ),
                 position=np.array([*pose[:2], self.camera.height]),
                 world_R_body=rotation_from_wxyz(pose[3:]),
-                floor=None if floors is None else np.isin(info["instances"]["ids"], floors),
+                floor=self._floor(info) if steering.looks_down else None,
                 seen=in_view(self.camera, len(info["instances"]["ids"])),
+                chance=Chance.of(look, self.camera.seconds) if steering.looks_down else Chance(),
             )
             turn, metres = steering.walk(now)
-            if floors is not None:
+            if steering.looks_down:
                 trace["searching"].append(steering.searching)
             observation, _, terminated, truncated, info = self.env.step(np.array([turn, max(metres, STANDS)]))
             path.append(self._feet())
@@ -193,6 +194,11 @@ class Player:
         found, looked = _rounded(self.task.measure(played)), eye.account()
         walked = {"path": path} if isinstance(episode.slot, Listed) else {}  # to be judged by habitat-lab, too
         return {"metrics": found, "trace": dict(trace)} | walked | ({"looked": looked} if looked else {})
+
+    def _floor(self, info: dict) -> np.ndarray:
+        """Which pixels of the look show the floor."""
+        true = info["truth"]
+        return self.env.place.floor_in(info["instances"]["ids"], true["position"], true["world_R_body"])
 
     def _feet(self) -> list[float]:
         """Where the body stands: x, y, z."""

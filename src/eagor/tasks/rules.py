@@ -115,7 +115,7 @@ class Disturbances(_Rules):
 
 @dataclass(frozen=True)
 class NavigationRules(_Rules):
-    """Map-Free Navigation: start facing away, walk a fixed step along the estimate until the target is reached.
+    """Map-Free Navigation: start facing away, walk in fixed steps until the target is reached.
 
     - `max_steps`: the episode then ends as a failure (Habitat's limit).
     - `success_distance`: geodesic metres to the goal, strict as in Habitat.
@@ -125,8 +125,8 @@ class NavigationRules(_Rules):
     - `sliding`: along walls (Habitat's default); otherwise a step ends at the contact.
     - `detour`: a blocked body feels its way around (`eagor.tasks.policy`), for every method alike; otherwise it pushes
       on along the estimate, as published.
-    - `policy`: "follow" the estimate always, as published, or "search" while too little is believed, and walk by the
-      floor that looks show (`eagor.tasks.searcher`); for every method alike. `handover`: a search ends while each
+    - `policy`: "search" while too little is believed, and walk by the floor that looks show (`eagor.tasks.searcher`),
+      or "follow" the estimate always, as published; for every method alike. `handover`: a search ends while each
       metre along the estimate brings the body this many metres nearer, as the method believes. `appears`: with
       "search", the rate (per second) at which a thing that is hidden comes into sight, for a method that doubts that it
       is here.
@@ -143,7 +143,7 @@ class NavigationRules(_Rules):
     stop: Stop = _rule("reach", _STOP)  # noqa: RUF009 (it is a field)
     sliding: bool = _rule(True, _BOOL)
     detour: bool = _rule(True, _BOOL)
-    policy: PolicyName = _rule("follow", _POLICY)  # noqa: RUF009 (it is a field)
+    policy: PolicyName = _rule("search", _POLICY)  # noqa: RUF009 (it is a field)
     handover: float = _rule(0.2, ((lambda value: above(value, 0, 1)), "a number above 0 and up to 1"))
     appears: float = _rule(0.1, _from(0, "a rate per second, from 0 on"))
     nearest: float = _rule(2.0, _from(0, "metres from 0 on"))

@@ -20,7 +20,7 @@ import numpy as np
 from eagor.sphere import heading
 from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, THICK, UNKNOWN, FloorSeen
 from eagor.tasks.floor_ways import NEAR, Ways
-from eagor.tasks.looks import information
+from eagor.tasks.looks import Chance, information
 from eagor.tasks.policy import held_back
 from eagor.tasks.situation import Situation
 
@@ -44,7 +44,7 @@ EVERY = 3  # cells between the places that are weighed
 
 @dataclass
 class Searcher:
-    """Chooses steps for one episode. `step` and `radius` in metres; `recall`: probability that a look finds.
+    """Chooses steps for one episode. `step` and `radius` in metres.
 
     `handover`: metres nearer, as believed, per metre walked along the answer that make it worth following. `hfov`: what
     the camera sees across, straight ahead, radians. If that is not all around, the body turns at most `turn` radians
@@ -55,13 +55,14 @@ class Searcher:
     step: float
     radius: float = 0.18
     handover: float = 0.2
-    recall: float = 0.5
     hfov: float = 2 * math.pi
     turn: float = math.radians(30)
     known: FloorSeen = field(default_factory=FloorSeen)
     searching: bool = True
     looks_down: bool = True
     _goal: np.ndarray | None = None
+    _chance: Chance = field(default_factory=Chance)
+    _from: np.ndarray | None = None  # where the last look was taken
     _facing: float | None = None  # a heading to turn to, world frame
     _promise: float = 0.0
     _last: tuple[np.ndarray, np.ndarray] | None = None
@@ -109,6 +110,9 @@ class Searcher:
         assert now.floor is not None
         self.known.look(now.floor, now.world_R_body, now.position, now.seen)
         self.known.walked(here, self.radius)
+        moved = 0.0 if self._from is None else float(np.hypot(*(here - self._from)))
+        self._chance, self._from = now.chance, here
+        self.known.looked *= now.chance.repeating.left(now.chance.elapsed, moved)
         self._looked(here, heading(now.world_R_body))
 
     def _believes(self, now: Situation, here: np.ndarray, ahead: np.ndarray) -> bool:
@@ -257,8 +261,9 @@ class Searcher:
         ``(n, 1)`` for a camera that sees all around, else one ``(n, RAYS)`` for each of `HEADINGS`: what single rays
         tell, added up, as each is likely to find nothing.
         """
-        _, worth, reached = self._reached(cells, RAYS)
-        here, share = worth * (_rays(RAYS)[1] / (self.known.worth.sum() * CELL**2)), self.recall * reached
+        index, reached = self._reached(cells, RAYS)
+        here = _padded(self.known.worth, 1.0).take(index) * (_rays(RAYS)[1] / (self.known.worth.sum() * CELL**2))
+        share = _padded(self._finds(), self._chance.recall).take(index) * reached
         if self.around:
             return information(here.reshape(len(cells), -1), share.reshape(len(cells), -1))[:, None]
         length = here.shape[-1]
@@ -270,10 +275,17 @@ class Searcher:
         off = _angles(count) - np.asarray(headings)[..., None]
         return (np.abs(np.remainder(off + math.pi, 2 * math.pi) - math.pi) <= self.hfov / 2).astype(np.float64)
 
-    def _reached(self, cells: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Along `count` rays from cells ``(n, 2)``: padded cells (flat), their worth, and how likely one sees them.
+    def _finds(self) -> np.ndarray:
+        """The probability ``(rows, cols)`` that a look finds a thing there, in full sight, after those that missed it.
 
-        All ``(n, count, k)``.
+        Of what repeats the mistakes of earlier looks only the share 1 - repeats tells something, as in a belief.
+        """
+        return 1 - (1 - self._chance.recall) ** (1 - self._chance.repeating.share * self.known.looked)
+
+    def _reached(self, cells: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Along `count` rays from cells ``(n, 2)``: padded cells (flat), and how likely one sees them.
+
+        Both ``(n, count, k)``.
         """
         known, (rays, _) = self.known, _rays(count)
         veil = VEIL[np.pad(known.state, PAD)]
@@ -282,16 +294,22 @@ class Searcher:
         index = ((cells + PAD) @ flat)[:, None, None] + rays @ flat
         dimmed = veil.take(index)
         reached = np.exp(dimmed - np.cumsum(dimmed, axis=2))
-        return index, np.pad(known.worth, PAD, constant_values=1.0).take(index), reached
+        return index, reached
 
     def _looked(self, place: np.ndarray, yaw: float) -> None:
         """What could be seen from a place, facing `yaw`, has had its chance."""
-        index, _, reached = self._reached(self.known.cells(place)[None], FINE)
+        index, reached = self._reached(self.known.cells(place)[None], FINE)
         reached = reached * self._in_view(FINE, np.array(yaw))[:, None]
         rows, cols = self.known.state.shape
         seen = np.zeros((rows + 2 * PAD, cols + 2 * PAD))
         np.maximum.at(seen.reshape(-1), index.reshape(-1), reached.reshape(-1))
-        self.known.worth *= 1 - self.recall * seen[PAD:-PAD, PAD:-PAD]
+        seen = seen[PAD:-PAD, PAD:-PAD]
+        self.known.worth *= 1 - self._finds() * seen
+        np.maximum(self.known.looked, seen, out=self.known.looked)
+
+
+def _padded(cells: np.ndarray, around: float) -> np.ndarray:
+    return np.pad(cells, PAD, constant_values=around)
 
 
 def _angles(count: int) -> np.ndarray:

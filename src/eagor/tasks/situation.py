@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
-from eagor.errors import WorldError
-
-FLOORS = ("floor", "rug")  # categories that one walks on
+from eagor.tasks.looks import Chance
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +20,7 @@ class Situation:
       floor, metres, None if not known.
     - `position` ``(3,)``: of the camera by odometry, z in metres above the floor; `world_R_body` ``(3, 3)``.
     - `floor` ``(H, W)`` bool: which pixels of an equirectangular look show the floor; None if the policy needs none.
-      `seen` ``(H, W)`` bool: which of them the camera shows; None: all.
+      `seen` ``(H, W)`` bool: which of them the camera shows; None: all. `chance`: to find, of that look.
     """
 
     azimuth: float
@@ -34,6 +31,7 @@ class Situation:
     world_R_body: np.ndarray
     floor: np.ndarray | None = None
     seen: np.ndarray | None = None
+    chance: Chance = field(default_factory=Chance)
 
 
 class Steering(Protocol):
@@ -49,17 +47,6 @@ class Steering(Protocol):
     def walk(self, now: Situation) -> tuple[float, float]:
         """The next step: a turn, radians, positive left, in (-pi, pi], and then so many metres straight ahead."""
         ...
-
-
-def floors_of(labels: Sequence[Any], source: str) -> np.ndarray:
-    """The ids ``(n,)`` of what one walks on. Raises `WorldError` if nothing is called that."""
-    found = [index for index, thing in enumerate(labels) if thing.category in FLOORS]
-    if not found:
-        raise WorldError(
-            f"{source} names no {' or '.join(FLOORS)}, so a search cannot tell where one can walk; "
-            "leave the rule policy at follow"
-        )
-    return np.array(found)
 
 
 def along_floor(distance: float | None, direction: np.ndarray) -> float | None:

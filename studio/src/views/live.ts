@@ -21,7 +21,7 @@ export function live(page: Page): ViewHandler {
     },
     leave: () => session.close(),
     ask(query) {
-      if (!session.send({ type: "query", text: query })) session.open({ view: "live", query });
+      if (!session.ask(query)) session.open({ view: "live", query });
     },
   };
 }

@@ -149,7 +149,7 @@ export function picture(page: Page): ViewHandler {
         page.problems.tell("picture", { problem: words.picture.drop, change: words.picture.dropMore });
         return;
       }
-      if (!session.active || !session.send({ type: "query", text: query })) open();
+      if (!session.active || !session.ask(query)) open();
     },
     scene() {
       if (store.scene?.attitude) Object.assign(attitude, store.scene.attitude);

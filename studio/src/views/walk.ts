@@ -71,7 +71,7 @@ export function walk(page: Page): ViewHandler {
       session.close();
     },
     ask(query) {
-      if (!session.send({ type: "query", text: query })) open(query);
+      if (!session.ask(query)) open(query);
     },
     scene() {
       if (store.scene?.seed !== undefined) seed.value = String(store.scene.seed);

@@ -30,6 +30,11 @@ export class Socket {
     else this.connect();
   }
 
+  /** Change the session that is asked for after a reconnection. */
+  amend(change: object): void {
+    if (this.opening) this.opening = { ...this.opening, ...change };
+  }
+
   /** Returns whether the message could be sent. */
   send(message: object): boolean {
     if (this.socket?.readyState !== WebSocket.OPEN) return false;

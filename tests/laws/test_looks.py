@@ -1,0 +1,82 @@
+"""A look tells the mutual information of its outcome and the place, as expected; evidence states its chance to find."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eagor import Calibration, DetectorModel, Evidence
+from eagor.grids import ErpGrid
+from eagor.sphere import direction
+from eagor.tasks.looks import Chance, information
+
+GRID = ErpGrid(16, 32)
+
+
+def entropy(p):
+    p = p[p > 0]
+    return -float((p * np.log(p)).sum())
+
+
+def by_definition(here, share, alarm, falls):
+    """I(outcome; cell) of one look, by the table of all places (its cells, elsewhere) and outcomes (cells, none)."""
+    k = len(here)
+    joint = np.zeros((k + 1, k + 1))
+    for place, p in enumerate([*here, 1 - here.sum()]):
+        found = share[place] if place < k else 0.0
+        joint[place, :k] = p * (1 - found) * alarm * falls
+        joint[place, k] = p * (1 - found) * (1 - alarm)
+        if place < k:
+            joint[place, place] += p * found
+    return entropy(joint.sum(axis=0)) + entropy(joint.sum(axis=1)) - entropy(joint.ravel())
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.booleans())
+def test_information_is_what_its_definition_says(seed, k, alarms):
+    rng = np.random.default_rng(seed)
+    here = rng.dirichlet(np.ones(k + 1), size=3)[:, :k]
+    share = rng.uniform(0.01, 0.99, size=(3, k))
+    alarm, falls = (float(rng.uniform(0.01, 0.9)), rng.dirichlet(np.ones(k))) if alarms else (0.0, None)
+    fall = np.zeros(k) if falls is None else falls
+    wanted = [by_definition(*one, alarm, fall) for one in zip(here, share, strict=True)]
+    assert information(here, share, alarm, falls) == pytest.approx(wanted, abs=1e-9)
+
+
+def test_a_look_that_cannot_find_and_one_where_nothing_can_be_tell_nothing():
+    here = np.array([[0.2, 0.3]])
+    assert information(here, np.zeros((1, 2))) == pytest.approx([0.0], abs=1e-12)
+    assert information(np.zeros((1, 2)), here) == pytest.approx([0.0], abs=1e-12)
+
+
+def test_a_response_has_the_chance_that_its_calibration_states():
+    response = np.zeros(GRID.shape)
+    response[8, 16] = 1.0
+    read = Calibration(floor=0.2, neutral=0.1, temperature=2, persistence=0.6)
+    chance = Chance.of(Evidence.from_response(response, GRID, read, stamp=0.0), 0.5)
+    silent = float(np.asarray(Evidence.from_response(np.zeros(GRID.shape), GRID, read, stamp=0.0).log_ratio)[0, 0])
+    assert chance.recall == pytest.approx(1 - math.exp(silent), rel=1e-5)
+    assert (chance.repeating.share, chance.elapsed) == (0.6, 0.5)
+
+
+def test_only_what_was_covered_counts():
+    coverage = np.zeros(GRID.shape)
+    coverage[:, :4] = 1.0
+    found = Evidence.from_response(np.zeros(GRID.shape), GRID, stamp=0.0, coverage=coverage)
+    whole = Evidence.from_response(np.zeros(GRID.shape), GRID, stamp=0.0)
+    assert Chance.of(whole, 0.5).recall > 0.05
+    assert Chance.of(found, 0.5).recall == pytest.approx(Chance.of(whole, 0.5).recall)
+
+
+@pytest.mark.parametrize(("stated", "low", "high"), [(0.8, 0.8, 0.8), (None, 0.2, 0.8)])
+def test_a_detector_has_the_chance_that_its_model_states(stated, low, high):
+    model = DetectorModel(detection_probability=stated, repeats=0.3)
+    found = Evidence.from_points(direction(0.3, 0.1)[None], scores=np.array([0.9]), detector=model, stamp=0.0)
+    chance = Chance.of(found, 0.5)
+    assert low - 1e-9 <= chance.recall <= high + 1e-9
+    assert chance.repeating.share == 0.3
+
+
+def test_a_look_that_could_not_be_read_has_no_chance():
+    assert Chance.of(None, 0.5).recall == 0.0
