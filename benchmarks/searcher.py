@@ -50,7 +50,7 @@ def main() -> int:
         return found
 
     Searcher.walk = timed
-    rules = {"rules": as_dict(NavigationRules(policy="search")), "disturbances": as_dict(Disturbances())}
+    rules = {"rules": as_dict(NavigationRules()), "disturbances": as_dict(Disturbances())}
     player = Player({"task": "navigation", "perception": "truth", "camera": as_dict(Camera()), "rows": 256} | rules)
     kind = tasks.load("navigation")
     for number in range(given.episodes):

@@ -2,9 +2,9 @@
 
     python docs/figures/moving.py [OUT.webp] [--seed 600] [--episode 1] [--width 760]
 
-The search is played as `eagor bench run navigation --perception scout` plays it: every step goes along our estimate.
-Then its way is gone once more through the public face alone (a tracker, the perception, poses by time stamp), and
-drawn, also in poses between two looks, where nothing but the odometry is new.
+The search is played as `eagor bench run navigation --perception scout --set policy=follow` plays it: every step goes
+along our estimate. Then its way is gone once more through the public face alone (a tracker, the perception, poses by
+time stamp), and drawn, also in poses between two looks, where nothing but the odometry is new.
 """
 
 from __future__ import annotations
@@ -56,7 +56,11 @@ def search(seed: int, index: int) -> Way:
     """Play the episode with our tracker."""
     camera, seeing = Camera(), load("scout")
     config: dict[str, Any] = {"task": "navigation", "perception": "scout", "rows": seeing.rows}  # type: ignore[attr-defined]
-    config |= {"rules": as_dict(NavigationRules()), "camera": as_dict(camera), "disturbances": as_dict(Disturbances())}
+    config |= {
+        "rules": as_dict(NavigationRules(policy="follow")),
+        "camera": as_dict(camera),
+        "disturbances": as_dict(Disturbances()),
+    }
     record = Player(config, seeing).play(Slot("navigation", APARTMENT, seed, index, index), ["eagor"])
     poses = np.array(record["methods"]["eagor"]["trace"]["pose"])
     thing = load_place(APARTMENT, seed, camera.radius).scene.instances[record["episode"]["targets"][0]]

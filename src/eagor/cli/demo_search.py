@@ -114,9 +114,9 @@ def collisions(search: Search) -> str:
     steps = search.methods[OURS]["metrics"]["steps"]
     return (
         "A collision is a step that a wall or a piece of furniture cut short; the body slides on along it. No method "
-        "has a map: each walks towards its estimate, and learns where obstacles are by touching them. So collisions "
-        f"are part of every way here: {numbers[OURS]} in the {steps} steps of our tracker, {min(numbers.values())} to "
-        f"{max(numbers.values())} over all methods."
+        "has a map: each walks by the floor that its looks have shown, and learns by touching of what reaches over it. "
+        f"So collisions are part of the ways here: {numbers[OURS]} in the {steps} steps of our tracker, "
+        f"{min(numbers.values())} to {max(numbers.values())} over all methods."
     )
 
 
