@@ -167,6 +167,13 @@ def test_what_is_shaded_and_dashed_is_said(rooms):
     )
 
 
+def test_moments_have_a_label_each_unless_they_are_at_one_place():
+    way = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.2, 0.0], [2.2, 0.2], [4.0, 0.0]])
+    labels, places = zip(*scenes._stops(way, range(6)), strict=True)
+    assert labels == ("1", "2", "3–5", "6")
+    assert np.array(places) == pytest.approx(way[[0, 1, 2, 5]])
+
+
 def test_without_a_search_a_map_is_as_it_was(rooms):
     record = record_of()
     assert searched.search_of(rooms, record, CAMERA) is None

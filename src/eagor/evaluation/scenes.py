@@ -25,6 +25,7 @@ MOMENTS = 6
 ROWS = 270  # of the panoramas, of which the belt between these elevations (degrees) is shown
 TOP, BOTTOM = 50, -65
 SCALE = 40  # pixels of a map per metre
+APART = 0.6  # metres between two moments that have a label each
 
 OpenPlace = Callable[[str, int, float], "Place"]
 
@@ -175,10 +176,10 @@ def _truth(record: Record) -> Mapping[str, Any]:
 
 
 def _stops(way: np.ndarray, moments: Sequence[int]) -> list[tuple[str, np.ndarray]]:
-    """The numbers of the moments and where they go (pixels); moments at nearly the same place share a label."""
+    """The numbers of the moments and where they go; moments at nearly the same place share a label."""
     runs: list[list[int]] = []
     for index, step in enumerate(moments):
-        if runs and np.linalg.norm(way[step] - way[moments[runs[-1][0]]]) < 16:
+        if runs and np.linalg.norm(way[step] - way[moments[runs[-1][0]]]) < APART:
             runs[-1].append(index)
         else:
             runs.append([index])
