@@ -1,16 +1,21 @@
 """A camera that does not see all around shows what it shows, and a look says nothing about the rest."""
 
+import json
 import math
 
 import numpy as np
 import pytest
 
 from eagor import Evidence
+from eagor.cli import main
 from eagor.errors import WorldError
 from eagor.grids import ErpGrid
 from eagor.sphere import azimuth_elevation, direction
 from eagor.tasks.environments import MapFreeNavigationEnv
-from eagor.tasks.rules import Camera
+from eagor.tasks.episodes import Slot
+from eagor.tasks.places import APARTMENT
+from eagor.tasks.play import Player
+from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
 from eagor.tasks.views import in_view, mask_of
 
 NARROW = Camera(hfov=100.0)
@@ -72,3 +77,22 @@ def test_a_look_says_nothing_outside_of_the_picture():
 
     assert there(0) == there(45) < 0
     assert there(55) == there(180) == there(-90) == 0
+
+
+def test_a_body_with_a_narrow_camera_comes_to_the_thing():
+    """It turns before it walks, and takes longer than one that sees all around."""
+    steps = []
+    for camera in (NARROW, Camera()):
+        told = {"rules": as_dict(NavigationRules()), "camera": as_dict(camera), "disturbances": as_dict(Disturbances())}
+        player = Player({"task": "navigation", "perception": "truth:ideal", "rows": 64} | told)
+        found = player.play(Slot("navigation", APARTMENT, 3, 0, 0), ["eagor"])["methods"]["eagor"]
+        assert found["metrics"]["success"] == 1
+        steps.append(found["metrics"]["steps"])
+    assert steps[0] > steps[1]
+
+
+def test_a_narrow_camera_is_set_and_kept_with_a_run(tmp_path):
+    out = tmp_path / "run"
+    asked = ("--perception", "truth", "--methods", "vmf", "--episodes", "1", "--seed", "3", "--out", str(out))
+    assert main(["bench", "run", "navigation", *asked, "--set", "hfov=100", "max_steps=3"]) == 0
+    assert json.loads((out / "run.json").read_text())["camera"]["hfov"] == 100
