@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from eagor import Calibration, DetectorModel, Evidence
 from eagor.grids import ErpGrid
 from eagor.sphere import direction
-from eagor.tasks.looks import Chance, information
+from eagor.tasks.looks import LEAST, Chance, information
 
 GRID = ErpGrid(16, 32)
 
@@ -78,5 +78,8 @@ def test_a_detector_has_the_chance_that_its_model_states(stated, low, high):
     assert chance.repeating.share == 0.3
 
 
-def test_a_look_that_could_not_be_read_has_no_chance():
-    assert Chance.of(None, 0.5).recall == 0.0
+@pytest.mark.parametrize("level", [0.0, 0.5, 1.0])
+def test_a_response_whose_silence_says_nothing_still_finds_things(level):
+    read = Calibration(floor=0.5, neutral=0.0)
+    chance = Chance.of(Evidence.from_response(np.full(GRID.shape, level), GRID, read, stamp=0.0), 0.5)
+    assert chance.recall == LEAST

@@ -10,7 +10,7 @@ from eagor.errors import WorldError
 from eagor.evidence.repeating import Repeating
 from eagor.sphere import world_R_body
 from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, UNKNOWN, FloorSeen
-from eagor.tasks.looks import Chance
+from eagor.tasks.looks import LEAST, Chance
 from eagor.tasks.navigation import undone
 from eagor.tasks.places import Place
 from eagor.tasks.rules import Camera, NavigationRules
@@ -235,6 +235,23 @@ def test_looks_count_by_their_recall_and_not_again_for_what_they_repeat(recall, 
         missed.append(searcher.known.worth[row, col])
     again = (1 - recall) ** (1 - repeats)
     assert missed == pytest.approx([1 - recall, (1 - recall) * again, (1 - recall) * again**2])
+
+
+def test_a_look_that_could_not_be_read_had_no_chance():
+    world, searcher = World(TWO_ROOMS, (2.0, 3.0)), Searcher(STEP)
+    searcher.look(world.situation(chance=None))
+    assert (searcher.known.worth == 1).all()
+    assert shown(searcher.known, (2.6, 3.0)) == FLOOR
+
+
+@pytest.mark.parametrize("chance", [None, Chance(LEAST), Chance(1.0)])
+def test_it_searches_both_rooms_whatever_its_looks_can_find(chance):
+    world, searcher, places = World(TWO_ROOMS, (1.0, 1.0), 0.3), Searcher(STEP), []
+    for _ in range(100):
+        world.step(searcher.walk(world.situation(chance=chance)))
+        places.append(world.xy)
+    assert np.array(places)[:, 0].max() > 4.5
+    assert shown(searcher.known, (6.0, 3.0)) == FLOOR
 
 
 def test_mistakes_that_fade_are_not_repeated_later():

@@ -14,6 +14,8 @@ from eagor.evidence import Evidence
 from eagor.evidence.detector import Rates
 from eagor.evidence.repeating import Repeating
 
+LEAST = 0.05  # recall: nobody looks with what finds less, whatever its calibration says
+
 
 @dataclass(frozen=True)
 class Chance:
@@ -28,21 +30,19 @@ class Chance:
     elapsed: float = 0.0
 
     @classmethod
-    def of(cls, evidence: Evidence | None, elapsed: float) -> Chance:
-        """As the evidence itself has it; none if there is none: the look could not be read.
+    def of(cls, evidence: Evidence, elapsed: float) -> Chance:
+        """As the evidence itself has it, but `LEAST` at least.
 
-        A detector's model states the recall, or a prior of it. A response takes its log-likelihood ratio away where it
-        reports nothing, which is most of what it covers: 1 - recall is that ratio.
+        A detector's model states the recall, or a prior of it. Of a response, 1 - recall is the likelihood ratio where
+        it reports nothing, which is most of what it covers. If that is 1 or more, silence says nothing.
         """
-        if evidence is None:
-            return cls(0.0, elapsed=elapsed)
         if evidence.detections is not None:
             recall = Rates.prior(evidence.detections.model).recall
         else:
             logs = np.asarray(evidence.log_ratio, dtype=np.float64)
             logs = logs if evidence.coverage is None else logs[evidence.coverage > 0.5]
-            recall = -np.expm1(min(float(np.median(logs)), 0.0)) if logs.size else 0.0
-        return cls(recall, evidence.repeating, elapsed)
+            recall = -float(np.expm1(np.median(logs))) if logs.size else 0.0
+        return cls(max(recall, LEAST), evidence.repeating, elapsed)
 
 
 def information(here: np.ndarray, share: np.ndarray, alarm: float = 0.0, falls: np.ndarray | None = None) -> np.ndarray:

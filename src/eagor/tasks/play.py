@@ -178,7 +178,7 @@ class Player:
                 world_R_body=rotation_from_wxyz(pose[3:]),
                 floor=self._floor(info) if steering.looks_down else None,
                 seen=in_view(self.camera, len(info["instances"]["ids"])),
-                chance=Chance.of(look, self.camera.seconds) if steering.looks_down else Chance(),
+                chance=Chance.of(look, self.camera.seconds) if look is not None and steering.looks_down else None,
             )
             turn, metres = steering.walk(now)
             if steering.looks_down:

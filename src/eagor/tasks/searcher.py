@@ -110,6 +110,8 @@ class Searcher:
         assert now.floor is not None
         self.known.look(now.floor, now.world_R_body, now.position, now.seen)
         self.known.walked(here, self.radius)
+        if now.chance is None:
+            return
         moved = 0.0 if self._from is None else float(np.hypot(*(here - self._from)))
         self._chance, self._from = now.chance, here
         self.known.looked *= now.chance.repeating.left(now.chance.elapsed, moved)

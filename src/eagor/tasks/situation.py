@@ -20,7 +20,8 @@ class Situation:
       floor, metres, None if not known.
     - `position` ``(3,)``: of the camera by odometry, z in metres above the floor; `world_R_body` ``(3, 3)``.
     - `floor` ``(H, W)`` bool: which pixels of an equirectangular look show the floor; None if the policy needs none.
-      `seen` ``(H, W)`` bool: which of them the camera shows; None: all. `chance`: to find, of that look.
+      `seen` ``(H, W)`` bool: which of them the camera shows; None: all. `chance`: to find, of that look; None if
+      it could not be read.
     """
 
     azimuth: float
@@ -31,7 +32,7 @@ class Situation:
     world_R_body: np.ndarray
     floor: np.ndarray | None = None
     seen: np.ndarray | None = None
-    chance: Chance = field(default_factory=Chance)
+    chance: Chance | None = field(default_factory=Chance)
 
 
 class Steering(Protocol):
