@@ -34,6 +34,7 @@ from eagor.evaluation.workers import carry_out
 from eagor.tasks.hstar import agents, looking
 from eagor.tasks.hstar.apartments import spot, write_scene
 from eagor.tasks.hstar.search import Search
+from eagor.tasks.searcher import Searcher
 
 FIRST = 1200  # apartments for development
 MANY = 3000
@@ -44,7 +45,7 @@ PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
     "perception": ((looking.PixelEye, "__call__"), (looking.TruthEye, "look")),
     "belief": ((Search, "seen"),),
     "answer": ((Search, "answer"),),
-    "next view": ((Search, "next_view"),),
+    "next view": ((Searcher, "face"),),
     "peak, for the record": ((agents, "peak_of"),),
     "ledger": ((ledger.Ledger, "append"),),
 }

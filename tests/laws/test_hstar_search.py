@@ -3,6 +3,7 @@
 import itertools
 import math
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,8 +14,9 @@ from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.perception.noise import Noise
+from eagor.tasks.hstar.agents import EagorAgent
 from eagor.tasks.hstar.camera import View, inside
-from eagor.tasks.hstar.looking import LENS, TruthEye
+from eagor.tasks.hstar.looking import LENS, Look, TruthEye
 from eagor.tasks.hstar.rules import submit_succeeds
 from eagor.tasks.hstar.search import CELLS, PITCHES, YAWS, Search, SearchRules, _information, _prior, _weights
 
@@ -81,12 +83,16 @@ def test_information_is_the_mutual_information_of_look_and_target(seed, pitch, t
     assert found >= -1e-12
 
 
+def agent_of(eye, rules=None):
+    """Our agent in an episode that only says what kind it is."""
+    return EagorAgent(SimpleNamespace(kind="hos"), eye, rules or SearchRules())
+
+
 def test_the_next_view_looks_where_nobody_has_looked():
-    search, now = Search.begin("hos"), View(0.0, 0.0)
+    agent, now = agent_of(lambda view: Look(empty(), view.world_R_view)), View(0.0, 0.0)
     seen = [now]
     for _ in range(3):
-        search = search.seen(empty(), now.world_R_view, now)
-        now = search.next_view(now)
+        now = now.after(agent(now, False).action)
         assert all(abs((now.yaw - other.yaw + 180) % 360 - 180) + abs(now.pitch - other.pitch) > 30 for other in seen)
         seen.append(now)
 
@@ -120,14 +126,15 @@ def test_an_ideal_eye_finds_what_is_there(box, start):
     yaw, pitch = box
     item = {"yaw": [yaw, (yaw + 8) % 360], "pitch": [pitch, pitch + 6]}
     eye = TruthEye((item["yaw"][0], item["yaw"][1]), (item["pitch"][0], item["pitch"][1]), Noise.ideal(), 0)
-    search, view = Search.begin("hos"), View(float(start), 0.0)
-    beginning = search.answer().probability
+    agent, view = agent_of(lambda view: Look(eye.look(view), view.world_R_view)), View(float(start), 0.0)
+    beginning = agent.search.answer().probability
     for _ in range(10):
-        search = search.seen(eye.look(view), view.world_R_view, view)
-        answer = search.answer()
-        if answer.probability >= search.rules.sure:
+        turn = agent(view, False)
+        answer = turn.would
+        assert (turn.action.kind == "submit") == (answer.probability >= agent.search.rules.sure)
+        if turn.action.kind == "submit":
             break
-        view = search.next_view(view)
+        view = view.after(turn.action)
     assert answer.probability > 2 * beginning
     assert submit_succeeds(item, answer.yaw, answer.pitch, "strict")
 
@@ -177,6 +184,17 @@ def test_rules_out_of_range_are_refused(rules, says):
         SearchRules(**rules)
 
 
+def test_it_looks_at_whole_degrees_and_submits_at_the_last_turn():
+    """Any start will do: what it meant to look at counts as looked at, and it goes on to another view."""
+    agent, view = agent_of(lambda view: Look(empty(), view.world_R_view)), View(17.4, 3.0)
+    seen = set()
+    for _ in range(6):
+        view = view.after(agent(view, False).action)
+        seen.add((round(view.yaw), round(view.pitch)))
+    assert len(seen) >= 5
+    assert agent(view, True).action.kind == "submit"
+
+
 def test_rules_at_their_ends_still_tell_where_to_look():
     for rules in (
         SearchRules(hit=1.0, alarm=0.0, repeats=1.0),
@@ -184,7 +202,7 @@ def test_rules_at_their_ends_still_tell_where_to_look():
         SearchRules(tilt=1e-3, slope=100),
     ):
         search = Search.begin("hos", rules)
-        assert np.isfinite(search.information()).all()
+        assert np.isfinite(search.tells()).all()
         assert 0 <= search.answer().probability <= 1
 
 

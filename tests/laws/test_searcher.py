@@ -7,9 +7,14 @@ import pytest
 from box_scenes import scene_of, shell, thing
 
 from eagor.errors import WorldError
+from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
 from eagor.evidence.repeating import Repeating
 from eagor.sphere import world_R_body
 from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, UNKNOWN, FloorSeen
+from eagor.tasks.hstar.camera import View
+from eagor.tasks.hstar.looking import LENS
+from eagor.tasks.hstar.search import Search
 from eagor.tasks.looks import LEAST, Chance
 from eagor.tasks.navigation import undone
 from eagor.tasks.places import Place
@@ -296,3 +301,79 @@ def test_steps_that_lead_back_are_undone():
     assert undone(straight[:1], 0.25) == 0.0
     held_up = np.concatenate([straight, np.repeat(straight[-1:], 10, axis=0)])
     assert undone(held_up, 0.25) == pytest.approx(0.5, abs=0.06)
+
+
+class Directions:
+    """Directions around a camera that only turns: a look tells something as long as nobody has looked there."""
+
+    def __init__(self, told):
+        self.told = np.array(told)
+        self.headings = np.stack([np.arange(len(told)) * 2 * math.pi / len(told), np.zeros(len(told))], axis=-1)
+
+    def tells(self):
+        return self.told
+
+    def look(self, facing):
+        self.told[np.abs(np.remainder(self.headings[:, 0] - facing[0] + 1, 2 * math.pi) - 1) < 0.1] *= 0.1
+
+
+def test_a_camera_that_only_turns_faces_what_tells_most_until_it_is_sure():
+    space = Directions([0.0, 0.1, 0.5, 0.3])
+    searcher, facing = Searcher(0.0, handover=0.9, turn=math.inf, space=space), np.zeros(2)
+    faced = []
+    for _ in range(3):
+        to = searcher.face(facing, 0.5)
+        assert searcher.searching
+        faced.append(int(np.argmin(np.hypot(*(space.headings - to).T))))
+        space.look(facing := to)
+    assert faced == [2, 3, 1]
+    assert searcher.face(facing, 0.9) is None
+    assert not searcher.searching
+    assert searcher.face(facing, 0.5) is not None, "it searches again when it is not sure any more"
+    assert searcher.searching
+
+
+def test_a_heading_is_kept_until_it_is_faced_and_a_nearer_one_is_taken_of_two_alike():
+    space = Directions([0.0, 0.5, 0.1, 0.5, 0.0, 0.0])
+    searcher, facing = Searcher(0.0, turn=math.radians(30), space=space), np.zeros(2)
+    to = searcher.face(facing, 0.0)
+    np.testing.assert_allclose(to, space.headings[1])
+    space.told[2] = 9.0
+    np.testing.assert_allclose(searcher.face(np.array([0.5, 0.0]), 0.0), to)
+    np.testing.assert_allclose(searcher.face(to, 0.0), space.headings[2])
+    alike = Searcher(0.0, turn=math.inf, nearer=1e-3, space=Directions([0.0, 0.5, 0.1, 0.5, 0.0, 0.0]))
+    np.testing.assert_allclose(alike.face(np.array([3.0, 0.0]), 0.0), space.headings[3])
+
+
+def a_ground():
+    """The ground after one look, and the look's azimuth."""
+    world, searcher = World(TWO_ROOMS, (2.0, 2.0), 0.3, camera=NARROW), Searcher(0.0, hfov=HFOV, turn=TURN)
+    searcher.look(world.situation())
+    return searcher.ground, world.yaw
+
+
+def a_sphere():
+    """H*Bench's directions after one look without a response, and the look's azimuth."""
+    view, empty = View(15.0, 0.0), Evidence.from_response(np.full(LENS.shape, 0.02), LENS, Calibration(0.2, 0.05, 3.0))
+    return Search.begin("hos").seen(empty, view.world_R_view, view), -math.radians(view.yaw)
+
+
+@pytest.mark.parametrize("made", [a_ground, a_sphere])
+def test_spaces_say_where_looks_may_go_and_what_they_tell(made):
+    space, yaw = made()
+    headings, nats = space.headings, space.tells()
+    assert headings.shape == (len(nats), 2)
+    assert (np.abs(headings[:, 1]) <= math.pi / 2).all()
+    assert (nats >= -1e-12).all()
+    pan = np.abs(np.remainder(headings[:, 0] - yaw + math.pi, 2 * math.pi) - math.pi)
+    tilt = np.abs(headings[:, 1])
+    ahead, behind = (pan + 10 * tilt).argmin(), (math.pi - pan + 10 * tilt).argmin()
+    assert nats[behind] > nats[ahead] + 0.001, "what has just been looked at tells less"
+
+
+def test_ground_around_a_camera_that_sees_all_tells_the_same_whatever_it_faces():
+    world, searcher = World(TWO_ROOMS, (2.0, 2.0), 0.3), Searcher(STEP)
+    searcher.look(world.situation())
+    nats = searcher.ground.tells()
+    assert len(nats) == len(searcher.ground.headings)
+    assert np.ptp(nats) == 0 < nats[0]

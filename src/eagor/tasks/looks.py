@@ -1,12 +1,14 @@
 """What the next look is expected to tell about where a thing is: one measure for every search.
 
 The thing is in one of many cells: directions around a camera that only turns (`eagor.tasks.hstar.search`), patches of
-ground around a body that walks (`eagor.tasks.searcher`). A search takes the look that tells most for what it costs.
+ground around a body that walks (`eagor.tasks.searched_ground`). A `Space` says what looks may be taken and what each is
+expected to tell; `eagor.tasks.searcher` takes the one that tells most for what it costs.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -15,6 +17,19 @@ from eagor.evidence.detector import Rates
 from eagor.evidence.repeating import Repeating
 
 LEAST = 0.05  # recall: nobody looks with what finds less, whatever its calibration says
+
+
+class Space(Protocol):
+    """What looks may be taken from here, in which directions, and what they would tell."""
+
+    @property
+    def headings(self) -> np.ndarray:
+        """Azimuth and elevation ``(n, 2)``, radians, world frame, of the looks that are weighed."""
+        ...
+
+    def tells(self) -> np.ndarray:
+        """What a look along each of the `headings` is expected to tell of where the thing is, nats ``(n,)``."""
+        ...
 
 
 @dataclass(frozen=True)

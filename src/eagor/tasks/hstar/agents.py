@@ -18,6 +18,7 @@ from eagor.baselines import Centroid, CircularCentroid, DirectionFilter, Histogr
 from eagor.conventions import hstar_from_direction
 from eagor.evidence import Evidence
 from eagor.evidence.coverage import looked_at
+from eagor.sphere import azimuth_elevation, direction
 from eagor.tasks.chat import Chat, digest
 from eagor.tasks.hstar.camera import View
 from eagor.tasks.hstar.data import Episode
@@ -26,6 +27,7 @@ from eagor.tasks.hstar.prompts import Talk
 from eagor.tasks.hstar.rules import Action, window_of
 from eagor.tasks.hstar.search import Answer, Search, SearchRules
 from eagor.tasks.published import luck
+from eagor.tasks.searcher import Searcher
 
 AGENTS = {
     "eagor": "one belief over all directions from all views; looks where it expects to learn most, submits when sure",
@@ -42,6 +44,8 @@ AGENTS = {
 LOOKING = ("eagor", "centroid", "cent-circ", "grid", "sweep", "single")
 # Offsets in yaw from the start, and pitches, degrees: around the horizon first, then below, then above.
 SWEEP = ((0, 0), (90, 0), (180, 0), (270, 0), (0, -45), (120, -45), (240, -45), (0, 45), (120, 45), (240, 45))
+WHOLE = math.radians(1)  # rotations are whole degrees: a view that is nearer is the one that was meant
+NEARER = 7e-4  # of views that tell as much, the nearest: a hundredth of a millinat per degree
 RESPONDS = 0.3  # response from which on a per-view agent counts a detection
 
 
@@ -67,19 +71,31 @@ def _rotate(now: View, to: View) -> Action:
 
 
 class EagorAgent:
-    """Our agent: see `eagor.tasks.hstar.search`."""
+    """Our agent: a searcher (`eagor.tasks.searcher`) that only turns, in the space of `eagor.tasks.hstar.search`.
+
+    Every rotation takes one turn, however far it goes.
+    """
 
     def __init__(self, episode: Episode, eye: Eye, rules: SearchRules) -> None:
-        self._eye, self._rules = eye, rules
+        self._eye = eye
         self.search = Search.begin(episode.kind, rules)
+        self._searcher = Searcher(0.0, handover=rules.sure, turn=math.inf, faced=WHOLE, nearer=NEARER)
 
     def __call__(self, view: View, last: bool) -> Turn:
         look = self._eye(view)
-        self.search = self.search.seen(look.evidence, look.world_R_capture, view)
+        self.search = self._searcher.space = self.search.seen(look.evidence, look.world_R_capture, view)
         answer = self.search.answer()
-        sure = answer.probability >= self._rules.sure
-        action = _submit(answer) if last or sure else _rotate(view, self.search.next_view(view))
+        facing = np.array(azimuth_elevation(view.world_R_view[:, 0]))
+        to = self._searcher.face(facing, answer.probability)
+        sure = to is None
+        action = _submit(answer) if last or to is None else _rotate(view, _view_at(to))
         return Turn(action, answer, _peak(look) | {"sure": sure})
+
+
+def _view_at(heading: np.ndarray) -> View:
+    """The view along an azimuth and elevation ``(2,)``, radians."""
+    yaw, pitch = hstar_from_direction(direction(*heading))
+    return View(round(float(yaw), 6), round(float(pitch), 6))
 
 
 class VlmAgent:

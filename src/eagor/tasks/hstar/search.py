@@ -1,8 +1,9 @@
-"""The search: a belief about the target in the world frame, the directions looked at, and where to look next.
+"""The search: a belief about the target in the world frame, the directions looked at, and what looks would tell.
 
 Every look updates a `Belief`: directions that were looked at without a response lose belief, others keep theirs. A grid
-records which directions were looked at. The next view maximises the mutual information between the outcome of the look
-and the target's direction. The submission is the window with the most belief.
+records which directions were looked at. What a view tells is the mutual information between the outcome of the look
+and the target's direction; `eagor.tasks.searcher` takes the view that tells most. The submission is the window with the
+most belief.
 """
 
 from __future__ import annotations
@@ -18,10 +19,12 @@ import numpy as np
 from eagor._checks import above, require, whole, within
 from eagor._lazy import lazy
 from eagor.belief import Belief
+from eagor.conventions import direction_from_hstar
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid
 from eagor.harmonics.peaks import decoding_grid
 from eagor.perception.partial import coverage
+from eagor.sphere import azimuth_elevation
 from eagor.tasks.hstar.camera import HFOV_DEG, View, size_of
 from eagor.tasks.hstar.rules import PITCH_TOLERANCE, YAW_TOLERANCE
 from eagor.tasks.looks import information
@@ -174,18 +177,17 @@ class Search:
         pitch = 0 if self.kind == "hps" else max(-90, min(90, round(pitch)))
         return Answer(round(yaw) % 360, pitch, self.rules.stated(float(mass[row, column])))
 
-    def information(self) -> np.ndarray:
-        """Expected information of each view about the target's direction, nats, ``(len(PITCHES), len(YAWS))``."""
+    @property
+    def headings(self) -> np.ndarray:
+        """Azimuth and elevation ``(len(PITCHES) * len(YAWS), 2)``, radians, world frame, of the views it may take."""
+        pitches, yaws = np.meshgrid(PITCHES, YAWS, indexing="ij")
+        return np.stack(azimuth_elevation(direction_from_hstar(yaws, pitches)), axis=-1).reshape(-1, 2)
+
+    def tells(self) -> np.ndarray:
+        """Expected information of each view about the target's direction, nats, in the order of `headings`."""
         p, rules, new = self.probability, self.rules, 1 - self.stale
         shown = [_weights(pitch, rules.degree) for pitch in PITCHES]
-        return np.stack([_information(p, new, weights, rules.hit, rules.alarm) for weights in shown])
-
-    def next_view(self, now: View) -> View:
-        """The view with the most information; of equal ones the nearest to `now`."""
-        told = self.information()
-        turn = np.abs((YAWS[None] - now.yaw + 180.0) % 360.0 - 180.0) + np.abs(np.array(PITCHES)[:, None] - now.pitch)
-        pitch, yaw = np.unravel_index(int(np.argmax(told - 1e-5 * turn)), told.shape)
-        return View(float(YAWS[yaw]), float(PITCHES[pitch]))
+        return np.concatenate([_information(p, new, weights, rules.hit, rules.alarm) for weights in shown])
 
 
 def _information(p: np.ndarray, new: np.ndarray, shown: np.ndarray, hit: float, alarm: float) -> np.ndarray:
