@@ -124,7 +124,8 @@ def test_a_robots_log_and_its_detections_fit_each_other(tmp_path):
 
 
 def test_apartments_are_exported_and_their_episodes_played_as_the_page_on_habitat_says(tmp_path):
-    assert check_commands(DOCS / "how-to" / "habitat.md", tmp_path, apart=0.1) == 2
+    """The answers on the way to hidden things hang on last digits, which another processor may round otherwise."""
+    assert check_commands(DOCS / "how-to" / "habitat.md", tmp_path, apart=0.1, share=0.05) == 2
 
 
 def test_a_clip_is_followed_as_the_page_on_footage_says(tmp_path):

@@ -65,7 +65,8 @@ def test_panoramas_stay_the_same(seed, look):
     hashes = ("scene", "rgb", "range", "ids")
     if all(kept[name] == found[name] for name in hashes):
         return
-    assert np.abs(np.subtract(kept["colours"], found["colours"])).max() <= 0.5
+    # Another processor may round otherwise: then a pixel of a block may take the next texel, of any colour.
+    assert np.abs(np.subtract(kept["colours"], found["colours"])).max() <= 255 / BLOCK**2
     assert np.abs(np.subtract(kept["metres"], found["metres"])).max() <= 0.05
     assert kept["things"].keys() == found["things"].keys()
     assert max(abs(kept["things"][name] - share) for name, share in found["things"].items()) <= 0.002
