@@ -3,7 +3,6 @@
 import itertools
 import math
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,11 +13,12 @@ from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.perception.noise import Noise
-from eagor.tasks.hstar.agents import EagorAgent
+from eagor.sphere import direction
 from eagor.tasks.hstar.camera import View, inside
-from eagor.tasks.hstar.looking import LENS, Look, TruthEye
+from eagor.tasks.hstar.looking import LENS, TruthEye
 from eagor.tasks.hstar.rules import submit_succeeds
 from eagor.tasks.hstar.search import CELLS, PITCHES, YAWS, Search, SearchRules, _information, _prior, _weights
+from eagor.tasks.searcher import Searcher
 
 poses = st.tuples(st.integers(0, 359), st.sampled_from(PITCHES))
 
@@ -83,20 +83,6 @@ def test_information_is_the_mutual_information_of_look_and_target(seed, pitch, t
     assert found >= -1e-12
 
 
-def agent_of(eye, rules=None):
-    """Our agent in an episode that only says what kind it is."""
-    return EagorAgent(SimpleNamespace(kind="hos"), eye, rules or SearchRules())
-
-
-def test_the_next_view_looks_where_nobody_has_looked():
-    agent, now = agent_of(lambda view: Look(empty(), view.world_R_view)), View(0.0, 0.0)
-    seen = [now]
-    for _ in range(3):
-        now = now.after(agent(now, False).action)
-        assert all(abs((now.yaw - other.yaw + 180) % 360 - 180) + abs(now.pitch - other.pitch) > 30 for other in seen)
-        seen.append(now)
-
-
 @pytest.mark.parametrize("elsewhere", [0.05, 0.3, 1.0])
 def test_the_prior_is_even_by_the_share_elsewhere(elsewhere):
     even = CELLS.weights / CELLS.weights.sum()
@@ -126,17 +112,24 @@ def test_an_ideal_eye_finds_what_is_there(box, start):
     yaw, pitch = box
     item = {"yaw": [yaw, (yaw + 8) % 360], "pitch": [pitch, pitch + 6]}
     eye = TruthEye((item["yaw"][0], item["yaw"][1]), (item["pitch"][0], item["pitch"][1]), Noise.ideal(), 0)
-    agent, view = agent_of(lambda view: Look(eye.look(view), view.world_R_view)), View(float(start), 0.0)
-    beginning = agent.search.answer().probability
+    searcher, view = Searcher(Search.begin("hos"), handover=SearchRules().sure), View(float(start), 0.0)
+    beginning = searcher.space.answer().probability
     for _ in range(10):
-        turn = agent(view, False)
-        answer = turn.would
-        assert (turn.action.kind == "submit") == (answer.probability >= agent.search.rules.sure)
-        if turn.action.kind == "submit":
+        searcher.space = searcher.space.seen(eye.look(view), view.world_R_view, view)
+        answer = searcher.space.answer()
+        to = searcher.face(view.heading, answer.probability)
+        if to is None:
             break
-        view = view.after(turn.action)
+        view = View.facing(to)
     assert answer.probability > 2 * beginning
     assert submit_succeeds(item, answer.yaw, answer.pitch, "strict")
+
+
+@pytest.mark.parametrize("view", [View(0.0, 0.0), View(37.0, -30.0), View(270.0, 60.0), View(180.0, -90.0)])
+def test_the_view_at_a_heading_is_the_one_that_has_it(view):
+    """Yaws grow to the right, azimuths to the left; both mean where the camera's middle is."""
+    assert View.facing(view.heading) == view
+    np.testing.assert_allclose(direction(*view.heading), view.world_R_view[:, 0], atol=1e-12)
 
 
 def test_paths_are_answered_by_yaw_alone():
@@ -182,17 +175,6 @@ def test_a_repeated_look_counts_for_less_and_one_that_comes_back_later_for_more(
 def test_rules_out_of_range_are_refused(rules, says):
     with pytest.raises(EagorError, match=f"SearchRules: {re.escape(says)}"):
         SearchRules(**rules)
-
-
-def test_it_looks_at_whole_degrees_and_submits_at_the_last_turn():
-    """Any start will do: what it meant to look at counts as looked at, and it goes on to another view."""
-    agent, view = agent_of(lambda view: Look(empty(), view.world_R_view)), View(17.4, 3.0)
-    seen = set()
-    for _ in range(6):
-        view = view.after(agent(view, False).action)
-        seen.add((round(view.yaw), round(view.pitch)))
-    assert len(seen) >= 5
-    assert agent(view, True).action.kind == "submit"
 
 
 def test_rules_at_their_ends_still_tell_where_to_look():

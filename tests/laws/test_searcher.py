@@ -7,21 +7,16 @@ import pytest
 from box_scenes import scene_of, shell, thing
 
 from eagor.errors import WorldError
-from eagor.evidence import Evidence
-from eagor.evidence.calibration import Calibration
 from eagor.evidence.repeating import Repeating
 from eagor.sphere import world_R_body
 from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, UNKNOWN, FloorSeen
-from eagor.tasks.hstar.camera import View
-from eagor.tasks.hstar.looking import LENS
-from eagor.tasks.hstar.search import Search
 from eagor.tasks.looks import LEAST, Chance
 from eagor.tasks.navigation import undone
 from eagor.tasks.places import Place
 from eagor.tasks.rules import Camera, NavigationRules
 from eagor.tasks.searcher import Searcher
 from eagor.tasks.situation import Situation
-from eagor.tasks.steering import Following, seeking, steering_for
+from eagor.tasks.steering import Following, ground_of, seeking, steering_for
 from eagor.tasks.views import in_view
 from eagor.tracking import TrackerConfig
 from eagor.worlds.ground import Ground
@@ -30,7 +25,7 @@ from eagor.worlds.render import Renderer
 HEIGHT, STEP = 1.25, 0.25
 CAMERA, CHANCE = Camera(), Chance()
 NARROW = Camera(hfov=100.0)
-HFOV, TURN = math.radians(NARROW.hfov), math.radians(NARROW.turn)
+TURN = math.radians(NARROW.turn)
 WALLS = [thing("wall", (3.9, 0, 0), (4.1, 4.6, 2.5)), thing("wall", (3.9, 5.5, 0), (4.1, 6, 2.5))]
 TWO_ROOMS = scene_of([*shell(8.0, 6.0), *WALLS, thing("wardrobe", (6.4, 1.0, 0), (7.0, 1.6, 1.8))])
 
@@ -66,6 +61,14 @@ class World:
         ahead = metres * np.array([math.cos(self.yaw), math.sin(self.yaw)])
         self.xy, collided = self.ground.move(self.xy, ahead)
         return collided
+
+
+def searching(step=STEP, camera=CAMERA):
+    """The searcher of a body that stands or walks."""
+    searcher = steering_for(NavigationRules(), camera)
+    assert isinstance(searcher, Searcher)
+    searcher.step = step
+    return searcher
 
 
 def shown(known, xy):
@@ -108,7 +111,7 @@ def test_the_grid_grows_and_keeps_what_it_knows():
 
 
 def test_a_search_sees_both_rooms_and_does_not_go_to_and_fro():
-    world, searcher = World(TWO_ROOMS, (1.0, 1.0), 0.3), Searcher(STEP)
+    world, searcher = World(TWO_ROOMS, (1.0, 1.0), 0.3), searching()
     places = [world.xy]
     for _ in range(60):
         world.step(searcher.walk(world.situation()))
@@ -125,7 +128,7 @@ def test_a_search_sees_both_rooms_and_does_not_go_to_and_fro():
 def test_what_is_believed_is_walked_to_through_the_door():
     """The thing is behind the wall, the distance is known, and the door was seen before."""
     goal = np.array([6.0, 1.0])
-    world, searcher = World(TWO_ROOMS, (3.2, 3.0)), Searcher(STEP)
+    world, searcher = World(TWO_ROOMS, (3.2, 3.0)), searching()
     collisions = 0
     for _ in range(60):
         to = goal - world.xy
@@ -141,7 +144,7 @@ def test_what_is_believed_is_walked_to_through_the_door():
 @pytest.mark.parametrize(("goal", "goes_on"), [((6.0, 1.0), True), ((1.0, 5.5), False)])
 def test_looks_that_miss_a_thing_count_where_it_would_be_in_sight(goal, goes_on):
     """One place is behind the wall, the other in the same room. The body walks there; then the presence sinks."""
-    world, searcher = World(TWO_ROOMS, (3.2, 1.0)), Searcher(STEP)
+    world, searcher = World(TWO_ROOMS, (3.2, 1.0)), searching()
     for step in range(4):
         to = np.array(goal) - world.xy
         azimuth = math.remainder(math.atan2(to[1], to[0]) - world.yaw, 2 * math.pi)
@@ -151,7 +154,7 @@ def test_looks_that_miss_a_thing_count_where_it_would_be_in_sight(goal, goes_on)
 
 
 def test_a_thing_that_was_never_likely_is_not_walked_to():
-    world, searcher = World(TWO_ROOMS, (3.2, 1.0)), Searcher(STEP)
+    world, searcher = World(TWO_ROOMS, (3.2, 1.0)), searching()
     searcher.walk(world.situation(0.0, 1.0, 3.0, presence=0.05))
     assert searcher.searching
 
@@ -159,7 +162,7 @@ def test_a_thing_that_was_never_likely_is_not_walked_to():
 def test_a_thing_is_come_to_from_another_side():
     """It is right behind the wall: the nearest place is on this side, and standing there is not enough."""
     goal = np.array([4.5, 1.0])
-    world, searcher, places = World(TWO_ROOMS, (3.2, 1.0)), Searcher(STEP), []
+    world, searcher, places = World(TWO_ROOMS, (3.2, 1.0)), searching(), []
     for _ in range(120):
         if np.hypot(*(goal - world.xy)) < 0.5:
             break
@@ -172,7 +175,7 @@ def test_a_thing_is_come_to_from_another_side():
 def test_what_cannot_be_reached_is_given_up():
     """Behind a wall without a door: the body tries other places beside it, and then searches on."""
     closed = scene_of([*shell(8.0, 6.0), thing("wall", (3.9, 0, 0), (4.1, 6, 2.5))])
-    world, searcher, searched = World(closed, (1.0, 3.0)), Searcher(STEP), []
+    world, searcher, searched = World(closed, (1.0, 3.0)), searching(), []
     for _ in range(160):
         world.step(searcher.walk(world.towards((6.0, 3.0))))
         searched.append(searcher.searching)
@@ -181,7 +184,7 @@ def test_what_cannot_be_reached_is_given_up():
 
 
 def test_a_robot_that_stands_turns_until_it_has_seen_all_around():
-    world, searcher = World(TWO_ROOMS, (2.0, 2.0), 0.3, camera=NARROW), Searcher(0.0, hfov=HFOV, turn=TURN)
+    world, searcher = World(TWO_ROOMS, (2.0, 2.0), 0.3, camera=NARROW), searching(0.0, NARROW)
     seen = np.zeros(360, dtype=bool)
     for _ in range(12):
         off = np.remainder(np.arange(360) - math.degrees(world.yaw) + 180, 360) - 180
@@ -195,7 +198,7 @@ def test_a_robot_that_stands_turns_until_it_has_seen_all_around():
 
 
 def test_a_robot_that_stands_turns_to_what_it_believes():
-    world, searcher = World(TWO_ROOMS, (2.0, 2.0), 0.3, camera=NARROW), Searcher(0.0, hfov=HFOV, turn=TURN)
+    world, searcher = World(TWO_ROOMS, (2.0, 2.0), 0.3, camera=NARROW), searching(0.0, NARROW)
     for _ in range(7):
         turn, metres = searcher.walk(world.towards((0.5, 1.0)))
         assert metres == 0
@@ -205,7 +208,7 @@ def test_a_robot_that_stands_turns_to_what_it_believes():
 
 
 def test_with_a_narrow_camera_the_body_turns_first_and_then_walks():
-    world, searcher = World(TWO_ROOMS, (1.0, 1.0), 0.3, camera=NARROW), Searcher(STEP, hfov=HFOV, turn=TURN)
+    world, searcher = World(TWO_ROOMS, (1.0, 1.0), 0.3, camera=NARROW), searching(STEP, NARROW)
     walks, places = [], []
     for _ in range(120):
         walks.append(searcher.walk(world.situation()))
@@ -220,38 +223,38 @@ def test_with_a_narrow_camera_the_body_turns_first_and_then_walks():
 
 
 def test_floor_that_the_camera_does_not_show_stays_unknown():
-    world, searcher = World(TWO_ROOMS, (2.0, 3.0), 0.0, camera=NARROW), Searcher(STEP, hfov=HFOV, turn=TURN)
-    searcher.look(world.situation())
-    assert shown(searcher.known, (3.5, 3.0)) == FLOOR
-    assert shown(searcher.known, (0.5, 3.0)) == UNKNOWN
-    row, col = searcher.known.cells(np.array([1.0, 3.0]))
-    assert searcher.known.worth[row, col] == 1.0
-    row, col = searcher.known.cells(np.array([3.0, 3.0]))
-    assert searcher.known.worth[row, col] < 1.0
+    world, ground = World(TWO_ROOMS, (2.0, 3.0), 0.0, camera=NARROW), ground_of(NARROW)
+    ground.look(world.situation())
+    assert shown(ground.known, (3.5, 3.0)) == FLOOR
+    assert shown(ground.known, (0.5, 3.0)) == UNKNOWN
+    row, col = ground.known.cells(np.array([1.0, 3.0]))
+    assert ground.known.worth[row, col] == 1.0
+    row, col = ground.known.cells(np.array([3.0, 3.0]))
+    assert ground.known.worth[row, col] < 1.0
 
 
 @pytest.mark.parametrize(("recall", "repeats"), [(0.5, 0.0), (0.4, 0.75), (0.9, 0.5)])
 def test_looks_count_by_their_recall_and_not_again_for_what_they_repeat(recall, repeats):
-    world, searcher = World(TWO_ROOMS, (2.0, 3.0)), Searcher(STEP)
+    world, ground = World(TWO_ROOMS, (2.0, 3.0)), ground_of(CAMERA)
     missed = []
     for _ in range(3):
-        searcher.look(world.situation(chance=Chance(recall, Repeating(repeats))))
-        row, col = searcher.known.cells(np.array([2.6, 3.0]))
-        missed.append(searcher.known.worth[row, col])
+        ground.look(world.situation(chance=Chance(recall, Repeating(repeats))))
+        row, col = ground.known.cells(np.array([2.6, 3.0]))
+        missed.append(ground.known.worth[row, col])
     again = (1 - recall) ** (1 - repeats)
     assert missed == pytest.approx([1 - recall, (1 - recall) * again, (1 - recall) * again**2])
 
 
 def test_a_look_that_could_not_be_read_had_no_chance():
-    world, searcher = World(TWO_ROOMS, (2.0, 3.0)), Searcher(STEP)
-    searcher.look(world.situation(chance=None))
-    assert (searcher.known.worth == 1).all()
-    assert shown(searcher.known, (2.6, 3.0)) == FLOOR
+    world, ground = World(TWO_ROOMS, (2.0, 3.0)), ground_of(CAMERA)
+    ground.look(world.situation(chance=None))
+    assert (ground.known.worth == 1).all()
+    assert shown(ground.known, (2.6, 3.0)) == FLOOR
 
 
 @pytest.mark.parametrize("chance", [None, Chance(LEAST), Chance(1.0)])
 def test_it_searches_both_rooms_whatever_its_looks_can_find(chance):
-    world, searcher, places = World(TWO_ROOMS, (1.0, 1.0), 0.3), Searcher(STEP), []
+    world, searcher, places = World(TWO_ROOMS, (1.0, 1.0), 0.3), searching(), []
     for _ in range(100):
         world.step(searcher.walk(world.situation(chance=chance)))
         places.append(world.xy)
@@ -260,11 +263,11 @@ def test_it_searches_both_rooms_whatever_its_looks_can_find(chance):
 
 
 def test_mistakes_that_fade_are_not_repeated_later():
-    world, searcher = World(TWO_ROOMS, (2.0, 3.0)), Searcher(STEP)
+    world, ground = World(TWO_ROOMS, (2.0, 3.0)), ground_of(CAMERA)
     for _ in range(2):
-        searcher.look(world.situation(chance=Chance(0.5, Repeating(0.9, seconds=1.0), elapsed=50.0)))
-    row, col = searcher.known.cells(np.array([2.6, 3.0]))
-    assert searcher.known.worth[row, col] == pytest.approx(0.25)
+        ground.look(world.situation(chance=Chance(0.5, Repeating(0.9, seconds=1.0), elapsed=50.0)))
+    row, col = ground.known.cells(np.array([2.6, 3.0]))
+    assert ground.known.worth[row, col] == pytest.approx(0.25)
 
 
 def test_our_tracker_expects_what_is_hidden_to_appear_while_the_body_searches():
@@ -276,7 +279,7 @@ def test_our_tracker_expects_what_is_hidden_to_appear_while_the_body_searches():
 def test_a_place_where_the_thing_is_not_is_not_walked_to_for_ever():
     """A wrong belief that no look refutes: the body goes there, and then on with its search."""
     wrong = np.array([1.0, 5.0])
-    world, searcher, searched = World(TWO_ROOMS, (3.2, 1.0)), Searcher(STEP), 0
+    world, searcher, searched = World(TWO_ROOMS, (3.2, 1.0)), searching(), 0
     for _ in range(60):
         to = wrong - world.xy
         azimuth = math.remainder(math.atan2(to[1], to[0]) - world.yaw, 2 * math.pi)
@@ -301,79 +304,3 @@ def test_steps_that_lead_back_are_undone():
     assert undone(straight[:1], 0.25) == 0.0
     held_up = np.concatenate([straight, np.repeat(straight[-1:], 10, axis=0)])
     assert undone(held_up, 0.25) == pytest.approx(0.5, abs=0.06)
-
-
-class Directions:
-    """Directions around a camera that only turns: a look tells something as long as nobody has looked there."""
-
-    def __init__(self, told):
-        self.told = np.array(told)
-        self.headings = np.stack([np.arange(len(told)) * 2 * math.pi / len(told), np.zeros(len(told))], axis=-1)
-
-    def tells(self):
-        return self.told
-
-    def look(self, facing):
-        self.told[np.abs(np.remainder(self.headings[:, 0] - facing[0] + 1, 2 * math.pi) - 1) < 0.1] *= 0.1
-
-
-def test_a_camera_that_only_turns_faces_what_tells_most_until_it_is_sure():
-    space = Directions([0.0, 0.1, 0.5, 0.3])
-    searcher, facing = Searcher(0.0, handover=0.9, turn=math.inf, space=space), np.zeros(2)
-    faced = []
-    for _ in range(3):
-        to = searcher.face(facing, 0.5)
-        assert searcher.searching
-        faced.append(int(np.argmin(np.hypot(*(space.headings - to).T))))
-        space.look(facing := to)
-    assert faced == [2, 3, 1]
-    assert searcher.face(facing, 0.9) is None
-    assert not searcher.searching
-    assert searcher.face(facing, 0.5) is not None, "it searches again when it is not sure any more"
-    assert searcher.searching
-
-
-def test_a_heading_is_kept_until_it_is_faced_and_a_nearer_one_is_taken_of_two_alike():
-    space = Directions([0.0, 0.5, 0.1, 0.5, 0.0, 0.0])
-    searcher, facing = Searcher(0.0, turn=math.radians(30), space=space), np.zeros(2)
-    to = searcher.face(facing, 0.0)
-    np.testing.assert_allclose(to, space.headings[1])
-    space.told[2] = 9.0
-    np.testing.assert_allclose(searcher.face(np.array([0.5, 0.0]), 0.0), to)
-    np.testing.assert_allclose(searcher.face(to, 0.0), space.headings[2])
-    alike = Searcher(0.0, turn=math.inf, nearer=1e-3, space=Directions([0.0, 0.5, 0.1, 0.5, 0.0, 0.0]))
-    np.testing.assert_allclose(alike.face(np.array([3.0, 0.0]), 0.0), space.headings[3])
-
-
-def a_ground():
-    """The ground after one look, and the look's azimuth."""
-    world, searcher = World(TWO_ROOMS, (2.0, 2.0), 0.3, camera=NARROW), Searcher(0.0, hfov=HFOV, turn=TURN)
-    searcher.look(world.situation())
-    return searcher.ground, world.yaw
-
-
-def a_sphere():
-    """H*Bench's directions after one look without a response, and the look's azimuth."""
-    view, empty = View(15.0, 0.0), Evidence.from_response(np.full(LENS.shape, 0.02), LENS, Calibration(0.2, 0.05, 3.0))
-    return Search.begin("hos").seen(empty, view.world_R_view, view), -math.radians(view.yaw)
-
-
-@pytest.mark.parametrize("made", [a_ground, a_sphere])
-def test_spaces_say_where_looks_may_go_and_what_they_tell(made):
-    space, yaw = made()
-    headings, nats = space.headings, space.tells()
-    assert headings.shape == (len(nats), 2)
-    assert (np.abs(headings[:, 1]) <= math.pi / 2).all()
-    assert (nats >= -1e-12).all()
-    pan = np.abs(np.remainder(headings[:, 0] - yaw + math.pi, 2 * math.pi) - math.pi)
-    tilt = np.abs(headings[:, 1])
-    ahead, behind = (pan + 10 * tilt).argmin(), (math.pi - pan + 10 * tilt).argmin()
-    assert nats[behind] > nats[ahead] + 0.001, "what has just been looked at tells less"
-
-
-def test_ground_around_a_camera_that_sees_all_tells_the_same_whatever_it_faces():
-    world, searcher = World(TWO_ROOMS, (2.0, 2.0), 0.3), Searcher(STEP)
-    searcher.look(world.situation())
-    nats = searcher.ground.tells()
-    assert len(nats) == len(searcher.ground.headings)
-    assert np.ptp(nats) == 0 < nats[0]

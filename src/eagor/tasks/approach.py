@@ -1,4 +1,8 @@
-"""The walk to a place where the thing should be: which place that is, from where to come to it, when it was in vain."""
+"""The walk of a body to where the thing is believed to be, over the ground that its looks have shown.
+
+The body comes to the place from another side where it stood beside it in vain: a wall may be between. A place around
+which it has tried all sides, or on the way to which it was held up too often, is given up.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from eagor.tasks.floor_seen import CELL, CONTACT, FloorSeen
 from eagor.tasks.floor_ways import NEAR, Ways
 from eagor.tasks.policy import held_back
 from eagor.tasks.searched_ground import SearchedGround
@@ -22,55 +27,57 @@ ALIKE, FARTHER = math.radians(25), 0.3  # a belief that changes by less (distanc
 
 @dataclass
 class Approach:
-    """The walk of one episode to places where the thing should be, over `ground`. Places ``(2,)`` in metres.
+    """Where the thing should be, and what became of going there. For one episode.
 
-    `kept`: that place; `tried`: where the body stood beside it, and was not there; `vain`: where the thing should have
-    been, and was not; `held`: times held up on the way there.
+    `kept` ``(2,)``: the place, metres, world frame. `tried`: where the body stood beside it, and was not there. `vain`:
+    places where the thing should have been, and was not. `held`: how often the body was held up on its way.
     """
 
-    ground: SearchedGround
     kept: np.ndarray | None = None
     tried: list[np.ndarray] = field(default_factory=list)
     vain: list[np.ndarray] = field(default_factory=list)
     held: int = 0
 
-    def goes_on(self, now: Situation, here: np.ndarray, ahead: np.ndarray) -> bool:
-        """Whether the thing would still be at the kept place, and cannot be seen from here: looks say nothing then."""
-        if self.kept is None or not self._agrees(now, self.kept - here, ahead):
+    def hides(self, ground: SearchedGround, now: Situation) -> bool:
+        """Whether the thing, if it is where it should be, cannot be seen from here: looks that miss it say nothing."""
+        if self.kept is None or not _agrees(now, self.kept):
             return False
-        return self.ground.sight(here, self.kept) < OPEN_SIGHT
+        return ground.sight(self.kept) < OPEN_SIGHT
 
-    def target(self, now: Situation, here: np.ndarray, ahead: np.ndarray) -> np.ndarray | None:
+    def target(self, ground: SearchedGround, now: Situation) -> np.ndarray | None:
         """Where the thing should be ``(2,)``, as believed; None if the body has been there in vain.
 
         The way to it is kept until the belief moves away from it.
         """
-        kept = self.kept if self.kept is not None and self._agrees(now, self.kept - here, ahead) else None
+        kept = self.kept if self.kept is not None and _agrees(now, self.kept) else None
         if kept is None:
             self.tried, self.held = [], 0
-            kept = here + (now.distance if now.distance is not None else self.ground.free(here, ahead, RANGE)) * ahead
+            kept = now.here + (now.distance if now.distance is not None else _free(ground.known, now)) * now.ahead
         if self._in_vain(kept) and now.distance is None:
-            kept = here + RANGE * ahead  # not in front of the next obstacle: behind it
+            kept = now.here + RANGE * now.ahead  # not in front of the next obstacle: behind it
         self.kept = kept
         return None if self._in_vain(kept) else kept
 
-    def beside(self, target: np.ndarray, ways: Ways, here: np.ndarray, sure: bool) -> tuple[int, int] | None:
+    def beside(self, ground: SearchedGround, now: Situation, ways: Ways, target: np.ndarray) -> tuple[int, int] | None:
         """The cell from which to come to the target: another one than where the body stood and did not meet it.
 
-        None if there is no other: where the target's distance is not `sure`, or nothing stands between it and here.
+        None if there is no other: where the target's distance is not known, or nothing stands between it and here.
         """
         end = ways.nearest(target, self.tried)
-        if end is not None and float(np.hypot(*(self.ground.known.centres(np.array(end)) - here))) < REACHED:
-            self.tried.append(here)
-            there = sure and self.ground.sight(here, target) < OPEN_SIGHT
+        if end is not None and float(np.hypot(*(ground.known.centres(np.array(end)) - now.here))) < REACHED:
+            self.tried.append(now.here)
+            there = now.distance is not None and ground.sight(target) < OPEN_SIGHT
             end = ways.nearest(target, self.tried) if there else None
         if end is None or self.held > PATIENCE:
             self.vain.append(target)
             return None
         return end
 
-    def feel(self, before: np.ndarray, meant: np.ndarray, here: np.ndarray, step: float) -> None:
-        """Learn from a step: something stands where the body was held up."""
+    def feel(self, known: FloorSeen, before: np.ndarray, meant: np.ndarray, here: np.ndarray, step: float) -> None:
+        """Learn from a step of a body that meant to move by `meant` ``(2,)``: something stands where it was held up.
+
+        All in metres, world frame; `step`: the length of a whole step.
+        """
         lost = held_back(before, meant, here, step)
         if lost is None:
             return
@@ -80,16 +87,26 @@ class Approach:
         ahead = np.linspace(0.5, 1.2, 3)[:, None, None] * step * normal
         beside = np.linspace(-HALF, HALF, 3)[None, :, None] * along
         points = (here + ahead + beside).reshape(-1, 2)
-        self.ground.known.held_up(
-            points[np.any(self.ground.known.cells(points) != self.ground.known.cells(here), axis=1)]
-        )
+        known.held_up(points[np.any(known.cells(points) != known.cells(here), axis=1)])
 
     def _in_vain(self, place: np.ndarray) -> bool:
         return any(float(np.hypot(*(place - other))) < NEAR for other in self.vain)
 
-    def _agrees(self, now: Situation, to: np.ndarray, ahead: np.ndarray) -> bool:
-        """Whether what is believed now still means the place `to` ``(2,)`` metres from here."""
-        away = float(np.hypot(*to))
-        if now.distance is not None and abs(math.log(max(now.distance, 0.1) / max(away, 0.1))) > FARTHER:
-            return False
-        return float(to @ ahead) > math.cos(ALIKE) * away
+
+def _agrees(now: Situation, place: np.ndarray) -> bool:
+    """Whether what is believed now still means this place ``(2,)``."""
+    to = place - now.here
+    away = float(np.hypot(*to))
+    if now.distance is not None and abs(math.log(max(now.distance, 0.1) / max(away, 0.1))) > FARTHER:
+        return False
+    return float(to @ now.ahead) > math.cos(ALIKE) * away
+
+
+def _free(known: FloorSeen, now: Situation) -> float:
+    """Metres to where something stands first towards the estimate, as far as is known; `RANGE` if nothing does."""
+    metres = np.arange(0.3, RANGE, CELL / 2)
+    cells = known.cells(now.here + metres[:, None] * now.ahead)
+    inside = known.inside(cells)
+    cells = np.where(inside[:, None], cells, 0)
+    stands = inside & (known.state[cells[:, 0], cells[:, 1]] == CONTACT)
+    return float(metres[stands.argmax()]) if stands.any() else RANGE

@@ -8,10 +8,8 @@ import numpy as np
 
 from eagor.conventions import rotation_from_wxyz
 from eagor.tasks.floor_seen import FloorSeen
-from eagor.tasks.rules import NavigationRules
-from eagor.tasks.searcher import Searcher
 from eagor.tasks.situation import Situation
-from eagor.tasks.steering import steering_for
+from eagor.tasks.steering import ground_of
 from eagor.tasks.views import in_view
 
 if TYPE_CHECKING:
@@ -28,14 +26,13 @@ def looked_along(place: Place, poses: np.ndarray, camera: Camera) -> FloorSeen:
     quaternion w, x, y, z. They are the true ones: where odometry drifted, the body itself took the floor to be
     elsewhere.
     """
-    searcher = steering_for(NavigationRules(policy="search"), camera)
-    assert isinstance(searcher, Searcher)
+    ground = ground_of(camera)
     for x, y, z, *quaternion in _spread(poses):
         world_R_body = rotation_from_wxyz(np.array(quaternion) / np.linalg.norm(quaternion))
         eye = np.array([x, y, z])
         floor = place.floor_in(place.ids(eye, world_R_body), eye, world_R_body)
         seen = in_view(camera, len(floor))
-        searcher.look(
+        ground.look(
             Situation(
                 azimuth=0.0,  # nothing is believed here: only what a look shows is taken in
                 progress=0.0,
@@ -47,7 +44,7 @@ def looked_along(place: Place, poses: np.ndarray, camera: Camera) -> FloorSeen:
                 seen=seen,
             )
         )
-    return searcher.known
+    return ground.known
 
 
 def _spread(poses: np.ndarray) -> np.ndarray:

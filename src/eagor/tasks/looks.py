@@ -1,12 +1,13 @@
 """What the next look is expected to tell about where a thing is: one measure for every search.
 
 The thing is in one of many cells: directions around a camera that only turns (`eagor.tasks.hstar.search`), patches of
-ground around a body that walks (`eagor.tasks.searched_ground`). A `Space` says what looks may be taken and what each is
-expected to tell; `eagor.tasks.searcher` takes the one that tells most for what it costs.
+ground around a body (`eagor.tasks.searched_ground`). Either is a `Space`. A search takes the look that tells most for
+what it costs (`eagor.tasks.searcher`).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -17,19 +18,6 @@ from eagor.evidence.detector import Rates
 from eagor.evidence.repeating import Repeating
 
 LEAST = 0.05  # recall: nobody looks with what finds less, whatever its calibration says
-
-
-class Space(Protocol):
-    """What looks may be taken from here, in which directions, and what they would tell."""
-
-    @property
-    def headings(self) -> np.ndarray:
-        """Azimuth and elevation ``(n, 2)``, radians, world frame, of the looks that are weighed."""
-        ...
-
-    def tells(self) -> np.ndarray:
-        """What a look along each of the `headings` is expected to tell of where the thing is, nats ``(n,)``."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -58,6 +46,29 @@ class Chance:
             logs = logs if evidence.coverage is None else logs[evidence.coverage > 0.5]
             recall = -float(np.expm1(np.median(logs))) if logs.size else 0.0
         return cls(max(recall, LEAST), evidence.repeating, elapsed)
+
+
+class Space(Protocol):
+    """What a camera can look at from where it is, and what it has looked at so far."""
+
+    @property
+    def headings(self) -> np.ndarray:
+        """The headings ``(n, 2)`` that it may face: azimuth and elevation, radians, world frame."""
+        ...
+
+    def tells(self) -> np.ndarray:
+        """What a look at each of the headings ``(n,)`` is expected to tell about where the thing is, nats."""
+        ...
+
+
+def apart(angles: np.ndarray) -> np.ndarray:
+    """The size of angles ``(...)``, the short way round, radians from 0 to pi."""
+    return np.abs(np.remainder(angles + math.pi, 2 * math.pi) - math.pi)
+
+
+def turned(headings: np.ndarray, facing: np.ndarray) -> np.ndarray:
+    """How far it is from `facing` ``(2,)`` to headings ``(..., 2)``, radians: in azimuth, and then in elevation."""
+    return apart(headings[..., 0] - facing[0]) + np.abs(headings[..., 1] - facing[1])
 
 
 def information(here: np.ndarray, share: np.ndarray, alarm: float = 0.0, falls: np.ndarray | None = None) -> np.ndarray:

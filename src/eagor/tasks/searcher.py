@@ -1,122 +1,108 @@
-"""A searcher: while nothing is believed it takes the look that tells most for what it costs, then it goes to the thing.
+"""A search: while nothing is believed it looks where that tells most for what it costs; then it acts on the belief.
 
-Where looks may go is its *space* (`eagor.tasks.looks.Space`): the ground around a body that walks (`searched_ground`),
-or the directions around a camera that only turns (`eagor.tasks.hstar.search`). The decision is the same: the thing is
-believed to be there if going to it is likely to bring it nearer; if not, the next look is the one with the best ratio
-of nats to its cost. What was chosen is kept until it is reached, or not worth it any more.
+One searcher drives a camera that only turns, such as the views of H*Bench (`Searcher.face`), and a body that stands or
+walks (`Searcher.walk`). The latter uses odometry, touch, and the floor that looks show; no map is given and no depth is
+read. A look from another place costs the way there; the best ratio is the next goal (a frontier search; Yamauchi, 1997,
+with expected information as in Bourgault et al., 2002).
 
-A body uses odometry, touch, and the floor that looks show. It begins to walk to the thing when that is likely to bring
-it nearer. It goes on although looks miss the thing, as long as that may be hidden from here (`approach`).
+The body begins to walk to the thing when that is likely to bring it nearer. It goes on although looks miss the thing,
+as long as that may be hidden from here, by the floor that is known.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
 import numpy as np
 
-from eagor.sphere import heading
 from eagor.tasks.approach import REACHED, Approach
 from eagor.tasks.floor_seen import FLOOR, FloorSeen
 from eagor.tasks.floor_ways import Ways
-from eagor.tasks.looks import Space
-from eagor.tasks.searched_ground import AZIMUTHS, SearchedGround
+from eagor.tasks.looks import Space, apart, turned
+from eagor.tasks.searched_ground import SearchedGround
 from eagor.tasks.situation import Situation
 
 NEAREST_GOAL = 0.8  # metres added to the way to a goal: a goal next to the body is not worth everything
 WORTH = 0.4  # a goal is given up when it is worth less than this share of what it promised, per metre left
 FACED = 1e-6  # radians
 STANDING = 0.25  # metres that a standing body counts for a step of a turn
-EVERY = 3  # cells between the places that are weighed
+NEARER = 1e-5  # nats per degree: where every turn costs the same, the nearest of looks that tell as much
+
+Where = TypeVar("Where", bound=Space)
 
 
 @dataclass
-class Searcher:
-    """Chooses looks and steps for one episode. `step` and `radius` in metres.
+class Searcher(Generic[Where]):
+    """Chooses looks and steps for one episode.
 
-    `handover`: metres nearer, as believed, per metre walked along the answer that make it worth following; of a camera
-    that only turns, the probability from which on it acts. `hfov`: what the camera sees across, straight ahead,
-    radians. If that is not all around, the body turns at most `turn` radians in a step, looks around before it walks as
-    long as that tells more for the time, and walks ahead only. A body that stands has the step 0: it only turns.
+    `space`: what can be looked at; to walk, a `SearchedGround`. `step`: metres that the body walks in a step; 0: it
+    stands, and only turns. `handover`: how sure a belief has to be to be acted on; of a body that walks, metres nearer,
+    as believed, per metre walked along the answer. `turn`: radians that it turns in a step, at most; infinite: any turn
+    takes one step, and so does another look the same way; a look from here then costs as much as a metre.
 
-    `space`: where looks may go; None: the ground around a body, which only `walk` and `look` need. `faced`: radians to
-    a heading that has been reached; `nearer`: what a radian less to turn is worth, in nats per metre, beyond its time.
+    A body whose camera does not see all around looks around before it walks, as long as that tells more for the time,
+    and walks ahead only. `searching`: whether the last choice was made because too little is believed.
     """
 
-    step: float
-    radius: float = 0.18
+    space: Where
+    step: float = 0.0
     handover: float = 0.2
-    hfov: float = 2 * math.pi
-    turn: float = math.radians(30)
-    space: Space | None = None
-    faced: float = FACED
-    nearer: float = 0.0
+    turn: float = math.inf
     searching: bool = True
     looks_down: bool = True
-    ground: SearchedGround = field(init=False)
-    _approach: Approach = field(init=False)
-    _goal: np.ndarray | None = None
-    _facing: np.ndarray | None = None  # a heading to turn to: azimuth and elevation, world frame
+    _facing: np.ndarray | None = None  # a heading to turn to
+    _goal: np.ndarray | None = None  # a place to look from
     _promise: float = 0.0
-    _last: tuple[np.ndarray, np.ndarray] | None = None
-
-    def __post_init__(self) -> None:
-        self.ground = SearchedGround(self.hfov)
-        self._approach = Approach(self.ground)
+    _last: tuple[np.ndarray, np.ndarray] | None = None  # where the last step began, and what it was meant to be
+    _approach: Approach = field(default_factory=Approach)
 
     @property
-    def known(self) -> FloorSeen:
+    def known(self: Searcher[SearchedGround]) -> FloorSeen:
         """What looks have shown of the floor."""
-        return self.ground.known
+        return self.space.known
 
-    def face(self, facing: np.ndarray, likely: float) -> np.ndarray | None:
-        """Where a camera that only turns looks next: azimuth and elevation ``(2,)``, radians, world frame.
+    def face(self, facing: np.ndarray, sure: float) -> np.ndarray | None:
+        """The heading ``(2,)`` to turn to for the next look; None: what is believed is sure enough to act on it.
 
-        `facing` ``(2,)``: where it looks now; `likely`: the probability that to act on what is believed succeeds. None:
-        that is `handover` or more.
+        `facing` ``(2,)``: the present one; azimuth and elevation, radians, world frame. `sure`: of what is believed, as
+        `handover`. A heading is kept until it is faced; where any turn takes one step, it is chosen anew after each.
         """
-        self.searching = likely < self.handover
+        self.searching = sure < self.handover
         if not self.searching:
             self._facing = None
-            return None
-        if self._kept(facing) is None:
-            self._facing = self._most_telling(facing)[0]
+        elif math.isinf(self.turn) or not self._turning(facing):
+            self._facing = self._best_here(facing)[0]
         return self._facing
 
-    def walk(self, now: Situation) -> tuple[float, float]:
+    def walk(self: Searcher[SearchedGround], now: Situation) -> tuple[float, float]:
         """The next step: a turn, radians, positive left, in (-pi, pi], and then so many metres straight ahead."""
-        here, yaw = np.array(now.position[:2], dtype=np.float64), heading(now.world_R_body)
-        self.look(now)
+        ground = self.space
+        ground.look(now)
         if self._last is not None:
-            self._approach.feel(*self._last, here, self.step)
-        bearing = now.azimuth + yaw
-        ahead = np.array([math.cos(bearing), math.sin(bearing)])
-        target = self._approach.target(now, here, ahead) if self._believes(now, here, ahead) else None
+            self._approach.feel(ground.known, *self._last, now.here, self.step)
+        target = self._approach.target(ground, now) if self._believes(now) else None
         self.searching = target is None
         if target is not None:
             self._goal = self._facing = None
-            self.known.cover(np.minimum(here, target) - 1.0, np.maximum(here, target) + 1.0)
-        ways = Ways.over(self.known, self.radius, here)
-        end = None if target is None else self._approach.beside(target, ways, here, now.distance is not None)
+            ground.known.cover(np.minimum(now.here, target) - 1.0, np.maximum(now.here, target) + 1.0)
+        ways = Ways.over(ground.known, ground.radius, now.here)
+        end = None if target is None else self._approach.beside(ground, now, ways, target)
         if end is None:
-            end = self._search(ways.metres, here, yaw, ahead)
+            end = self._search(ways.metres, now)
         if end is None or not self.step:
-            aim, metres = bearing if self._facing is None else float(self._facing[0]), 0.0
+            aim, metres = now.bearing if self._facing is None else float(self._facing[0]), 0.0
         else:
             way = ways.first(end)
             aim, metres = math.atan2(way[1], way[0]), self.step
-        turn = math.remainder(aim - yaw, 2 * math.pi)
-        if not self.ground.around and abs(turn) > self.turn + 1e-9:
+        turn = math.remainder(aim - now.yaw, 2 * math.pi)
+        if abs(turn) > self.turn + 1e-9:
             turn, metres = math.copysign(self.turn, turn), 0.0
-        self._last = (here, metres * np.array([math.cos(aim), math.sin(aim)])) if metres else None
+        self._last = (now.here, metres * np.array([math.cos(aim), math.sin(aim)])) if metres else None
         return turn, metres
 
-    def look(self, now: Situation) -> None:
-        """Take in what a look shows of the floor, and that it had its chance to find the thing."""
-        self.ground.look(now, self.radius)
-
-    def _believes(self, now: Situation, here: np.ndarray, ahead: np.ndarray) -> bool:
+    def _believes(self: Searcher[SearchedGround], now: Situation) -> bool:
         """Whether the body goes where the thing should be.
 
         It begins to when the thing is likely there, and goes on while the thing would be there if it is here at all,
@@ -124,77 +110,67 @@ class Searcher:
         """
         if now.progress * now.presence >= self.handover:
             return True
-        if self.searching or now.progress < self.handover:
-            return False
-        return self._approach.goes_on(now, here, ahead)
+        return not self.searching and now.progress >= self.handover and self._approach.hides(self.space, now)
 
-    def _search(self, metres: np.ndarray, here: np.ndarray, yaw: float, ahead: np.ndarray) -> tuple[int, int] | None:
+    def _search(self: Searcher[SearchedGround], metres: np.ndarray, now: Situation) -> tuple[int, int] | None:
         """The cell to go to while nothing is believed: the old goal as long as it is worth it, or the best one.
 
         None: rather turn, to `_facing`.
         """
-        known, facing = self.known, np.array([yaw, 0.0])
-        if self._kept(facing) is not None:
+        ground, facing = self.space, np.array([now.yaw, 0.0])
+        if self._turning(facing):
             return None
         if self._goal is not None:
-            cell = known.cells(self._goal)
-            if float(np.hypot(*(self._goal - here))) < REACHED:
-                if self.ground.around:
-                    self.ground.looked(self._goal, yaw)  # as good as there: steps end a little beside it
-            elif self._worth(cell[None], metres, here)[0] > WORTH * self._promise and known.state[tuple(cell)] <= FLOOR:
+            cell = ground.known.cells(self._goal)
+            if float(np.hypot(*(self._goal - now.here))) < REACHED:
+                if ground.around:
+                    ground.looked_from(self._goal, now.yaw)  # as good as there: steps end a little beside it
+            elif self._worth(cell[None], metres)[0] > WORTH * self._promise and self.known.state[tuple(cell)] <= FLOOR:
                 return int(cell[0]), int(cell[1])
         self._goal = None
-        rows, cols = np.nonzero(known.state == FLOOR)
-        kept = (rows % EVERY == 0) & (cols % EVERY == 0) & np.isfinite(metres[rows, cols])
-        cells = np.stack([rows[kept], cols[kept]], axis=-1)
-        if not self.ground.around:
-            cells = cells[np.hypot(*(known.centres(cells) - here).T) > REACHED]
-        worth = self._worth(cells, metres, here) if self.step else np.zeros(0)
+        cells = ground.places()
+        cells = cells[np.isfinite(metres[cells[:, 0], cells[:, 1]])]
+        if not ground.around:
+            cells = cells[np.hypot(*(ground.known.centres(cells) - now.here).T) > REACHED]
+        worth = self._worth(cells, metres) if self.step else np.zeros(0)
         promise = float(worth.max(initial=0.0))
-        if not self.ground.around:
-            found, told = self._most_telling(facing)
+        if not ground.around:
+            best, told = self._best_here(facing)
             if told >= promise:
-                self._facing = found
+                self._facing = best
                 return None
         if not len(worth):
-            row, col = known.cells(here + ahead)
+            row, col = ground.known.cells(now.here + now.ahead)
             return int(row), int(col)
-        best = int(worth.argmax())
-        self._goal, self._promise = known.centres(cells[best]), promise
-        return int(cells[best, 0]), int(cells[best, 1])
+        row, col = cells[int(worth.argmax())]
+        self._goal, self._promise = ground.known.centres(np.array([row, col])), promise
+        return int(row), int(col)
 
-    def _kept(self, facing: np.ndarray) -> np.ndarray | None:
-        """The heading that was chosen, until it has been reached."""
-        if self._facing is not None and float(_apart(self._facing, facing)) <= self.faced:
+    def _turning(self, facing: np.ndarray) -> bool:
+        """Whether a heading was chosen that is not faced yet."""
+        if self._facing is not None and turned(self._facing, facing) <= FACED:
             self._facing = None
-        return self._facing
+        return self._facing is not None
 
-    def _most_telling(self, facing: np.ndarray) -> tuple[np.ndarray, float]:
-        """The heading ``(2,)`` that tells most from here for the turn, and its nats per metre walked instead."""
-        space = self.ground if self.space is None else self.space
-        headings = space.headings
-        apart = _apart(headings, facing)
-        worth = space.tells() / (self._turning(apart) + NEAREST_GOAL)
-        if math.isfinite(self.turn):  # a step that turns by nothing would cost nothing
-            worth[apart <= self.faced] = 0.0
-        best = int((worth - self.nearer * apart).argmax())
-        return headings[best], float(worth[best])
+    def _best_here(self, facing: np.ndarray) -> tuple[np.ndarray, float]:
+        """The heading ``(2,)`` whose look from here tells most for its cost, and nats per metre, or per turn."""
+        told, angles = self.space.tells(), turned(self.space.headings, facing)
+        if math.isinf(self.turn):  # rounded, so that rounding errors do not decide between turns to either side
+            worth = told - NEARER * np.round(np.degrees(angles), 6)
+        else:
+            worth = told / (self._costs(angles) + NEAREST_GOAL)
+            worth[angles <= FACED] = 0.0  # there the next look is taken anyway
+        best = int(worth.argmax())
+        return self.space.headings[best], float(worth[best])
 
-    def _turning(self, angles: np.ndarray) -> np.ndarray:
-        """Metres that one could walk in the time that it takes to turn by angles (radians, 0 or more)."""
-        return np.ceil(angles / self.turn - 1e-9) * (self.step or STANDING)
-
-    def _worth(self, cells: np.ndarray, metres: np.ndarray, here: np.ndarray) -> np.ndarray:
+    def _worth(self: Searcher[SearchedGround], cells: np.ndarray, metres: np.ndarray) -> np.ndarray:
         """Nats ``(n,)`` that a look from each of the cells ``(n, 2)`` is expected to tell, per metre of the way."""
-        told, cost = self.ground.tells_at(cells), metres[cells[:, 0], cells[:, 1]] + NEAREST_GOAL
-        if self.ground.around:
-            return told[:, 0] / cost
-        to = self.known.centres(cells) - here  # as it arrives, it faces away from here; then it turns
-        away = np.abs(np.remainder(AZIMUTHS - np.arctan2(to[:, 1], to[:, 0])[:, None] + math.pi, 2 * math.pi) - math.pi)
-        return (told / (cost[:, None] + self._turning(away))).max(axis=1)
+        ground = self.space
+        to = ground.known.centres(cells) - ground.here  # as it arrives, it faces away from here; then it turns
+        angles = apart(ground.headings[:, 0] - np.arctan2(to[:, 1], to[:, 0])[:, None])
+        cost = metres[cells[:, 0], cells[:, 1]] + NEAREST_GOAL
+        return (ground.tells_from(cells) / (cost[:, None] + self._costs(angles))).max(axis=1)
 
-
-def _apart(headings: np.ndarray, facing: np.ndarray) -> np.ndarray:
-    """Radians ``(...)`` from `facing` ``(2,)`` to headings ``(..., 2)``: pan (azimuth) and tilt, added."""
-    pan = np.abs(np.remainder(headings[..., 0] - facing[0] + math.pi, 2 * math.pi) - math.pi)
-    return pan + np.abs(headings[..., 1] - facing[1])
+    def _costs(self, angles: np.ndarray) -> np.ndarray:
+        """Metres that one could walk in the time that it takes to turn by angles (radians)."""
+        return np.ceil(angles / self.turn - 1e-9) * (self.step or STANDING)

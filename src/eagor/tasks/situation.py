@@ -8,6 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
+from eagor._lazy import lazy
+from eagor.sphere import heading
 from eagor.tasks.looks import Chance
 
 
@@ -33,6 +35,26 @@ class Situation:
     floor: np.ndarray | None = None
     seen: np.ndarray | None = None
     chance: Chance | None = field(default_factory=Chance)
+
+    @lazy
+    def here(self) -> np.ndarray:
+        """Where the body is on the floor ``(2,)``, metres, world frame."""
+        return np.array(self.position[:2], dtype=np.float64)
+
+    @lazy
+    def yaw(self) -> float:
+        """Where the body faces: an azimuth of the world, radians."""
+        return heading(self.world_R_body)
+
+    @lazy
+    def bearing(self) -> float:
+        """Where the estimate is: an azimuth of the world, radians."""
+        return self.azimuth + self.yaw
+
+    @lazy
+    def ahead(self) -> np.ndarray:
+        """A unit vector ``(2,)`` along the floor to the estimate, world frame."""
+        return np.array([math.cos(self.bearing), math.sin(self.bearing)])
 
 
 class Steering(Protocol):

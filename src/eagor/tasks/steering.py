@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
-from eagor.sphere import heading
 from eagor.tasks.policy import Policy
 from eagor.tasks.rules import Camera
+from eagor.tasks.searched_ground import SearchedGround
 from eagor.tasks.searcher import Searcher
 from eagor.tasks.situation import Situation, Steering
 from eagor.tracking import TrackerConfig
@@ -28,7 +28,7 @@ class Following:
     looks_down: bool = False
 
     def walk(self, now: Situation) -> tuple[float, float]:
-        return self.policy.heading(now.azimuth, now.position[:2], heading(now.world_R_body)), self.policy.step
+        return self.policy.heading(now.azimuth, now.position[:2], now.yaw), self.policy.step
 
 
 def seeking(rules: Any, tracker: TrackerConfig) -> TrackerConfig:
@@ -42,5 +42,10 @@ def steering_for(rules: Any, camera: Camera) -> Steering:
     """The steering that the rules ask for; a task whose rules do not speak of it follows."""
     if getattr(rules, "policy", "follow") == "follow":
         return Following(Policy(camera.step, getattr(rules, "detour", True)))
-    hfov = 2 * math.pi if camera.around else math.radians(camera.hfov)
-    return Searcher(camera.step, camera.radius, rules.handover, hfov=hfov, turn=math.radians(camera.turn))
+    turn = math.inf if camera.around else math.radians(camera.turn)
+    return Searcher(ground_of(camera), camera.step, rules.handover, turn)
+
+
+def ground_of(camera: Camera) -> SearchedGround:
+    """The ground about a body with this camera, before its first look."""
+    return SearchedGround(camera.radius, 2 * math.pi if camera.around else math.radians(camera.hfov))

@@ -18,7 +18,6 @@ from eagor.baselines import Centroid, CircularCentroid, DirectionFilter, Histogr
 from eagor.conventions import hstar_from_direction
 from eagor.evidence import Evidence
 from eagor.evidence.coverage import looked_at
-from eagor.sphere import azimuth_elevation, direction
 from eagor.tasks.chat import Chat, digest
 from eagor.tasks.hstar.camera import View
 from eagor.tasks.hstar.data import Episode
@@ -44,8 +43,6 @@ AGENTS = {
 LOOKING = ("eagor", "centroid", "cent-circ", "grid", "sweep", "single")
 # Offsets in yaw from the start, and pitches, degrees: around the horizon first, then below, then above.
 SWEEP = ((0, 0), (90, 0), (180, 0), (270, 0), (0, -45), (120, -45), (240, -45), (0, 45), (120, 45), (240, 45))
-WHOLE = math.radians(1)  # rotations are whole degrees: a view that is nearer is the one that was meant
-NEARER = 7e-4  # of views that tell as much, the nearest: a hundredth of a millinat per degree
 RESPONDS = 0.3  # response from which on a per-view agent counts a detection
 
 
@@ -71,31 +68,22 @@ def _rotate(now: View, to: View) -> Action:
 
 
 class EagorAgent:
-    """Our agent: a searcher (`eagor.tasks.searcher`) that only turns, in the space of `eagor.tasks.hstar.search`.
+    """Our agent: an `eagor.tasks.searcher.Searcher` over the views of `eagor.tasks.hstar.search`.
 
-    Every rotation takes one turn, however far it goes.
+    Every turn of the camera costs one of the episode's turns, whatever its angle.
     """
 
     def __init__(self, episode: Episode, eye: Eye, rules: SearchRules) -> None:
         self._eye = eye
-        self.search = Search.begin(episode.kind, rules)
-        self._searcher = Searcher(0.0, handover=rules.sure, turn=math.inf, faced=WHOLE, nearer=NEARER)
+        self.searcher = Searcher(Search.begin(episode.kind, rules), handover=rules.sure)
 
     def __call__(self, view: View, last: bool) -> Turn:
         look = self._eye(view)
-        self.search = self._searcher.space = self.search.seen(look.evidence, look.world_R_capture, view)
-        answer = self.search.answer()
-        facing = np.array(azimuth_elevation(view.world_R_view[:, 0]))
-        to = self._searcher.face(facing, answer.probability)
-        sure = to is None
-        action = _submit(answer) if last or to is None else _rotate(view, _view_at(to))
-        return Turn(action, answer, _peak(look) | {"sure": sure})
-
-
-def _view_at(heading: np.ndarray) -> View:
-    """The view along an azimuth and elevation ``(2,)``, radians."""
-    yaw, pitch = hstar_from_direction(direction(*heading))
-    return View(round(float(yaw), 6), round(float(pitch), 6))
+        search = self.searcher.space = self.searcher.space.seen(look.evidence, look.world_R_capture, view)
+        answer = search.answer()
+        to = self.searcher.face(view.heading, answer.probability)
+        action = _submit(answer) if last or to is None else _rotate(view, View.facing(to))
+        return Turn(action, answer, _peak(look) | {"sure": to is None})
 
 
 class VlmAgent:

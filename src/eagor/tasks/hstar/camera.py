@@ -14,10 +14,10 @@ from functools import lru_cache
 import numpy as np
 
 from eagor._lazy import lazy
-from eagor.conventions import direction_from_hstar
+from eagor.conventions import direction_from_hstar, hstar_from_direction
 from eagor.errors import ImageError
 from eagor.grids import PerspectiveGrid
-from eagor.sphere import world_R_body
+from eagor.sphere import azimuth_elevation, direction, world_R_body
 from eagor.tasks.hstar.rules import Action, turned
 
 HFOV_DEG = 100.0
@@ -44,6 +44,17 @@ class View:
         """The pose ``(3, 3)`` in our world frame: x at yaw 0, y to the left, z up."""
         return world_R_body(-math.radians(self.yaw), -math.radians(self.pitch))
 
+    @classmethod
+    def facing(cls, heading: np.ndarray) -> View:
+        """The view at a `heading` ``(2,)``: azimuth and elevation, radians, world frame."""
+        yaw, pitch = hstar_from_direction(direction(heading[0], heading[1]))
+        return cls(round(float(yaw), 6) % 360, round(float(pitch), 6))
+
+    @lazy
+    def heading(self) -> np.ndarray:
+        """Where the camera looks ``(2,)``: azimuth and elevation, radians, world frame."""
+        return headings_of(np.array(self.yaw), np.array(self.pitch))
+
     def grid(self, rows: int, columns: int) -> PerspectiveGrid:
         """The view's cells in the world frame."""
         return PerspectiveGrid(rows, columns, math.radians(HFOV_DEG), self.world_R_view)
@@ -54,6 +65,11 @@ class View:
             return self
         yaw, pitch = turned(self.yaw, self.pitch, action)
         return View(float(yaw), float(pitch))
+
+
+def headings_of(yaws: np.ndarray, pitches: np.ndarray) -> np.ndarray:
+    """Azimuth and elevation ``(..., 2)``, radians, world frame, of views' yaws and pitches ``(...)``, degrees."""
+    return np.stack(azimuth_elevation(direction_from_hstar(yaws, pitches)), axis=-1)
 
 
 def render_view(

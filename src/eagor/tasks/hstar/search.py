@@ -1,9 +1,8 @@
-"""The search: a belief about the target in the world frame, the directions looked at, and what looks would tell.
+"""What is searched: a belief about the target in the world frame, the directions looked at, and what looks would tell.
 
 Every look updates a `Belief`: directions that were looked at without a response lose belief, others keep theirs. A grid
-records which directions were looked at. What a view tells is the mutual information between the outcome of the look
-and the target's direction; `eagor.tasks.searcher` takes the view that tells most. The submission is the window with the
-most belief.
+records which directions were looked at. What a view tells is the mutual information between the outcome of the look and
+the target's direction; `eagor.tasks.searcher` chooses by it. The submission is the window with the most belief.
 """
 
 from __future__ import annotations
@@ -19,13 +18,11 @@ import numpy as np
 from eagor._checks import above, require, whole, within
 from eagor._lazy import lazy
 from eagor.belief import Belief
-from eagor.conventions import direction_from_hstar
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid
 from eagor.harmonics.peaks import decoding_grid
 from eagor.perception.partial import coverage
-from eagor.sphere import azimuth_elevation
-from eagor.tasks.hstar.camera import HFOV_DEG, View, size_of
+from eagor.tasks.hstar.camera import HFOV_DEG, View, headings_of, size_of
 from eagor.tasks.hstar.rules import PITCH_TOLERANCE, YAW_TOLERANCE
 from eagor.tasks.looks import information
 
@@ -33,6 +30,7 @@ STEP = 5  # degrees: cells of the map for planning and decisions
 CELLS = PatchGrid(180 // STEP, 360 // STEP)
 YAWS = np.arange(0, 360, 15)
 PITCHES = (-60, -30, 0, 30, 60)
+_HEADINGS = headings_of(np.tile(YAWS, len(PITCHES)), np.repeat(PITCHES, len(YAWS)))
 
 
 @dataclass(frozen=True)
@@ -106,7 +104,7 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """The state after some looks. Immutable: `seen` returns a new one.
+    """The state after some looks: an `eagor.tasks.looks.Space`. Immutable: `seen` returns a new one.
 
     Per cell of `CELLS`: `shown` is the visible fraction so far, 0 to 1; `stale` the fraction of the next look that
     repeats earlier ones. A look counts for less towards the border of its view, as its evidence does there
@@ -179,12 +177,11 @@ class Search:
 
     @property
     def headings(self) -> np.ndarray:
-        """Azimuth and elevation ``(len(PITCHES) * len(YAWS), 2)``, radians, world frame, of the views it may take."""
-        pitches, yaws = np.meshgrid(PITCHES, YAWS, indexing="ij")
-        return np.stack(azimuth_elevation(direction_from_hstar(yaws, pitches)), axis=-1).reshape(-1, 2)
+        """The headings ``(n, 2)`` of the views that are weighed: azimuth and elevation, radians, world frame."""
+        return _HEADINGS
 
     def tells(self) -> np.ndarray:
-        """Expected information of each view about the target's direction, nats, in the order of `headings`."""
+        """Expected information of each of those views ``(n,)`` about the target's direction, nats."""
         p, rules, new = self.probability, self.rules, 1 - self.stale
         shown = [_weights(pitch, rules.degree) for pitch in PITCHES]
         return np.concatenate([_information(p, new, weights, rules.hit, rules.alarm) for weights in shown])
