@@ -18,7 +18,7 @@ import pytest
 from PIL import Image
 
 from eagor._extras import how_to_install
-from eagor.cli import machine, main
+from eagor.cli import joined, machine, main
 from eagor.cli.columns import SHORT
 from eagor.cli.models import how_to_find
 from eagor.conventions import direction_from_hstar, wxyz_from_rotation
@@ -751,9 +751,19 @@ def test_a_bench_run_goes_on_where_it_stopped_and_is_reported(tmp_path):
 def test_rules_without_sense_are_refused_before_anything_is_played(tmp_path):
     words = ("bench", "run", "tracking", "--perception", "truth", "--out", tmp_path / "run")
     assert "TrackingRules: steps = 0; wanted a whole number" in refused(*words, "--set", "steps=0")
+    twice = refused(*words, "--set", "steps=0", "--set=hfov=100", "--seed", "1")
+    assert "TrackingRules: steps = 0; wanted a whole number" in twice, "both count"
+    assert "two values of steps; leave one of them out" in refused(*words, "--set", "steps=4", "--set", "steps=5")
     assert "Camera: step = nan; wanted metres above 0" in refused(*words, "--set", "seen=0.5", "step=nan")
     assert "Disturbances: latency = -1" in refused(*words, "--latency", "-1")
     assert not (tmp_path / "run").exists()
+
+
+def test_of_an_option_with_several_values_all_that_are_given_count():
+    words = ["bench", "--set", "a=1", "b=2", "--seed", "1", "--set=c=3", "--methods", "x", "--set", "d=-4", "-v", "end"]
+    wanted = ["bench", "--set", "a=1", "b=2", "c=3", "d=-4", "--seed", "1", "--methods", "x", "-v", "end"]
+    assert joined(words) == wanted
+    assert joined(["run", "--", "--set", "a", "--set", "b"]) == ["run", "--", "--set", "a", "--set", "b"]
 
 
 def test_a_calibration_is_fitted_written_and_taken(room, tmp_path):

@@ -47,6 +47,7 @@ Exit codes: 0 success, 1 the run failed, 2 usage or input, 3 finished but some c
 `eagor --version` prints the version, `eagor --tyro-print-completion bash` (zsh, fish) a completion script."""
 
 _NO_FAULT_OF_THE_INPUT = (terminal.RunError, ServerError, AnswerError, StorageError, WorkError)
+_LISTS = ("--set", "--methods", "--categories")  # options that take several values
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -88,11 +89,33 @@ def _run(arguments: list[str]) -> int:
         print(script(arguments, _parse), end="")
         return 0
     try:
-        command = _parse(arguments)
+        command = _parse(joined(arguments))
     except SystemExit as stop:  # tyro has printed a text: help, or a mistake that we cannot explain
         return stop.code if isinstance(stop.code, int) else 2
     module, _, function = command.runs.partition(":")
     return getattr(import_module(module), function)(command)
+
+
+def joined(arguments: list[str]) -> list[str]:
+    """`arguments` in which each of `_LISTS` stands once, with all its values; tyro keeps only the last of several."""
+    found: list[str] = []
+    values: dict[str, list[str]] = {}
+    into = found
+    for index, word in enumerate(arguments):
+        name, equals, value = word.partition("=")
+        if word == "--":
+            found.extend(arguments[index:])
+            break
+        if name in _LISTS:
+            if name not in values:
+                values[name] = []
+                found.append(name)
+            into = values[name]
+            into.extend([value] if equals else [])
+        else:
+            into = found if word.startswith("-") else into
+            into.append(word)
+    return [part for word in found for part in (word, *values.pop(word, []))]
 
 
 def _parse(arguments: list[str]):

@@ -43,12 +43,14 @@ from eagor.errors import EagorError
 
 
 def pairs_of(pairs: tuple[str, ...]) -> dict[str, str]:
-    """The values of --set by name. Raises `EagorError` unless each is RULE=VALUE."""
+    """The values of --set by name. Raises `EagorError` unless each is RULE=VALUE, and each rule has one value."""
     found = {}
     for pair in pairs:
         key, equals, value = pair.partition("=")
         if not (key and equals and value):
             raise EagorError(f"--set {pair}; wanted RULE=VALUE, such as success_distance=0.5")
+        if key in found and found[key] != value:
+            raise EagorError(f"--set {key}={found[key]} {pair}: two values of {key}; leave one of them out")
         found[key] = value
     return found
 
