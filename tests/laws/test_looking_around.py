@@ -6,15 +6,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
+from eagor.perception.noise import Noise
 from eagor.sphere import world_R_body
 from eagor.tasks.hstar.agents import EagorAgent
 from eagor.tasks.hstar.camera import View
-from eagor.tasks.hstar.looking import LENS, Look
+from eagor.tasks.hstar.looking import LENS, Look, TruthEye
 from eagor.tasks.hstar.search import PITCHES, YAWS, Search, SearchRules
 from eagor.tasks.looks import Chance, Space, apart, turned
 from eagor.tasks.searched_ground import RAYS, SearchedGround
@@ -151,7 +152,7 @@ def test_a_space_says_in_nats_what_each_of_its_headings_tells(name):
     assert np.isfinite(told).all()
     assert (told >= -1e-12).all()
     assert told.max() > 0
-    np.testing.assert_array_equal(space.tells(), told), "to ask changes nothing"
+    np.testing.assert_array_equal(space.tells(), told, "to ask changes nothing")
 
 
 @pytest.mark.parametrize("name", SPACES)
@@ -183,6 +184,27 @@ def test_our_agent_goes_on_from_any_start_and_submits_at_its_last_turn():
         seen.add((round(view.yaw), round(view.pitch)))
     assert len(seen) >= 5
     assert agent(view, True).action.kind == "submit"
+
+
+@given(st.integers(0, 2**16), st.sampled_from([0.0, 45.0, 17.4, 359.5]), st.sampled_from(["hos", "hps"]))
+@settings(max_examples=8)
+def test_our_agent_rotates_to_the_view_that_tells_most_and_of_equal_ones_to_the_nearest(seed, start, kind):
+    """In H*Bench's degrees, yaw to the right: a degree less to turn is worth 1e-5 nats."""
+    eye = TruthEye((200.0, 208.0), (-20.0, -12.0), Noise.parse("ideal,miss=0.4,false_alarm=0.3"), seed)
+    agent = EagorAgent(
+        SimpleNamespace(kind=kind), lambda view: Look(eye.look(view), view.world_R_view), SearchRules(sure=1.0)
+    )
+    view = View(start, 0.0)
+    for _ in range(6):
+        now, view = view, view.after(agent(view, False).action)
+
+        def off(view):
+            return np.abs((YAWS - view.yaw + 180) % 360 - 180) + np.abs(np.array(PITCHES)[:, None] - view.pitch)
+
+        taken = off(view)
+        assert taken.min() <= 0.5 + 1e-9, "rotations are whole degrees"
+        worth = agent.searcher.space.tells() - 1e-5 * off(now).reshape(-1)
+        assert worth[taken.argmin()] >= worth.max() - 1e-9
 
 
 def test_a_robot_that_stands_turns_to_what_the_searcher_faces():
