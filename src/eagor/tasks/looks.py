@@ -7,7 +7,6 @@ what it costs (`eagor.tasks.searcher`).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -16,6 +15,7 @@ import numpy as np
 from eagor.evidence import Evidence
 from eagor.evidence.detector import Rates
 from eagor.evidence.repeating import Repeating
+from eagor.sphere import wrap
 
 LEAST = 0.05  # recall: nobody looks with what finds less, whatever its calibration says
 
@@ -63,7 +63,7 @@ class Space(Protocol):
 
 def apart(angles: np.ndarray) -> np.ndarray:
     """The size of angles ``(...)``, the short way round, radians from 0 to pi."""
-    return np.abs(np.remainder(angles + math.pi, 2 * math.pi) - math.pi)
+    return np.abs(wrap(angles))
 
 
 def turned(headings: np.ndarray, facing: np.ndarray) -> np.ndarray:
