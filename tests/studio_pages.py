@@ -149,7 +149,7 @@ def known_episode() -> dict[str, Any]:
         estimate = {
             "direction": body, "azimuth": math.atan2(body[1], body[0]), "elevation": math.asin(body[2]),
             "credible_angle": 0.5, "presence": 0.9, "entropy": entropy, "distance": 2.5 - 0.2 * index,
-            "distance_spread": 0.3, "moving": None, "status": "tracking", "held": False, "words": "to the left",
+            "distance_spread": 0.3, "moving": None, "status": "tracking", "words": "to the left",
         }  # fmt: skip
         step: dict[str, Any] = {
             "stamp": 0.5 * index, "number": index, "world_R_camera": pose.reshape(-1).tolist(),

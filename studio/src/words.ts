@@ -179,7 +179,6 @@ export const words = {
     tracking: "tracking",
     ambiguous: "ambiguous",
     stale: "stale",
-    held: "an older answer is held",
     means: {
       searching: "It may not be here, or lie anywhere.",
       tracking: "More likely than not it is here, within 15 degrees of the answer.",

@@ -24,7 +24,7 @@ BALL = math.dist(Room().balls[0].position, EYE)
 
 ENTRY = {
     "frame": "a.png", "stamp": 1.5, "azimuth_deg": None, "elevation_deg": None, "credible_angle_deg": None,
-    "presence": 0.25, "distance_m": None, "distance_spread": None, "status": "searching", "held": False,
+    "presence": 0.25, "distance_m": None, "distance_spread": None, "status": "searching",
     "modes": [{"azimuth_deg": 1.0, "elevation_deg": 2.0, "weight": 0.5}], "looks": 1,
     "methods": {"vmf": {"azimuth_deg": 3.5, "elevation_deg": None}},
 }  # fmt: skip
@@ -107,7 +107,7 @@ def test_rivals_have_columns_of_their_own():
     assert columns[-2:] == ["vmf_azimuth_deg", "vmf_elevation_deg"]
     row = dict(zip(columns, row_of(ENTRY, columns), strict=True))
     assert (row["vmf_azimuth_deg"], row["vmf_elevation_deg"]) == (3.5, None)
-    assert (row["modes"], row["problem"], row["held"]) == (1, "", False)
+    assert (row["modes"], row["problem"]) == (1, "")
 
 
 def test_lines_are_there_as_soon_as_they_are_written(tmp_path):
@@ -151,17 +151,17 @@ def test_parquet_reads_back(tmp_path):
     path = tmp_path / "a.parquet"
     with table(path, ["vmf"]) as write:
         write(ENTRY)
-        write(ENTRY | {"azimuth_deg": -12.5, "frame": "=ö.png", "held": True})
+        write(ENTRY | {"azimuth_deg": -12.5, "frame": "=ö.png"})
     read = parquet.read_table(path)
     columns = columns_of(["vmf"])
     assert read.column_names == columns
     entries = read.to_pylist()
     assert [[entry[name] for name in columns] for entry in entries] == [
         row_of(ENTRY, columns),
-        row_of(ENTRY | {"azimuth_deg": -12.5, "frame": "=ö.png", "held": True}, columns),
+        row_of(ENTRY | {"azimuth_deg": -12.5, "frame": "=ö.png"}, columns),
     ]
     types = {str(field.type) for field in read.schema}
-    assert types == {"string", "double", "bool", "int64"}
+    assert types == {"string", "double", "int64"}
 
 
 def test_parquet_keeps_what_there_was_when_the_run_failed(tmp_path):

@@ -228,7 +228,7 @@ def test_locate_as_json(room):
     found = answer("locate", room, "the red ball")
     assert set(found) == {
         "query", "perception", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "within_15_deg",
-        "status", "held", "modes", "frame", "stamp", "distance_m", "distance_spread",
+        "status", "modes", "frame", "stamp", "distance_m", "distance_spread",
     }  # fmt: skip
     assert error_deg(found, RED_BALL) < 3
     assert found["azimuth_deg"] < -10  # it is to the right
@@ -245,7 +245,6 @@ def test_the_answer_is_the_first_of_its_candidates_and_their_weights_are_probabi
         write_record(file, 1.0, query="chair", points=points)
     found = answer("locate", room, "chair", "--perception", f"replay:{path}", "--modes", "5")
     first = found["modes"][0]
-    assert not found["held"]
     assert (first["azimuth_deg"], first["elevation_deg"]) == (found["azimuth_deg"], found["elevation_deg"])
     weights = [mode["weight"] for mode in found["modes"]]
     assert weights == sorted(weights, reverse=True)
@@ -520,7 +519,7 @@ def test_track_prints_one_line_per_frame(series, tmp_path):
     assert {SHORT["grid_filter"], SHORT["particle_filter"]} <= set(head.split())
 
 
-def test_track_says_what_is_not_known_and_what_is_held(three, tmp_path):
+def test_track_says_what_is_not_known(three, tmp_path):
     images, write = three
     looks, out = tmp_path / "looks.jsonl", tmp_path / "out.csv"
     with looks.open("w") as file:
@@ -532,11 +531,9 @@ def test_track_says_what_is_not_known_and_what_is_held(three, tmp_path):
     assert re.match(r" +0\.000 +- +- +- +- searching ", done.stdout.splitlines()[1])
     rows = list(csv.DictReader(io.StringIO(out.read_text())))
     assert [row["azimuth_deg"] == "" for row in rows] == [True, False, False]
-    assert [row["held"] for row in rows] == ["False"] * 3
     frames = answer(*words)["frames"]
     assert frames[0]["azimuth_deg"] is None
     assert frames[0]["credible_angle_deg"] is None
-    assert [frame["held"] for frame in frames] == [False] * 3
     assert frames[-1]["status"] == "tracking"
 
 

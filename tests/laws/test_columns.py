@@ -19,13 +19,12 @@ WIDEST = 120
 
 @dataclass
 class Frame:
-    """As wide as an answer can be: azimuth and elevation with signs, an ambiguous answer that is held."""
+    """As wide as an answer can be: azimuth and elevation with signs, an ambiguous answer."""
 
     azimuth: float | None = math.radians(-179.9)
     elevation: float | None = math.radians(-89.9)
     credible_angle: float = math.radians(179.9)
     status: str = "ambiguous"
-    held: bool = True
     modes: tuple = (1, 2, 3)
     stamp: float = 12345.678
     distance: float | None = 4.0
@@ -63,7 +62,7 @@ def ends(text):
 
 
 def test_names_stand_above_their_columns():
-    shown = line(Frame(held=False, others=everyone(12, 3)))
+    shown = line(Frame(others=everyone(12, 3)))
     assert ends(header(RIVALS))[-len(RIVALS) :] == ends(shown)[-len(RIVALS) :]
     assert ends(header(RIVALS))[:4] == ends(shown)[:4]
 
@@ -76,7 +75,7 @@ def test_short_names_differ_and_unknown_ones_are_cut():
 
 
 def test_what_is_not_known_is_a_dash():
-    nothing = Frame(azimuth=None, elevation=None, status="searching", held=False, modes=(), distance=None)
+    nothing = Frame(azimuth=None, elevation=None, status="searching", modes=(), distance=None)
     assert line(nothing).split() == ["12345.678", "-", "-", "-", "-", "0", "searching"]
     nothing.others = dict.fromkeys(RIVALS)
     assert line(nothing).split() == ["12345.678", "-", "-", "-", "-", "searching", *["-"] * len(RIVALS)]

@@ -128,14 +128,6 @@ def test_nothing_known_is_no_arrow_and_no_heat(looks):
     assert draw_belief(PANORAMA, estimate, title="nothing").size == (1200, 714)
 
 
-def test_an_answer_that_is_held_is_called_so(monkeypatch):
-    estimate = followed(AHEAD, AHEAD)
-    assert "estimate" in labels(painted(estimate))
-    monkeypatch.setattr(type(estimate), "held", True)
-    assert "estimate (an older one, held)" in labels(painted(estimate))
-    assert repr(estimate).endswith(", held)")
-
-
 def test_others_truth_and_beliefs_are_drawn_too():
     estimate, belief = followed(AHEAD, AHEAD), eagor.Belief.uniform(15)
     ahead = np.array([1.0, 0.0, 0.0])

@@ -122,20 +122,6 @@ def test_a_frame_that_cannot_be_read_shows_the_belief_and_the_reason():
     assert painter.line.last.problem == "0001.png is not a picture"
 
 
-def test_an_answer_that_is_held_is_hollow(monkeypatch):
-    estimate = turning(2)[-1]
-    painter = StepPainter(640)
-    x, y = place_of(estimate.direction, painter)
-    at = round(y - 0.5), round(x - 0.5)
-    full = painter.paint(PANORAMA, estimate, stamp=0)
-    monkeypatch.setattr(type(estimate), "held", True)
-    hollow = painter.paint(PANORAMA, estimate, stamp=1)
-    assert np.abs(full[at].astype(int) - CYAN).max() < 12
-    assert np.abs(hollow[at].astype(int) - CYAN).max() > 60
-    assert painter._words["status"].get_text().endswith(", held")
-    assert list(painter.line.answers()[1]) == [False, True]
-
-
 def test_the_cursor_is_at_now_and_the_future_is_empty():
     painter = StepPainter(1280, span=10)
     for moment in turning(9):
@@ -190,8 +176,8 @@ def test_what_cannot_be_drawn_is_refused():
 # --- the time line ---------------------------------------------------------------------------------------------------
 
 
-def moment(stamp, azimuth=0.0, cone=0.2, elevation=0.0, status="tracking", presence=0.9, held=False):
-    return timeline.Moment(stamp, status, presence, azimuth, elevation, cone, held)
+def moment(stamp, azimuth=0.0, cone=0.2, elevation=0.0, status="tracking", presence=0.9):
+    return timeline.Moment(stamp, status, presence, azimuth, elevation, cone)
 
 
 @given(st.floats(-1.5, 1.5), st.floats(0.01, 1.5))
@@ -225,7 +211,7 @@ def test_stretches_hold_all_changes_however_many_moments_there_are():
     assert [(round(b, 3), round(e, 3), s) for b, e, s in line.stretches()[:2]] == [
         (0, 400.1, "tracking"), (400.1, 400.2, "ambiguous"),
     ]  # fmt: skip
-    answers, _ = line.answers()
+    answers = line.answers()
     assert len(answers) <= timeline.MOST
     assert np.all(answers[1:, 0] == answers[:-1, 1])
     assert answers[-1, 1] == line.end

@@ -16,6 +16,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, FisheyeGrid, PerspectiveGrid
 from eagor.sphere import world_R_body
+from eagor.tracking.checkpoint import VERSION
 from eagor.tracking.config import TrackerConfig
 from eagor.tracking.motion import MotionModel
 from eagor.tracking.tracker import DirectionTracker
@@ -59,7 +60,7 @@ def told(tracker, now):
     for target in tracker.targets:
         e = tracker.estimate(now, target)
         found += [e.presence, *e.direction, e.credible_angle, e.distance or 0.0, *(m.weight for m in e.modes)]
-        found += [*e.log_density(np.eye(3)), e.status == "tracking", e.held]
+        found += [*e.log_density(np.eye(3)), e.status == "tracking"]
     return found
 
 
@@ -120,12 +121,12 @@ def test_everything_travels_to_another_process_after_it_was_read():
 def test_files_that_are_no_whole_tracker_of_this_version_are_refused(tmp_path):
     good = go_on(DirectionTracker(CONFIGS["paper"]), 0, 5).save(tmp_path / "good").read_bytes()
     head, _, body = good.partition(b"\n")
-    newer = json.dumps(json.loads(head) | {"version": 3}).encode() + b"\n" + body
+    newer = json.dumps(json.loads(head) | {"version": VERSION + 1}).encode() + b"\n" + body
     damaged = bytearray(good)
     damaged[-7] ^= 1
     wrong = {
         "is not a saved tracker": [b"", b"{}", b"[1]\n", b"PK\x03\x04", pickle.dumps(print), good[:20], b"{" * 5000],
-        "is of version 3; wanted 2": [newer],
+        f"is of version {VERSION + 1}; wanted {VERSION}": [newer],
         "is damaged": [good[:-1], good[: len(good) // 2], head + b"\n", good + b"x", bytes(damaged)],
     }
     path = tmp_path / "bad"
@@ -142,7 +143,8 @@ def test_files_that_are_no_whole_tracker_of_this_version_are_refused(tmp_path):
 def crafted(place, nodes, state):
     """A whole file with its right digest that holds this."""
     body = json.dumps({"arrays": [], "nodes": nodes, "state": state}).encode() + b"\n"
-    head = {"format": "eagor tracker", "version": 2, "bytes": len(body), "sha256": hashlib.sha256(body).hexdigest()}
+    digest = hashlib.sha256(body).hexdigest()
+    head = {"format": "eagor tracker", "version": VERSION, "bytes": len(body), "sha256": digest}
     place.write_bytes(json.dumps(head).encode() + b"\n" + body)
     return place
 

@@ -125,12 +125,6 @@ class Reading:
         mass, directions = self._nodes
         return float(mass[directions @ direction > math.cos(angle)].sum())
 
-    def top_of(self, chosen: np.ndarray) -> np.ndarray:
-        """The direction ``(3,)`` of the highest of the `chosen` parts ``(n,)``, refined."""
-        values, _, directions = self.parts
-        place = np.flatnonzero(chosen)[int(values[chosen].argmax())]
-        return self._refined(directions[place])
-
     def _refined(self, direction: np.ndarray) -> np.ndarray:
         """The peak next to a direction, by a quadratic through what lies around it."""
         for patch in self.field.patches:

@@ -38,7 +38,7 @@ def header(rivals: Sequence[str] = ()) -> str:
     """The names of the columns; `rivals` are the other methods to compare with, in the order of `line`."""
     if not rivals:
         return f"{'stamp':>10}{'azimuth':>9}{'elevation':>11}{'cone 90%':>10}{'distance 90%':>14}{'modes':>7}  status"
-    ours = f"{'stamp':>9}{'azimuth':>8}{'elev':>6}{'cone':>6}{'distance':>13} {'status':14}"
+    ours = f"{'stamp':>9}{'azimuth':>8}{'elev':>6}{'cone':>6}{'distance':>13} {'status':9}"
     return (ours + "".join(f" {SHORT.get(name, name)[:CELL]:>{CELL}}" for name in rivals)).rstrip()
 
 
@@ -52,10 +52,8 @@ def line(row: Row) -> str:
     cone = "-" if e.direction is None else signed(e.credible_angle)[1:]
     far = distance_in_words(row.distance, row.distance_spread)
     if not row.others:
-        status = f"{e.status}, held" if e.held else e.status
-        return f"{row.stamp:10.3f}{azimuth:>9}{elevation:>11}{cone:>10}{far:>14}{len(e.modes):>7}  {status}"
-    status = f"{e.status} held" if e.held else e.status
-    ours = f"{row.stamp:9.3f}{azimuth:>8}{elevation:>6}{cone:>6}{far:>13} {status:14}"
+        return f"{row.stamp:10.3f}{azimuth:>9}{elevation:>11}{cone:>10}{far:>14}{len(e.modes):>7}  {e.status}"
+    ours = f"{row.stamp:9.3f}{azimuth:>8}{elevation:>6}{cone:>6}{far:>13} {e.status:9}"
     return ours + "".join(f" {_cell(direction):>{CELL}}" for direction in row.others.values())
 
 

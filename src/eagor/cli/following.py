@@ -75,7 +75,6 @@ class Result:
             "distance_m": None if distance is None else round(distance, 4),
             "distance_spread": None if spread is None else round(spread, 4),
             "status": e.status,
-            "held": e.held,
             "modes": [mode_as_json(mode) for mode in e.modes[:modes]],
             "looks": len(self.evidence),
         }

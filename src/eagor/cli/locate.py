@@ -133,7 +133,6 @@ def _as_json(options: Locate, spec: str, estimate: Estimate, stamp: float) -> di
         "distance_spread": None if spread is None else round(spread, 4),
         f"within_{NEAR}_deg": round(estimate.within(math.radians(NEAR)), 6) if known else None,
         "status": estimate.status,
-        "held": estimate.held,
         "modes": [mode_as_json(mode) for mode in estimate.modes[: options.modes]],
     }
 
@@ -183,8 +182,6 @@ def _print(options: Locate, spec: str, estimate: Estimate) -> None:
 
 
 def _print_answer(estimate: Estimate) -> None:
-    if estimate.held:
-        print("  held            an older answer, although another candidate is likelier now")
     print(f"  azimuth         {signed(estimate.azimuth)} deg (positive to the left)")
     print(f"  elevation       {signed(estimate.elevation)} deg")
     cone = f"{math.degrees(estimate.credible_angle):.1f} deg"

@@ -16,7 +16,7 @@ from eagor.cli.terminal import UsageError
 
 COLUMNS = (
     "frame", "stamp", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "distance_m", "distance_spread",
-    "status", "held",
+    "status",
 )  # fmt: skip
 SUFFIXES = (".csv", ".jsonl", ".parquet")
 

@@ -48,7 +48,7 @@ SEEN = {
     "level": "headings from the pictures themselves, which are taken as level",
 }
 RATE, FPS = 2.0, 10.0  # looks and frames per second of a video
-STATUS_WIDTH = len("ambiguous, held")
+STATUS_WIDTH = len("ambiguous")
 WIDTH = 2 + max(len("-180.0/-90.0"), *map(len, RIVALS))  # of a rival's column
 
 
@@ -381,8 +381,7 @@ def _painter(folder: Path, query: str, most: int) -> Callable[[Result], None]:
         if result.panorama is None:
             return
         estimate = result.estimate
-        held = ", held" if estimate.held else ""
-        title = f"“{query}” at {result.stamp:.2f} s: {answer_in_words(estimate)} ({estimate.status}{held})"
+        title = f"“{query}” at {result.stamp:.2f} s: {answer_in_words(estimate)} ({estimate.status})"
         shown = {name: result.others[name] for name in ("centroid", "eagor_paper") if name in result.others}
         modes = [mode.direction for mode in estimate.modes[:most]]
         picture = draw_belief(result.panorama, estimate, modes=modes, others=shown, title=title)

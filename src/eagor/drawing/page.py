@@ -170,8 +170,7 @@ class BeliefPage:
         if last.azimuth is None:
             return "No direction is known."
         words, far = answer_in_words(estimate), far_in_words(estimate)
-        held = ", an older answer that is held" if last.held else ""
-        return f"{words[0].upper()}{words[1:]}{f', {far} away' if far else ''}, in the last frame{held}."
+        return f"{words[0].upper()}{words[1:]}{f', {far} away' if far else ''}, in the last frame."
 
     def _status(self) -> str:
         last = self.line.last

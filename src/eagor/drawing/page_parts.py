@@ -46,13 +46,10 @@ def time_line(line: TimeLine) -> str:
     for (a, b), name in ((PRESENCE, "presence"), (STATUS, "status")):
         parts.append(f'<text x="{LEFT - 6}" y="{(a + b) / 2 + 4}" text-anchor="end">{name}</text>')
     parts.append(boxes(line.bands(), *AZIMUTH, -180, 180, "band"))
-    answers, held = line.answers()
-    for which, kind in ((~held, "given"), (held, "held")):
-        path = "".join(
-            f"M{x(begin)} {bottom - (bottom - top) * (at + 180) / 360:.1f}H{x(end)}"
-            for begin, end, at in answers[which]
-        )
-        parts.append(f'<path class="{kind}" fill="none" d="{path}"/>' if path else "")
+    path = "".join(
+        f"M{x(begin)} {bottom - (bottom - top) * (at + 180) / 360:.1f}H{x(end)}" for begin, end, at in line.answers()
+    )
+    parts.append(f'<path class="given" fill="none" d="{path}"/>' if path else "")
     parts.append(boxes(np.insert(line.presence(), 2, 0.0, axis=1), *PRESENCE, 0, 1, "presence"))
     for begin, end, status in line.stretches():
         where = f'x="{x(begin)}" y="{STATUS[0]}" width="{max(0.5, scale * (end - begin)):.2f}" height="12"'
@@ -69,7 +66,7 @@ def time_line(line: TimeLine) -> str:
 def key() -> str:
     """What the colours of the time line mean, as items of a list."""
     statuses = [(f"var(--{status})", f"status: {status}") for status in COLOURS]
-    lines = [("var(--answer)", "answer (dotted: held), presence"), ("var(--band)", "azimuths of its 90 % cone")]
+    lines = [("var(--answer)", "answer, presence"), ("var(--band)", "azimuths of its 90 % cone")]
     return "".join(f'<li><i style="background:{colour}"></i>{name}</li>' for colour, name in [*lines, *statuses])
 
 
@@ -78,8 +75,7 @@ def moment_in_words(moment: Moment) -> str:
     where = "direction not known"
     if moment.azimuth is not None and moment.elevation is not None and moment.cone is not None:
         where = f"{in_words(moment.azimuth, moment.elevation)}, 90 % within {math.degrees(moment.cone):.0f}°"
-    held = ", held" if moment.held else ""
-    said = f"{moment.stamp:.2f} s, {where}; {moment.status}{held}; presence {moment.presence:.2f}"
+    said = f"{moment.stamp:.2f} s, {where}; {moment.status}; presence {moment.presence:.2f}"
     return f"{said}; left out: {moment.problem}" if moment.problem else said
 
 
@@ -90,8 +86,7 @@ def row(index: int, name: str, moment: Moment, picture: int | None) -> str:
     show = "–"
     if picture is not None:
         show = f'<button type="button" data-step="{picture}" aria-label="show {escape(name)}">show</button>'
-    status = f"{moment.status}, held" if moment.held else moment.status
-    status += ", left out" if moment.problem else ""
+    status = f"{moment.status}, left out" if moment.problem else moment.status
     cells = [f"{moment.stamp:.3f}", show, *angles, cone, f"{moment.presence:.2f}", status]
     return f'<tr id="row{index}"><td>{escape(name)}</td>{"".join(f"<td>{cell}</td>" for cell in cells)}</tr>'
 

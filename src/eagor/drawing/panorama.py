@@ -118,13 +118,12 @@ def paint_marks(
         axes.axvline(at, color="white", alpha=0.22, linewidth=0.8, zorder=1)
     axes.axhline(0, color="white", alpha=0.22, linewidth=0.8, zorder=1)
     answer = belief.direction if isinstance(belief, Estimate) else None
-    held = isinstance(belief, Estimate) and belief.held
     if isinstance(belief, Estimate) and answer is None:
         _note(axes, "direction not known")
     if heat is not None:
         _border(axes, heat)
     if answer is not None:
-        _arrow(axes, answer, held)
+        _arrow(axes, answer)
     if modes is None:
         modes = [mode.direction for mode in belief.modes] if isinstance(belief, Estimate) else []
     for index, mode in enumerate(modes):
@@ -135,9 +134,7 @@ def paint_marks(
             _mark(axes, where, marker, colour, 8.5, name)
     if truth is not None:
         _mark(axes, truth, "o", TRUTH, 21, "truth", hollow=True, width=2.6)
-    if answer is not None and held:
-        _mark(axes, answer, "o", OURS, 9.5, "estimate (an older one, held)", hollow=True, width=2.2)
-    elif answer is not None:
+    if answer is not None:
         _mark(axes, answer, "o", OURS, 8.5, "estimate")
 
 
@@ -162,8 +159,8 @@ def _note(axes: Axes, text: str) -> None:
     )  # fmt: skip
 
 
-def _arrow(axes: Axes, where: np.ndarray, held: bool) -> None:
-    """An arrow along the great circle from forward to `where`; dashed for an answer that is held."""
+def _arrow(axes: Axes, where: np.ndarray) -> None:
+    """An arrow along the great circle from forward to `where`."""
     x, y = arrow(where).T
     if not len(x):
         return
@@ -173,8 +170,7 @@ def _arrow(axes: Axes, where: np.ndarray, held: bool) -> None:
     x, y = x[clear], y[clear]
     if len(x) < 8:
         return
-    style: dict[str, Any] = {"linestyle": (0, (4, 2))} if held else {"solid_capstyle": "round"}
-    axes.plot(x, y, color=OURS, linewidth=1.8, zorder=6, path_effects=_outline(3.6), **style)
+    axes.plot(x, y, color=OURS, linewidth=1.8, zorder=6, path_effects=_outline(3.6), solid_capstyle="round")
     axes.plot(0, 0, "o", color=OURS, markersize=4.5, markeredgecolor="black", markeredgewidth=0.8, zorder=6)
     head = {
         "arrowstyle": "-|>,head_width=0.32,head_length=0.55",

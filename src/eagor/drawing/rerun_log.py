@@ -16,7 +16,7 @@ import numpy as np
 
 from eagor._extras import need
 from eagor.drawing.geometry import Heat, arrow, backdrop, heat_of, places
-from eagor.drawing.words import answer_in_words, status_in_words
+from eagor.drawing.words import answer_in_words
 from eagor.errors import EagorError, StorageError
 from eagor.grids import ErpGrid
 from eagor.sphere import azimuth_elevation, direction
@@ -225,7 +225,7 @@ class RerunLog:
     def _status(self, name: str, query: str, estimate: Estimate, problem: str | None) -> None:
         """A line where the status changes, or something is wrong."""
         told = answer_in_words(estimate) if estimate.direction is not None else "direction not known"
-        if self._said.get(name) != (said := status_in_words(estimate)):
+        if self._said.get(name) != (said := estimate.status):
             self._said[name] = said
             self._line(f"“{query}”: {said}: {told}", LEVELS.get(estimate.status, "INFO"))
         if problem is not None:

@@ -16,7 +16,7 @@ from eagor.drawing.geometry import MASS, backdrop, heat_of
 from eagor.drawing.panorama import paint_marks
 from eagor.drawing.sheet import blank, family, over
 from eagor.drawing.timeline import COLOURS, Moment, TimeLine, ticks
-from eagor.drawing.words import answer_in_words, far_in_words, status_in_words
+from eagor.drawing.words import answer_in_words, far_in_words
 from eagor.errors import EagorError
 from eagor.tracking.estimate import Estimate
 
@@ -154,9 +154,9 @@ class StepPainter:
         status.tick_params(colors=FAINT, labelsize=8.5, length=2, pad=2)
         top = h - self.head - self.rows - TOP * scale
         x = 1 - (RIGHT - 18) / DESIGN
-        for index, (name, colour) in enumerate([*COLOURS.items(), ("90 % cone", BAND), ("held answer", NOW)]):
+        for index, (name, colour) in enumerate([*COLOURS.items(), ("90 % cone", BAND)]):
             y = (top - (6 + 17.5 * index) * scale) / h
-            figure.text(x, y, "□" if colour == NOW else "■", fontsize=9, color=colour, va="center")
+            figure.text(x, y, "■", fontsize=9, color=colour, va="center")
             figure.text(x + 15 / DESIGN, y, name, **small)
         for strip in (self._status, self._presence, self._azimuth):
             strip.set_xlim(0, span)
@@ -174,7 +174,7 @@ class StepPainter:
         shown, known = _short(query, LONGEST_QUERY), moment.azimuth is not None
         self._words["query"].set_text(f"“{shown}”" if shown else "")
         self._words["answer"].set_text(answer_in_words(estimate) if known else "direction not known")
-        self._words["status"].set_text(status_in_words(estimate))
+        self._words["status"].set_text(estimate.status)
         self._words["status"].set_color(COLOURS[moment.status])
         self._words["rest"].set_text("   ".join(told))
 
@@ -186,13 +186,10 @@ class StepPainter:
         for strip in strips:
             _clear(strip)
         _boxes(self._azimuth, line.bands(), BAND, 0.75)
-        answers, held = line.answers()
-        lines = answers[:, [[0, 2], [1, 2]]]
-        for which, colour, width in ((~held, "black", 3.2), (~held, COLOURS["tracking"], 2.0), (held, NOW, 2.4),
-                                     (held, GROUND, 1.0)):  # fmt: skip
-            if which.any():
-                drawn = LineCollection(list(lines[which]), colors=colour, linewidths=width, zorder=4)
-                self._azimuth.add_collection(drawn, autolim=False)
+        lines = list(line.answers()[:, [[0, 2], [1, 2]]])
+        for colour, width in (("black", 3.2), (COLOURS["tracking"], 2.0)):
+            drawn = LineCollection(lines, colors=colour, linewidths=width, zorder=4)
+            self._azimuth.add_collection(drawn, autolim=False)
         _boxes(self._presence, np.insert(line.presence(), 2, 0.0, axis=1), COLOURS["tracking"], 0.65)
         stretches = line.stretches()
         for status, colour in COLOURS.items():

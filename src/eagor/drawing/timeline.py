@@ -27,7 +27,7 @@ class Moment:
     """The answer at one time.
 
     `stamp`: seconds; `azimuth`, `elevation`, `cone` (half-angle of the 90 % cone): radians, None while nothing is
-    known; `held`: whether it is an older answer; `problem`: why the frame could not be used, if so.
+    known; `problem`: why the frame could not be used, if so.
     """
 
     stamp: float
@@ -36,7 +36,6 @@ class Moment:
     azimuth: float | None = None
     elevation: float | None = None
     cone: float | None = None
-    held: bool = False
     problem: str | None = None
 
     @classmethod
@@ -46,7 +45,7 @@ class Moment:
         return cls(
             float(estimate.stamp if stamp is None else stamp), estimate.status, float(estimate.presence),
             estimate.azimuth, estimate.elevation, float(estimate.credible_angle) if known else None,
-            estimate.held, problem,
+            problem,
         )  # fmt: skip
 
     @property
@@ -132,11 +131,10 @@ class TimeLine:
         """Begin, end (seconds) and presence of each moment ``(n, 3)``."""
         return np.array([(begin, end, m.presence) for begin, end, m in self._lasting()]).reshape(-1, 3)
 
-    def answers(self) -> tuple[np.ndarray, np.ndarray]:
-        """Begin, end (seconds) and azimuth (degrees) of each answer, and whether it was held: ``(n, 3)``, ``(n,)``."""
-        found = [(b, e, math.degrees(m.azimuth), m.held) for b, e, m in self._lasting() if m.azimuth is not None]
-        table = np.array(found, dtype=float).reshape(-1, 4)
-        return table[:, :3], table[:, 3] > 0
+    def answers(self) -> np.ndarray:
+        """Begin, end (seconds) and azimuth (degrees) of each answer ``(n, 3)``."""
+        found = [(b, e, math.degrees(m.azimuth)) for b, e, m in self._lasting() if m.azimuth is not None]
+        return np.array(found, dtype=float).reshape(-1, 3)
 
     def bands(self) -> np.ndarray:
         """Begin, end (seconds), lowest and highest azimuth (degrees) of the 90 % cones ``(n, 4)``; cut at the seam."""

@@ -73,11 +73,6 @@ def far_in_words(estimate: Estimate) -> str:
     return "" if found == "-" else found
 
 
-def status_in_words(estimate: Estimate) -> str:
-    """The status, and whether an older answer is held."""
-    return f"{estimate.status}, held" if estimate.held else estimate.status
-
-
 def signed(angle: float | None) -> str:
     """An angle (radians) in degrees with sign and one decimal: "+62.9"; "-" for None."""
     return "-" if angle is None else f"{math.degrees(angle):+.1f}"

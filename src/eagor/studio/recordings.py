@@ -135,7 +135,6 @@ def _sampled(sample: dict[str, Any]) -> dict[str, Any]:
         "distance_spread": None,
         "moving": None,
         "status": sample.get("status"),
-        "held": False,
         "words": f"{sample.get('words', '')} ({sample.get('mode', '')})",
     }
     return {

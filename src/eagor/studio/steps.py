@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor.drawing.words import STATUS, answer_in_words, far_in_words, status_in_words
+from eagor.drawing.words import STATUS, answer_in_words, far_in_words
 from eagor.evidence import Calibration
 from eagor.evidence.evidence import Evidence
 from eagor.harmonics import RealHarmonics
@@ -41,7 +41,6 @@ def estimate_json(estimate: Estimate, entropy: float) -> dict[str, Any]:
             "distance_spread": e.distance_spread if near else None,
             "moving": e.moving,
             "status": e.status,
-            "held": e.held,
             "words": in_words(e),
         }
     )
@@ -55,7 +54,7 @@ def in_words(estimate: Estimate) -> str:
     where, far = answer_in_words(e), far_in_words(e)
     cone = f"90 % within {math.degrees(e.credible_angle):.0f} degrees"
     parts = [where, *([f"{far} away"] if far else []), cone]
-    said = f"{', '.join(parts)}. Presence {100 * e.presence:.0f} %, {status_in_words(e)}: {STATUS[e.status]}."
+    said = f"{', '.join(parts)}. Presence {100 * e.presence:.0f} %, {e.status}: {STATUS[e.status]}."
     return said[0].upper() + said[1:]
 
 

@@ -8,7 +8,7 @@ One look of one target takes this way:
 3. `cases`: is the target absent, does it stand (`standing`), wander (`wandering`), or turn (`turning`)? Each case
    predicts the look, and is weighed by how well it did. `motion` has the rates at which targets change from case to
    case.
-4. `state`: what is believed after the look; it carries itself to another time and place, and decides the answer.
+4. `state`: what is believed after the look; it carries itself to another time and place.
 5. `estimate`: the answer in the body frame of now, with its candidates, cone, presence and status.
 
 `config` has the settings.

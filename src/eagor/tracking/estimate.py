@@ -11,13 +11,13 @@ import numpy as np
 from eagor._arrays import to_numpy
 from eagor._lazy import lazy
 from eagor._reprs import where
-from eagor.belief.reading import Reading
+from eagor.belief.reading import NEAR, Reading
 from eagor.evidence.detector import Rates
 from eagor.grids import ErpGrid, Grid, PatchGrid
+from eagor.harmonics.peaks import FLAT
 from eagor.sphere import azimuth_elevation, check_directions
 from eagor.tracking.cases import Cases
 from eagor.tracking.config import TrackerConfig
-from eagor.tracking.state import Answer
 
 __all__ = ["Estimate", "Mode", "Status"]
 
@@ -50,8 +50,8 @@ class Estimate:
     """The answer at one time, in the body frame of that time. All of it is read from one posterior.
 
     `stamp`: the time asked for; `age`: seconds since the newest evidence was captured (infinite before any); `cases`:
-    the posterior, in WORLD axes; `world_R_body`: the pose at that time; `answer`: in world axes; `rates`: of the
-    detector, where they are learnt.
+    the posterior, in WORLD axes; `world_R_body`: the pose at that time; `rates`: of the detector, where they are
+    learnt.
     """
 
     stamp: float
@@ -59,7 +59,6 @@ class Estimate:
     cases: Cases
     world_R_body: np.ndarray
     config: TrackerConfig
-    answer: Answer | None = None
     rates: Rates | None = None
     of: Estimate | None = field(default=None, repr=False)  # what this is `turned` from
 
@@ -68,8 +67,7 @@ class Estimate:
         if self.azimuth is None or self.elevation is None:
             return f"Estimate(t={self.stamp:g} s, direction not known, {presence})"
         cone = f"90 % within {math.degrees(self.credible_angle):.0f}°"
-        held = ", held" if self.held else ""
-        return f"Estimate(t={self.stamp:g} s, {where(self.azimuth, self.elevation)}, {cone}, {presence}{held})"
+        return f"Estimate(t={self.stamp:g} s, {where(self.azimuth, self.elevation)}, {cone}, {presence})"
 
     @property
     def posterior(self) -> Reading:
@@ -78,18 +76,22 @@ class Estimate:
 
     @lazy
     def direction(self) -> np.ndarray | None:
-        """The answer ``(3,)``: the first of `modes`, or the mode that is `held`; None while nothing is known."""
+        """The answer ``(3,)``: the first of `modes`; None while nothing is known."""
+        return None if self._answer is None else self._answer @ self.world_R_body
+
+    @lazy
+    def _answer(self) -> np.ndarray | None:
+        """`direction` in world axes."""
+        if self.of is not None:
+            return self.of._answer
         if math.isinf(self.age):
             return None
         if self.config.answers.decode == "mean":
-            coarse = self.cases.standing.coarse.direction_belief()
-            return to_numpy(coarse.mean_direction()) @ self.world_R_body
-        return None if self.answer is None else self.answer.direction @ self.world_R_body
-
-    @property
-    def held(self) -> bool:
-        """Whether an older answer is kept although another mode is heavier now."""
-        return self.answer is not None and self.answer.held
+            return to_numpy(self.cases.standing.coarse.direction_belief().mean_direction())
+        field = self.posterior.field
+        if float(np.ptp(field.values)) < FLAT and not field.patches:
+            return None
+        return self.posterior.first(NEAR)[0]
 
     @property
     def azimuth(self) -> float | None:
@@ -134,7 +136,7 @@ class Estimate:
     @property
     def _about(self) -> np.ndarray:
         """The answer in world axes, or forward if there is none."""
-        return self.world_R_body[:, 0] if self.direction is None else self.world_R_body @ self.direction
+        return self.world_R_body[:, 0] if self._answer is None else self._answer
 
     def log_density(self, directions: np.ndarray) -> np.ndarray:
         """log of the posterior density (per steradian) ``(...)`` at unit vectors ``(..., 3)``; it integrates to 1."""

@@ -10,7 +10,6 @@ export interface Marks {
   view_R_belief: Matrix;
   view_R_body: Matrix;
   answer: Vector | null; // body frame, and so the others
-  held: boolean;
   modes: { direction: Vector; weight: number }[];
   truth: Vector | null;
   rivals: { direction: Vector; index: number }[];
@@ -44,8 +43,7 @@ export function drawMarks(context: CanvasRenderingContext2D, to: Projection, mar
   if (marks.answer) pointer(context, to, apply(marks.view_R_body, marks.answer), u);
   if (marks.answer)
     for (const [x, y] of place(marks.answer)) {
-      if (marks.held) ring(context, x, y, 7 * u, ANSWER, 2.6 * u);
-      else spot(context, x, y, 6.5 * u, ANSWER, u);
+      spot(context, x, y, 6.5 * u, ANSWER, u);
       for (const turn of [0, 0.5, 1, 1.5]) tick(context, x, y, 9.5 * u, 14 * u, turn * Math.PI, ANSWER, 2.2 * u);
     }
 }

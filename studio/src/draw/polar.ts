@@ -13,7 +13,6 @@ const FAINT = 1e-6; // of the highest density: what is less is left out
 export interface Polar {
   share: Float32Array | null; // of the belief, by bins of azimuth from 0 to 360 degrees left
   answer: Vector | null;
-  held: boolean;
   modes: { direction: Vector; weight: number }[];
   truth: Vector | null;
   rivals: { direction: Vector; index: number }[];
@@ -160,12 +159,10 @@ export function drawPolar(canvas: HTMLCanvasElement, polar: Polar): void {
     context.lineTo(...at(azimuth, outer));
     context.strokeStyle = themed("answer");
     context.lineWidth = 2.4 * u;
-    if (polar.held) context.setLineDash([4 * u, 3 * u]);
     context.stroke();
-    context.setLineDash([]);
     context.beginPath();
     context.arc(...at(azimuth, outer), 5 * u, 0, 2 * Math.PI);
-    context.fillStyle = themed(polar.held ? "panel" : "answer");
+    context.fillStyle = themed("answer");
     context.fill();
     context.stroke();
   }

@@ -207,13 +207,11 @@ export class Stage {
     const view_R_body = which === "flat" ? IDENTITY : inverse(this.body_R_view);
     const view_R_world = times(view_R_body, inverse(this.world_R_body));
     const { inside } = this;
-    const answer = store.answer;
     return {
       border: store.layers.has("border") && store.heat ? store.heat.border : [],
       view_R_belief: times(view_R_world, this.world_R_belief),
       view_R_body,
       answer: store.layers.has("estimate") ? store.direction : null,
-      held: answer?.held ?? false,
       modes: store.layers.has("modes") ? store.modes : [],
       truth: store.layers.has("truth") ? store.truth : null,
       rivals: store.others,

@@ -66,7 +66,7 @@ export class Panels {
     const state = answer?.status ?? "";
     shell.status.dataset.status = state || "none";
     const name = state ? (words.status[state as "tracking"] as string | undefined) ?? state : words.status.none;
-    say(shell.status, answer?.held ? `${name}, ${words.status.held}` : name);
+    say(shell.status, name);
     const told = direction ? this.where(direction) : words.answer.none;
     say(shell.sentence, told[0].toUpperCase() + told.slice(1));
     const age = step?.look?.age ?? null;
@@ -139,7 +139,6 @@ export class Panels {
     drawPolar(shell.polar.canvas, {
       share: this.byAzimuth,
       answer: direction,
-      held: store.answer?.held ?? false,
       modes: store.layers.has("modes") ? store.modes : [],
       truth: store.layers.has("truth") ? store.truth : null,
       rivals: store.others,

@@ -53,7 +53,6 @@ export interface Answer {
   moving: number | null;
   status: string;
   words: string;
-  held?: boolean;
 }
 
 export interface Mode {

@@ -50,8 +50,7 @@ class Answer:
     @property
     def status_words(self) -> str:
         """The status, and after a semicolon each fault: "tracking; no picture for 2.1 s"."""
-        status = f"{self.estimate.status}, held" if self.estimate.held else self.estimate.status
-        return "; ".join([status, *(fault.text for fault in self.faults)])
+        return "; ".join([self.estimate.status, *(fault.text for fault in self.faults)])
 
     def as_json(self, modes: int = 3, exact: bool = False) -> dict[str, Any]:
         """This answer for a line of JSON, with at most so many candidates; what is not known is None.
@@ -71,7 +70,6 @@ class Answer:
             "presence": _number(e.presence, digits),
             "distance_m": _number(distance, digits),
             "status": e.status,
-            "held": e.held,
             "modes": [
                 _angles(mode.azimuth, mode.elevation, digits) | {"weight": _number(mode.weight, digits)}
                 for mode in e.modes[:modes]

@@ -1,0 +1,120 @@
+"""Errors after the first sighting: what each method makes of one body's looks, beside each single look's own answer.
+
+    python benchmarks/first_sighting.py [--perception scout] [--episodes 60] [--seed 1600] [--methods eagor vmf grid_filter]
+
+The searching body of Map-Free Navigation walks by `eagor`, and its looks are written down. Every method then gets the
+same looks. `frame` answers with the highest value of the newest response map and remembers nothing: what the perception
+alone says. Columns: degrees of error after the first sighting, of these while the target is in sight, and while it is
+hidden again; means over episodes of the mean over steps, with 95 % intervals over apartments. `- frame`: the same after
+the first sighting, less that of `frame`, paired by episode.
+"""
+
+from __future__ import annotations
+
+import os
+
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import argparse
+import math
+import sys
+
+import numpy as np
+
+from eagor.evidence import Evidence
+from eagor.metrics import angular_error_deg
+from eagor.statistics import bootstrap_interval
+from eagor.tasks.episodes import Slot
+from eagor.tasks.methods import told
+from eagor.tasks.places import APARTMENT
+from eagor.tasks.play import Player
+from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
+
+EACH = 5  # episodes in an apartment
+OURS, FRAME = "eagor", "frame"
+Step = tuple[float, np.ndarray, Evidence | None, np.ndarray, bool]  # stamp, pose, look, true direction, in sight
+
+
+class Writer(Player):
+    """A player that writes down every look."""
+
+    steps: list[Step]
+
+    def _look(self, eye, observation, info, query=""):
+        look, true = super()._look(eye, observation, info, query), info["truth"]
+        stamp = info["num_steps"] * self.camera.seconds
+        self.steps.append((stamp, observation["pose"], look, true["direction"], bool(true["visible"])))
+        return look
+
+
+def frame_errors(steps: list[Step]) -> np.ndarray:
+    """Degrees ``(n,)`` between the truth and the highest value of each look; NaN where there is no response map."""
+    found = []
+    for _, _, look, true, _ in steps:
+        error = math.nan
+        if look is not None and look.response is not None:
+            best = look.grid.directions.reshape(-1, 3)[int(np.argmax(look.response))]
+            error = float(angular_error_deg(best, true))
+        found.append(error)
+    return np.array(found)
+
+
+def errors(player: Player, name: str, slot: Slot, steps: list[Step]) -> np.ndarray:
+    """Degrees ``(n,)`` of error of a method after each look."""
+    if name == FRAME:
+        return frame_errors(steps)
+    method = player.method(name, slot)
+    return np.array([float(angular_error_deg(told(method, *step[:3]), step[3])) for step in steps])
+
+
+def means(found: np.ndarray, seen: np.ndarray) -> list[float]:
+    """The mean after the first sighting, of it in sight, and hidden again; NaN where there is none."""
+    after = np.logical_or.accumulate(seen)
+    return [float(found[which].mean()) if which.any() else math.nan for which in (after, after & seen, after & ~seen)]
+
+
+def cell(values: np.ndarray, seeds: np.ndarray) -> str:
+    """Mean and interval of the values that are known."""
+    known = ~np.isnan(values)
+    if not known.any():
+        return f"{'-':>22s}"
+    found = bootstrap_interval(values[known], np.random.default_rng(0), groups=seeds[known])
+    return f"{values[known].mean():8.2f} [{found.low:5.1f} {found.high:5.1f}]"
+
+
+def main() -> int:
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--perception", default="scout")
+    options.add_argument("--episodes", type=int, default=60)
+    options.add_argument("--seed", type=int, default=1600)
+    options.add_argument("--methods", nargs="+", default=[OURS, "vmf", "grid_filter"])
+    given = options.parse_args()
+    rules = {"rules": as_dict(NavigationRules()), "disturbances": as_dict(Disturbances())}
+    player = Writer({"task": "navigation", "perception": given.perception, "camera": as_dict(Camera()), "rows": 160} | rules)
+    names, rows, seeds = [FRAME, *given.methods], [], []
+    pointed = []
+    for number in range(given.episodes):
+        slot = Slot("navigation", APARTMENT, given.seed + number // EACH, number % EACH, number)
+        player.steps = []
+        player.play(slot, [OURS])
+        seen = np.array([step[4] for step in player.steps])
+        found = {name: errors(player, name, slot, player.steps) for name in names}
+        rows.append([means(found[name], seen) for name in names])
+        seeds.append(slot.seed)
+        if seen.any():
+            pointed.append(float((found[FRAME][seen] < 15).mean()))
+    table, clusters = np.array(rows), np.array(seeds)
+    print(f"{given.perception}: {given.episodes} episodes; a look points within 15 degrees of what is in sight in "
+          f"{100 * np.mean(pointed):.1f} % of the cases")  # fmt: skip
+    print(f"{'':24s}{'after the first':>22s}{'in sight':>22s}{'hidden again':>22s}{'- frame':>22s}")
+    for index, name in enumerate(names):
+        cells = [cell(table[:, index, part], clusters) for part in range(3)]
+        if index:
+            cells.append(cell(table[:, index, 0] - table[:, 0, 0], clusters))
+        print(f"{name:24s}" + "".join(cells))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
