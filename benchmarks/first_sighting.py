@@ -1,6 +1,6 @@
 """Errors after the first sighting: what each method makes of one body's looks, beside each single look's own answer.
 
-    python benchmarks/first_sighting.py [--perception scout] [--episodes 60] [--seed 1600] [--methods eagor vmf grid_filter]
+    python benchmarks/first_sighting.py [--perception scout] [--episodes 60] [--seed 1600] [--methods eagor vmf]
 
 The searching body of Map-Free Navigation walks by `eagor`, and its looks are written down. Every method then gets the
 same looks. `frame` answers with the highest value of the newest response map and remembers nothing: what the perception
@@ -24,8 +24,10 @@ import numpy as np
 
 from eagor.evidence import Evidence
 from eagor.metrics import angular_error_deg
+from eagor.perception import rows_of
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.episodes import Slot
+from eagor.tasks.eyes import shared
 from eagor.tasks.methods import told
 from eagor.tasks.places import APARTMENT
 from eagor.tasks.play import Player
@@ -90,10 +92,10 @@ def main() -> int:
     options.add_argument("--seed", type=int, default=1600)
     options.add_argument("--methods", nargs="+", default=[OURS, "vmf", "grid_filter"])
     given = options.parse_args()
-    rules = {"rules": as_dict(NavigationRules()), "disturbances": as_dict(Disturbances())}
-    player = Writer({"task": "navigation", "perception": given.perception, "camera": as_dict(Camera()), "rows": 160} | rules)
-    names, rows, seeds = [FRAME, *given.methods], [], []
-    pointed = []
+    settings = {"rules": NavigationRules(), "disturbances": Disturbances(), "camera": Camera()}
+    config = {"task": "navigation", "perception": given.perception, "rows": rows_of(shared(given.perception))}
+    player = Writer(config | {key: as_dict(value) for key, value in settings.items()})
+    names, rows, seeds, pointed = [FRAME, *given.methods], [], [], []
     for number in range(given.episodes):
         slot = Slot("navigation", APARTMENT, given.seed + number // EACH, number % EACH, number)
         player.steps = []

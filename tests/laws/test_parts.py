@@ -26,6 +26,8 @@ def test_the_parts_divide_the_steps():
     assert [found[part].mean for part in parts.PARTS] == [90, 10, 30]
     assert [found[part].share for part in parts.PARTS] == pytest.approx([0.2, 0.6, 0.2])
     assert found[parts.IN_SIGHT].episodes == 2
+    after = parts.error_in([record(1), record(2)], "a", parts.SEEN)
+    assert (after.mean, after.share) == (15, pytest.approx(0.8))
 
 
 def test_steps_without_a_truth_are_in_no_part():

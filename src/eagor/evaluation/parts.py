@@ -14,6 +14,7 @@ from eagor.evaluation.samples import Record, group_of, mean_intervals, numbers, 
 
 UNSEEN, IN_SIGHT, HIDDEN = "before it was first seen", "in sight", "hidden again"
 PARTS = (UNSEEN, IN_SIGHT, HIDDEN)
+SEEN = "after it was first seen"  # in sight or hidden again
 BASELINE = 0.1  # of the distance: by so much the camera has to have moved before a distance is asked for
 
 
@@ -29,8 +30,13 @@ class Part:
 
 
 def error_in(records: Sequence[Record], method: str, part: str) -> Part | None:
-    """Direction error, degrees, over the steps of one part. None where no episode has any."""
-    return _over(records, method, lambda trace, truth: (numbers(trace["error_deg"]), _parts(truth) == part))
+    """Direction error, degrees, over the steps of one part, or of `SEEN`. None where no episode has any."""
+
+    def read(trace: dict, truth: dict) -> tuple[np.ndarray, np.ndarray]:
+        found = _parts(truth)
+        return numbers(trace["error_deg"]), found != UNSEEN if part == SEEN else found == part
+
+    return _over(records, method, read)
 
 
 def distance_error(records: Sequence[Record], method: str) -> Part | None:

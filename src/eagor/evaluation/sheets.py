@@ -192,7 +192,8 @@ def parts_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet | N
             continue
         found = {part: parts.error_in(records, name, part) for part in parts.PARTS}
         shares |= {part: value.share for part, value in found.items() if value is not None and name == OURS}
-        boxes = [_part_box(value) for value in (*found.values(), parts.distance_error(records, name))]
+        after = parts.error_in(records, name, parts.SEEN)
+        boxes = [_part_box(value) for value in (*found.values(), after, parts.distance_error(records, name))]
         rows.append(_row(name, boxes))
     if not rows:
         return None
@@ -200,12 +201,12 @@ def parts_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet | N
     notes = (
         "Mean direction error over the steps of each kind, over the episodes that have such steps. Before the target "
         "was ever in sight nothing can be known of it but where it is not: that part is the price of the search, and "
-        "an estimator that made no mistake would have the other two at 0."
+        "an estimator that made no mistake would have the others at 0. The fourth column is the second and the third."
         + (f" Of the steps of {OURS}: {steps}." if steps else ""),
         f"Distance: mean relative error once the camera has moved by {100 * parts.BASELINE:.0f} % of it since the "
         "first sighting, for methods that state one.",
     )
-    heads = ("method", *(f"{p} ↓, °" for p in parts.PARTS), "distance ↓, %")
+    heads = ("method", *(f"{p} ↓, °" for p in (*parts.PARTS, parts.SEEN)), "distance ↓, %")
     return Sheet("What the errors are made of", heads, tuple(rows), notes)
 
 
