@@ -9,6 +9,7 @@ from box_scenes import scene_of, shell, thing
 from eagor.errors import WorldError
 from eagor.evidence.repeating import Repeating
 from eagor.sphere import world_R_body
+from eagor.tasks.approach import Approach
 from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, UNKNOWN, FloorSeen
 from eagor.tasks.looks import LEAST, Chance
 from eagor.tasks.navigation import undone
@@ -172,15 +173,40 @@ def test_a_thing_is_come_to_from_another_side():
     assert undone(np.array(places), STEP) < 0.25
 
 
-def test_what_cannot_be_reached_is_given_up():
-    """Behind a wall without a door: the body tries other places beside it, and then searches on."""
+def test_what_cannot_be_reached_is_given_up_for_a_while():
+    """Behind a wall without a door: the body tries places beside it, searches for as many steps, and tries again."""
     closed = scene_of([*shell(8.0, 6.0), thing("wall", (3.9, 0, 0), (4.1, 6, 2.5))])
     world, searcher, searched = World(closed, (1.0, 3.0)), searching(), []
-    for _ in range(160):
+    for _ in range(260):
         world.step(searcher.walk(world.towards((6.0, 3.0))))
         searched.append(searcher.searching)
     assert not any(searched[:5])
-    assert sum(searched[-40:]) > 20
+    tries, searches, *_ = np.diff([0, *np.flatnonzero(np.diff(searched)) + 1])
+    assert abs(searches - tries) <= 1
+    assert not searched[-1]
+
+
+class Nearest:
+    """Ways on which the body already stands as near to its goal as it comes, but for another place."""
+
+    def __init__(self, here, other):
+        self.here, self.other = here, other
+
+    def nearest(self, goal, but=()):
+        return self.other if len(but) else self.here
+
+
+@pytest.mark.parametrize(("away", "goes_on"), [(1.6, True), (0.6, False)])
+def test_a_place_is_given_up_only_from_close_by(away, goes_on):
+    """With nothing between: from 1.6 m the thing may stand beyond reach, from 0.6 m it is not there."""
+    world, ground, approach = World(TWO_ROOMS, (2.0, 2.0)), ground_of(CAMERA), Approach()
+    target = np.array([2.0 + away, 2.0])
+    now = world.towards(target)
+    ground.look(now)
+    here, other = (tuple(int(k) for k in ground.known.cells(np.array(xy))) for xy in ((2.0, 2.0), (2.0, 3.0)))
+    assert ground.sight(target) > 0.5
+    assert approach.beside(ground, now, Nearest(here, other), target) == (other if goes_on else None)
+    assert bool(approach.given_up) != goes_on
 
 
 def test_a_robot_that_stands_turns_until_it_has_seen_all_around():

@@ -1,7 +1,8 @@
 """The walk of a body to where the thing is believed to be, over the ground that its looks have shown.
 
 The body comes to the place from another side where it stood beside it in vain: a wall may be between. A place around
-which it has tried all sides, or on the way to which it was held up too often, is given up.
+which it has tried all sides is given up. Where it was held up too often on the way, nothing is learnt of the place: it
+searches for as many steps as it has tried, and then, if the thing is still believed to be there, it tries again.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from eagor.tasks.floor_seen import CELL, CONTACT, FloorSeen
-from eagor.tasks.floor_ways import NEAR, Ways
+from eagor.tasks.floor_ways import BESIDE, NEAR, Ways
 from eagor.tasks.policy import held_back
 from eagor.tasks.searched_ground import SearchedGround
 from eagor.tasks.situation import Situation
@@ -29,14 +30,17 @@ ALIKE, FARTHER = math.radians(25), 0.3  # a belief that changes by less (distanc
 class Approach:
     """Where the thing should be, and what became of going there. For one episode.
 
-    `kept` ``(2,)``: the place, metres, world frame. `tried`: where the body stood beside it, and was not there. `vain`:
-    places where the thing should have been, and was not. `held`: how often the body was held up on its way.
+    `kept` ``(2,)``: the place, metres, world frame. `tried`: where the body stood beside it, and was not there. `held`:
+    how often the body was held up on its way; `steps`: of the way so far. `given_up`: places ``(2,)`` where the thing
+    should have been, and was not, each with the step from which it is tried again; `clock`: the steps so far.
     """
 
     kept: np.ndarray | None = None
     tried: list[np.ndarray] = field(default_factory=list)
-    vain: list[np.ndarray] = field(default_factory=list)
     held: int = 0
+    steps: int = 0
+    given_up: list[tuple[np.ndarray, float]] = field(default_factory=list)
+    clock: int = 0
 
     def hides(self, ground: SearchedGround, now: Situation) -> bool:
         """Whether the thing, if it is where it should be, cannot be seen from here: looks that miss it say nothing."""
@@ -51,7 +55,7 @@ class Approach:
         """
         kept = self.kept if self.kept is not None and _agrees(now, self.kept) else None
         if kept is None:
-            self.tried, self.held = [], 0
+            self._begin()
             kept = now.here + (now.distance if now.distance is not None else _free(ground.known, now)) * now.ahead
         if self._in_vain(kept) and now.distance is None:
             kept = now.here + RANGE * now.ahead  # not in front of the next obstacle: behind it
@@ -61,17 +65,26 @@ class Approach:
     def beside(self, ground: SearchedGround, now: Situation, ways: Ways, target: np.ndarray) -> tuple[int, int] | None:
         """The cell from which to come to the target: another one than where the body stood and did not meet it.
 
-        None if there is no other: where the target's distance is not known, or nothing stands between it and here.
+        None if there is no other: where the target's distance is not known, or it is close and nothing stands between.
         """
+        self.steps += 1
         end = ways.nearest(target, self.tried)
         if end is not None and float(np.hypot(*(ground.known.centres(np.array(end)) - now.here))) < REACHED:
             self.tried.append(now.here)
-            there = now.distance is not None and ground.sight(target) < OPEN_SIGHT
+            close = float(np.hypot(*(target - now.here))) < BESIDE
+            there = now.distance is not None and (not close or ground.sight(target) < OPEN_SIGHT)
             end = ways.nearest(target, self.tried) if there else None
-        if end is None or self.held > PATIENCE:
-            self.vain.append(target)
+        if end is None:
+            self.given_up.append((target, math.inf))
+        elif self.held > PATIENCE:
+            self.given_up.append((target, self.clock + self.steps))
+            self._begin()
             return None
         return end
+
+    def _begin(self) -> None:
+        """The way to a place begins, for the first time or anew."""
+        self.tried, self.held, self.steps = [], 0, 0
 
     def feel(self, known: FloorSeen, before: np.ndarray, meant: np.ndarray, here: np.ndarray, step: float) -> None:
         """Learn from a step of a body that meant to move by `meant` ``(2,)``: something stands where it was held up.
@@ -90,7 +103,7 @@ class Approach:
         known.held_up(points[np.any(known.cells(points) != known.cells(here), axis=1)])
 
     def _in_vain(self, place: np.ndarray) -> bool:
-        return any(float(np.hypot(*(place - other))) < NEAR for other in self.vain)
+        return any(self.clock < until and float(np.hypot(*(place - at))) < NEAR for at, until in self.given_up)
 
 
 def _agrees(now: Situation, place: np.ndarray) -> bool:

@@ -80,6 +80,7 @@ class Searcher(Generic[Where]):
         """The next step: a turn, radians, positive left, in (-pi, pi], and then so many metres straight ahead."""
         ground = self.space
         ground.look(now)
+        self._approach.clock += 1
         if self._last is not None:
             self._approach.feel(ground.known, *self._last, now.here, self.step)
         target = self._approach.target(ground, now) if self._believes(now) else None
