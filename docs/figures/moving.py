@@ -2,9 +2,9 @@
 
     python docs/figures/moving.py [OUT.webp] [--seed 600] [--episode 1] [--width 760]
 
-The search is played as `eagor bench run navigation --perception scout --set policy=follow` plays it: every step goes
-along our estimate. Then its way is gone once more through the public face alone (a tracker, the perception, poses by
-time stamp), and drawn, also in poses between two looks, where nothing but the odometry is new.
+The search is played as `eagor bench run navigation --perception scout` plays it: while nothing is believed, the body
+looks where that tells most. Then its way is gone once more through the public face alone (a tracker, the perception,
+poses by time stamp), and drawn, also in poses between two looks, where nothing but the odometry is new.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import paint_belief
 from eagor.drawing.panorama import OURS, TRUTH
 from eagor.drawing.sheet import INK, QUIET, figure, image
-from eagor.drawing.words import distance_in_words
+from eagor.drawing.words import far_in_words
 from eagor.perception import load
 from eagor.sphere import interpolate_rotation, unit
 from eagor.tasks.episodes import Slot
@@ -30,7 +30,7 @@ from eagor.tasks.methods import BASE
 from eagor.tasks.places import APARTMENT, load_place
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
-from eagor.worlds.render import Renderer
+from eagor.worlds import View
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -57,7 +57,7 @@ def search(seed: int, index: int) -> Way:
     camera, seeing = Camera(), load("scout")
     config: dict[str, Any] = {"task": "navigation", "perception": "scout", "rows": seeing.rows}  # type: ignore[attr-defined]
     config |= {
-        "rules": as_dict(NavigationRules(policy="follow")),
+        "rules": as_dict(NavigationRules()),
         "camera": as_dict(camera),
         "disturbances": as_dict(Disturbances()),
     }
@@ -68,7 +68,7 @@ def search(seed: int, index: int) -> Way:
     return Way(record["episode"]["query"], thing.centre, poses[:, :3], rotations)
 
 
-def photograph(renderer: Renderer, position: np.ndarray, world_R_body: np.ndarray, rows: int) -> np.ndarray:
+def photograph(renderer: View, position: np.ndarray, world_R_body: np.ndarray, rows: int) -> np.ndarray:
     """What the camera sees ``(rows, 2 rows, 3)``."""
     rgb = renderer.panorama(position, world_R_body, rows, range=False, ids=False).rgb
     assert rgb is not None
@@ -112,7 +112,7 @@ def draw(seen: np.ndarray, estimate: eagor.Estimate, truth: np.ndarray, way: Way
         off = f"off by {math.degrees(float(eagor.angular_distance(estimate.direction, truth))):.0f}°"
     top, low = 1 - head / 2 / (tall + head + foot), foot / 2 / (tall + head + foot)
     sheet.text(0.012, top, f"Where is the {way.query}?", fontsize=13, color=INK, weight="bold", va="center")
-    far = distance_in_words(estimate)  # only where it is well known
+    far = far_in_words(estimate)  # only where it is well known
     said = f"{stamp:4.1f} s   {estimate.status}{f'   {far} away' if far else ''}   {off}"
     sheet.text(0.988, top, said, fontsize=11, color=INK, va="center", ha="right")
     for x, mark, colour, what in (
