@@ -110,4 +110,5 @@ def _lattice(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray
     there = ends.reshape(-1) >= 0
     first = np.repeat(index.reshape(-1), len(around))[there]
     order = np.concatenate([[0], np.cumsum((ends >= 0).sum(axis=-1).reshape(-1))])
-    return first, ends.reshape(-1)[there], lengths.reshape(-1)[there], order
+    narrow = np.int32  # what scipy searches; it would convert others every time
+    return first, ends.reshape(-1)[there].astype(narrow), lengths.reshape(-1)[there], order.astype(narrow)
