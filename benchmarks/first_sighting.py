@@ -19,23 +19,24 @@ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 import argparse
 import math
 import sys
+from typing import Any
 
 import numpy as np
 
+from eagor.evaluation import parts
 from eagor.evidence import Evidence
 from eagor.metrics import angular_error_deg
 from eagor.perception import rows_of
 from eagor.statistics import bootstrap_interval
-from eagor.tasks.episodes import Slot
+from eagor.tasks.episodes import Slot, slots
 from eagor.tasks.eyes import shared
 from eagor.tasks.methods import told
-from eagor.tasks.places import APARTMENT
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
 
-EACH = 5  # episodes in an apartment
 OURS, FRAME = "eagor", "frame"
-Step = tuple[float, np.ndarray, Evidence | None, np.ndarray, bool]  # stamp, pose, look, true direction, in sight
+SHOWN = (parts.SEEN, parts.IN_SIGHT, parts.HIDDEN)
+Step = tuple[float, np.ndarray, Evidence | None, np.ndarray]  # stamp, pose, look, true direction
 
 
 class Writer(Player):
@@ -44,16 +45,16 @@ class Writer(Player):
     steps: list[Step]
 
     def _look(self, eye, observation, info, query=""):
-        look, true = super()._look(eye, observation, info, query), info["truth"]
+        look = super()._look(eye, observation, info, query)
         stamp = info["num_steps"] * self.camera.seconds
-        self.steps.append((stamp, observation["pose"], look, true["direction"], bool(true["visible"])))
+        self.steps.append((stamp, observation["pose"], look, info["truth"]["direction"]))
         return look
 
 
 def frame_errors(steps: list[Step]) -> np.ndarray:
     """Degrees ``(n,)`` between the truth and the highest value of each look; NaN where there is no response map."""
     found = []
-    for _, _, look, true, _ in steps:
+    for _, _, look, true in steps:
         error = math.nan
         if look is not None and look.response is not None:
             best = look.grid.directions.reshape(-1, 3)[int(np.argmax(look.response))]
@@ -70,10 +71,10 @@ def errors(player: Player, name: str, slot: Slot, steps: list[Step]) -> np.ndarr
     return np.array([float(angular_error_deg(told(method, *step[:3]), step[3])) for step in steps])
 
 
-def means(found: np.ndarray, seen: np.ndarray) -> list[float]:
-    """The mean after the first sighting, of it in sight, and hidden again; NaN where there is none."""
-    after = np.logical_or.accumulate(seen)
-    return [float(found[which].mean()) if which.any() else math.nan for which in (after, after & seen, after & ~seen)]
+def means(record: dict[str, Any], name: str) -> list[float]:
+    """A method's mean in each of `SHOWN`; NaN where the episode has no such step."""
+    found = (parts.error_in([record], name, part) for part in SHOWN)
+    return [math.nan if part is None else part.mean for part in found]
 
 
 def cell(values: np.ndarray, seeds: np.ndarray) -> str:
@@ -96,22 +97,22 @@ def main() -> int:
     config = {"task": "navigation", "perception": given.perception, "rows": rows_of(shared(given.perception))}
     player = Writer(config | {key: as_dict(value) for key, value in settings.items()})
     names, rows, seeds, pointed = [FRAME, *given.methods], [], [], []
-    for number in range(given.episodes):
-        slot = Slot("navigation", APARTMENT, given.seed + number // EACH, number % EACH, number)
+    for slot in slots(config["task"], given.episodes, given.seed):
         player.steps = []
-        player.play(slot, [OURS])
-        seen = np.array([step[4] for step in player.steps])
+        record = player.play(slot, [OURS]) | {"status": "ok"}
+        visible = record["methods"][OURS]["trace"]["visible"]
         found = {name: errors(player, name, slot, player.steps) for name in names}
-        rows.append([means(found[name], seen) for name in names])
+        record["methods"] = {name: {"trace": {"error_deg": found[name], "visible": visible}} for name in names}
+        rows.append([means(record, name) for name in names])
         seeds.append(slot.seed)
-        if seen.any():
-            pointed.append(float((found[FRAME][seen] < 15).mean()))
+        if any(visible):
+            pointed.append(float((found[FRAME][visible] < 15).mean()))
     table, clusters = np.array(rows), np.array(seeds)
     print(f"{given.perception}: {given.episodes} episodes; a look points within 15 degrees of what is in sight in "
           f"{100 * np.mean(pointed):.1f} % of the cases")  # fmt: skip
     print(f"{'':24s}{'after the first':>22s}{'in sight':>22s}{'hidden again':>22s}{'- frame':>22s}")
     for index, name in enumerate(names):
-        cells = [cell(table[:, index, part], clusters) for part in range(3)]
+        cells = [cell(table[:, index, part], clusters) for part in range(len(SHOWN))]
         if index:
             cells.append(cell(table[:, index, 0] - table[:, 0, 0], clusters))
         print(f"{name:24s}" + "".join(cells))

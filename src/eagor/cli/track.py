@@ -48,8 +48,6 @@ SEEN = {
     "level": "headings from the pictures themselves, which are taken as level",
 }
 RATE, FPS = 2.0, 10.0  # looks and frames per second of a video
-STATUS_WIDTH = len("ambiguous")
-WIDTH = 2 + max(len("-180.0/-90.0"), *map(len, RIVALS))  # of a rival's column
 
 
 def track(options: Track) -> int:
