@@ -1,4 +1,4 @@
-"""Map-Free Navigation: start facing away from the target, and walk a fixed step along the estimate until it is reached.
+"""Map-Free Navigation: start facing away from the target, and walk by fixed steps until it is reached.
 
 Episodes come in strata. In two thirds of them the target is visible at the start. In half of them the path is longer
 than the straight line by more than a fifth, so that walking straight leads into walls.
