@@ -49,7 +49,7 @@ from eagor.evidence.shapes import MIN_SPREAD
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid
 from eagor.statistics import bootstrap_interval
-from eagor.tasks.methods import TrackerMethod
+from eagor.tasks.methods import NAMES, TrackerMethod
 from eagor.tasks.places import load_place
 from eagor.tasks.play import Player, Recording
 
@@ -112,7 +112,7 @@ READINGS: dict[str, Reading] = {
 TOLD = "range told to 15 %"
 FORMER = f"{OURS}:floor=0.065,neutral=0.0204,temperature=3.47,persistence=0.77,spread=0"  # once shipped
 GROUPS: dict[str, tuple[str, ...]] = {
-    "rivals": ("centroid", "cent_circ", "grid", "eagor_paper", "vmf", "grid_filter", "particle_filter"),
+    "rivals": tuple(name for name in NAMES if name != OURS),
     "memory": (
         *(f"{OURS}:persistence={share}" for share in (0, 0.5, 0.9)),
         *(f"{OURS}:wander={angles}" for angles in ("0", "5", "10", "2.5+5+10", "1+20")),

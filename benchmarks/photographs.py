@@ -1,6 +1,6 @@
 """Four real photographs, a real detector: every method on the same looks. The first argument is their folder.
 
-python benchmarks/photographs.py PANORAMAS [--looks looks.jsonl] [--only yaw,tumble]
+python benchmarks/photographs.py PANORAMAS [--looks looks.jsonl] [--only yaw,tumble] [--json figures.json]
 
 The detector is `coco`: CenterNet on MobileNetV3 (eagor models get coco). Truth was marked by hand:
 tests/photographs.json names things, their azimuth, elevation and size, and classes that are certainly absent. Each
@@ -12,8 +12,12 @@ photograph is turned by known rotations, 40 frames a second apart:
 - drift: as yaw, the heading of the poses drifts by 1 degree a second; drift-told: the tracker is told so.
 - sight: as tumble, poses from the pictures alone (`eagor.robots.rotation`).
 
-The reading of the detector (`DetectorModel`) is fitted on three photographs and used on the fourth, four times over.
-What was seen is kept in the file of --looks, so that a second run only plays it (the looks take about 25 minutes).
+The reading of the detector (`DetectorModel`) is fitted on three photographs and used on the fourth, four times over;
+--model gives one instead. What was seen is kept in the file of --looks, so that a second run only plays it (the looks
+take about 25 minutes). The tables are those of `photographs_tables`. Methods without a distribution have no coverage.
+
+The log score of a tracker: where the thing is there, the log of the probability that it is there and within 15 degrees
+of any instance; where it is not, the log of the probability that it is absent. It is the sum of both means.
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ import argparse
 import io
 import json
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -29,22 +34,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from photographs_tables import LEAST, NEAR, SCORED, Run, all_tables, print_all
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from eagor.evaluation.detector_fit import fit_detector
 from eagor.evaluation.labelled_looks import LabelledLook
-from eagor.evidence import DetectorModel, Evidence
+from eagor.evidence import DetectorModel, Evidence, model_as_json, parse_model
 from eagor.evidence.detections import View
 from eagor.evidence.shapes import WHOLE_SPHERE
+from eagor.grids import ErpGrid
 from eagor.perception.blobs import spread_evidence
 from eagor.perception.coco.classes import CLASSES
 from eagor.perception.pieces import Thing
 from eagor.robots.rotation import VisualOdometer
 from eagor.sphere import angular_distance, direction, unit, world_R_body
-from eagor.statistics import bootstrap_interval
-from eagor.tasks.methods import NAMES, TrackerMethod, make_method
-from eagor.tracking import TrackerConfig
+from eagor.tasks.methods import NAMES, Method, TrackerMethod, make_method
+from eagor.tracking import Estimate, TrackerConfig
 from eagor.worlds.panorama import read_panorama, turn
 
 FRAMES, STEP, TUMBLE = 40, math.radians(9), math.radians(20)
@@ -54,6 +60,9 @@ LOOKS_OF = {"drift": "yaw", "drift-told": "yaw", "sight": "tumble"}
 CONDITIONS = (*SEEN, *LOOKS_OF)
 FITTED = (0, 1, 20, 21)  # frames of each case that the model of the detector is fitted on: neighbours, and far apart
 JUDGED = (0, *range(FRAMES - 10, FRAMES))  # frames in which coverage is judged
+FITTED_IN = ("yaw", "tumble")
+BOX = 0.3  # score from which on a single box would be believed
+GRID = ErpGrid(90, 180)  # of the body frame, for the mass about the targets
 ANNOTATIONS = Path(__file__).parents[1] / "tests" / "photographs.json"
 
 
@@ -101,28 +110,34 @@ def pictures(photograph: np.ndarray, condition: str) -> Iterator[np.ndarray]:
         yield picture
 
 
-def look(folder: Path, files: Sequence[Path], conditions: list[str]) -> None:
-    """See what is not in the `files` yet, and add it to the first: one line for each frame."""
+def look(folder: Path, files: Sequence[Path], wanted: Sequence[tuple[str, str]]) -> None:
+    """See what is `wanted` (photograph, condition) and not in the `files` yet; add it to the first, line by line."""
+    known = {(entry["photograph"], entry["condition"], entry["frame"]) for entry in entries(files)}
+    missing = {pair: [frame for frame in range(FRAMES) if (*pair, frame) not in known] for pair in wanted}
+    if not any(missing.values()):
+        return
     from eagor.perception.coco import coco_detector
     from eagor.perception.views import Views
 
-    lines = chain.from_iterable(file.read_text().splitlines() for file in files if file.exists())
-    known = {(entry["photograph"], entry["condition"], entry["frame"]) for entry in map(json.loads, lines)}
     views = Views(coco_detector())
     with files[0].open("a") as out:
-        for condition in conditions:
-            for name in json.loads(ANNOTATIONS.read_text()):
-                if all((name, condition, frame) in known for frame in range(FRAMES)):
+        for (name, condition), frames in missing.items():
+            say = told(condition)
+            photograph = read_panorama(folder / name) if frames else np.empty(0)
+            for frame, picture in enumerate(pictures(photograph, condition) if frames else ()):
+                if frame not in frames:
                     continue
-                photograph, say = read_panorama(folder / name), told(condition)
-                for frame, picture in enumerate(pictures(photograph, condition)):
-                    if (name, condition, frame) in known:
-                        continue
-                    seen = zip(CLASSES, views.things(picture, CLASSES, say[frame]), strict=True)
-                    found = {query: [as_json(thing) for thing in things] for query, things in seen if things}
-                    entry: dict[str, Any] = {"photograph": name, "condition": condition, "frame": frame, "seen": found}
-                    out.write(json.dumps(entry) + "\n")
-                    out.flush()
+                seen = zip(CLASSES, views.things(picture, CLASSES, say[frame]), strict=True)
+                found = {query: [as_json(thing) for thing in things] for query, things in seen if things}
+                entry: dict[str, Any] = {"photograph": name, "condition": condition, "frame": frame, "seen": found}
+                out.write(json.dumps(entry) + "\n")
+                out.flush()
+
+
+def entries(files: Sequence[Path]) -> Iterator[dict[str, Any]]:
+    """What was seen: one entry for each frame of each file that exists."""
+    lines = chain.from_iterable(file.read_text().splitlines() for file in files if file.exists())
+    return map(json.loads, lines)
 
 
 def as_json(thing: Thing) -> list[Any]:
@@ -139,7 +154,8 @@ def as_thing(where: list[float], covariance: list[list[float]], score: float) ->
 class Case:
     """A thing on a photograph, in one condition: what was seen in each frame, and where its instances are.
 
-    `things`: of each frame; `targets` ``(n, 3)``: world directions of all instances, none if it is absent.
+    `things`: of each frame; `targets` ``(n, 3)``: world directions of all instances, none if it is absent; `sizes`
+    ``(n,)``: the larger of an instance's width and height, radians.
     """
 
     photograph: str
@@ -147,157 +163,123 @@ class Case:
     query: str
     things: Sequence[Sequence[Thing]]
     targets: np.ndarray
+    sizes: np.ndarray
 
     def evidence(self, frame: int, model: DetectorModel) -> Evidence:
         """The look of one frame, read with `model`."""
         return spread_evidence(self.things[frame], model, View(WHOLE_SPHERE), float(frame))
 
 
-def read_cases(files: Sequence[Path], conditions: Sequence[str]) -> list[Case]:
-    """Every annotated thing and absent class, in each condition."""
+def read_cases(files: Sequence[Path], conditions: Sequence[str], photographs: Sequence[str]) -> list[Case]:
+    """Every annotated thing and absent class on the `photographs`, in each condition."""
     seen: dict[tuple[str, str], dict[int, dict[str, list[Thing]]]] = {}
-    for line in chain.from_iterable(file.read_text().splitlines() for file in files):
-        entry = json.loads(line)
+    for entry in entries(files):
         things = {query: [as_thing(*thing) for thing in found] for query, found in entry["seen"].items()}
         seen.setdefault((entry["photograph"], entry["condition"]), {})[entry["frame"]] = things
     cases = []
-    for photograph, told in json.loads(ANNOTATIONS.read_text()).items():
-        names = {name for thing in told["things"] for name in thing["names"]}
+    for photograph in photographs:
+        marked = json.loads(ANNOTATIONS.read_text())[photograph]
+        names = {name for thing in marked["things"] for name in thing["names"]}
         for condition in conditions:
             frames = seen.get((photograph, LOOKS_OF.get(condition, condition)), {})
             if len(frames) < FRAMES:
                 print(f"{photograph}, {condition}: only {len(frames)} frames were looked at; left out")
                 continue
-            for query in sorted(names) + told["absent"]:
-                at = [thing for thing in told["things"] if query in thing["names"]]
-                angles = np.radians([(thing["azimuth_deg"], thing["elevation_deg"]) for thing in at]).reshape(-1, 2)
+            for query in sorted(names) + marked["absent"]:
                 things = [frames[frame].get(query, []) for frame in range(FRAMES)]
-                cases.append(Case(photograph, condition, query, things, direction(angles[:, 0], angles[:, 1])))
+                at = [thing for thing in marked["things"] if query in thing["names"]]
+                cases.append(Case(photograph, condition, query, things, *places(at)))
     return cases
 
 
-def fitted(cases: Sequence[Case], left_out: str) -> DetectorModel:
-    """The model of the detector by all photographs but one: how to read scores, spread and repeats.
+def places(instances: Sequence[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
+    """Directions ``(n, 3)`` and sizes ``(n,)`` of marked instances; their widths are marked in degrees of azimuth."""
+    names = ("azimuth_deg", "elevation_deg", "width_deg", "height_deg")
+    marked = np.radians([[each[name] for name in names] for each in instances]).reshape(-1, 4)
+    azimuth, elevation, width, height = marked.T
+    return direction(azimuth, elevation), np.maximum(width * np.cos(elevation), height)
 
-    Its rates stay unknown: they differ from class to class, and the tracker learns them.
-    """
-    looks = [
-        LabelledLook(
-            case.evidence(frame, DetectorModel()),
-            case.targets @ poses(case.condition)[frame],
-            float(frame),
-            f"{case.photograph}, {case.query}, {case.condition}",
-        )
-        for case in cases
-        if case.photograph != left_out and case.condition in ("yaw", "tumble")
+
+def fitted(cases: Sequence[Case], left_out: str) -> DetectorModel:
+    """The model of the detector by all photographs but one."""
+    return fit([look for case in cases if case.photograph != left_out for look in labelled(case)])
+
+
+def labelled(case: Case) -> list[LabelledLook]:
+    """The looks of a case that a model is fitted on, with the truth."""
+    true, group = poses(case.condition), f"{case.photograph}, {case.query}, {case.condition}"
+    return [
+        LabelledLook(case.evidence(frame, DetectorModel()), case.targets @ true[frame], float(frame), group)
         for frame in FITTED
     ]
+
+
+def fit(looks: Sequence[LabelledLook]) -> DetectorModel:
+    """How to read scores, spread and repeats.
+
+    The rates stay unknown: they differ from class to class, and the tracker learns them.
+    """
     found = fit_detector(looks, resamples=0).model
     return replace(found, detection_probability=None, false_alarms_per_look=None)
 
 
-def play(case: Case, name: str, model: DetectorModel, say: Sequence[np.ndarray]) -> dict[str, Any]:
-    """One method on one case: errors to the nearest instance in degrees, coverage, presence, by frame."""
+def play(case: Case, name: str, model: DetectorModel, say: Sequence[np.ndarray], lookalike: bool) -> Run:
+    """One method on one case, told the poses `say`."""
     config = TrackerConfig(drift=math.radians(1) if case.condition == "drift-told" else 0.0)
-    method = make_method(name, np.random.default_rng(0), "coco", ours=config)
+    method = make_method(name, np.random.default_rng(0), "coco", ours=config, detector=model)
     true = poses(case.condition)
-    errors, covered, presence = [], [], []
-    for frame in range(FRAMES):
+    run = Run(
+        case.photograph,
+        case.condition,
+        case.query,
+        name,
+        here=bool(len(case.targets)),
+        lookalike=lookalike,
+        boxes=[any(thing.score >= BOX for thing in things) for things in case.things],
+        near_boxes=[seen_near(*each) for each in zip(case.things, (case.targets @ pose for pose in true), strict=True)],
+    )
+    for frame, pose in enumerate(true):
         method.move(float(frame), say[frame], None)
         method.see(case.evidence(frame, model))
-        targets = case.targets @ true[frame]
+        targets = case.targets @ pose
         if isinstance(method, TrackerMethod):
-            presence.append(float(method.estimate.presence))
-        if not len(targets):
-            continue
-        errors.append(float(np.degrees(angular_distance(targets, method.direction()).min())))
-        masses = [method.mass_above(target) for target in targets] if frame in JUDGED else []
-        known = [mass for mass in masses if mass is not None]
-        covered.append(min(known) <= 0.9 if known else math.nan)
-    return {"errors": errors, "covered": covered, "presence": presence}
+            judge_belief(run, method.estimate, targets, frame)
+        if run.here:
+            judge_answer(run, method, targets, case.sizes, frame)
+    return run
 
 
-def main() -> None:
-    """Look, play, print."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("panoramas", type=Path, help="the folder of the photographs")
-    parser.add_argument(
-        "--looks", type=Path, nargs="+", default=[Path("photographs-looks.jsonl")], help="what was seen"
-    )
-    parser.add_argument("--only", help="conditions, with commas")
-    parser.add_argument("--methods", default=",".join(NAMES), help="methods, with commas")
-    parser.add_argument("--plain", action="store_true", help="read scores as ratios, without a fit")
-    options = parser.parse_args()
-    conditions = options.only.split(",") if options.only else [*CONDITIONS]
-    look(options.panoramas, options.looks, [each for each in conditions if each in SEEN])
-    cases = read_cases(options.looks, conditions)
-    fit_on = read_cases(options.looks, ("yaw", "tumble"))
-    models = {
-        name: DetectorModel(repeats=0.5) if options.plain else fitted(fit_on, name)
-        for name in {case.photograph for case in cases}
-    }
-    for name, model in models.items():
-        print(f"all but {name}: {model}")
-    if not options.plain:
-        print(f"all four: {fitted(fit_on, '')}")
-    sight = {}
-    if "sight" in conditions:
-        sight = {name: by_sight(read_panorama(options.panoramas / name)) for name in models}
-    played = [
-        (case, name, play(case, name, models[case.photograph], says(case, sight)))
-        for case in cases
-        for name in options.methods.split(",")
-        if len(case.targets) or (name == "eagor" and case.condition in ("yaw", "tumble"))
-    ]
-    print_found(played)
-    print_absent(played)
+def judge_answer(run: Run, method: Method, targets: np.ndarray, sizes: np.ndarray, frame: int) -> None:
+    """Add what a method's answer is worth in one frame, against the `targets` ``(n, 3)`` of the body frame."""
+    angles = angular_distance(targets, method.direction())
+    nearest = int(np.argmin(angles))
+    run.errors.append(float(np.degrees(angles[nearest])))
+    run.right.append(bool(angles[nearest] <= max(math.radians(NEAR), sizes[nearest] / 2)))
+    masses = [method.mass_above(target) for target in targets] if frame in JUDGED else []
+    known = [mass for mass in masses if mass is not None]
+    run.covered.append(min(known) <= 0.9 if known else None)
 
 
-def says(case: Case, sight: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
-    """The poses that the methods are told."""
-    return sight[case.photograph] if case.condition == "sight" else told(case.condition)
+def judge_belief(run: Run, estimate: Estimate, targets: np.ndarray, frame: int) -> None:
+    """Add what a tracker believes in one frame; its log score where that is wanted."""
+    run.presence.append(float(estimate.presence))
+    if run.here:
+        run.status.append(estimate.status)
+    if frame + 1 in SCORED:
+        given = estimate.presence * mass_near(estimate, targets) if run.here else 1 - estimate.presence
+        run.log_scores[frame + 1] = math.log(max(float(given), LEAST))
 
 
-Played = Sequence[tuple[Case, str, dict[str, Any]]]
+def mass_near(estimate: Estimate, targets: np.ndarray) -> float:
+    """The probability, if the thing is here, that it is within 15 degrees of any of the `targets`."""
+    near = np.any(GRID.directions @ targets.T >= math.cos(math.radians(NEAR)), axis=-1)
+    return float(np.sum((estimate.density(GRID) * GRID.weights)[near]))
 
 
-def print_found(played: Played) -> None:
-    """Errors and coverage of every method, by condition. A unit of the intervals is a thing on a photograph."""
-    print(f"\n{'':14s}{'method':17s}{'first look, deg':>22s}{'last ten, deg':>22s}{'within 15':>11s}{'covered':>9s}")
-    for condition in dict.fromkeys(case.condition for case, _, _ in played):
-        for name in dict.fromkeys(name for _, name, _ in played):
-            own = [p for case, n, p in played if (case.condition, n) == (condition, name) and len(case.targets)]
-            first, last = [p["errors"][0] for p in own], [float(np.mean(p["errors"][-10:])) for p in own]
-            near = np.mean([np.mean(np.array(p["errors"][-10:]) < 15) for p in own])
-            held = [x for p in own for x in p["covered"][-10:] if not math.isnan(x)]
-            coverage = f"{np.mean(held):9.2f}" if held else f"{'-':>9s}"
-            print(f"{condition:14s}{name:17s}{cell(first):>22s}{cell(last):>22s}{near:11.2f}{coverage}")
-
-
-def print_absent(played: Played) -> None:
-    """How often the tracker claims a thing, here and absent, and what a single box of score 0.3 would have said."""
-    print(f"\n{'':24s}{'presence > 0.5':>22s}{'a box of 0.3 or more':>24s}{'persistent mistakes':>26s}")
-    print(
-        f"{'':24s}{'first look':>12s}{'last':>10s}{'first look':>14s}{'last ten':>10s}{'share':>14s}{'presence':>12s}"
-    )
-    for condition in dict.fromkeys(case.condition for case, _, _ in played):
-        ours = [(case, p) for case, name, p in played if (case.condition, name) == (condition, "eagor")]
-        for words, here in (("here", True), ("absent", False)):
-            own = [(case, p) for case, p in ours if here == bool(len(case.targets))]
-            if not own:
-                continue
-            boxes = [[any(t.score >= 0.3 for t in things) for things in case.things] for case, _ in own]
-            lasting = [p["presence"][-1] for case, p in own if persists(case)]
-            shares = [
-                np.mean([p["presence"][0] > 0.5 for _, p in own]),
-                np.mean([p["presence"][-1] > 0.5 for _, p in own]),
-                np.mean([each[0] for each in boxes]),
-                np.mean([any(each[-10:]) for each in boxes]),
-                len(lasting) / len(own),
-            ]
-            columns = "".join(f"{x:{wide}.3f}" for x, wide in zip(shares, (12, 10, 14, 10, 14), strict=True))
-            presence = f"{np.mean(lasting):12.2f}" if lasting else f"{'-':>12s}"
-            print(f"{condition:14s}{words:10s}{columns}{presence}   (of {len(own)})")
+def seen_near(things: Sequence[Thing], targets: np.ndarray) -> bool:
+    """Whether a box of score 0.3 or more is within 15 degrees of any of the `targets`."""
+    boxes = [thing.direction for thing in things if thing.score >= BOX]
+    return any(np.degrees(angular_distance(targets, box)).min(initial=math.inf) <= NEAR for box in boxes)
 
 
 def persists(case: Case) -> bool:
@@ -315,10 +297,72 @@ def persists(case: Case) -> bool:
     return False
 
 
-def cell(values: Sequence[float]) -> str:
-    """A mean with its 95 % interval."""
-    found = bootstrap_interval(values, np.random.default_rng(0))
-    return f"{np.mean(values):5.1f} [{found.low:5.1f} {found.high:5.1f}]"
+def says(case: Case, sight: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
+    """The poses that the methods are told."""
+    return sight[case.photograph] if case.condition == "sight" else told(case.condition)
+
+
+def models_of(options: argparse.Namespace, photographs: Sequence[str]) -> dict[str, DetectorModel]:
+    """The model that each photograph is played with; without --model, fitted on the other photographs."""
+    if options.model is not None:
+        model = parse_model(options.model)
+        print(f"all photographs: {model}")
+        return dict.fromkeys(photographs, model)
+    fit_on = read_cases(options.looks, FITTED_IN, [*json.loads(ANNOTATIONS.read_text())])
+    models = {name: fitted(fit_on, name) for name in photographs}
+    for name, model in models.items():
+        print(f"all but {name}: {model}")
+    print(f"all of them: {fitted(fit_on, '')}")
+    return models
+
+
+def arguments() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("panoramas", type=Path, help="the folder of the photographs")
+    parser.add_argument(
+        "--looks", type=Path, nargs="+", default=[Path("photographs-looks.jsonl")], help="what was seen"
+    )
+    parser.add_argument("--only", help="conditions, with commas")
+    parser.add_argument("--photographs", help="names of photographs, with commas")
+    parser.add_argument("--methods", default=",".join(NAMES), help="methods, with commas")
+    parser.add_argument("--model", help="read the detector so, without a fit, such as spread=3")
+    parser.add_argument("--json", type=Path, help="a file for all figures")
+    options = parser.parse_args()
+    known = [*json.loads(ANNOTATIONS.read_text())]
+    options.only = options.only.split(",") if options.only else [*CONDITIONS]
+    options.photographs = options.photographs.split(",") if options.photographs else known
+    if wrong := [*(set(options.only) - set(CONDITIONS)), *(set(options.photographs) - set(known))]:
+        parser.error(f"there is no {wrong[0]!r}; known are {', '.join((*CONDITIONS, *known))}")
+    # A comma ends a method only if what follows is a name, not one more setting.
+    options.methods = re.split(r",(?=[^=,:]+(?:[,:]|$))", options.methods)
+    return options
+
+
+def main() -> None:
+    """Look, play, print."""
+    options = arguments()
+    only: list[str] = options.only
+    wanted = [(name, LOOKS_OF.get(condition, condition)) for condition in only for name in options.photographs]
+    if options.model is None:
+        wanted += [(name, condition) for condition in FITTED_IN for name in json.loads(ANNOTATIONS.read_text())]
+    look(options.panoramas, options.looks, wanted)
+    cases = read_cases(options.looks, only, options.photographs)
+    models = models_of(options, options.photographs)
+    sight = {}
+    if "sight" in only:
+        sight = {name: by_sight(read_panorama(options.panoramas / name)) for name in options.photographs}
+    runs = []
+    for case in cases:
+        names = [name for name in options.methods if len(case.targets) or name.startswith("eagor")]
+        say, lookalike = says(case, sight), persists(case)
+        runs += [play(case, name, models[case.photograph], say, lookalike) for name in names]
+    tables = all_tables(runs)
+    print_all(tables)
+    if options.json:
+        told_models = {name: model_as_json(model) for name, model in models.items()}
+        figures = {"models": told_models, **tables, "runs": [run.as_json() for run in runs]}
+        options.json.write_text(json.dumps(figures) + "\n")
 
 
 if __name__ == "__main__":

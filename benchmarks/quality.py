@@ -40,10 +40,12 @@ from eagor import (
 )
 from eagor import direction as direction_of
 from eagor.baselines import (
+    BestDetection,
     Centroid,
     CircularCentroid,
     GridFilter,
     HistogramFilter,
+    LastDetection,
     ParticleFilter,
     Published,
     VonMisesFisherFilter,
@@ -130,6 +132,8 @@ def methods() -> dict[str, Factory]:
         "CircularCentroid": lambda rng: CircularCentroid(),
         "GridFilter": lambda rng: GridFilter(),
         "Published": lambda rng: Published(),
+        "BestDetection": lambda rng: BestDetection(),
+        "LastDetection": lambda rng: LastDetection(),
         "vMF": lambda rng: VonMisesFisherFilter(),
         "Histogram": lambda rng: HistogramFilter(),
         "Particles": lambda rng: ParticleFilter.uniform(PARTICLES, rng),

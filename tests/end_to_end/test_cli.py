@@ -528,7 +528,7 @@ def test_track_says_what_is_not_known(three, tmp_path):
             write_record(file, stamp, query="chair", points=[{"azimuth_deg": 40, "elevation_deg": 10}])
     words = ("track", images, "chair", "--poses", write(GOOD), "--perception", f"replay:{looks}")
     done = eagor(*words, "--compare", "--out", out)
-    assert re.match(r" +0\.000 +- +- +- +- searching ", done.stdout.splitlines()[1])
+    assert re.match(r" +0\.000 +- +- +- searching ", done.stdout.splitlines()[1])
     rows = list(csv.DictReader(io.StringIO(out.read_text())))
     assert [row["azimuth_deg"] == "" for row in rows] == [True, False, False]
     frames = answer(*words)["frames"]

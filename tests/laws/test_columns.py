@@ -78,7 +78,7 @@ def test_what_is_not_known_is_a_dash():
     nothing = Frame(azimuth=None, elevation=None, status="searching", modes=(), distance=None)
     assert line(nothing).split() == ["12345.678", "-", "-", "-", "-", "0", "searching"]
     nothing.others = dict.fromkeys(RIVALS)
-    assert line(nothing).split() == ["12345.678", "-", "-", "-", "-", "searching", *["-"] * len(RIVALS)]
+    assert line(nothing).split() == ["12345.678", "-", "-", "-", "searching", *["-"] * len(RIVALS)]
 
 
 def test_a_rival_is_azimuth_and_elevation_in_whole_degrees():

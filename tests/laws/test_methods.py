@@ -11,16 +11,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor import Calibration, Evidence, PatchGrid, angular_distance
+from eagor.cli.demo_search import SPOKEN
+from eagor.drawing.charts import CURVES
 from eagor.errors import EagorError, TimeError
+from eagor.evaluation.charts import STYLES
+from eagor.evaluation.page import DARK, LIGHT
 from eagor.evidence.detector import DetectorModel
 from eagor.sphere import FORWARD, world_R_body
 from eagor.tasks.fitted import FITTED
-from eagor.tasks.methods import EVERY, NAMES, FilterMethod, TrackerMethod, make_method, tracker_config
+from eagor.tasks.methods import EVERY, NAMES, SETTINGS, FilterMethod, TrackerMethod, make_method, tracker_config
 from eagor.tracking.config import TrackerConfig
 
 GRID = PatchGrid(18, 36)
 TARGET = np.array([3.0, 1.0, 0.5])
-FILTERS = [name for name in NAMES if name not in ("eagor", "eagor_paper")]
+WITHOUT = ("plain", "centroid", "cent_circ", "best_detection", "last_detection")  # a distribution
+DENSITIES = [name for name in NAMES if name not in (*WITHOUT, "eagor_paper")]
 
 
 def pose(step):
@@ -60,7 +65,7 @@ def test_late_evidence_ends_where_timely_evidence_does(name, latency, seed):
         assert late.mass_above(somewhere) == pytest.approx(timely.mass_above(somewhere), abs=1e-6)
 
 
-@pytest.mark.parametrize("name", [*FILTERS[3:], "eagor"])
+@pytest.mark.parametrize("name", [name for name in DENSITIES if name != "grid"])
 def test_late_is_not_the_same_as_never(name):
     late, never = run(name, 8, 3), run(name, 8, 3, filled=False)
     assert late.mass_above(TARGET / np.linalg.norm(TARGET)) != never.mass_above(TARGET / np.linalg.norm(TARGET))
@@ -71,7 +76,7 @@ def test_the_mass_above_the_answer_is_small_and_behind_it_is_large(name):
     method = run(name, 12, 0)
     answer = method.direction()
     mass = method.mass_above(answer)
-    if name in ("plain", "centroid", "cent_circ"):
+    if name in WITHOUT:
         assert mass is None
     elif name != "eagor_paper":  # whose answer is not the maximum of its field
         assert mass < 0.5
@@ -185,3 +190,13 @@ def test_a_variant_varies_the_calibration_of_the_perception():
     varied = make_method("eagor:temperature=4", np.random.default_rng(0), "truth", ours)
     assert varied.tracker.config.calibration == Calibration(0.3, 0.07, 4.0)
     assert make_method("eagor", np.random.default_rng(0), "truth", ours).tracker.config.calibration is None
+
+
+def test_every_method_has_settings_words_and_looks_of_its_own():
+    assert set(SETTINGS) == set(EVERY)
+    assert set(SPOKEN) == set(NAMES)
+    assert set(EVERY) <= set(STYLES)
+    assert set(LIGHT) == set(DARK) == set(STYLES)
+    assert len({str(STYLES[name]) for name in EVERY}) == len(EVERY)
+    assert len({LIGHT[name] for name in EVERY}) == len({DARK[name] for name in EVERY}) == len(EVERY)
+    assert len(set(CURVES)) >= len(NAMES)

@@ -169,7 +169,7 @@ def plain():
     rng = np.random.default_rng(0)
     for made in (baselines.Centroid(), baselines.CircularCentroid(), baselines.GridFilter(),
                  baselines.HistogramFilter(), baselines.ParticleFilter.uniform(2000, rng), baselines.Published(),
-                 baselines.VonMisesFisherFilter()):  # fmt: skip
+                 baselines.VonMisesFisherFilter(), baselines.BestDetection(), baselines.LastDetection()):  # fmt: skip
         yield type(made).__name__, made
         yield f"{type(made).__name__} used", made.update(Evidence.from_points([[0.0, 1.0, 0.0]]))
     yield "config", TrackerConfig()

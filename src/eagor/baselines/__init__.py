@@ -7,6 +7,8 @@ distribution have ``log_density(directions)``, its logarithm ``(...)`` per stera
 - From the published comparison, without parameters: `Centroid`, `CircularCentroid`, `GridFilter`, `Published`. The
   last two read log(l + 1e-3), which is negative in every direction looked at: they need whole panoramas, not views.
 - `Plain`: the strongest response of each look, as a model answers without a belief.
+- `BestDetection`, `LastDetection`: one detection, turned with the camera: the best so far, or the best of the newest
+  look that has any. They read detections as such; of a response map they take the strongest response.
 - Stronger ones: `VonMisesFisherFilter`, `HistogramFilter`, `ParticleFilter`. They read the evidence with a
   calibration of their own. Their defaults are the best on the development seeds of ``benchmarks/quality.py``, with as
   many trials as for ours.
@@ -22,6 +24,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from eagor.baselines.detected import BestDetection, LastDetection
 from eagor.baselines.filters import GridFilter, HistogramFilter, ParticleFilter, Published, VonMisesFisherFilter
 from eagor.baselines.maps import GRID
 from eagor.baselines.per_frame import Centroid, CircularCentroid, Plain
@@ -29,11 +32,13 @@ from eagor.evidence import Evidence
 
 __all__ = [
     "GRID",
+    "BestDetection",
     "Centroid",
     "CircularCentroid",
     "DirectionFilter",
     "GridFilter",
     "HistogramFilter",
+    "LastDetection",
     "ParticleFilter",
     "Plain",
     "Published",

@@ -14,6 +14,7 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.coverage import looked_at
 from eagor.grids import ErpGrid, Grid
+from eagor.sphere import unit
 
 GRID = ErpGrid(64, 128)
 """The cells (2.8 degrees) of the baselines with a map."""
@@ -35,6 +36,16 @@ def seen_response(evidence: Evidence) -> np.ndarray:
     if evidence.seen is not None and evidence.seen[-1]:
         response = response * looked_at(evidence.seen)
     return response
+
+
+def strongest(response: np.ndarray, grid: Grid) -> np.ndarray:
+    """The direction ``(3,)``, body frame, of the strongest response of ``(H, W)``, which are not all zero."""
+    best = response >= 0.999 * response.max()
+    # The middle of equally strong cells (such as a whole view in which the thing is reported).
+    middle = np.sum((grid.weights * best)[..., None] * grid.directions, axis=(0, 1)) / np.sum(grid.weights * best)
+    if np.linalg.norm(middle) < 0.5:  # they are scattered and have no middle
+        return grid.directions[np.unravel_index(np.argmax(response), response.shape)]
+    return unit(middle)
 
 
 def calibrated(evidence: Evidence, calibration: Calibration) -> Evidence:

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from eagor._reprs import changed
-from eagor.baselines.maps import seen_response
+from eagor.baselines.maps import seen_response, strongest
 from eagor.evidence import Evidence
 from eagor.evidence.response import SILENT
 from eagor.grids import Grid
-from eagor.sphere import FORWARD, azimuth_elevation, check_rotation, direction, unit
+from eagor.sphere import FORWARD, azimuth_elevation, check_rotation, direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +67,4 @@ class Plain(_PerFrame):
     """The direction of the strongest response, per frame: the answer of a model without a filter."""
 
     def _read(self, share: np.ndarray, grid: Grid) -> np.ndarray:
-        best = share >= 0.999 * share.max()
-        # The middle of equally strong cells (such as a whole view in which the thing is reported).
-        middle = np.sum((grid.weights * best)[..., None] * grid.directions, axis=(0, 1)) / np.sum(grid.weights * best)
-        if np.linalg.norm(middle) < 0.5:  # they are scattered and have no middle
-            return grid.directions[np.unravel_index(np.argmax(share), share.shape)]
-        return unit(middle)
+        return strongest(share, grid)

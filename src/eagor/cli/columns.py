@@ -13,7 +13,10 @@ from eagor.tracking.estimate import Estimate
 
 # A rival's column shows azimuth/elevation in whole degrees, "-180/-90" at most; longer names are shortened to fit.
 CELL = len("-180/-90")
-SHORT = {"cent_circ": "circular", "eagor_paper": "paper", "grid_filter": "gridfilt", "particle_filter": "particle"}
+SHORT = {
+    "cent_circ": "circular", "eagor_paper": "paper", "best_detection": "bestdet", "last_detection": "lastdet",
+    "grid_filter": "gridfilt", "particle_filter": "particle",
+}  # fmt: skip
 
 
 class Row(Protocol):
@@ -38,22 +41,22 @@ def header(rivals: Sequence[str] = ()) -> str:
     """The names of the columns; `rivals` are the other methods to compare with, in the order of `line`."""
     if not rivals:
         return f"{'stamp':>10}{'azimuth':>9}{'elevation':>11}{'cone 90%':>10}{'distance 90%':>14}{'modes':>7}  status"
-    ours = f"{'stamp':>9}{'azimuth':>8}{'elev':>6}{'cone':>6}{'distance':>13} {'status':9}"
+    ours = f"{'stamp':>9}{'azimuth':>8}{'elev':>6}{'cone':>6} {'status':9}"
     return (ours + "".join(f" {SHORT.get(name, name)[:CELL]:>{CELL}}" for name in rivals)).rstrip()
 
 
 def line(row: Row) -> str:
     """One frame as a line under `header`. "-" is what is not known.
 
-    With other methods the number of candidates is left out.
+    With other methods the distance and the number of candidates are left out.
     """
     e = row.estimate
     azimuth, elevation = signed(e.azimuth), signed(e.elevation)
     cone = "-" if e.direction is None else signed(e.credible_angle)[1:]
-    far = distance_in_words(row.distance, row.distance_spread)
     if not row.others:
+        far = distance_in_words(row.distance, row.distance_spread)
         return f"{row.stamp:10.3f}{azimuth:>9}{elevation:>11}{cone:>10}{far:>14}{len(e.modes):>7}  {e.status}"
-    ours = f"{row.stamp:9.3f}{azimuth:>8}{elevation:>6}{cone:>6}{far:>13} {e.status:9}"
+    ours = f"{row.stamp:9.3f}{azimuth:>8}{elevation:>6}{cone:>6} {e.status:9}"
     return ours + "".join(f" {_cell(direction):>{CELL}}" for direction in row.others.values())
 
 

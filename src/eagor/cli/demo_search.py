@@ -21,6 +21,8 @@ SPOKEN = {
     "cent_circ": "the circular centroid",
     "grid": "the published pixel grid",
     "eagor_paper": "EAGOR as published",
+    "best_detection": "the best detection so far",
+    "last_detection": "the last detection",
     "vmf": "the von Mises-Fisher filter",
     "grid_filter": "the grid filter",
     "particle_filter": "the particle filter",

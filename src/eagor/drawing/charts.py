@@ -14,7 +14,9 @@ from eagor.errors import EagorError
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-CURVES = ("#00838f", "#b26a00", "#c2185b", "#5e35b1", "#d84315", "#558b2f", "#546e7a", "#6d4c41", "#9e9d24")
+CURVES = (
+    "#00838f", "#b26a00", "#c2185b", "#5e35b1", "#d84315", "#558b2f", "#546e7a", "#6d4c41", "#9e9d24", "#1565c0",
+)  # fmt: skip
 LEAST = 0.5  # degrees: less than the width of anything that is looked for
 TICKS = (0.5, 1, 2, 5, 10, 20, 50, 100, 180)
 AROUND = 1.2  # metres of the plan around all paths

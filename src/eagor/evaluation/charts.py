@@ -26,6 +26,8 @@ STYLES: dict[str, tuple[Any, str]] = {  # dashes and marks, as matplotlib names 
     "centroid": ((0, (2, 3)), "^"),
     "cent_circ": ((0, (9, 3, 2, 3)), "v"),
     "grid": ((0, (5, 3)), "D"),
+    "best_detection": ((0, (8, 2, 2, 2, 2, 2)), "*"),
+    "last_detection": ((0, (4, 1)), ">"),
     "vmf": ((0, (3, 2)), "x"),
     "grid_filter": ((0, (10, 4)), "+"),
     "particle_filter": ((0, (1, 3)), RING),

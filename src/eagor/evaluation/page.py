@@ -13,17 +13,17 @@ from typing import Any
 from eagor._extras import need
 from eagor._version import __version__
 
-# The first eight hues stay apart for the colour-blind and have at least 3:1 contrast on their ground (after Okabe and
-# Ito); the others are those of methods that are rarely among them. A chart asks for a colour by its name here.
+# All have at least 3:1 contrast on their ground. The first eight hues stay apart for the colour-blind (after Okabe and
+# Ito); the others are told apart by their dashes and marks. A chart asks for a colour by its name here.
 LIGHT = {
     "eagor": "#005fa3", "eagor_paper": "#c44e00", "centroid": "#a8467f", "cent_circ": "#866400", "grid": "#007a5a",
     "vmf": "#2f3440", "grid_filter": "#3d84c6", "particle_filter": "#71767f", "oracle": "#2f3440",
-    "plain": "#a3333d",
+    "plain": "#a3333d", "best_detection": "#7b4fb5", "last_detection": "#0f7f8c",
 }  # fmt: skip
 DARK = {
     "eagor": "#5cb8f5", "eagor_paper": "#ff8f45", "centroid": "#e79bca", "cent_circ": "#e8d44d", "grid": "#34cfa3",
     "vmf": "#e9ebf0", "grid_filter": "#9fb6ff", "particle_filter": "#a4a9b3", "oracle": "#e9ebf0",
-    "plain": "#f28b92",
+    "plain": "#f28b92", "best_detection": "#c0a6ff", "last_detection": "#6fd3dd",
 }  # fmt: skip
 NOTHING = "–"  # a figure without a case
 SPARE = 8  # colours of series that are no methods: x0 to x7

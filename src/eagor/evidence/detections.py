@@ -9,11 +9,12 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.evidence.coverage import Region, confine, region, taper
-from eagor.evidence.detector import STATED, DetectorModel, Rates, Spread
+from eagor.evidence.detector import Alarms, DetectorModel
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid
 
+LEAST_RATIO = 1e-3  # of a score: no single one is a proof of absence
 RESOLVED = math.radians(115)  # over degree + 1: the narrowest likelihood that the degree represents without loss
 
 
@@ -73,11 +74,6 @@ class Detections:
     def __repr__(self) -> str:
         return f"Detections({len(self)} in {'a whole look' if not self.views else f'{len(self.views)} views'})"
 
-    @property
-    def rates(self) -> Rates:
-        """The prior of the rates."""
-        return Rates.prior(self.model)
-
     def joined(self, other: Detections) -> Detections:
         """The joint set of two pictures of the same moment."""
         views = () if not self.views or not other.views else (*self.views, *other.views)
@@ -100,14 +96,14 @@ class Detections:
             missed *= 1 - view.share(directions)
         return 1 - missed
 
-    def coefficients(self, degree: int, rates: Rates | None = None, spread: Spread = STATED) -> np.ndarray:
+    def coefficients(self, degree: int) -> np.ndarray:
         """log L in harmonics ``(size,)``, body frame; detections are widened to what the degree can hold.
 
         v fades to 0 inside the border of the covered region (`eagor.evidence.coverage`).
         """
         grid, basis = decoding_grid(degree), RealHarmonics(degree)
         share, where = self.grid_share(degree)
-        found = basis.analyse(np.log(self.ratio(grid.directions, rates, share, resolved(degree), spread)), grid)
+        found = basis.analyse(np.log(self.ratio(grid.directions, share, resolved(degree))), grid)
         return found if where is None else confine(degree, found, where)
 
     def grid_share(self, degree: int) -> tuple[np.ndarray | float, Region | None]:
@@ -143,22 +139,24 @@ class Detections:
         seen = np.asarray(self.share(directions)) > 0
         return (drawn.max(axis=0).reshape(directions.shape[:-1]) * seen).astype(np.float32)
 
-    def densities(self, directions: np.ndarray, scales: np.ndarray, least: np.ndarray | float = 0.0) -> np.ndarray:
-        """The sum of s_i g(z_i | w) over the relative clutter ``(S, ...)`` at directions w ``(..., 3)``, per steradian.
+    def densities(
+        self, directions: np.ndarray, scales: np.ndarray, rows: np.ndarray, least: np.ndarray | float = 0.0
+    ) -> np.ndarray:
+        """Sums of g(z_i | w) over the relative clutter at directions w ``(..., 3)``, per steradian ``(S, k, ...)``.
 
-        Detections are widened by each of `scales` ``(S,)``, and to at least `least` radians (or ``(n,)``); their mass
-        is kept.
+        `rows` ``(k, n)``: the weights of the detections in each sum. Detections are widened by each of `scales`
+        ``(S,)``, and to at least `least` radians (or ``(n,)``); their mass is kept.
         """
         lengths = np.sqrt(np.einsum("nij,nij->ni", self.axes, self.axes))
         exponents = self._exponents(directions)
-        found = np.empty((len(scales), exponents.shape[-1]))
+        found = np.empty((len(scales), len(rows), exponents.shape[-1]))
         least = np.reshape(least, (-1, 1))
-        for row, scale in zip(found, scales.tolist(), strict=True):
+        for sums, scale in zip(found, scales.tolist(), strict=True):
             factors = 1 / np.maximum(scale, least * lengths)
             norms = bump_norms(lengths * factors)
             falls = np.exp(-np.einsum("nix,ni->nx", exponents, factors**2))
-            np.matmul(self.ratios / self.clutter * norms, falls, out=row)
-        return found.reshape(len(scales), *directions.shape[:-1])
+            np.matmul(rows / self.clutter * norms, falls, out=sums)
+        return found.reshape(len(scales), len(rows), *directions.shape[:-1])
 
     def _exponents(self, directions: np.ndarray) -> np.ndarray:
         """-log of g over its maximum, along each axis of each detection ``(n, 2, N)`` at N directions ``(..., 3)``.
@@ -170,35 +168,50 @@ class Detections:
         return along * along / np.maximum(1 + self.directions @ flat, 1e-9)[:, None]
 
     def ratio(
-        self,
-        directions: np.ndarray,
-        rates: Rates | None = None,
-        share: np.ndarray | float | None = None,
-        least: np.ndarray | float = 0.0,
-        spread: Spread = STATED,
+        self, directions: np.ndarray, share: np.ndarray | float | None = None, least: np.ndarray | float = 0.0
     ) -> np.ndarray:
-        """L ``(...)`` at directions ``(..., 3)``, both in the axes of the detections, with `rates` after `Rates.given`.
+        """L ``(...)`` of this look alone at directions ``(..., 3)``, in the axes of the detections.
 
         `share`: v there (default: `self.share`, which takes body axes). `least`: radians, the narrowest width of a
         detection.
         """
-        return np.tensordot(spread.weights, self.ratios_by(spread.scales, directions, rates, share, least), axes=1)
-
-    def ratios_by(
-        self,
-        scales: np.ndarray,
-        directions: np.ndarray,
-        rates: Rates | None = None,
-        share: np.ndarray | float | None = None,
-        least: np.ndarray | float = 0.0,
-    ) -> np.ndarray:
-        """`ratio` ``(S, ...)`` for detections `scales` ``(S,)`` times as wide."""
-        rates = self.rates.given(len(self)) if rates is None else rates
         share = self.share(directions) if share is None else share
-        missed = np.ones(directions.shape[:-1]) - share * rates.recall
+        speaks = 0.0
+        if len(self):
+            alarms = Alarms.prior(self.model).after(np.zeros(len(self)))
+            speaks = alarms.inverse * self.area * self.densities(directions, np.ones(1), self.ratios[None], least)[0, 0]
+        recall = self.model.habits.mean
+        return np.ones(directions.shape[:-1]) + share * recall * (speaks - 1)
+
+    def speaks(
+        self,
+        directions: np.ndarray,
+        scales: np.ndarray,
+        alarms: Alarms,
+        least: np.ndarray | float = 0.0,
+        told: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """S ``(S, ...)``: the sum of g(z_i | w) / lambda(z_i) at directions ``(..., 3)``, at each of `scales` ``(S,)``.
+
+        Also the mean log score ratio ``(...)`` of the detections that speak for each direction; None without scores.
+        `told` ``(n,)``: factors on the terms of the sum.
+        """
         if not len(self):
-            return np.broadcast_to(missed, (len(scales), *missed.shape))
-        return missed + share * (rates.gain * self.area) * self.densities(directions, scales, least)
+            return np.zeros((len(scales), *directions.shape[:-1])), None
+        rows = self.rows if told is None else self.rows * told
+        found = self.densities(directions, scales, rows, least)
+        scores = None
+        if len(rows) > 1:
+            scores = found[:, 1].sum(axis=0) / np.maximum(found[:, 0].sum(axis=0), 1e-300)
+        return (alarms.inverse * self.area) * found[:, 0], scores
+
+    @property
+    def rows(self) -> np.ndarray:
+        """For `densities`: 1 and, where there are scores, the log ratio of each detection ``(1 or 2, n)``."""
+        ones = np.ones((1, len(self)))
+        if (self.ratios == 1).all():
+            return ones
+        return np.concatenate([ones, np.log(np.maximum(self.ratios, LEAST_RATIO))[None]])
 
 
 def bump_norms(lengths: np.ndarray) -> np.ndarray:

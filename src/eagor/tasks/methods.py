@@ -15,11 +15,13 @@ import numpy as np
 
 from eagor.baselines import (
     GRID,
+    BestDetection,
     Centroid,
     CircularCentroid,
     DirectionFilter,
     GridFilter,
     HistogramFilter,
+    LastDetection,
     ParticleFilter,
     Plain,
     VonMisesFisherFilter,
@@ -48,6 +50,8 @@ DESCRIPTIONS = {
     "cent_circ": "the same, with a circular mean of the azimuth",
     "grid": "log responses on a pixel grid, resampled at each turn, read at the maximum",
     "eagor_paper": "EAGOR as published: degree 7, log(l + 0.001) scaled per frame, spherical mean",
+    "best_detection": "the detection with the best score so far, turned with the camera",
+    "last_detection": "the newest detection, turned with the camera",
     "vmf": "von Mises-Fisher filter: one direction and one concentration",
     "grid_filter": "Bayes filter on a grid of probabilities",
     "particle_filter": f"particle filter, {PARTICLES} directions",
@@ -322,25 +326,27 @@ def _rate(key: str, text: str) -> float | None:
     return None if text == "?" else _number(key, text)
 
 
+def _beta(key: str, text: str) -> tuple[float, ...]:
+    return tuple(_number(key, each) for each in text.split("+"))
+
+
 def _kinds(key: str, text: str) -> tuple[float, ...]:
     found = tuple(_number(key, each) for each in text.split("+"))
     return () if found == (0.0,) else found
 
 
 _READING = ("floor", "neutral", "temperature")
-_ANGLES = ("noise", "diffusion", "roughening", "kernel", "wander", "turn", "spread", "dspread", "drift")  # in degrees
+_ANGLES = ("noise", "diffusion", "roughening", "kernel", "wander", "turn", "spread", "dspread", "offset", "drift")  # in degrees
 # The settings of our tracker: the part of its configuration that each belongs to, its field, and its parser.
 _OURS: dict[str, tuple[str, str, Callable[[str, str], Any]]] = {
     "degree": ("", "degree", _whole),
     "decode": ("answers", "decode", _decode),
-    **{
-        key: ("calibration", key, _number)
-        for key in (*_READING, "persistence", "persists_for", "persists_within", "spread")
-    },
-    "pd": ("detector", "detection_probability", _rate),
-    "clutter": ("detector", "false_alarms_per_look", _rate),
+    **{key: ("calibration", key, _number) for key in (*_READING, "spread")},
+    **{key: ("reading", key, _rate) for key in ("detection_probability", "kept_for", "kept_within")},
+    **{key: ("reading", key, _beta) for key in ("habit", "look_alike_habit")},
+    **{key: ("reading", key, _number) for key in ("look_alikes", "offset")},
+    "false_alarms_per_look": ("detector", "false_alarms_per_look", _rate),
     "dspread": ("detector", "spread", _number),
-    **{key: ("detector", key, _number) for key in ("repeats", "repeats_for", "repeats_within")},
     "shells": ("", "ranges", _shells),
     "heights": ("", "floor_height", _heights),
     **{key: ("target_motion", key, _kinds) for key in ("wander", "turn")},
@@ -353,6 +359,8 @@ SETTINGS: dict[str, tuple[str, ...]] = {
     "cent_circ": (),
     "grid": (),
     "eagor_paper": tuple(_OURS),
+    "best_detection": (),
+    "last_detection": (),
     "vmf": (*_READING, "noise"),
     "grid_filter": (*_READING, "diffusion", "mixing"),
     "particle_filter": (*_READING, "roughening", "reborn", "kernel"),
@@ -371,17 +379,21 @@ def tracker_config(
     - degree, decode; shells (0: directions only), heights (0: unknown floor height);
     - target motion: wander (degrees per root second) and turn (degrees per second; several kinds are joined by +,
       0: none), and start, stop, jump, birth, death (rates per second); drift (degrees per root second);
-    - response maps: floor, neutral, temperature, persistence, persists_for (seconds), persists_within (metres), spread
-      (degrees). They change `calibration` if the config has none of its own;
-    - detections: pd, clutter (?: estimated online), dspread (degrees), repeats, repeats_for (seconds), repeats_within
-      (metres). They change `detector` if the config has none of its own.
+    - response maps: floor, neutral, temperature, spread (degrees). They change `calibration` if the config has none of
+      its own;
+    - detections: false_alarms_per_look (?: learnt online), dspread (degrees). They change `detector` if the config has
+      none of its own;
+    - both: detection_probability (?: differs from place to place), habit and look_alike_habit (two numbers joined by
+      +), look_alikes, kept_for (seconds), kept_within (metres), offset (degrees).
     """
     found: dict[str, dict[str, Any]] = {
-        part: {} for part in ("", "calibration", "detector", "target_motion", "answers")
+        part: {} for part in ("", "calibration", "detector", "reading", "target_motion", "answers")
     }
     for key, (part, name, read) in ((key, _OURS[key]) for key in settings):
         found[part][name] = read(key, settings[key])
     changes = found[""]
+    for part in ("calibration", "detector"):
+        found[part] |= found["reading"]
     if found["calibration"]:
         read_by = config.calibration or calibration or Calibration()
         changes["calibration"] = replace(read_by, scale_to_max=False, **found["calibration"])
@@ -407,6 +419,8 @@ _FILTERS: dict[str, Callable[[np.random.Generator], DirectionFilter]] = {
     "centroid": lambda rng: Centroid(),
     "cent_circ": lambda rng: CircularCentroid(),
     "grid": lambda rng: GridFilter(),
+    "best_detection": lambda rng: BestDetection(),
+    "last_detection": lambda rng: LastDetection(),
     "vmf": lambda rng: VonMisesFisherFilter(),
     "grid_filter": lambda rng: HistogramFilter(),
     "particle_filter": lambda rng: ParticleFilter.uniform(PARTICLES, rng),

@@ -12,7 +12,7 @@ from eagor._arrays import to_numpy
 from eagor._lazy import lazy
 from eagor._reprs import where
 from eagor.belief.reading import NEAR, Reading
-from eagor.evidence.detector import Rates
+from eagor.evidence.detector import Alarms
 from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.harmonics.peaks import FLAT
 from eagor.sphere import azimuth_elevation, check_directions
@@ -50,8 +50,8 @@ class Estimate:
     """The answer at one time, in the body frame of that time. All of it is read from one posterior.
 
     `stamp`: the time asked for; `age`: seconds since the newest evidence was captured (infinite before any); `cases`:
-    the posterior, in WORLD axes; `world_R_body`: the pose at that time; `rates`: of the detector, where they are
-    learnt.
+    the posterior, in WORLD axes; `world_R_body`: the pose at that time; `alarms`: the number of false alarms in a look,
+    where it is learnt.
     """
 
     stamp: float
@@ -59,7 +59,7 @@ class Estimate:
     cases: Cases
     world_R_body: np.ndarray
     config: TrackerConfig
-    rates: Rates | None = None
+    alarms: Alarms | None = None
     of: Estimate | None = field(default=None, repr=False)  # what this is `turned` from
 
     def __repr__(self) -> str:

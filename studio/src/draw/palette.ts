@@ -15,6 +15,7 @@ export const RIVALS = [
   { shape: "cross", colour: "#b0bec5" },
   { shape: "left", colour: "#f4e06d" },
   { shape: "right", colour: "#9fb4ff" },
+  { shape: "star", colour: "#e0c3a0" },
 ] as const;
 
 export type Shape = (typeof RIVALS)[number]["shape"];

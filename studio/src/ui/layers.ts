@@ -9,6 +9,7 @@ import type { Shell } from "./shell";
 const OUTLINES: Record<string, string> = {
   square: "M4 4h8v8H4z", diamond: "M8 2.5L13 8l-5 5.5L3 8z", up: "M8 3l5 9H3z", down: "M8 13l5-9H3z",
   left: "M3 8l9-5v10z", right: "M13 8L4 3v10z",
+  star: "M8 1.7l1.6 4.3 4.7.3-3.6 2.9 1.2 4.4L8 11.1l-3.9 2.5 1.2-4.4-3.6-2.9 4.7-.3z",
   plus: "M6.3 3h3.4v3.3H13v3.4H9.7V13H6.3V9.7H3V6.3h3.3z", cross: "M5.2 3L8 5.8 10.8 3 13 5.2 10.2 8l2.8 2.8-2.2 2.2L8 10.2 5.2 13 3 10.8 5.8 8 3 5.2z",
 };
 

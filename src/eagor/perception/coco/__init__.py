@@ -29,7 +29,6 @@ __all__ = ["CLASSES", "coco_detector", "from_text"]
 # rates differ from class to class, and are learnt. What it mistakes once, it mistakes again: 0.8 of it after a second.
 DETECTOR = DetectorModel(
     spread=math.radians(0.85),
-    repeats=0.8,
     score_ratios=((0.2, 0.18), (0.23, 0.18), (0.275, 1.5), (0.365, 3.3), (0.61, 8.4)),
 )
 
