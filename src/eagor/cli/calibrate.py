@@ -241,7 +241,9 @@ def print_unlabelled(found: UnlabelledFit, queries: tuple[str, ...]) -> None:
         values = [_shown(name, getattr(model, name)) for model in (found.model, found.base)]
         carried = f"{'from' if found.tells(name) else 'kept:'} {found.carried[name]:.3g} {what}"
         carried += "" if found.tells(name) else f", wanted {least}"
-        print(f"  {name.replace('_', ' '):24s}{values[0]:>14s}{values[1]:>14s}  {carried}{_ends(name, found.intervals)}")
+        print(
+            f"  {name.replace('_', ' '):24s}{values[0]:>14s}{values[1]:>14s}  {carried}{_ends(name, found.intervals)}"
+        )
     print("Offset, kept for and kept within are as before: looks without labels cannot tell them")
 
 
@@ -273,9 +275,10 @@ def print_fit(found: DetectorFit) -> None:
     )
     for name in ("habit", "false_alarms_per_look", "look_alikes", "look_alike_habit", "spread", "offset"):
         told = _shown(name, getattr(model, name))
+        ends = _ends(name, found.intervals)
         if name == "habit":
-            told += f"  mean {model.habits.mean:.2g}"
-        print(f"  {name.replace('_', ' '):24s}{told}{_ends(name, found.intervals)}")
+            ends = f"  mean {model.habits.mean:.2g}{ends.replace(' mean', '')}"
+        print(f"  {name.replace('_', ' '):24s}{told}{ends}")
     if "look_alikes" not in found.intervals:
         print("Without poses (--poses) nothing is known of look-alikes and of the offset: they are as they were")
     for score, ratio in model.score_ratios or ():

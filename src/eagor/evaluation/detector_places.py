@@ -24,7 +24,7 @@ NEAR, FAR = 2.5, 3.5  # widths about a detection, and about a candidate, in whic
 LEAST_COUNT = 0.5  # detections of a candidate
 POINTS = 96  # directions at which it is counted how many looks covered them
 # Places, known exactly, that the prior of a habit counts for: of targets; of what is guessed to be a thing, since a
-# thing that is rarely detected is easily guessed to be a look-alike; of look-alikes, which rare ones hardly tell either.
+# thing that is rarely detected is easily guessed to be a look-alike; of look-alikes, where the rare ones tell little.
 HABIT_PRIOR, THING_PRIOR, ALIKE_PRIOR = 1.0, 10.0, 4.0
 NUMBER_PRIOR = 2.0  # views that the prior of the number of places counts for
 ALARMS_PRIOR = (0.5, 1.0)  # false alarms, and looks, that the prior of the false alarms counts for

@@ -16,7 +16,15 @@ from typing import Any
 import numpy as np
 
 from eagor.evaluation.detector_em import STARTS, doubt, likeliest_errors, short
-from eagor.evaluation.detector_places import NUMBER_PRIOR, Candidates, Split, candidates, rate_interval, split
+from eagor.evaluation.detector_places import (
+    NUMBER_PRIOR,
+    THING_PRIOR,
+    Candidates,
+    Split,
+    candidates,
+    rate_interval,
+    split,
+)
 from eagor.evaluation.labelled_looks import LabelledLook, Rows, rows_of, sums
 from eagor.evaluation.score_curve import ScoreCurve, fitted_curve, knots_of
 from eagor.evidence.detector import DetectorModel, model_as_json
@@ -37,6 +45,7 @@ ENOUGH = {
     "score_ratios": (20, "right and as many false scores"),
 }
 RESAMPLES, LEVEL = 100, 0.95
+ENDS = ((1 - LEVEL) / 2, (1 + LEVEL) / 2)
 
 
 @dataclass(frozen=True)
@@ -89,6 +98,8 @@ def fit_unlabelled(
 
     Raises `EagorError` without looks.
     """
+    from scipy.special import betaincinv
+
     base = base or DetectorModel()
     rows = rows_of([replace(look, targets=np.zeros((0, 3))) for look in looks], base)
     best = max((_climbed(rows, base, factor * base.spread) for factor in STARTS), key=lambda each: each.log)
@@ -105,14 +116,17 @@ def fit_unlabelled(
         on_step()
     things, alikes = best.split.numbers.tolist()
     views = carried["look_alikes"] + NUMBER_PRIOR
+    habit = best.split.habits[0]
+    worth = (carried["habit"] + THING_PRIOR) * (1 + habit.sum()) / habit.sum()  # as many looks, all independent
     wide = {
+        "detection_share": betaincinv(*(worth * habit), ENDS).tolist(),
         "look_alikes": rate_interval(alikes * views, views, LEVEL),
         "false_alarms_per_look": rate_interval(best.split.alarms * rows.count, rows.count, LEVEL),
     }
     intervals = {}
     for name, of in _SCALARS.items():
         if drawn and ("habit" if name == "detection_share" else name) in values:
-            low, high = np.quantile([of(each) for each in drawn], [(1 - LEVEL) / 2, (1 + LEVEL) / 2]).tolist()
+            low, high = np.quantile([of(each) for each in drawn], ENDS).tolist()
             least, most = wide.get(name, (low, high))
             intervals[name] = (min(low, least), max(high, most))
     model = replace(base, **values)

@@ -66,7 +66,8 @@ class Calibrated:
 def calibration_of(values: Mapping[str, Any]) -> Calibration:
     """The calibration with these values. Raises `KeyError` if one of `READING` is missing."""
     _only(values, READING)
-    return Calibration(**{name: number(values[name]) for name in READING})
+    floor, neutral, temperature, persistence, spread = (number(values[name]) for name in READING)
+    return Calibration(floor, neutral, temperature, persistence, spread)
 
 
 def detector_of(values: Mapping[str, Any]) -> DetectorModel:
